@@ -1,6 +1,6 @@
-"""Policies and agents for :mod:`pcs_racing`: motion planners, archives, strategies and tournaments.
+"""Policies and agents for :mod:`pcs_racing`: planners, archives, strategies and tournaments.
 
-``make(name)`` makes one of the agents that ``names()`` lists.
+``make(name)`` returns an agent; ``names()`` lists the names of all agents.
 """
 
 from typing import Any
@@ -11,7 +11,7 @@ register_competitors("zoo", "pcs_racing_agents.agents.opponents")
 
 
 def __getattr__(name: str) -> Any:
-    """Import the zoo when somebody asks for an agent."""
+    """Import the zoo on access to ``make`` or ``names``."""
     if name in ("make", "names"):
         from pcs_racing_agents.agents import zoo
 

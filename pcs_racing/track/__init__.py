@@ -1,1 +1,1 @@
-"""Circuits: the track value, Frenet coordinates, reading maps, and how a track is built."""
+"""Tracks: the Track class, Frenet coordinates, map readers, and track building."""

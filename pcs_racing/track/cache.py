@@ -1,7 +1,7 @@
-"""Cache on disk for results of slow computations on maps, by the content of the map and of the code that made them.
+"""Disk cache for results of slow computations on maps, keyed by the content of map and code.
 
-The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A file that
-is damaged or stands under the name of another counts as missing, and one that can't be written is left out.
+The folder is ``$PCS_RACING_CACHE``, else ``~/.cache/pcs_racing``; it may be deleted at any time. A
+damaged or misnamed file counts as missing; a file that can't be written is skipped.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 MAX_BYTES = 256_000_000
 _SEAL = 32  # bytes at the end of a file
 
-# Modules whose code, with all that they import, decides the content: a change of theirs makes it out of date.
+# Modules whose code, imports included, decides the content: a code change outdates the cache.
 _ALGORITHMS = {TRACK: "pcs_racing.track.loading", CALIBRATION: "pcs_racing.race.calibration"}
 _IMPORT = re.compile(r"^ *from (pcs_racing[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 
@@ -52,7 +52,7 @@ def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
 
 @cache
 def algorithm_digest(module: str) -> bytes:
-    """Return a digest of the source of a module, and of the modules of this package that it imports, and so on."""
+    """Return a digest of a module's source and of its imports in this package, recursively."""
     digest = hashlib.sha256()
     for name, content in sorted(_sources(module, {}).items()):
         digest.update(f"{name} {len(content)}\n".encode() + content)
@@ -60,10 +60,10 @@ def algorithm_digest(module: str) -> bytes:
 
 
 def _sources(module: str, found: dict[str, bytes]) -> dict[str, bytes]:
-    """Add the sources of a module and of those that it imports; a name that is no module adds nothing."""
+    """Add the sources of a module and of its imports; a name that is no module adds nothing."""
     path = Path(__file__).parents[2].joinpath(*module.split("."))
     for file in (path.with_suffix(".py"), path / "__init__.py"):
-        # The package's own file imports nothing: it lists the names that it hands out.
+        # The package's own file imports nothing: it lists the exported names.
         if module not in found and module != "pcs_racing" and file.is_file():
             found[module] = file.read_bytes()
             for origin, names in _IMPORT.findall(found[module].decode()):
@@ -73,7 +73,7 @@ def _sources(module: str, found: dict[str, bytes]) -> dict[str, bytes]:
 
 
 def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
-    """Return the arrays stored under a key; None if they are missing, damaged or those of another key."""
+    """Return the arrays stored under a key; None if missing, damaged or stored for another key."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -86,7 +86,7 @@ def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:
 
 
 def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
-    """Store arrays under a key; the file is written completely or not at all."""
+    """Store arrays under a key, atomically."""
     folder = cache_folder()
     if folder is None:
         return
@@ -99,5 +99,5 @@ def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
 
 
 def _seal(key: str, content: bytes) -> bytes:
-    """Return the end of a file: a digest of the arrays and the whole key, whose first letters are the file's name."""
+    """Return a file's end: a digest of arrays and full key (the file name is the key's start)."""
     return hashlib.sha256(key.encode() + content).digest()

@@ -1,8 +1,8 @@
 """The data of a track for compiled code, and conversions between map and Frenet coordinates.
 
-Frenet coordinates are (s, d): arc length along the closed race line in metres, and signed distance from it, positive to
-the left. Between two samples the line is the cubic that has their points and headings at its ends, so position and
-heading are continuous all along it.
+Frenet coordinates are (s, d): arc length along the closed race line in metres, and signed distance
+from it, positive to the left. Between two samples the line is the cubic with their points and
+headings at its ends, so position and heading are continuous along the line.
 """
 
 from typing import NamedTuple
@@ -17,46 +17,46 @@ LINE_COLUMNS = ("x", "y", "cos", "sin", "psi", "kappa", "speed", "right", "left"
 
 
 class TrackArrays(NamedTuple):
-    """The data of a track that compiled kernels read, as plain arrays."""
+    """The data of a track for compiled kernels, as plain arrays."""
 
     length: float  #: Length of the closed race line in m.
     ds: float  #: Spacing of its samples in m (``length / len(line)``).
-    #: shape (N, 9), float64: Samples of the race line at ``s = i * ds``: x, y (m), cos and sin of the heading, the
-    #: heading psi (rad, continuous along the line), curvature kappa (1/m, positive to the left), speed (m/s, at speed
-    #: scale 1), and the free width to the right and to the left wall (m, both positive). The last sample lies one
-    #: ``ds`` before the first.
+    #: shape (N, 9), float64: Samples of the race line at ``s = i * ds``: x, y (m), cos and sin of
+    #: the heading, heading psi (rad, continuous along the line), curvature kappa (1/m, positive to
+    #: the left), speed (m/s, at speed scale 1), and the free width to the right and to the left
+    #: wall (m, both positive). The last sample lies one ``ds`` before the first.
     line: np.ndarray
-    #: shape (H, W), float32: Distance in m from the centre of each cell to the nearest face of a wall cell, exact; 0 in
-    #: walls and off the track, and there only. Row 0 is the bottom.
+    #: shape (H, W), float32: Exact distance in m from the centre of each cell to the nearest face
+    #: of a wall cell; 0 only in walls and off the track. Row 0 is the bottom.
     distance: np.ndarray
     origin_x: float  #: Lower left corner of cell [0, 0] in m: x.
-    origin_y: float  #: The same: y.
-    cell: float  #: Side of a cell of ``distance`` and ``nearest`` in m.
-    walls: np.ndarray  #: shape (S, 4), float64: Wall segments x0, y0, x1, y1 in m, the drivable side on their left.
-    seen_start: np.ndarray  #: shape (M + 1,), int32: Where the list of each stretch of the line begins in ``seen``.
-    #: int32: For each stretch of ``seen_stretch`` metres, the wall segments that can be seen from anywhere on it
-    #: (across the whole width of the track), near ones first.
+    origin_y: float  #: Lower left corner of cell [0, 0] in m: y.
+    cell: float  #: Side of a cell of ``distance`` in m.
+    walls: np.ndarray  #: shape (S, 4), float64: Wall segments x0, y0, x1, y1 in m, track on left.
+    seen_start: np.ndarray  #: shape (M + 1,), int32: Start of each stretch's list in ``seen``.
+    #: int32: Wall segments visible from anywhere on a stretch of ``seen_stretch`` metres (across
+    #: the whole width of the track), for each stretch, near segments first.
     seen: np.ndarray
-    #: shape of ``seen``, float32: Distance in m, rounded down, of each listed segment from ``seen_middle`` of its
-    #: stretch; rises along a list.
+    #: shape of ``seen``, float32: Distance in m, rounded down, of each listed segment from
+    #: ``seen_middle`` of its stretch; ascending along a list.
     seen_distance: np.ndarray
-    #: shape (M, 2), float64: A point of each stretch, in m, about half way along it and half way between the walls.
+    #: shape (M, 2), float64: Point of each stretch, in m, about halfway along it and between walls.
     seen_middle: np.ndarray
-    seen_stretch: float  #: Length of such a stretch in m (``length / M``).
-    #: shape (M + 1,), int32: Where the list of each stretch begins in ``corners``, and where the last one ends.
+    seen_stretch: float  #: Length of a stretch in m (``length / M``).
+    #: shape (M + 1,), int32: Start of each stretch's list in ``corners``, and end of the last list.
     corners_start: np.ndarray
-    #: shape (2, C), float64: For each stretch, x and y in m of the corners of the walls in its list of ``seen``, along
-    #: the walls: between two successive corners there is a wall segment, between a corner and NaN there is none. After
-    #: the last list come the corners of what every stretch sees: obstacles.
+    #: shape (2, C), float64: Corners (x, y in m) of the walls in the ``seen`` list of each stretch,
+    #: along the walls. There is a wall segment between two successive corners, and none between a
+    #: corner and NaN. The corners of obstacles, visible from every stretch, follow the last list.
     corners: np.ndarray
-    lookup: np.ndarray  #: shape (h, w), int32: Index of the line sample nearest to the centre of each coarse cell.
-    lookup_cell: float  #: Side of a cell of ``lookup`` in m; it shares the origin of ``distance``.
+    lookup: np.ndarray  #: shape (h, w), int32: Line sample nearest to each coarse cell's centre.
+    lookup_cell: float  #: Side of a cell of ``lookup`` in m (same origin as ``distance``).
 
 
 class WallArrays(NamedTuple):
-    """The successive fields of :class:`TrackArrays` that contacts and times to collision read.
+    """The successive fields of :class:`TrackArrays` for contacts and times to collision.
 
-    A tuple of its own, because a kernel hands the whole track on in more time than a test of a contact takes.
+    A separate tuple: passing the whole track to a kernel takes longer than a contact test.
     """
 
     distance: np.ndarray
@@ -71,14 +71,15 @@ class WallArrays(NamedTuple):
     seen_stretch: float
 
 
-# Kernels take them by ``WallArrays(*track[WALLS_BEGIN:WALLS_END])``. No function can do it for them, because a function
-# without reference counts must not return arrays.
+# Kernels make it by ``WallArrays(*track[WALLS_BEGIN:WALLS_END])``. A function can't do this,
+# because a function without reference counts must not return arrays.
 WALLS_BEGIN = TrackArrays._fields.index(WallArrays._fields[0])
 WALLS_END = WALLS_BEGIN + len(WallArrays._fields)
 
 
-# Functions that many kernels call take the track, but only hand its parts on to another function that does the work: a
-# branch in a function that holds the track's seven arrays costs it their reference counts, five times the arithmetic.
+# Functions of many kernels take the track, but only pass its parts to a worker function: a branch
+# in a function with the track's seven arrays costs their reference counts, five times the
+# arithmetic.
 
 
 @inner_kernel
@@ -130,7 +131,7 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     dy = y - line[i, Y]
     best = dx * dx + dy * dy
     step = 1 if dx * line[i, COS] + dy * line[i, SIN] > 0.0 else -1
-    # At most once around, for a point so far away that all samples are about as near.
+    # One lap at most, for a point so far away that all samples are about equally near.
     for _ in range(n):
         j = i + step
         if j >= n:
@@ -146,7 +147,7 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
         i = j
         dx = ex
         dy = ey
-    # The foot lies on the cubic before or behind the nearest sample: on the side to which the point leans.
+    # The foot lies on the cubic before or behind the nearest sample, on the side of the point.
     ahead = dx * line[i, COS] + dy * line[i, SIN]
     if ahead < 0.0:
         i = i - 1 if i > 0 else n - 1
@@ -157,11 +158,11 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
     else:
         j = i + 1 if i + 1 < n else 0
         behind = (x - line[j, X]) * line[j, COS] + (y - line[j, Y]) * line[j, SIN]
-    # Between the samples the distance to their normals falls almost linearly from ``ahead`` to ``behind``.
+    # Between samples the distance to their normals falls almost linearly: ``ahead`` to ``behind``.
     gap = ahead - behind
     u = min(max(ahead / gap, 0.0), 1.0) if gap > 1e-12 else 0.0
     qx, qy, ax, ay, bx, by = _cubic(line, ds, i)
-    # Two steps of Newton's method from so good a guess leave less than 1e-9 m.
+    # Two steps of Newton's method from this good guess leave an error below 1e-9 m.
     for _ in range(2):
         tx = qx + u * (2.0 * ax + 3.0 * u * bx)
         ty = qy + u * (2.0 * ay + 3.0 * u * by)
@@ -182,13 +183,14 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
 
 @kernel
 def project(track, x, y, hint):  # type: ignore[no-untyped-def]
-    """Frenet coordinates (s, d) in m of a point (m), found by walking along the line from the arc length ``hint``.
+    """Return the Frenet coordinates (s, d) in m of a point (m), by a walk along the line.
 
-    O(1) while driving: the walk ends at the sample from which the next one is farther away. The foot of the
-    perpendicular on one of the two cubics beside that sample is then found by Newton's method, so s, in [0, length),
-    and d are continuous in x and y and `to_cartesian` leads back to the point, wherever the line's centre of curvature
-    is farther away than the line (``1 - kappa * d > 0``). Beyond it no perpendicular foot may be near; the end of a
-    cubic is then taken. The hint may be any real number; it is wrapped.
+    The walk starts at the arc length ``hint`` (any real number; it is wrapped) and ends at the
+    sample nearer than the next: O(1) while driving. Newton's method then finds the foot of the
+    perpendicular on one of the two adjacent cubics. So s, in [0, length), and d are continuous in x
+    and y, and `to_cartesian` inverts the projection, wherever the line's centre of curvature is
+    farther away than the line (``1 - kappa * d > 0``). Beyond it there may be no perpendicular
+    foot; the end of a cubic is then used.
     """
     return foot(track.line, track.ds, track.length, x, y, hint)
 
@@ -205,7 +207,7 @@ def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
     scale = d / np.sqrt(tx * tx + ty * ty)
     x = line[i, X] + u * (qx + u * (ax + u * bx)) - scale * ty
     y = line[i, Y] + u * (qy + u * (ay + u * by)) + scale * tx
-    # The heading turns little between samples: a few terms of the arctangent's series do.
+    # The heading turns little between samples: a few terms of the arctangent's series suffice.
     t = (qx * ty - qy * tx) / (qx * tx + qy * ty)
     t2 = t * t
     return x, y, line[i, PSI] + t * (1.0 - t2 * (1.0 / 3.0 - t2 * (0.2 - t2 / 7.0)))
@@ -213,15 +215,15 @@ def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
 
 @kernel
 def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
-    """Point (x, y) in m of the line's offset by ``d`` at arc length ``s``, and heading (rad) of the line there."""
+    """Return the point (x, y) in m at Frenet coordinates (s, d), and the line's heading (rad)."""
     return offset(track.line, track.ds, track.length, s, d)
 
 
 @inner_kernel
 def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
-    """Whether the straight way between two points stays off the walls; in cells from the corner of the grid."""
+    """Return whether no wall is between two points, in cells from the corner of the grid."""
     rows, cols = distance.shape
-    # Asked before a number that is too large for an integer becomes one.
+    # Checked before the conversion to integers, which may overflow.
     if not (0.0 <= u0 < cols and 0.0 <= v0 < rows):
         return False
     steps = int(2.0 * np.sqrt((u1 - u0) * (u1 - u0) + (v1 - v0) * (v1 - v0))) + 1
@@ -235,7 +237,7 @@ def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
-    """Compute `locate`; the point is (x, y) in m and (u, v) in cells, ``coarse`` cells to one of the look-up."""
+    """Compute `locate` for (x, y) in m and (u, v) in cells; ``coarse``: cells per look-up cell."""
     rows, cols = lookup.shape
     row = int(min(max(np.floor(v / coarse - 0.5), -1.0), rows + 0.0))
     col = int(min(max(np.floor(u / coarse - 0.5), -1.0), cols + 0.0))
@@ -246,7 +248,7 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
         i = min(max(row + k // 2, 0), rows - 1)
         j = min(max(col + k % 2, 0), cols - 1)
         s, d = foot(line, ds, length, x, y, lookup[i, j] * ds)
-        # The same foot as before: the way to it has been looked at.
+        # The same foot as before: its line of sight has been checked.
         if best_s >= 0.0 and abs(s - best_s) < ds:
             continue
         fx, fy, _ = offset(line, ds, length, s, 0.0)
@@ -258,11 +260,11 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
 
 @inner_kernel
 def locate(track, x, y):  # type: ignore[no-untyped-def]
-    """Frenet coordinates of a point anywhere near the track, without a hint.
+    """Return the Frenet coordinates of a point anywhere near the track, without a hint.
 
-    The walk starts from the four cells of the look-up grid around the point. Where they lead to different parts of the
-    line, as beside a thin wall between two of them, the nearest part in sight is taken. A point outside the map is
-    projected from the nearest cell.
+    The walk starts from the four cells of the look-up grid around the point. If they lead to
+    different parts of the line, as near a thin wall between two parts, the nearest visible part is
+    taken. A point outside the map is projected from the nearest cell.
     """
     return _locate(
         track.line,
@@ -283,7 +285,7 @@ def locate(track, x, y):  # type: ignore[no-untyped-def]
 def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
     """Compute `wall_distance` for a point in cells from the centre of cell [0, 0]."""
     rows, cols = distance.shape
-    # Written so that NaN is outside, too.
+    # In this form NaN counts as outside, too.
     if not (u >= 0.0 and v >= 0.0 and u < cols - 1.0 and v < rows - 1.0):
         return 0.0
     i = int(v)
@@ -297,11 +299,11 @@ def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
 
 @kernel
 def wall_distance(track, x, y):  # type: ignore[no-untyped-def]
-    """Distance in m from a point to the nearest wall, interpolated between cell centres; 0 outside the map.
+    """Return the interpolated distance in m from a point to the nearest wall; 0 outside the map.
 
-    Walls count as 0 up to their cells' centres, so a point on a straight wall's face reads a quarter of a cell; from
-    half a cell away on, such a wall's distance is exact. No distance is off by more than 0.71 of a cell, since the
-    centres' are exact and none of the four is farther away than that.
+    Walls count as 0 up to their cells' centres, so a point on a straight wall's face has a quarter
+    of a cell; from half a cell on, the distance from a straight wall is exact. The max error is
+    0.71 of a cell: distances of cell centres are exact, and the four centres are within 0.71 cells.
     """
     u = (x - track.origin_x) / track.cell - 0.5
     v = (y - track.origin_y) / track.cell - 0.5

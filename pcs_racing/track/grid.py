@@ -1,8 +1,9 @@
-"""Compiled functions for occupancy grids: distance to the walls, exact rays, nearest points, the way out.
+"""Compiled functions for occupancy grids: distance to walls, exact rays, nearest points, way out.
 
-Grids are indexed ``[row, column]`` with row 0 at the bottom, so that cell ``[i, j]`` covers ``origin + resolution *
-([j, j + 1], [i, i + 1])``. They are bool arrays of shape (H, W); the outermost rows and columns of a ``drivable`` one
-must be False. Points ``x, y`` are in cells from the grid's lower left corner.
+Grids are indexed ``[row, column]`` with row 0 at the bottom, so cell ``[i, j]`` covers ``origin +
+resolution * ([j, j + 1], [i, i + 1])``. They are bool arrays of shape (H, W); the outermost rows
+and columns of a ``drivable`` grid must be False. Points ``x, y`` are in cells from the grid's lower
+left corner.
 """
 
 import heapq
@@ -14,11 +15,12 @@ from pcs_racing.base.compilation import compiled
 
 @compiled
 def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
-    """Return the exact distance from the centre of each drivable cell to the nearest cell that is not drivable.
+    """Return the exact distance from each drivable cell's centre to the nearest other cell.
 
-    In m for cells with the side ``cell``, float32; to the nearest point of that cell's square, so its minimum is half a
-    cell; 0 on all other cells. Two passes after Felzenszwalb and Huttenlocher, "Distance Transforms of Sampled
-    Functions" (2012), with the parabolas rooted at cell faces instead of cell centres.
+    In m for cells with the side ``cell``, float32; to the nearest point of the other cell's square,
+    so the minimum is half a cell; 0 on all non-drivable cells. Two passes after Felzenszwalb and
+    Huttenlocher, "Distance Transforms of Sampled Functions" (2012), with the parabolas rooted at
+    cell faces instead of cell centres.
     """
     height, width = drivable.shape
     out = np.zeros((height, width), dtype=np.float32)
@@ -31,7 +33,7 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
         for j in range(width):
             if drivable[i, j]:
                 out[i, j] = min(out[i, j], out[i + 1, j] + 1.0 if drivable[i + 1, j] else 0.5)
-    # Along each row: lower envelope of the parabolas (x - q)^2 + height^2, one rooted at each face q = j + 1/2.
+    # Along each row: lower envelope of the parabolas (x - q)^2 + height^2 at faces q = j + 1/2.
     root = np.empty(width)
     squared = np.empty(width)
     begin = np.empty(width + 1)
@@ -44,7 +46,7 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
             low = min(column[j], column[j + 1])
             q = j + 0.5
             value = low * low + q * q
-            # A parabola that the new one undercuts before its own stretch begins is never the lowest.
+            # A parabola undercut by the new parabola before its own stretch is never minimal.
             while top >= 0:
                 cross = (value - squared[top] - root[top] * root[top]) / (2.0 * (q - root[top]))
                 if cross > begin[top]:
@@ -67,11 +69,11 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
 
 @compiled
 def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
-    """Follow a ray cell by cell to the first face of a cell that is not drivable (Amanatides and Woo, 1987).
+    """Follow a ray by cells to the first face of a non-drivable cell (Amanatides and Woo, 1987).
 
-    Returns the distance in cells, at most ``reach``; row and column of the last drivable cell (the start's cell if that
-    is not drivable); and the side through which the ray left it: 0 bottom, 1 right, 2 top, 3 left, -1 if it met no
-    wall.
+    Returns the distance in cells, at most ``reach``; row and column of the last drivable cell (the
+    start's cell if not drivable); and the side of that cell crossed by the ray: 0 bottom, 1 right,
+    2 top, 3 left, -1 without a wall.
     """
     height, width = drivable.shape
     i = int(np.floor(y))
@@ -84,7 +86,7 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
     step_y = 1.0 / abs(sin) if sin != 0.0 else np.inf
     next_x = (j + 1 - x if dj > 0 else x - j) * step_x if cos != 0.0 else np.inf
     next_y = (i + 1 - y if di > 0 else y - i) * step_y if sin != 0.0 else np.inf
-    # It ends at the latest in the outermost cells, which are never drivable.
+    # The loop ends at the latest in the outermost cells, which are never drivable.
     while True:
         if next_x < next_y:
             if next_x >= reach:
@@ -116,14 +118,14 @@ def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped
 
 @compiled
 def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
-    """Label every cell of the region ``mask`` with the number of a near point, in place, from the labelled cells on.
+    """Label every cell of the region ``mask`` in place with the number of a near point.
 
-    A label (int32; -1 is none) spreads from a cell to its four neighbours in the region, the nearest point first. So a
-    cell beside a thin wall gets a point on its own side of the wall, even if a point on the other side is nearer. Where
-    no label reaches, -1 stays.
+    A label (int32; -1 is none) spreads from a labelled cell to its four neighbours in the region,
+    the nearest point first. So a cell next to a thin wall gets a point on its own side of the wall,
+    even if a point on the other side is nearer. Unreached cells remain -1.
     """
     height, width = mask.shape
-    # An empty list has no type for numba: it gets one from an element.
+    # An empty list has no type for numba: an element sets the type.
     queue = [(0.0, np.int64(0), np.int64(0))]
     queue.pop()
     for i in range(height):
@@ -133,7 +135,7 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
     while len(queue) > 0:
         _, at, k = heapq.heappop(queue)
         i, j = divmod(at, width)
-        # A cell waits once for each neighbour that reached it; the first out of the queue was the nearest.
+        # A cell is queued once per neighbour that reached it; the first entry out is the nearest.
         if label[i, j] < 0:
             label[i, j] = k
             _push_neighbours(queue, mask, label, x, y, i, j)
@@ -141,10 +143,11 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
 
 @compiled
 def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
-    """Return the number of the nearest point for each block of cells, measured without crossing walls.
+    """Return the number of each block's nearest point, measured without crossing walls.
 
-    The points, all on drivable cells, have numbers from 0; a block has ``block`` cells along its side and gets the
-    point of the drivable cell nearest to its centre. Blocks without such a cell get the number of a neighbouring block.
+    The points, all on drivable cells, have numbers from 0. A block has ``block`` cells along its
+    side and gets the point of the drivable cell nearest to its centre. Blocks without a drivable
+    cell get the number of a neighbouring block.
     """
     height, width = drivable.shape
     label = np.full((height, width), -1, dtype=np.int32)
@@ -169,9 +172,10 @@ def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
 
 @compiled
 def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
-    """Return the shortest path over free cells from the seeds to the border of the grid, else to the farthest cell.
+    """Return the shortest path over free cells from seeds to the grid's border or farthest cell.
 
-    Seeds are free cells (rows[k], cols[k]); the path is rows and columns of its cells, shape (K, 2), its end first.
+    Seeds are free cells (rows[k], cols[k]). The path goes to the farthest cell if the border is
+    unreachable; it has the rows and columns of its cells, shape (K, 2), its end first.
     """
     height, width = occupied.shape
     parent = np.full((height, width), -2, dtype=np.int32)
@@ -188,7 +192,7 @@ def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
         cell = np.int64(queue[at])
         at += 1
         i, j = divmod(cell, width)
-        # Breadth first: the first border cell ends a shortest way.
+        # Breadth first: the first border cell ends a shortest path.
         if i == 0 or j == 0 or i == height - 1 or j == width - 1:
             break
         for side in range(4):

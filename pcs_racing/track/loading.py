@@ -1,4 +1,4 @@
-"""Loading a circuit by its name or from its map folder: missing lines are built, and what was built is kept."""
+"""Track loader by name or map folder: missing lines are built, and results are cached."""
 
 import json
 import logging
@@ -25,29 +25,30 @@ from pcs_racing.track.track import Track, build_track, calibration_from_values, 
 Floats = NDArray[np.float64]
 
 TOLERANCE = 0.02
-"""Amount by which a given race line may be nearer to a wall than CLEARANCE, in m: about the size of a cell's corner."""
+"""Max shortfall of a given race line's CLEARANCE, in m: about the size of a cell's corner."""
 
 _log = logging.getLogger("pcs_racing")
 
 
 def as_track(track: Track | str | os.PathLike[str]) -> Track:
-    """Return a circuit as it is, or load it by its name or folder."""
+    """Return a track unchanged, or load it by its name or folder."""
     return track if isinstance(track, Track) else load_track(track)
 
 
 def load_track(name_or_path: str | os.PathLike[str]) -> Track:
-    """Load a track by the name of a shipped circuit (case does not matter), a map folder, or a map's yaml file.
+    """Load a track by a shipped track's name (in any case), a map folder, or a map's yaml file.
 
-    `pcs_racing.track.maps` describes the files of a folder. Missing lines are built, which needs ``pip install
-    "pcs-racing[mapping]"``. The race line is built again if the given one leaves a car less than 0.15 m to the walls;
-    the logger ``pcs_racing`` then reports this. Building lines and processing the walls takes about a second. The
-    result is cached on disk (see `pcs_racing.track.cache`), and in memory as long as the process runs: the same map is
-    the same object. A map whose files have changed is loaded again.
+    `pcs_racing.track.maps` describes the files of a folder. Missing lines are built, which needs
+    ``pip install "pcs-racing[mapping]"``. The race line is rebuilt if the given line leaves a car
+    less than 0.15 m to the walls; the logger ``pcs_racing`` then reports this. Building lines and
+    processing the walls takes about a second. The result is cached on disk (see
+    `pcs_racing.track.cache`) and in memory for the life of the process: the same map is the same
+    object. A map with changed files is loaded again.
     """
     files = find_map(_resolve(name_or_path))
     with _lock:
         kept = _loaded.get(files.yaml)
-        # Asked under the lock: two threads that need the same map build it once.
+        # Checked under the lock: two threads with the same map build it once.
         if kept is None or kept.files != files or kept.stamp != _stamp(kept.paths):
             contents = read_bytes(files)
             paths = tuple(files.folder / name for name in contents)
@@ -57,7 +58,7 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
 
 
 def with_walls(track: Track, occupied: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> Track:
-    """Return a circuit with the walls of another grid (see `build_track`) around its lines; cached on disk."""
+    """Return a track with the walls of another grid (see `build_track`), cached on disk."""
     grid = np.packbits(occupied).tobytes()
     facts = repr((track.content_hash, occupied.shape, resolution, origin)).encode()
     key = cache_key({"walls": grid, "facts": facts}, TRACK)
@@ -84,7 +85,7 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
     if not isinstance(name_or_path, str | os.PathLike):
         raise InputError(f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map")
     path = Path(name_or_path)
-    # A bare name means a shipped circuit first, even where a folder of that name lies about.
+    # A bare name means a shipped track first, even if a folder of that name exists.
     if isinstance(name_or_path, str) and path.name == name_or_path:
         try:
             return find_shipped(name_or_path)
@@ -132,7 +133,7 @@ def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
 
 
 def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
-    """Return centre line and race line of a map, built if missing or unsuitable, and a note with the reason."""
+    """Return a map's centre and race line, built if missing or unsuitable, and a note on it."""
     from pcs_racing.track.building.centerline import centerline_from_grid
     from pcs_racing.track.building.raceline import minimum_curvature_raceline
 
@@ -155,7 +156,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
         try:
             center = check_centerline(content.centerline, str(files.centerline or files.waypoints))
         except MapError:
-            if files.centerline is not None:  # centre lines of the race stack may cross themselves
+            if files.centerline is not None:  # may cross itself in the race stack
                 raise
     if center is None:
         reasons.append("it has no centre line")
@@ -175,8 +176,8 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
 
 
 def _flatten(track: Track, note: str) -> dict[str, Any]:
-    """Return all data of a track as arrays; the drivable region stands for the distance field."""
-    # The distance field is large and quickly made: a bit for each cell is kept instead.
+    """Return all data of a track as arrays, with the drivable region as distance field."""
+    # The distance field is large and quickly computed: one bit per cell is stored instead.
     values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
     own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
     return values | {
@@ -188,7 +189,7 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
 
 
 def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | None:
-    """Return the track of cached arrays from `_flatten`; None if there are none, or if they do not fit each other."""
+    """Return the track of cached arrays from `_flatten`; None if missing or inconsistent."""
     stored = load_cached(TRACK, key)
     try:
         if stored is None or not _fit(stored):
@@ -200,7 +201,7 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
         values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}
     except (KeyError, ValueError, IndexError, TypeError):
         return None
-    # An array without axes is of another type than a number: kernels would be compiled once more for it.
+    # A 0-d array has another type than a number: kernels would be compiled again for it.
     for field, value in values.items():
         if value.ndim == 0:
             values[field] = float(value)
@@ -210,7 +211,7 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
 
 
 def _fit(stored: dict[str, NDArray[Any]]) -> bool:
-    """Whether lengths and indices of the arrays agree: compiled code looks up what they say, and checks nothing."""
+    """Return whether lengths and indices of arrays agree: compiled code does not check them."""
     samples, walls, stretches = (len(stored[name]) for name in ("line", "walls", "seen_middle"))
     listed, corners = int(stored["seen_start"][-1]), int(stored["corners_start"][-1])
     shapes = {

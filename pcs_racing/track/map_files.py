@@ -1,6 +1,7 @@
-"""Parsers for the files of a map folder (yaml, picture, csv), which check every value.
+"""Parsers for the files of a map folder (yaml, picture, csv), with checks of every value.
 
-The functions do not read from the disk. Each takes the content of a file, and its path for error messages.
+The functions do not read from disk. Each takes the content of a file, and its path for error
+messages.
 """
 
 import contextlib
@@ -22,14 +23,14 @@ from pcs_racing.track.building.causes import at_cell
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
-MAX_PIXELS = 25_000_000  # 5,000 x 5,000: building a track takes some 40 bytes of memory for each
-MAX_POINTS = 100_000  # of a line: 10 km with a point every 0.1 m
+MAX_PIXELS = 25_000_000  # 5,000 x 5,000, at some 40 bytes of memory each
+MAX_POINTS = 100_000  # points of a line: 10 km, one per 0.1 m
 PICTURE_FORMATS = ("PNG", "PPM", "BMP")
 CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
 RACELINE_COLUMNS = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2")
 WAYPOINT_CENTERLINE = ("x_m", "y_m", "d_right", "d_left")
-LINE_CELLS = 20  # min extent of a thin unknown region that is a wall
-SPECK_CELLS = 2  # max size of a dark region that is dropped
+LINE_CELLS = 20  # min extent of thin unknown regions treated as walls
+SPECK_CELLS = 2  # max size of dropped dark regions
 ROS_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
 
 INFO_KEYS = {
@@ -47,7 +48,7 @@ INFO_KEYS = {
 
 
 def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
-    """Parse a yaml file that contains a mapping."""
+    """Parse a yaml file with a mapping."""
     values = files.parse_yaml(file, data, MapError)
     if not isinstance(values, dict):
         raise MapError(f"{file} must hold keys and values, got {type(values).__name__}")
@@ -55,7 +56,7 @@ def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
 
 
 def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
-    """Parse the yaml file of a ROS map; missing values are those of ``nav2_map_server``, and other keys are ignored."""
+    """Parse a ROS map's yaml file, with defaults of ``nav2_map_server``; ignore other keys."""
     values = parse_yaml(file, data)
     missing = [key for key in ("image", "resolution", "origin") if key not in values]
     if missing:
@@ -91,7 +92,7 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
 
 
 def parse_info(file: Path, data: bytes) -> dict[str, Any]:
-    """Parse a file ``NAME_track.yaml``; `INFO_KEYS` lists its keys."""
+    """Parse a file ``NAME_track.yaml`` with the keys `INFO_KEYS`."""
     values = parse_yaml(file, data)
     unknown = [key for key in values if key not in INFO_KEYS]
     if unknown:
@@ -140,12 +141,13 @@ def _check_stretches(file: Path, label: str, stretches: Any) -> None:
 
 
 def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
-    """Return the occupancy grid of a picture, row 0 at the bottom; ``ros`` is the result of `parse_ros_yaml`.
+    """Return a picture's occupancy grid, row 0 at the bottom; ``ros``: from `parse_ros_yaml`.
 
-    A cell is wall if its darkness (255 - grey) / 255 (grey / 255 if negated) is above ``occupied_thresh``, and free if
-    it is below ``free_thresh``. Unknown cells between the thresholds are wall in regions at least three cells across,
-    and in narrower lines away from other walls. The narrow regions at a wall are its soft edges; they count as free, or
-    every wall would grow by a cell.
+    A cell is wall if its darkness (255 - grey) / 255 (grey / 255 if negated) is above
+    ``occupied_thresh``, and free if it is below ``free_thresh``. Unknown cells between the
+    thresholds are wall in regions at least three cells across, and in narrower lines away from
+    other walls. Narrow regions at a wall are its soft edges; they count as free, otherwise every
+    wall would grow by a cell.
     """
     level = np.arange(256)
     dark = (level if ros["negate"] else 255 - level) / 255.0
@@ -164,7 +166,7 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
 
 
 def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
-    """Return a grid along the axes, turned by the yaw of its origin, and the origin (the lower left corner) of that."""
+    """Return a grid turned by the yaw of its origin, and the new origin (lower left corner)."""
     x, y = ros["origin"]
     quarters = ros["yaw"] / (0.5 * math.pi)
     if abs(quarters - round(quarters)) < 1e-5:
@@ -172,20 +174,20 @@ def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
     from pcs_racing.base.elementary import sine_cosine  # imports numba, which names of tracks do without
 
     sine, cosine = sine_cosine(0.5 * math.pi * (quarters % 4))
-    if isinstance(quarters, int):  # without rounding errors
+    if isinstance(quarters, int):  # no rounding errors
         sine, cosine = round(sine), round(cosine)
     height, width = grid.shape
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ [[cosine, sine], [-sine, cosine]]
     low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
     origin = (float(x + low[0] * ros["resolution"]), float(y + low[1] * ros["resolution"]))
     if isinstance(quarters, int):
-        # Row 0 is the bottom: numpy's quarter turns go the other way round.
+        # Row 0 is the bottom: numpy's quarter turns have the opposite sense.
         return np.ascontiguousarray(np.rot90(grid, -quarters % 4)), origin
     columns, rows = (high - low).astype(int)
     if columns * rows > 2 * MAX_PIXELS:
         raise MapError(f"a yaw of {ros['yaw']} makes a grid of {columns} x {rows} cells: crop the picture")
     turned = np.zeros((rows, columns), dtype=np.bool_)
-    # Four points of each cell, so that no thin wall falls between two.
+    # Four points per cell, so that no thin wall falls between two points.
     for dx, dy in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):
         u = np.arange(columns) + (low[0] + dx)
         v = np.arange(rows)[:, None] + (low[1] + dy)
@@ -196,7 +198,7 @@ def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
 
 
 def without_specks(file: Path, grid: Grid, resolution: float, origin: tuple[float, float]) -> Grid:
-    """Return a grid without its specks, single dark cells as mapping leaves them, and say so; larger ones stay."""
+    """Return a grid without specks (up to two dark cells, as from mapping), and report them."""
     from scipy import ndimage
 
     labels, count = ndimage.label(grid, np.ones((3, 3)))
@@ -215,9 +217,9 @@ def without_specks(file: Path, grid: Grid, resolution: float, origin: tuple[floa
 
 
 def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
-    """Return the centre line and the race line of a ``global_waypoints.json``, as ForzaETH's race stack keeps them.
+    """Return centre line and race line of a ``global_waypoints.json`` of ForzaETH's race stack.
 
-    The rows are as in the csv files; a centre line that is missing there is None.
+    The rows are as in the csv files; a missing centre line is None.
     """
     content = files.parse_json(file, data)
 
@@ -235,7 +237,7 @@ def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
 
 
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
-    """Parse 10 to 100,000 rows of finite numbers, shape (K, columns); lines that begin with '#' are comments."""
+    """Parse 10 to 100,000 rows of finite numbers, shape (K, columns), and skip '#' comments."""
     try:
         lines = data.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -262,7 +264,7 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
 
 
 def _number(file: Path, key: str, value: Any, low: float, high: float) -> float:
-    if isinstance(value, str):  # YAML 1.1 takes 5e-2 for one
+    if isinstance(value, str):  # YAML 1.1 reads 5e-2 as text
         with contextlib.suppress(ValueError):
             value = float(value)
     return float(check_number(f"{file}: {key}", value, low, high, error=MapError))
@@ -281,7 +283,7 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
     kinds = ", ".join(PICTURE_FORMATS)
     try:
         with warnings.catch_warnings():
-            # Pillow warns of large pictures and refuses huge ones; ours is the stricter limit.
+            # Pillow warns of large pictures and refuses huge pictures; MAX_PIXELS is stricter.
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             picture = Image.open(io.BytesIO(data), formats=PICTURE_FORMATS)
         width, height = picture.size
@@ -291,7 +293,7 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
     except MapError:
         raise
     except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
-        # Pillow's own words name the object that it read from, not the file.
+        # Pillow's own message names the stream object, not the file.
         words = "another format" if isinstance(error, UnidentifiedImageError) else error
         raise MapError(f"{file} can't be read as a picture ({words}): it must be a whole {kinds} file") from error
     if picture.mode in ("1", "L"):

@@ -1,15 +1,15 @@
-"""Map folders: read and write the occupancy grid, the lines and the settings of a circuit.
+"""Map folders: readers and writers of the occupancy grid, lines and settings of a track.
 
 A folder ``NAME`` holds
 
-- ``NAME_map.yaml`` and the picture it names: the grid, as ROS map_server keeps it,
+- ``NAME_map.yaml`` and its picture: the grid, in the format of ROS map_server,
 - ``NAME_centerline.csv`` (optional): x, y, width to the right, width to the left, separated by commas,
 - ``NAME_raceline.csv`` (optional): s, x, y, psi, kappa, vx, ax, separated by semicolons,
-- ``NAME_track.yaml`` (optional, ours): origin and calibration of the circuit, see `map_files.INFO_KEYS`,
-- ``global_waypoints.json`` (optional, of ForzaETH's race stack): the lines, where there are no csv files.
+- ``NAME_track.yaml`` (optional, ours): origin and calibration, see `map_files.INFO_KEYS`,
+- ``global_waypoints.json`` (optional, of ForzaETH's race stack): the lines, without csv files.
 
-If no file has the name of the folder, the only ``*_map.yaml`` in it, or else the only yaml file that names an image,
-gives the name.
+If no file has the name of the folder, the only ``*_map.yaml`` in it, or else the only yaml file
+with an image, gives the name.
 """
 
 import io
@@ -43,8 +43,8 @@ from pcs_racing.track.map_files import (
 
 Floats = NDArray[np.float64]
 
-MAX_BYTES = 256_000_000  # of a picture
-MAX_LINE = 8_000_000  # of a csv or json file
+MAX_BYTES = 256_000_000  # size of a picture
+MAX_LINE = 8_000_000  # bytes: size of a csv or json file
 WAYPOINTS = "global_waypoints.json"
 
 _SHIPPED = shipped_folder(Path(__file__).resolve().parents[1], "maps")
@@ -53,10 +53,10 @@ _SHIPPED = shipped_folder(Path(__file__).resolve().parents[1], "maps")
 class MapFiles(NamedTuple):
     """Paths of the files of a map folder."""
 
-    name: str  #: Name of the circuit.
+    name: str  #: Name of the track.
     folder: Path
     yaml: Path  #: The map's yaml file.
-    centerline: Path | None  #: None if this optional file is missing, as for the next two.
+    centerline: Path | None  #: Path, None if the file is missing (also below).
     raceline: Path | None
     info: Path | None
     waypoints: Path | None
@@ -67,7 +67,7 @@ class MapFolder(NamedTuple):
 
     name: str
     folder: Path
-    occupied: NDArray[np.bool_]  #: shape (H, W): True where a wall is; row 0 is the bottom.
+    occupied: NDArray[np.bool_]  #: shape (H, W): True in walls; row 0 is the bottom.
     resolution: float  #: Side of a cell in m.
     origin: tuple[float, float]  #: Lower left corner of cell [0, 0] in m.
     centerline: Floats | None  #: shape (M, 4): x, y, width to the right, width to the left, in m.
@@ -77,12 +77,12 @@ class MapFolder(NamedTuple):
 
 
 def list_tracks() -> list[str]:
-    """Return the names of the circuits that ship with the package, sorted."""
+    """Return the sorted names of the shipped tracks."""
     return sorted(path.name for path in _SHIPPED.glob("*") if (path / f"{path.name}_map.yaml").is_file())
 
 
 def find_shipped(name: str) -> Path:
-    """Return the folder of a circuit that ships with the package; case does not matter."""
+    """Return the folder of a shipped track; the name's case does not matter."""
     tracks = list_tracks()
     for candidate in tracks:
         if candidate.lower() == name.lower():
@@ -93,9 +93,9 @@ def find_shipped(name: str) -> Path:
 
 
 def find_map(path: str | os.PathLike[str]) -> MapFiles:
-    """Find the files of a map folder, or of the map's yaml file in it."""
+    """Find the files of a map folder, given the folder or its map yaml file."""
     folder = Path(path)
-    # The functions of os answer no where those of Path raise errors: for names that no file can have.
+    # For invalid file names, functions of os return False, but methods of Path raise errors.
     if os.path.isfile(folder) and folder.suffix in (".yaml", ".yml"):
         yaml_file = folder
         folder = folder.parent
@@ -106,21 +106,21 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     name = yaml_file.stem.removesuffix("_map")
     optional = [folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml")]
     optional.append(folder / WAYPOINTS)
-    # Whatever is in their place is read, or refused: a pipe or a link to nowhere is not the same as nothing.
+    # Any existing entry is read or refused: a pipe or a broken link is not a missing file.
     return MapFiles(name, folder, yaml_file, *(file if os.path.lexists(file) else None for file in optional))
 
 
 def read_map(path: str | os.PathLike[str]) -> MapFolder:
-    """Read a map folder, or the map's yaml file in it, and check every value.
+    """Read a map folder, given the folder or its map yaml file, and check every value.
 
-    This does not check that the lines and the grid fit together; `build_track` does.
+    `build_track` checks that lines and grid fit together; this function does not.
     """
     files = find_map(path)
     return parse_map(files, read_bytes(files))
 
 
 def read_bytes(files: MapFiles) -> dict[str, bytes]:
-    """Read the files of a map, its picture included, by their paths within the folder."""
+    """Read the files of a map (with its picture), by path within the folder."""
     every = (files.yaml, files.centerline, files.raceline, files.info, files.waypoints)
     texts = [file for file in every if file is not None]
     limits = {".csv": MAX_LINE, ".json": MAX_LINE}
@@ -132,7 +132,7 @@ def read_bytes(files: MapFiles) -> dict[str, bytes]:
 
 
 def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
-    """Parse the files that `read_bytes` read; see `read_map`."""
+    """Parse the result of `read_bytes`; see `read_map`."""
     ros = parse_ros_yaml(files.yaml, contents[files.yaml.name])
     picture = _picture(files, ros)
     centerline = raceline = None
@@ -157,9 +157,10 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
 
 
 def write_map(content: MapFolder) -> Path:
-    """Write a map folder, which must not exist yet, be empty, or hold a map of the same name; return it.
+    """Write a map folder (new, empty, or with a map of the same name), and return it.
 
-    A new folder appears complete or not at all. In an existing one each file is replaced as a whole.
+    A new folder appears complete or not at all. In an existing folder each file is replaced as a
+    whole.
     """
     name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
     if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
@@ -173,7 +174,7 @@ def write_map(content: MapFolder) -> Path:
         with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".map-") as temporary:
             new = Path(temporary) / "map"
             new.mkdir()
-            # All files are written before the first one is put in its place: a full disk changes nothing.
+            # All files are written before the first replacement: a full disk changes nothing.
             for file, data in files.items():
                 (new / file).write_bytes(data)
             if folder.exists():
@@ -187,7 +188,7 @@ def write_map(content: MapFolder) -> Path:
 
 
 def _files(content: MapFolder) -> dict[str, bytes]:
-    """Return the content of all files of a map folder; csv numbers have 9 decimals, other values are exact."""
+    """Return the files' content; csv numbers have 9 decimals, other values are exact."""
     name = content.name
     picture = io.BytesIO()
     grey = np.where(content.occupied[::-1], 0, 255).astype(np.uint8)
@@ -209,7 +210,7 @@ def _files(content: MapFolder) -> dict[str, bytes]:
             text = io.StringIO()
             np.savetxt(text, rows, fmt="%.9f", delimiter=f"{separator} ", header=f"{separator} ".join(columns))
             files[f"{name}_{kind}.csv"] = text.getvalue().encode()
-            # What is written must be what is read: an impossible value is refused here, not by the next reader.
+            # Written values must be readable: invalid values are refused here, not by readers.
             parse_csv(Path(f"{name}_{kind}.csv"), files[f"{name}_{kind}.csv"], columns, separator)
     if content.info:
         files[f"{name}_track.yaml"] = _dump(content.info)
@@ -247,7 +248,7 @@ def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
     try:
         inside = file.resolve().is_relative_to(files.folder.resolve())
         exists = inside and file.is_file()
-    except (OSError, ValueError, RuntimeError):  # a name too long, with a zero in it, or a loop of links
+    except (OSError, ValueError, RuntimeError):  # too long a name, a zero in it, or a loop of links
         inside, exists = True, False
     if not inside:
         raise MapError(f"{files.yaml}: image {ros['image']!r} lies outside the map's folder; put the picture beside it")
@@ -261,9 +262,9 @@ def _label(files: MapFiles, file: Path) -> str:
 
 
 def read_inside(folder: Path, file: Path, limit: int) -> bytes:
-    """Return the content of a file of a folder; a file that a link leads out of the folder for is refused."""
+    """Return the content of a file of a folder; refuse links out of the folder."""
     check_path("the path of a file", file, MapError)
-    with suppress(OSError, RuntimeError):  # a loop of links can't be read, either
+    with suppress(OSError, RuntimeError):  # a loop of links is unreadable, too
         if not file.resolve().is_relative_to(folder.resolve()):
             raise MapError(f"{file} is a link out of its folder; put the file itself there")
     return read_limited(file, limit, "the file of a map", MapError)

@@ -1,4 +1,4 @@
-"""Obstacles: boxes and circles on a circuit; a copy of the track has them in its distance field and among its walls."""
+"""Obstacles (boxes, circles) on a track: a copy with them in its distance field and walls."""
 
 from dataclasses import replace
 
@@ -13,24 +13,25 @@ from pcs_racing.track.building.walls import corners_along
 from pcs_racing.track.track import Track
 
 BOX = ("x", "y", "heading", "length", "width")
-"""The numbers of an obstacle: its centre in m, the direction of its length in rad, and its sides in m.
+"""Numbers of an obstacle: centre in m, direction of its length in rad, and sides in m.
 
-A width of 0 makes it round: then its length is its diameter.
+A width of 0 means a circle: the length is its diameter.
 """
 
 MOST_BOXES = 100
-SHORTEST, LONGEST = 0.05, 10.0  # m; sides of a box, diameters
-CORNERS = 16  # of a round one: its sides are at most 2 % of its radius inside the circle
+SHORTEST, LONGEST = 0.05, 10.0  # m: limits of box sides and diameters
+CORNERS = 16  # corners of a circle: the sides are at most 2 % of the radius inside it
 
 Floats = NDArray[np.float64]
 
 
 def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
-    """Return a track on which obstacles stand as walls: the lidar sees them, cars crash into them, planners keep away.
+    """Return a track with obstacles as walls, for lidar, crashes and planners.
 
-    Race line, free widths, calibration and ``content_hash`` stay those of the circuit: obstacles belong to an episode.
-    Each of at most 100 boxes is a row of :data:`BOX`, with sides from 0.05 to 10 m. Walls and lidar know of a circle a
-    polygon of 16 corners. Without boxes it is the track itself.
+    Race line, free widths, calibration and ``content_hash`` are unchanged: obstacles belong to an
+    episode. Each of at most 100 boxes is a row of :data:`BOX`, with sides from 0.05 to 10 m. A
+    circle is a polygon of 16 corners for walls and lidar. Without boxes the result is the track
+    itself.
     """
     given = check_array("obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX)))
     if len(given) > MOST_BOXES:
@@ -46,7 +47,7 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
         return track
     arrays = track.arrays
     sine, cosine = sines_cosines(given[:, 2])
-    # An obstacle changes no cell that is nearer to a wall than to it, so it reaches no farther than the widest place.
+    # An obstacle changes no cell nearer to a wall, so its reach is at most the widest place.
     distance = arrays.distance.copy()
     reach = float(distance.max())
     for (x, y, _, length, width), s, c in zip(given, sine, cosine, strict=True):
@@ -88,7 +89,7 @@ def _window(middle: float, half: float, cell: float, cells: int) -> slice:
 
 
 def _sides(boxes: Floats, sine: Floats, cosine: Floats) -> Floats:
-    """The four sides of each box as segments, shape (4 K, 4), clockwise: what can be driven on lies on their left."""
+    """Return the four sides of each box, shape (4 K, 4), clockwise: the track is on the left."""
     u = 0.5 * boxes[:, 3:4] * np.array([1.0, 1.0, -1.0, -1.0])
     v = 0.5 * boxes[:, 4:5] * np.array([1.0, -1.0, -1.0, 1.0])
     s, c = sine[:, None], cosine[:, None]
@@ -96,20 +97,20 @@ def _sides(boxes: Floats, sine: Floats, cosine: Floats) -> Floats:
 
 
 def _round_sides(circles: Floats) -> Floats:
-    """The sides of the polygon of each circle as segments, shape (16 K, 4), clockwise."""
+    """Return the sides of each circle's polygon as segments, shape (16 K, 4), clockwise."""
     sine, cosine = sines_cosines(np.arange(CORNERS) * (-2.0 * np.pi / CORNERS))
     radius = 0.5 * circles[:, 3:4]
     return _closed(np.stack([circles[:, 0:1] + radius * cosine, circles[:, 1:2] + radius * sine], axis=-1))
 
 
 def _closed(corners: Floats) -> Floats:
-    """The segments from each corner to the next, of the corners (K, C, 2) of polygons."""
+    """Return the segments between successive corners of polygons, shape (K, C, 2)."""
     return np.concatenate([corners, np.roll(corners, -1, axis=1)], axis=-1).reshape(-1, 4)
 
 
 @compiled
 def _list_sides(start, seen, far, middle, sides, first):  # type: ignore[no-untyped-def]
-    """Put every side into the list of every stretch, by its distance; one that is out of sight lies behind a wall."""
+    """Insert every side into the list of every stretch by distance; walls hide invisible sides."""
     count = sides.shape[0]
     stretches = middle.shape[0]
     new_start = np.empty(stretches + 1, np.int32)
@@ -124,8 +125,8 @@ def _list_sides(start, seen, far, middle, sides, first):  # type: ignore[no-unty
             ex, ey = sides[k, 2] - sides[k, 0], sides[k, 3] - sides[k, 1]
             share = min(max(-(ax * ex + ay * ey) / (ex * ex + ey * ey), 0.0), 1.0)
             x, y = ax + share * ex, ay + share * ey
-            away[k] = np.float32(np.sqrt(x * x + y * y) * (1.0 - 1e-6))  # rounded down, as the walls' distances are
-        # Two sorted lists become one.
+            away[k] = np.float32(np.sqrt(x * x + y * y) * (1.0 - 1e-6))  # rounded down like ``far``
+        # Merge two sorted lists.
         order = np.argsort(away)
         k = 0
         for i in range(start[m], start[m + 1]):

@@ -1,4 +1,4 @@
-"""The Track: the immutable data of a circuit, and the function that builds it from a grid and its lines."""
+"""The Track class with the immutable data of a track, and its builder from a grid and lines."""
 
 import hashlib
 import json
@@ -21,19 +21,19 @@ from pcs_racing.track.grid import distance_to_walls
 Floats = NDArray[np.float64]
 
 WIDTH_TOLERANCE = 0.4
-"""Max amount by which a centre line may state more room than the picture has, m; real circuits reach 0.19."""
+"""Max excess of a centre line's stated widths over the picture, m; real tracks reach 0.19."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Speed range and start positions of a circuit under a race preset, from `pcs_racing.race.calibration`."""
+    """Speed range and start positions of a track under rules, by `pcs_racing.race.calibration`."""
 
-    speed_range: tuple[float, float]  #: Scales of the speed profile that stand for pace 0 and pace 1.
+    speed_range: tuple[float, float]  #: Scales of the speed profile at pace 0 and pace 1.
     start_spacing: float  #: Distance between the cars across the track at the start, m.
-    #: Stretches of start positions for each side that they favour ("left" and "right", or "front"): arc lengths of the
-    #: first and the last position, m, ascending.
+    #: Stretches of start positions by favoured side ("left" and "right", or "front"): arc lengths
+    #: of the first and the last position, m, ascending.
     start_places: dict[str, tuple[tuple[float, float], ...]]
-    #: Share of start lines that are drawn from positions that favour the left car, so that neither side wins more.
+    #: Share of start lines from positions in favour of the left car, for equal wins of both sides.
     left_share: float = 0.5
 
 
@@ -55,21 +55,21 @@ def calibration_from_values(values: dict[str, Any]) -> Calibration:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Track:
-    """A circuit: race line, walls, distance field.
+    """A track: race line, walls, distance field.
 
-    Immutable and shared: any number of races, environments and threads use one Track at the same time.
+    Immutable and shared: any number of races, environments and threads use one Track concurrently.
     """
 
     name: str
-    #: The data that compiled kernels read. Its arrays are technically writeable, so that all tracks have the same
-    #: compiled type, but no code writes to them.
+    #: Data for compiled kernels. Its arrays are technically writeable, so that all tracks have the
+    #: same compiled type, but no code writes to them.
     arrays: TrackArrays
-    centerline: Floats  #: shape (M, 4): x, y, width to the right, width to the left, in m; as given, read-only.
-    #: The calibration of each race preset that the map's files contain; may be empty.
+    centerline: Floats  #: shape (M, 4): x, y, right width, left width, in m; as given, read-only.
+    #: Calibration by race preset, from the map's files; may be empty.
     calibration: dict[str, Calibration] = field(default_factory=dict)
-    folder: Path | None = None  #: The map folder of the circuit.
-    #: SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes, also if their files
-    #: differ.
+    folder: Path | None = None  #: Map folder of the track.
+    #: SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes,
+    #: even if their files differ.
     content_hash: str = ""
 
     def __repr__(self) -> str:
@@ -86,15 +86,15 @@ class Track:
         return _read_only(self.arrays.line)
 
     def to_frenet(self, points: ArrayLike) -> Floats:
-        """Return Frenet coordinates (s, d) in m of points (x, y), shape (..., 2) both; see `frenet.locate`."""
+        """Return Frenet coordinates (s, d) of points (x, y), shape (..., 2), m; `frenet.locate`."""
         return self._each(_to_frenet, points, 2)
 
     def to_cartesian(self, sd: ArrayLike) -> Floats:
-        """Return points and headings (x, y, psi), shape (..., 3), of Frenet coordinates (s, d), shape (..., 2)."""
+        """Return points with headings (x, y, psi), shape (..., 3), of (s, d), shape (..., 2)."""
         return self._each(_to_cartesian, sd, 3)
 
     def wall_distance(self, points: ArrayLike) -> Floats:
-        """Return the distance in m from points (x, y), shape (..., 2), to the nearest wall; 0 off the track."""
+        """Return the distance (m) of points, shape (..., 2), to the nearest wall; 0 off track."""
         return self._each(_wall_distance, points, 1)[..., 0]
 
     def _each(self, function: Any, values: ArrayLike, columns: int) -> Floats:
@@ -106,7 +106,7 @@ class Track:
         return out
 
     def summary(self) -> str:
-        """Return a description of the circuit in a few lines."""
+        """Return a description of the track in a few lines."""
         line = self.arrays.line
         width = line[:, RIGHT] + line[:, LEFT]
         turn = "left" if line[-1, frenet.PSI] > line[0, frenet.PSI] else "right"
@@ -144,7 +144,7 @@ def build_track(
     Parameters
     ----------
     occupied : array_like of bool, shape (H, W)
-        Occupancy grid, True where a wall is; row 0 is the bottom.
+        Occupancy grid, True in walls; row 0 is the bottom.
     resolution : float
         Side of a cell in m, in (0, 1].
     origin : array_like, shape (2,)
@@ -152,11 +152,12 @@ def build_track(
     centerline : array_like, shape (M, 4)
         x, y, width to the right, width to the left, in m.
     raceline_xy : array_like, shape (K, 2)
-        Points of the closed race line in m, in driving order; it is the reference of all Frenet coordinates.
+        Points of the closed race line in m, in driving order: the reference of all Frenet
+        coordinates.
     calibration : dict of Calibration, optional
-        Speed range and start positions for each race preset, as far as they are known.
+        Speed range and start positions by race preset, as far as known.
     folder : Path, optional
-        The map folder of the circuit.
+        Map folder of the track.
     """
     label = f"track {name}"
     grid, resolution, corner = checked_grid(occupied, resolution, origin, label)
@@ -171,7 +172,7 @@ def build_track(
                 f"{label}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
                 f"{arrays.length:.2f} m long; calibrate it again"
             )
-    # Of what decides races, not of the files: the same circuit from another picture format is the same circuit.
+    # Hash of the data that decide races, not of the files: the picture format does not matter.
     digest = hashlib.sha256(np.packbits(drivable).tobytes())
     for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
         digest.update(array.tobytes())
@@ -179,14 +180,14 @@ def build_track(
 
 
 def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
-    """Raise an error unless the points of a centre line lie on the track and have about the widths that they state."""
+    """Check that a centre line lies on the track, and that its stated widths are about right."""
     cols, rows = np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).astype(np.int64).T
     height, width = arrays.distance.shape
     on = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
     room = np.zeros(len(center))
     room[on] = arrays.distance[rows[on], cols[on]]
     stated = center[:, 2:].min(axis=1)
-    if (room < stated - WIDTH_TOLERANCE).any():  # obstacles do not narrow the track that a centre line describes
+    if (room < stated - WIDTH_TOLERANCE).any():  # obstacles do not narrow a centre line's track
         filled = fill_islands(arrays.distance > 0.0, arrays.cell)[0]
         room[on] = distance_to_walls(filled, arrays.cell)[rows[on], cols[on]]
     if (room == 0.0).any():

@@ -1,4 +1,4 @@
-"""The zoo: everything that answers ``predict(observation)``, and the drivers that make no moves."""
+"""Zoo: agents with ``predict(observation)``, and fixed policies, which make no moves."""
 
 from importlib import import_module
 from typing import Any
@@ -13,7 +13,7 @@ __all__ = sorted(_FILES)
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is asked for; ``__init__.pyi`` has their types."""
+    """Import a public name on access; ``__init__.pyi`` has the types."""
     if name not in _FILES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"pcs_racing_agents.agents.{_FILES[name]}"), name)

@@ -1,10 +1,11 @@
-"""Competitors: agents, which switch between the policies of an archive, and drivers, which keep a policy of their own.
+"""Competitors: agents, which switch between the policies of an archive, and fixed policies.
 
-An :class:`Agent` has the method ``predict(observation)`` of a model of Stable-Baselines3, and such a model can replace
-an agent everywhere. An agent is a value: a function from observations to the probabilities of the moves, and a seed.
-Moves of a mixed strategy are drawn without a generator: a draw is a hash of the observation and the seed. The same
-agent makes the same move for the same observation, in a batch of any size and in any order, so that a race can be
-simulated again to the last bit. To an opponent who does not know the seed the moves are as good as random.
+An :class:`Agent` has the method ``predict(observation)`` of a Stable-Baselines3 model, and such a
+model can replace an agent everywhere. An agent is a value: a seed and a function from observations
+to the probabilities of the moves. Draws from a mixed strategy use no generator: a draw is a hash of
+the observation and the seed. The same agent makes the same move for the same observation, in a
+batch of any size and in any order, so a race can be simulated again to the last bit. To an opponent
+that does not know the seed, the moves are as good as random.
 """
 
 from collections.abc import Callable, Mapping
@@ -38,7 +39,7 @@ def _hash(words, seed, out):  # type: ignore[no-untyped-def]
 
 
 def hash_rows(rows: NDArray[np.float32], seed: int) -> NDArray[np.uint64]:
-    """Return 64 bits for the bytes of each row of shape (B, D): splitmix64 (Steele et al. 2014) over its words."""
+    """Return a 64-bit hash of each row (B, D): splitmix64 (Steele et al. 2014) over its words."""
     words = np.ascontiguousarray(rows + np.float32(0.0)).view(np.uint32)  # -0 and 0 are the same number
     out = np.empty(len(rows), np.uint64)
     _hash(words, np.uint64(seed), out)
@@ -46,10 +47,13 @@ def hash_rows(rows: NDArray[np.float32], seed: int) -> NDArray[np.uint64]:
 
 
 def draw(probabilities: NDArray[np.float64], observations: NDArray[np.float32], seed: int) -> NDArray[np.int64]:
-    """Draw a column of each row of probabilities (B, M) by the hash of the observation (B, D), shape (B,)."""
+    """Draw a column of each row of probabilities (B, M) by the hash of the observation (B, D).
+
+    The columns have shape (B,).
+    """
     share = (hash_rows(observations, seed) >> np.uint64(11)).astype(np.float64) * 2.0**-53
     edges = np.cumsum(probabilities, axis=1)
-    # In units of the total, so that rounding in the sum never leaves a gap at the end.
+    # The share is scaled by the total: rounding in the sum never leaves a gap at the end.
     column = (edges <= (share * edges[:, -1])[:, None]).sum(axis=1)
     last = probabilities.shape[1] - 1 - np.argmax(probabilities[:, ::-1] > 0.0, axis=1)
     return np.minimum(column, last)
@@ -64,12 +68,13 @@ class Agent:
     """A strategy of the game, with a name and a seed."""
 
     name: str  #: Name in tables.
-    #: ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves; a row depends on its observation
-    #: alone. A dataclass with ``__call__`` can be sent to other processes; its fields identify it.
+    #: Function ``strategy(observation (B, D)) -> (B, M)``: the probabilities of the moves. A row
+    #: depends on its observation alone. A dataclass with ``__call__`` can be sent to other
+    #: processes; its fields identify it.
     strategy: Strategy
-    spec: GameSpec  #: Archive and rules that it is made for.
+    spec: GameSpec  #: Archive and rules that the agent is made for.
     seed: int = 0  #: Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
-    #: For documentation and reports: what it does, its source, what it was trained on, a digest of its weights.
+    #: Facts for documentation and reports: behaviour, source, training, digest of the weights.
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -82,12 +87,12 @@ class Agent:
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of all that its moves depend on, without its name; for a strategy that is a dataclass."""
+        """SHA-256 of all that the moves depend on, without the name, for a dataclass strategy."""
         spec = self.spec
         return fingerprint(self.strategy, int(self.seed), spec.archive.content_hash, spec.config)
 
     def check_fits(self, game: RaceGame) -> None:
-        """Check that a game is played with the archive, moves and observations that this agent is made for."""
+        """Check that a game has the archive, moves and observations that this agent is made for."""
         self.spec.check_fits(game, self.name)
 
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
@@ -112,7 +117,7 @@ class Agent:
         episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Any, None]:
-        """Return moves, indices in :attr:`GameSpec.moves`, as a model of Stable-Baselines3 would.
+        """Return moves, indices in :attr:`GameSpec.moves`, as a Stable-Baselines3 model does.
 
         Parameters
         ----------
@@ -120,8 +125,8 @@ class Agent:
         state, episode_start
             Not used: an observation holds all earlier observations of the game.
         deterministic : bool
-            Not used: the same observation always gives the same move. A mixed strategy draws it by a hash of the
-            observation and the agent's seed.
+            Not used: the same observation always gives the same move. A mixed strategy draws the
+            move by a hash of the observation and the agent's seed.
         """
         observed = np.asarray(observation, np.float32)
         rows = observed[None] if observed.ndim == 1 else observed
@@ -131,9 +136,9 @@ class Agent:
 
 @dataclass(frozen=True, eq=False)
 class Driver(PolicySet):
-    """A competitor that makes no moves: one or more policies of one planner, each a variant of it."""
+    """A competitor without moves: one or more policies (variants) of one planner."""
 
-    facts: Mapping[str, str] = field(default_factory=dict)  #: For documentation and reports.
+    facts: Mapping[str, str] = field(default_factory=dict)  #: Facts for documentation and reports.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
@@ -152,12 +157,12 @@ class Driver(PolicySet):
 
     @property
     def planner(self) -> Planner:
-        """Planner of its policies."""
+        """Planner of the policies."""
         return self.policies[0].planner
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of its planner's name, its parameters and its network's weights, without its name."""
+        """SHA-256 of the planner's name, parameters and network weights, without the own name."""
         weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
         weights += [one for one in [getattr(self.planner.drive, "content_hash", None)] if one is not None]
         return fingerprint(
@@ -175,12 +180,12 @@ class Named:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[Any, Any]:
-        """Ask the model."""
+        """Return the result of the model's ``predict``."""
         return self.model.predict(observation, state, episode_start, deterministic)
 
 
 def driver_of_model(model: Any, name: str | None = None) -> Driver:
-    """Return the driver of a model that steers, or of its file."""
+    """Return the fixed policy of a model for steering and speed, or of its file."""
     from pcs_racing.envs.models import model_policy
     from pcs_racing_agents.agents.sb3_files import load_model, plain_model
 
@@ -194,15 +199,17 @@ def driver_of_model(model: Any, name: str | None = None) -> Driver:
 
 
 def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
-    """Return a competitor for a policy (a driver), for a model (which gets a name) or for a competitor.
+    """Return a competitor for a policy, a model or a competitor.
+
+    A policy becomes a :class:`Driver`, and a model gets a name.
 
     Parameters
     ----------
     candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
-        A model whose actions are steering and speed becomes a driver
+        A model whose actions are steering and speed becomes a :class:`Driver`
         (:func:`pcs_racing.envs.models.model_policy`).
     name : str, optional
-        Name in place of its own.
+        New name, in place of the candidate's name.
     """
     if is_model(candidate) and not isinstance(candidate, str):
         return driver_of_model(candidate, name)
@@ -236,7 +243,10 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
 
 
 def competitor_hash(competitor: Competitor) -> str:
-    """SHA-256 of all that a competitor's moves depend on; it identifies the competitor in folders of results."""
+    """Return the SHA-256 of all that a competitor's moves depend on.
+
+    It identifies the competitor in folders of results.
+    """
     model = competitor.model if isinstance(competitor, Named) else competitor
     state = getattr(getattr(model, "policy", None), "state_dict", None)
     if callable(state):

@@ -1,9 +1,11 @@
-"""Baselines of adaptive agents: open-loop ones (constant, a sequence, a path to a policy) and a lead-conditioned one.
+"""Baselines for adaptive agents: open-loop agents and a lead-conditioned agent.
 
-:mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop sequence, the best target policy and the best
-lead plan on training races. The moves of a lead plan depend on who leads, and on nothing else of the opponent: what an
-agent gains over it comes from knowing the opponent. A policy with ``pace_behind`` reacts to the lead by itself, so a
-race with such policies is lead-conditioned whatever the agent.
+Open-loop agents follow constant probabilities, a sequence of moves or a path to a policy.
+:mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop sequence, the best target
+policy and the best lead plan on training races. The moves of a lead plan depend on which car leads,
+and on nothing else of the opponent: the gain of an agent over the lead plan comes from knowing the
+opponent. A policy with ``pace_behind`` reacts to the lead by itself, so a race with such policies
+is lead-conditioned, whatever the agent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +28,7 @@ from pcs_racing_agents.agents.zoo import Entry
 Floats = NDArray[np.float64]
 
 LEAD_PLAN = ("behind", "ahead")
-"""Situations that a lead plan has a policy for."""
+"""Situations of a lead plan, with a policy for each."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,56 +38,56 @@ class ConstantStrategy:
     probabilities: Floats  #: shape (M,)
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         return np.tile(self.probabilities, (len(observation), 1))
 
 
 @dataclass(frozen=True, eq=False)
 class OpenLoopStrategy:
-    """An open-loop strategy: a sequence of moves that was chosen before the race."""
+    """An open-loop strategy: a sequence of moves chosen before the race."""
 
-    sequence: NDArray[np.int64]  #: shape (m,): The move of each step.
-    count: int  #: Number of moves M that there are.
+    sequence: NDArray[np.int64]  #: shape (m,): Move of each step.
+    count: int  #: Number M of all moves.
     axes: int  #: Number of axes of the game.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         step = np.minimum(moves_made(observation, self.axes), len(self.sequence) - 1)
         return np.eye(self.count)[self.sequence[step]]
 
 
 @dataclass(frozen=True, eq=False)
 class WalkStrategy:
-    """A path through the archive: the next move depends on the own policy alone."""
+    """A path through the archive: the next move depends only on the own policy."""
 
-    next_move: NDArray[np.int64]  #: shape (K,): The move to make with each policy.
+    next_move: NDArray[np.int64]  #: shape (K,): Next move from each policy.
     archive: PolicyArchive
-    count: int  #: Number of moves M that there are.
+    count: int  #: Number M of all moves.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         policy = self.archive.nearest(own(observation, len(self.archive.characteristics)))
         return np.eye(self.count)[self.next_move[policy]]
 
 
 @dataclass(frozen=True, eq=False)
 class LeadPlanStrategy:
-    """A path through the archive to one policy while the opponent leads, and to another one otherwise."""
+    """A path through the archive to one policy while the opponent leads, else to another policy."""
 
     behind: WalkStrategy  #: ``behind``, ``ahead``: The paths; level cars count as ahead.
     ahead: WalkStrategy
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         leads = lead(observation, len(self.ahead.archive.characteristics)) >= 0.0
         return np.where(leads[:, None], self.ahead(observation), self.behind(observation))
 
 
 def walk_to(spec: GameSpec, target: int) -> WalkStrategy:
-    """Return the strategy that follows a shortest path of moves to a policy, and then keeps it.
+    """Return a strategy that follows a shortest path of moves to a policy and then stays there.
 
-    If no path leads to the target, the path ends at the nearest policy that can be reached. Of several shortest paths
-    it takes the one whose moves come first in the list.
+    If no path leads to the target, the path ends at the nearest reachable policy. Among several
+    shortest paths, the strategy takes the path with moves that come first in the list.
     """
     policies = len(spec.archive)
     if not is_whole(target) or not 0 <= target < policies:
@@ -100,19 +102,21 @@ def walk_to(spec: GameSpec, target: int) -> WalkStrategy:
 def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.int64]:
     """Return the first move of a shortest path from each policy to a target, shape (K,).
 
-    At the end of its path, a policy gets the move whose outcome lies nearest: one that keeps it, if there is one.
+    At the end of its path, a policy gets the move with the nearest result: a move that keeps the
+    policy, if such a move exists.
 
     Parameters
     ----------
     table : array_like, shape (K, M)
-        Where every move leads from every policy.
+        Policy that every move leads to from every policy.
     points : array_like, shape (K, G)
-        Where the policies lie.
+        Coordinates of the policies.
     """
     leads_to = np.asarray(table, np.int64)
     coordinates = np.asarray(points, np.float64)
     policies = len(leads_to)
-    # Distances in moves decide the way; where no way leads to the target, distances in the space decide the goal.
+    # The number of moves decides the path. If no path leads to the target, the distance in the
+    # space decides the goal.
     steps = _distances(leads_to)
     distance = np.linalg.norm(coordinates - coordinates[target], axis=1)
     first = np.empty(policies, np.int64)
@@ -121,7 +125,7 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
         goal = target if steps[k, target] < policies else reached[np.argmin(distance[reached])]
         if goal == k:
             first[k] = np.argmin(np.linalg.norm(coordinates[leads_to[k]] - coordinates[k], axis=1))
-            # The move "stay" comes last; among moves that keep the policy it is preferred.
+            # The move "stay" comes last and is preferred among moves that keep the policy.
             if leads_to[k, -1] == k:
                 first[k] = leads_to.shape[1] - 1
         else:
@@ -130,11 +134,14 @@ def path_moves(table: ArrayLike, points: ArrayLike, target: int) -> NDArray[np.i
 
 
 def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Fewest moves from each policy to each other one, shape (K, K); K where there is no way."""
+    """Return the min number of moves from each policy to each other policy, shape (K, K).
+
+    It is K if no path exists.
+    """
     policies = len(leads_to)
     steps = np.full((policies, policies), policies, np.int64)
     np.fill_diagonal(steps, 0)
-    # No way is longer than there are policies; usually the first rounds find them all.
+    # No path is longer than the number of policies; usually the first rounds find all paths.
     for _ in range(policies):
         shorter = np.minimum(steps, 1 + steps[leads_to].min(axis=1))
         if (shorter == steps).all():
@@ -147,25 +154,25 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def always(spec: GameSpec, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
-    """Make the same move again and again."""
+    """Return an agent that makes the same move at every step."""
     probabilities = np.eye(len(spec.moves))[spec.move(move)]
     return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), spec, seed)
 
 
 def never_switch(spec: GameSpec, *, name: str = "never-switch", seed: int = 0) -> Agent:
-    """Keep the policy of the start: the paper's non-GT agent."""
+    """Return an agent that keeps its initial policy: the paper's non-GT agent."""
     return always(spec, STAY, name=name, seed=seed)
 
 
 def random_moves(spec: GameSpec, *, name: str = "random-moves", seed: int = 0) -> Agent:
-    """Draw each move uniformly among those that the rules offer."""
+    """Return an agent that draws each move uniformly among the moves that the rules offer."""
     probabilities = np.zeros(len(spec.moves))
     probabilities[: spec.offered] = 1.0 / spec.offered
     return Agent(name, ConstantStrategy(probabilities), spec, seed)
 
 
 def _choice(kind: str, spec: GameSpec, agent: str, given: Any, fit: FitSource) -> tuple[Any, dict[str, str]]:
-    """Return what an agent does that was chosen on training races, and facts about it: what is given, or a fit's."""
+    """Return the given choice without facts, or the choice of a fit with its training facts."""
     if given is None:
         loaded = find_fit(kind, spec, fit)
         return loaded.choice, {"trained on": training_text(loaded.training)}
@@ -182,15 +189,15 @@ def best_schedule(
     moves: Sequence[str] | None = None,
     fit: FitSource = None,
 ) -> Agent:
-    """Make the moves of a fixed sequence, in every race.
+    """Return an agent that makes the same sequence of moves in every race.
 
     Parameters
     ----------
     moves : sequence of str, optional
-        The sequence: as many names of moves as a game has.
+        Names of the moves, as many as a game has moves.
     fit : Fit or path, optional
         A sequence selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_schedule`;
-        the shipped one by default.
+        by default the shipped sequence.
     """
     moves, facts = _choice("best-schedule", spec, name, moves, fit)
     if isinstance(moves, str) or len(moves) != spec.config.moves:
@@ -208,14 +215,15 @@ def best_fixed(
     target: int | None = None,
     fit: FitSource = None,
 ) -> Agent:
-    """Go to one policy of the archive by a shortest path of moves, and keep it.
+    """Return an agent that follows a shortest path of moves to one policy and then stays there.
 
     Parameters
     ----------
     target : int, optional
-        The policy's index.
+        Index of the policy.
     fit : Fit or path, optional
-        A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`; the shipped one by default.
+        A target selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_fixed`;
+        by default the shipped target.
     """
     target, facts = _choice("best-fixed", spec, name, target, fit)
     strategy = walk_to(spec, target)
@@ -230,17 +238,18 @@ def best_lead_plan(
     targets: Mapping[str, int] | None = None,
     fit: FitSource = None,
 ) -> Agent:
-    """Go to one policy while the opponent leads, and to another one otherwise, by shortest paths of moves.
+    """Return an agent that moves to one policy while the opponent leads, else to another policy.
 
-    Of its observation it uses its own policy and the sign of the lead at the end of the last step.
+    It follows shortest paths of moves. From its observation it uses only the own policy and the
+    sign of the lead at the end of the last step.
 
     Parameters
     ----------
     targets : mapping, optional
         Index of the policy for ``"behind"`` and for ``"ahead"``.
     fit : Fit or path, optional
-        Targets selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_lead_plan`; the shipped ones by
-        default.
+        Targets selected by :func:`pcs_racing_agents.tournament.fitting.fit_best_lead_plan`;
+        by default the shipped targets.
     """
     targets, facts = _choice("best-lead-plan", spec, name, targets, fit)
     if not isinstance(targets, Mapping) or set(targets) != set(LEAD_PLAN):
@@ -251,7 +260,7 @@ def best_lead_plan(
 
 
 def _policy_text(spec: GameSpec, index: int) -> str:
-    """A policy with its coordinates: ``policy 3 (speed 0.20, restraint 0.91)``."""
+    """Return a policy with its coordinates as text: ``policy 3 (speed 0.20, restraint 0.91)``."""
     point = zip(spec.archive.characteristics, spec.archive.normalised[index], strict=True)
     return f"policy {index} ({', '.join(f'{axis} {value:.2f}' for axis, value in point)})"
 

@@ -1,7 +1,7 @@
 """Descriptions of the zoo's agents as text: options, training, strength, cost and hash.
 
-Strength and cost were measured by ``dev/benchmarks/zoo.py``, which wrote ``measured.csv``. A line is valid for an agent
-with the same hash (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
+``dev/benchmarks/zoo.py`` measures strength and cost and writes ``measured.csv``. A line is valid
+for an agent with the same hash (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
 """
 
 import inspect
@@ -27,29 +27,30 @@ NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash",
 class Measured(NamedTuple):
     """Measured strength and cost of an agent."""
 
-    archive: str  #: ``archive``, ``race``, ``agent``: The game, and the agent's name.
+    #: ``archive``, ``race``, ``agent``: Archive and rules of the game, and name of the agent.
+    archive: str
     race: str
     agent: str
-    sha256: str  #: The agent's hash.
-    tracks: str  #: Circuits, separated by ``", "``.
-    races: float  #: Number of its races.
-    score: float  #: Races won, a tie counting half, mean over the opponents.
-    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry rating among all measured agents, and its 95 %
-    #: interval; NaN if it can't be estimated.
+    sha256: str  #: Hash of the agent.
+    tracks: str  #: Tracks, separated by ``", "``.
+    races: float  #: Number of races.
+    score: float  #: Share of races won, mean over the opponents; a tie counts half.
+    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry rating among all measured agents
+    #: with its 95 % interval; NaN if it can't be estimated.
     rating: float
     rating_low: float
     rating_high: float
-    own_crash: float  #: Share of its races that ended in a crash by its fault.
-    #: ``one_us``, ``many_us``: Microseconds of a decision for a single observation, and for each of 1,000 at once; of a
-    #: driver, which decides by planning ten times a second, those of a plan with 0.1 s of simulation. NaN where it was
-    #: not measured.
+    own_crash: float  #: Share of races with a crash by the agent's fault.
+    #: ``one_us``, ``many_us``: Microseconds per decision for a single observation, and for each of
+    #: 1,000 at once. For a fixed policy, which decides by planning ten times a second: microseconds
+    #: per plan with 0.1 s of simulation. NaN if not measured.
     one_us: float
     many_us: float
-    against: dict[str, float]  #: Score against each of the opponents, by name.
+    against: dict[str, float]  #: Score against each opponent, by name.
 
 
 def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | None:
-    """Return the measurement of an agent; None if there is none, or if the agent has changed since."""
+    """Return the measurement of an agent; None if it is missing or the agent has changed since."""
     measurement = measurements().get((archive, race, agent))
     return measurement if measurement is not None and measurement.sha256 == sha256 else None
 
@@ -57,7 +58,7 @@ def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | Non
 @lru_cache(maxsize=1)
 def measurements() -> dict[tuple[str, str, str], Measured]:
     """Return all measurements, by archive, race and agent."""
-    # Read once for all agents: it is asked for with every one of them.
+    # Read the file once for all agents: the description of each agent needs the table.
     path = measured_file()
     if not path.is_file():
         return {}
@@ -75,7 +76,7 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
 
 
 def measured_file() -> Path:
-    """Path of the table."""
+    """Return the path of the table."""
     return Path(__file__).resolve().parents[1] / "data" / "measured.csv"
 
 
@@ -88,11 +89,11 @@ NEEDS = {
 
 
 NOT_SHIPPED = ["Not shipped for this game."]
-"""What is told of an agent in a game for which nothing of it is shipped."""
+"""Facts about an agent that is not shipped for a game."""
 
 
 def option_meanings(function: Callable[..., Any]) -> dict[str, str]:
-    """Return what a function's docstring says of its parameters, by name."""
+    """Return the descriptions of a function's parameters by name, from its docstring."""
     text = inspect.getdoc(function) or ""
     _, _, rest = text.partition("Parameters\n----------\n")
     meanings: dict[str, str] = {}
@@ -110,7 +111,7 @@ def option_meanings(function: Callable[..., Any]) -> dict[str, str]:
 
 
 def describe(name: str, entry: Entry) -> str:
-    """Return what an agent or driver is and takes, in Markdown."""
+    """Return a description of an agent or fixed policy with its options, in Markdown."""
     summary = f"{entry.summary[0].upper()}{entry.summary[1:]}."
     needs = NEEDS[entry.needs].format(name=name, kind=options(name).get("kind", ""))
     lines = [summary, ""]
@@ -149,7 +150,7 @@ def facts_of(name: str, spec: GameSpec) -> list[str]:
 
 
 def rating_text(measurement: Measured) -> str:
-    """Return a rating with its interval."""
+    """Return a rating with its interval as text."""
     if np.isnan(measurement.rating):
         return "unknown"
     low, high = measurement.rating_low, measurement.rating_high
@@ -165,10 +166,10 @@ def _cost(measurement: Measured) -> str:
 
 
 def microseconds(value: float) -> str:
-    """Return a time as text; nothing for NaN."""
+    """Return a time as text; empty for NaN."""
     return "" if np.isnan(value) else f"{value:,.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _plain(text: str) -> str:
-    """Sphinx roles as plain code."""
+    """Return a text with plain code in place of Sphinx roles."""
     return re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text).replace("``", "`")

@@ -1,4 +1,4 @@
-"""Drivers of the zoo: policies from outside the archive that make no moves, in one or several variants."""
+"""Fixed policies of the zoo, from outside the archive, in one or several variants."""
 
 from pathlib import Path
 
@@ -12,12 +12,13 @@ from pcs_racing_agents.agents.zoo import Entry
 
 
 def random_policy(spec: GameSpec, *, name: str = "random-policy", seed: int = 0, first: int | None = None) -> Driver:
-    """Drive every policy that the archive's synthesis evaluated: the paper's random agent.
+    """Return all policies that the archive's synthesis evaluated: the paper's random agent.
 
     Parameters
     ----------
     first : int, optional
-        Only so many of them, the first ones: those of its initial sample were drawn and not searched.
+        Number of policies, from the first; by default all. The initial sample comes first: its
+        policies were drawn, not searched.
     """
     archive = spec.archive
     explored = len(archive.explored_parameters)
@@ -28,12 +29,14 @@ def random_policy(spec: GameSpec, *, name: str = "random-policy", seed: int = 0,
 
 
 def planner_driver(spec: GameSpec, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
-    """Drive all variants of a planner, or its default policy if it has none; it needs no archive.
+    """Return all variants of a planner, or its default policy if it has none.
+
+    The planner needs no archive.
 
     Parameters
     ----------
     planner : str, optional
-        Name of the planner; by default that of the driver.
+        Name of the planner; by default ``name``.
     """
     family = get_planner(planner or name)
     if not family.variants:
@@ -44,7 +47,9 @@ def planner_driver(spec: GameSpec, *, name: str, seed: int = 0, planner: str | N
 def trained_driver(
     spec: GameSpec, *, name: str = "ppo-drive", seed: int = 0, network: str | Path | None = None
 ) -> Driver:
-    """Drive with a network that steers, trained by ``pcs-racing ppo`` at the control level; it needs no archive.
+    """Return a network for steering and speed as a fixed policy.
+
+    ``pcs-racing ppo`` trains such networks at the control level. They need no archive.
 
     Parameters
     ----------

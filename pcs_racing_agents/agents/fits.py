@@ -1,6 +1,6 @@
-"""Choices made on training races, as small files: a plan of moves, policies to walk to.
+"""Choices made on training races, as small files: a sequence of moves, or target policies.
 
-:mod:`pcs_racing_agents.tournament.fitting` makes them; the agents that follow them read them from here.
+:mod:`pcs_racing_agents.tournament.fitting` makes the choices; the agents read them from here.
 """
 
 import os
@@ -23,17 +23,18 @@ KINDS: dict[str, tuple[type, str]] = {
     "best-fixed": (int, "the index of a policy"),
     "best-lead-plan": (dict, "the indices of two policies, behind and ahead"),
 }
-"""What kinds there are, and what a choice of each is."""
+"""Kinds of fits: type and description of the choice."""
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A choice that was made on training races, and where it is valid."""
+    """A choice made on training races, with the game that it is valid for."""
 
-    kind: str  #: Name of the agent that it is for.
-    choice: Any  #: Names of the moves; index of the policy; indices of the policies behind and ahead.
-    game: GameIdentity  #: The game that it was made on; a file records no names of moves and elements.
-    #: How it was chosen and what it reached: texts and numbers by name.
+    kind: str  #: Name of the agent that follows the choice.
+    choice: Any  #: Names of moves, index of a policy, or indices of the policies behind and ahead.
+    #: Game of the training races; a file records no names of moves and elements.
+    game: GameIdentity
+    #: Facts about the training and its result: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -54,12 +55,12 @@ class Fit:
 
 
 def make_fit(kind: str, choice: Any, spec: GameSpec, training: Mapping[str, Any]) -> Fit:
-    """Return a choice for a game spec."""
+    """Return the fit of a choice for a game spec."""
     return Fit(kind, choice, spec.identity._replace(elements=(), moves=()), dict(training))
 
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
-    """Write a fit as YAML; the file appears whole or not at all."""
+    """Write a fit as YAML, atomically."""
     fields = {"kind": fit.kind, "choice": fit.choice, **game_fields(fit.game), "training": dict(fit.training)}
     FIT_FORMAT.write(Path(path), fields)
     return Path(path)
@@ -77,16 +78,16 @@ def load_fit(path: str | Path) -> Fit:
 
 
 def shipped_fits() -> Path:
-    """Folder of the fits that come with the package; a file is called ``ARCHIVE-RACE-KIND.yaml``."""
+    """Return the folder of the shipped fits; files have names ``ARCHIVE-RACE-KIND.yaml``."""
     return Path(__file__).resolve().parents[1] / "data" / "fits"
 
 
 FitSource = str | Path | Fit | None
-"""A fit, its file, or None for the shipped one."""
+"""A fit, its file, or None for the shipped fit."""
 
 
 def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
-    """Return a fit for a game spec: a given one, one from a file, or the one that is shipped."""
+    """Return a fit for a game spec: the given fit, a fit from a file, or the shipped fit."""
     if source is None:
         source = shipped_fits() / f"{spec.archive.name}-{spec.race}-{kind}.yaml"
         if not source.is_file():
@@ -104,7 +105,7 @@ def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
 
 
 def game_fields(game: GameIdentity) -> dict[str, Any]:
-    """Return what a manifest records of a game; names of moves and elements are left out."""
+    """Return the fields of a game for a manifest, without the names of moves and elements."""
     return {
         "archive": game.archive,
         "archive_sha256": game.archive_sha256,

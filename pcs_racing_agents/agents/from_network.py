@@ -1,6 +1,6 @@
-"""Agents that decide by a network's values of the moves: the paper's agent and its relatives.
+"""Agents that decide by a network's values of the moves: the paper's agent and its variants.
 
-Decision rules make probabilities of the values; both have shape (B, M).
+Decision rules turn values into probabilities; both have shape (B, M).
 """
 
 from collections.abc import Callable
@@ -25,10 +25,11 @@ Floats = NDArray[np.float64]
 
 
 def argmax(values: NDArray[Any]) -> Floats:
-    """Return probability 1 for the move of the highest value, the first of equal ones.
+    """Return probability 1 for the move with the max value; the first move wins ties.
 
-    With unclipped regrets this is the paper's rule (the argmax of the clipped regret) wherever a regret is positive.
-    Where none is, the paper allows any move; this rule takes the one of the highest (least negative) regret.
+    With unclipped regrets, this is the paper's rule (the argmax of the clipped regret) if a regret
+    is positive. If no regret is positive, the paper allows any move; this rule takes the move with
+    the max (least negative) regret.
     """
     probabilities = np.zeros(values.shape)
     np.put_along_axis(probabilities, np.argmax(values, axis=-1)[..., None], 1.0, axis=-1)
@@ -36,9 +37,10 @@ def argmax(values: NDArray[Any]) -> Floats:
 
 
 def regret_matching(values: NDArray[Any]) -> Floats:
-    """Return probabilities in proportion to positive regret (Hart and Mas-Colell 2000); argmax where none is positive.
+    """Return probabilities proportional to positive regret (Hart and Mas-Colell 2000).
 
-    Outputs that are probabilities already stay as they are.
+    If no regret is positive, the rule is argmax. Outputs that are already probabilities do not
+    change.
     """
     positive = np.maximum(np.asarray(values, np.float64), 0.0)
     total = positive.sum(axis=-1, keepdims=True)
@@ -46,7 +48,7 @@ def regret_matching(values: NDArray[Any]) -> Floats:
 
 
 def softmax(values: NDArray[Any]) -> Floats:
-    """Return probabilities in proportion to the exponential of the values, which are logits."""
+    """Return probabilities proportional to the exponential of the values, which are logits."""
     exponentials = np.asarray(values, np.float64)
     exponentials = np.exp(exponentials - exponentials.max(axis=-1, keepdims=True))
     return exponentials / exponentials.sum(axis=-1, keepdims=True)
@@ -69,7 +71,7 @@ def get_decision(name: str) -> Callable[[NDArray[Any]], Floats]:
 
 
 NetworkSource = str | RegretNetwork | None
-"""A network, its name or folder, or None for the shipped one."""
+"""A network, its name or folder, or None for the shipped network."""
 
 _DETAILS = ("setting_", "test_", "validation_", "training_")
 
@@ -78,15 +80,15 @@ _DETAILS = ("setting_", "test_", "validation_", "training_")
 class NetworkStrategy:
     """A strategy that applies a decision rule to the values of a network."""
 
-    network: RegretNetwork  #: If it has no value for "stay", the last move, that move is never made.
-    decision: str  #: One of :data:`pcs_racing_agents.agents.from_network.DECISIONS`.
-    count: int  #: Number of moves M that there are.
+    network: RegretNetwork  #: Network; without a value for "stay", the last move, it never stays.
+    decision: str  #: Key in :data:`pcs_racing_agents.agents.from_network.DECISIONS`.
+    count: int  #: Number M of all moves.
 
     def __post_init__(self) -> None:
         get_decision(self.decision)
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         values = self.network.unclipped(observation)
         probabilities = np.zeros((len(observation), self.count))
         probabilities[:, : values.shape[1]] = get_decision(self.decision)(values)
@@ -100,18 +102,19 @@ def network_agent(network: RegretNetwork, spec: GameSpec, seed: int = 0, decisio
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveStrategy:
-    """A strategy that follows an open-loop agent, unless a network predicts a gain above a margin."""
+    """A strategy that is open-loop unless a network predicts a gain above a margin."""
 
     network: RegretNetwork  #: Values of the moves, in the units of its target.
-    blind: Agent  #: The agent to follow; it does not use its observations.
-    #: Least difference between the values of the best move and of the open-loop agent's, 0 or above. A move that the
-    #: network does not value ("stay", where it has not learned it) counts 0, as in a network of advantages.
+    blind: Agent  #: Open-loop agent to follow; it does not use its observations.
+    #: Min difference between the value of the best move and the value of the open-loop agent's
+    #: move, 0 or above. A move without a value ("stay", if the network has not learned it) counts
+    #: 0, as in a network of advantages.
     margin: float
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         default = self.blind.probabilities(observation)
-        # A move that the network does not value is no better than the mean of all: as an advantage, 0.
+        # A move without a value is no better than the mean of all moves: as an advantage, 0.
         values = np.zeros(default.shape)
         predicted = self.network.unclipped(observation)
         values[:, : predicted.shape[1]] = predicted
@@ -122,15 +125,15 @@ class AdaptiveStrategy:
 
 
 def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str) -> RegretNetwork:
-    """Return a network for a game spec, after a check that it belongs to it.
+    """Return a network for a game spec, after a check that it belongs to this game.
 
     Parameters
     ----------
     source : RegretNetwork, str or path, optional
-        The network, the name of a shipped one or its folder; by default the shipped one called
+        The network, the name of a shipped network, or a folder; by default the shipped network
         ``ARCHIVE-RACE-KIND``.
     kind : str
-        What it was trained to approximate.
+        Quantity that the network was trained to approximate.
     agent : str
         Name of the agent, for error messages.
     """
@@ -149,7 +152,7 @@ def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str
 
 def network_facts(network: RegretNetwork) -> dict[str, str]:
     """Return facts about an agent's network for reports."""
-    # The manifest has all fields; these are the ones about the amount of training data.
+    # The manifest has all fields; these fields describe the amount of training data.
     figures = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
@@ -170,12 +173,13 @@ def from_network(
     decision: str = "argmax",
     network: NetworkSource = None,
 ) -> Agent:
-    """Decide by a network's values of the moves.
+    """Return an agent that decides by a network's values of the moves.
 
     Parameters
     ----------
     kind : str
-        What the network was trained to approximate; names the shipped one (``ARCHIVE-RACE-KIND``).
+        Quantity that the network was trained to approximate; part of the name of the shipped
+        network (``ARCHIVE-RACE-KIND``).
     decision : {"argmax", "regret-matching", "sample", "softmax"}
         The rule: ``argmax``, ``regret-matching``, ``sample`` or ``softmax``.
     network : RegretNetwork, str or path, optional
@@ -196,19 +200,20 @@ def adaptive(
     open_loop: str | Agent = "best-fixed",
     margin: float | None = None,
 ) -> Agent:
-    """Follow an open-loop agent, and leave it where a network predicts a gain above a margin.
+    """Return an agent that is open-loop unless a network predicts a gain above a margin.
 
     Parameters
     ----------
     kind : str
-        What the network was trained to approximate; names the shipped one.
+        Quantity that the network was trained to approximate; part of the name of the shipped
+        network.
     network : RegretNetwork, str or path, optional
         Values of the moves: another network, the name of a shipped one or its folder.
     open_loop : Agent or str
-        The default strategy, with its own needs.
+        Default strategy, an open-loop agent with its own needs.
     margin : float, optional
-        Least predicted gain of a move, in units of the network's target; by default the ``margin`` in the facts of the
-        network's training, else 0.
+        Min predicted gain of a move, in units of the network's target; by default the ``margin`` in
+        the network's training facts, else 0.
     """
     loaded = fitting_network(network, spec, kind, name)
     open_loop_agent = build_member(open_loop, spec, seed)

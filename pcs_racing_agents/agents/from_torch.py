@@ -1,4 +1,4 @@
-"""Torch modules as competitors, and policies of Stable-Baselines3 as networks that race without torch."""
+"""Torch modules as competitors, and Stable-Baselines3 policies as networks without torch."""
 
 from typing import Any
 
@@ -13,20 +13,21 @@ from pcs_racing_agents.networks.torch_layers import layers_from_torch
 
 
 class TorchPolicy:
-    """A competitor that makes the move to which a torch module gives the largest output.
+    """A competitor that makes the move with the max output of a torch module.
 
     Parameters
     ----------
     module : torch.nn.Module
-        Takes observations, a float32 tensor of shape (B, D), and returns a tensor of shape (B, M): a number for each
-        move, such as its logit or its value. It is put into evaluation mode.
+        Module that takes observations, a float32 tensor of shape (B, D), and returns a tensor of
+        shape (B, M): a number for each move, such as its logit or its value. It is put into
+        evaluation mode.
     name : str
         Name in tables.
 
     Notes
     -----
-    Torch may round a matrix product differently in another batch size, so that a move may depend on the batch where two
-    outputs are equal but for rounding.
+    Torch may round a matrix product differently for another batch size. If two outputs are equal
+    except for rounding, the move may depend on the batch.
     """
 
     def __init__(self, module: Any, name: str = "torch") -> None:
@@ -49,7 +50,7 @@ class TorchPolicy:
     def predict(
         self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.int64], None]:
-        """Return the move with the largest output for each observation, whatever ``deterministic`` says."""
+        """Return the move with the max output for each observation; ignore ``deterministic``."""
         import torch
 
         seen = np.asarray(observation, np.float32)
@@ -72,12 +73,12 @@ def network_from_sb3(
     Parameters
     ----------
     model : stable_baselines3 model
-        With an ``MlpPolicy`` over the plain observation and ReLUs between the layers
-        (``policy_kwargs={"activation_fn": torch.nn.ReLU}``), whose actions are the moves of the game.
+        Model with an ``MlpPolicy`` on plain observations and ReLUs between the layers
+        (``policy_kwargs={"activation_fn": torch.nn.ReLU}``). Its actions are the moves of the game.
     identity : GameIdentity
-        The game that it was trained on (:func:`pcs_racing.game.identity.game_identity`).
+        Game of the training (:func:`pcs_racing.game.identity.game_identity`).
     training : dict of str to text or number, optional
-        How it was trained, for reports.
+        Facts about the training, for reports.
     """
     policy = getattr(model, "policy", None)
     try:

@@ -1,4 +1,4 @@
-"""The archive and the rules of the game that an agent is made for."""
+"""Archive and rules of the game that an agent is made for."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -21,15 +21,15 @@ from pcs_racing.race.config import RaceConfig
 
 @dataclass(frozen=True, eq=False)
 class GameSpec:
-    """An archive and the rules of a game; no circuit."""
+    """An archive and the rules of a game, without a track."""
 
-    archive: PolicyArchive  #: Seen along the game's axes.
-    config: GameConfig  #: With the move "stay", so that never switching is a move for everybody.
-    offered: int  #: How many of the moves, from the first on, the rules offer by themselves: all, or all but "stay".
+    archive: PolicyArchive  #: Archive with the axes of the game.
+    config: GameConfig  #: Rules with the move "stay", so every agent can keep its policy.
+    offered: int  #: Number of first moves offered by the rules alone: all, or all but "stay".
 
     @cached_property
     def identity(self) -> GameIdentity:
-        """The identity of the game, "stay" among its moves."""
+        """Identity of the game, with "stay" among its moves."""
         return game_identity(self)
 
     @property
@@ -39,12 +39,12 @@ class GameSpec:
 
     @cached_property
     def table(self) -> NDArray[np.int64]:
-        """Where every move leads from every policy, shape (K, M)."""
+        """Policy that every move leads to from every policy, shape (K, M)."""
         return move_table(self.archive, self.config.epsilon, True)
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """Names of the D numbers of an observation."""
+        """Names of the D elements of an observation."""
         return self.identity.elements
 
     @property
@@ -53,7 +53,7 @@ class GameSpec:
         return self.config.race.name
 
     def move(self, name: str) -> int:
-        """Index of a move by its name, written with or without spaces."""
+        """Return the index of a move by its name, with or without spaces."""
         wanted = "".join(str(name).split())
         for i, move in enumerate(self.moves):
             if "".join(move.split()) == wanted:
@@ -61,26 +61,26 @@ class GameSpec:
         raise InputError(f"{name!r} is no move; the moves are {', '.join(self.moves)}")
 
     def check_fits(self, game: RaceGame, agent: str) -> None:
-        """Check that a game is played with this archive, the same moves and the same observations."""
+        """Check that a game has this archive, the same moves and the same observations."""
         check_same_game(self.identity, make_game_spec(game.archive, game.config).identity, f"agent {agent!r}")
 
 
 def training_text(facts: Mapping[str, Any]) -> str:
-    """Return what reports say of how an agent was trained."""
+    """Return the facts about an agent's training as text for reports."""
     return ", ".join(f"{key} {value}" for key, value in facts.items()) or "not said"
 
 
 def make_game_spec(
     archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
 ) -> GameSpec:
-    """Return the game spec from names.
+    """Return the spec of a game from an archive and rules, or their names.
 
     Parameters
     ----------
     archive : PolicyArchive, str or path
         The archive, its name or its folder.
     race : GameConfig, RaceConfig, str or path
-        As for :func:`pcs_racing.make_game`.
+        Rules, as in :func:`pcs_racing.make_game`.
     """
     config = load_game_config(race)
     policies = load_archive(archive)

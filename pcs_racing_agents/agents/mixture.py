@@ -1,8 +1,9 @@
-"""Mixtures of agents: one of several agents is drawn for each game, as in a meta-strategy or an average of iterations.
+"""Mixtures of agents: a draw of one of several agents for each game.
 
-By Kuhn's theorem a draw before the game can be replaced by draws at each decision, in which every member has the
-posterior probability of having reached the situation. So a mixture is an ordinary strategy, a function of the
-observation, whose exploitability can be measured like that of any other.
+Meta-strategies and averages of iterations are mixtures. By Kuhn's theorem, draws at each decision
+can replace a draw before the game: each member then has the posterior probability of having reached
+the situation. So a mixture is an ordinary strategy, a function of the observation, and its
+exploitability can be measured like the exploitability of any strategy.
 """
 
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from pcs_racing_agents.networks.network_files import NetworkSet, check_weights, 
 
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
-"""A network set, its name or folder, or None for the shipped one."""
+"""A network set, its name or folder, or None for the shipped set."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,10 +33,10 @@ class Mixture:
 
     members: tuple[Agent, ...]
     weights: Floats  #: shape (C,): Probabilities of the members; they sum to 1.
-    spec: GameSpec  #: Common to all members.
+    spec: GameSpec  #: Game spec of all members.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         steps = moves_made(observation, self._axes)
         probabilities = np.zeros((len(observation), len(self.spec.moves)))
         for step in np.unique(steps):
@@ -48,18 +49,19 @@ class Mixture:
         return len(self.spec.archive.characteristics)
 
     def _at(self, observation: ObservationBatch, step: int) -> Floats:
-        """Probabilities of the moves for observations at one step."""
+        """Return the probabilities of the moves for observations at one step."""
         archive, axes = self.spec.archive, self._axes
         posterior = np.tile(self.weights, (len(observation), 1))
         for k in range(step):
             past = earlier(observation, axes, k)
             policy, next_policy = (archive.nearest(own(observation, axes, at)) for at in (k, k + 1))
-            # A move is not observed, only the policy that it leads to: all moves with the same result count, (B, M).
+            # A move is not observed, only the resulting policy: all moves with this result count,
+            # (B, M).
             possible = self.spec.table[policy] == next_policy[:, None]
             for c, member in enumerate(self.members):
                 posterior[:, c] *= (member.probabilities(past) * possible).sum(axis=1)
         total = posterior.sum(axis=1, keepdims=True)
-        # A situation that no member can reach: as if the game began here.
+        # If no member can reach a situation, the weights apply, as if the game began here.
         posterior = np.where(total > 0.0, posterior / np.where(total > 0.0, total, 1.0), self.weights)
         probabilities = np.stack([member.probabilities(observation) for member in self.members], axis=1)
         return (posterior[:, :, None] * probabilities).sum(axis=1)
@@ -87,12 +89,14 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
 def from_network_set(
     spec: GameSpec, *, name: str, seed: int = 0, kind: str, networks: NetworkSetSource = None
 ) -> Agent:
-    """Draw one of several networks for each game, and decide by its values of the moves.
+    """Return an agent that draws one of several networks for each game.
+
+    The agent decides by the values of the moves from the drawn network.
 
     Parameters
     ----------
     kind : str
-        How the networks were made; names the shipped set (``ARCHIVE-RACE-KIND``).
+        Method that made the networks; part of the name of the shipped set (``ARCHIVE-RACE-KIND``).
     networks : NetworkSet, str or path, optional
         Another set: the name of a shipped one or its folder.
     """

@@ -1,9 +1,9 @@
-"""The parts of an observation: the number of moves made, the coordinates of both policies, and earlier observations.
+"""Parts of an observation: moves made, coordinates of both policies, earlier observations.
 
-An observation holds a block of numbers for every step, and then the share of the moves that have been made. A block is
-the own coordinates, the opponent's, the lead, and whether the step is over
-(:func:`pcs_racing.game.observation.observation_table`). All functions take observations of shape (B, D) and the number
-G of the game's axes.
+An observation holds a block of numbers for each step, then the share of the moves made. A block
+holds the own coordinates, the opponent's coordinates, the lead, and a 1 once the step is over
+(:func:`pcs_racing.game.observation.observation_table`). All functions take observations of shape
+(B, D) and the number G of the game's axes.
 """
 
 import numpy as np
@@ -13,7 +13,7 @@ ObservationBatch = NDArray[np.float32]
 
 
 def step_count(observation: ObservationBatch, axes: int) -> int:
-    """Number of steps in an observation: one more than there are moves."""
+    """Return the number of steps in an observation: the number of moves plus one."""
     return (observation.shape[-1] - 1) // (2 * axes + 2)
 
 
@@ -22,22 +22,31 @@ def _blocks(observation: ObservationBatch, axes: int) -> ObservationBatch:
 
 
 def moves_made(observation: ObservationBatch, axes: int) -> NDArray[np.int64]:
-    """Moves made so far, shape (B,)."""
+    """Return the number of moves made so far, shape (B,)."""
     return (_blocks(observation, axes)[..., -1] > 0.5).sum(axis=1) - 1
 
 
 def own(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
-    """Own normalised coordinates in a step, by default in the last one that is over, shape (B, G)."""
+    """Return the own normalised coordinates in a step, shape (B, G).
+
+    The default is the last finished step.
+    """
     return _coordinates(observation, axes, step, 0)
 
 
 def opponent(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
-    """Measured coordinates of the opponent in a step, by default in the last one that is over, shape (B, G)."""
+    """Return the measured coordinates of the opponent in a step, shape (B, G).
+
+    The default is the last finished step.
+    """
     return _coordinates(observation, axes, step, axes)
 
 
 def lead(observation: ObservationBatch, axes: int, step: int | None = None) -> ObservationBatch:
-    """Own lead at the end of a step, by default of the last one that is over, in units of 20 m, shape (B,)."""
+    """Return the own lead at the end of a step, in units of 20 m, shape (B,).
+
+    The default is the last finished step.
+    """
     return _coordinates(observation, axes, step, axes + 1)[:, -1]
 
 

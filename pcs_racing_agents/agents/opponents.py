@@ -1,4 +1,4 @@
-"""The zoo as opponents of the environments of :mod:`pcs_racing`, which finds this module by its registry."""
+"""Zoo as opponents in environments; :mod:`pcs_racing` finds this module by its registry."""
 
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
@@ -9,5 +9,8 @@ from pcs_racing_agents.agents.zoo import parse_agent
 
 
 def make(text: str, archive: PolicyArchive, config: GameConfig) -> Competitor:
-    """Make an agent or a driver from its name, which may be followed by options as in ``"cfr-argmax:network=NAME"``."""
+    """Make an agent or a fixed policy from its name.
+
+    Options may follow the name, as in ``"cfr-argmax:network=NAME"``.
+    """
     return parse_agent(text, make_game_spec(archive, config))

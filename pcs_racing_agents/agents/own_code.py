@@ -1,6 +1,7 @@
-"""Code of your own where an agent or a driver is named: ``package.module:name``, ``file.py:name`` or ``model.zip``.
+"""User code as an agent or a driver: ``package.module:name``, ``file.py:name`` or ``model.zip``.
 
-Everything here runs code, and is called with words of the command line or by a program, never with names out of files.
+Functions here run user code. Call them with arguments of the command line or of a program, never
+with names from files.
 """
 
 import importlib
@@ -20,17 +21,18 @@ from pcs_racing.planners.shipped import split_name
 
 
 def is_code(text: str) -> bool:
-    """Return whether a text has the form of code; nothing is looked up."""
+    """Return whether a text has the form of a code reference, without a lookup."""
     place, _, name = split_name(text)
     return place.endswith(".py") or (place.replace(".", "").isidentifier() and name.isidentifier())
 
 
 def own_code(text: str, *given: Any) -> Any:
-    """Return what a text names, or None if it names no code.
+    """Return the object that a text names, or None if it names no code.
 
-    A driver's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or function is called with
-    what is ``given``, if it needs an argument or several are given. A module is looked for in the working directory as
-    well. A policy's name is the text, by which another process finds the code again; a file alone is its first driver.
+    A driver's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or
+    function is called; it gets the ``given`` arguments if it needs an argument or if several are
+    given. The search for a module includes the working directory. A policy's name is the text, so
+    another process can find the code. A file without a name means its first driver.
     """
     with one_line(text):
         return _made(text, *given)
@@ -48,7 +50,7 @@ def _made(text: str, *given: Any) -> Any:
     else:
         here = str(Path.cwd())
         if here not in sys.path:
-            # As with "python -m", but at the end, so that a file here hides no installed package.
+            # As with "python -m", but at the end: a file here hides no installed package.
             sys.path.append(here)
         if not _is_module(place):
             return None
@@ -60,7 +62,7 @@ def _made(text: str, *given: Any) -> Any:
     if made is None:
         raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
     if is_driver(made):
-        # The planner has the path as it is given, as on a command line that names the file.
+        # The planner has the path as given, as on a command line that names the file.
         known = drivers_from(place if file else inspect.getfile(made))
         made = known[name if name in known else made.__name__]
     elif callable(made):
@@ -80,7 +82,7 @@ def _is_module(name: str) -> bool:
 
 
 def parse_driver(text: str) -> Policy:
-    """Return the policy that a text names: as :func:`pcs_racing.parse_policy`, or by code of your own."""
+    """Return the policy that a text names: as :func:`pcs_racing.parse_policy`, or user code."""
     if is_model(text):
         from pcs_racing_agents.agents.sb3_files import load_model
 

@@ -1,9 +1,10 @@
-"""Policies of Stable-Baselines3 as plain layers, read from a file or a model without running any code of the file.
+"""Stable-Baselines3 policies as plain layers, from a file or a model; no code of a file runs.
 
-Of a model that drives, the file has the arguments of its environment beside it: :func:`save_model`, :func:`load_model`.
+A control policy has the arguments of its environment in a file next to the zip (:func:`save_model`,
+:func:`load_model`).
 
-``PPO.load`` unpickles parts of a file, so that it runs code from it. Here the weights are read by torch with
-``weights_only=True``, and the activation function from the text of the settings.
+``PPO.load`` unpickles parts of a file and so runs code from it. Here torch reads the weights with
+``weights_only=True``, and the activation function comes from the text of the settings.
 """
 
 import hashlib
@@ -31,7 +32,7 @@ from pcs_racing.planners.planner import Policy
 
 MAX_BYTES = 50_000_000
 ACTIVATIONS = ("Tanh", "ReLU")
-# Hidden layers and the last one: of PPO and A2C, of SAC, of TD3 and DDPG, whose last two end in a tanh.
+# Hidden layers, last layer, default activation, final tanh: PPO and A2C; SAC; TD3 and DDPG.
 _ACTORS = (
     ("mlp_extractor.policy_net", "action_net", "Tanh", False),
     ("actor.latent_pi", "actor.mu", "ReLU", True),
@@ -41,7 +42,10 @@ _ACTORS = (
 
 @kernel
 def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):  # type: ignore[no-untyped-def]
-    """Pass each row through the layers, of which the last begins at ``flat[at]``: a row's result is its own alone."""
+    """Pass each row through the layers; the last layer begins at ``flat[at]``.
+
+    The result of a row depends on this row alone.
+    """
     layers = len(sizes) - 1
     for r in range(len(rows)):
         for i in range(sizes[0]):
@@ -60,31 +64,34 @@ def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):  # type: ign
 
 
 class ObservationScale(NamedTuple):
-    """What ``VecNormalize`` made of observations at the end of a training."""
+    """Scale of observations by ``VecNormalize`` at the end of a training."""
 
-    mean: NDArray[np.float64]  #: shape (D,)
-    spread: NDArray[np.float64]  #: shape (D,): Of which a unit is one.
-    clip: float  #: Largest size of what is seen, in these units.
+    mean: NDArray[np.float64]  #: shape (D,): Mean of the observations.
+    spread: NDArray[np.float64]  #: shape (D,): Standard deviation, the unit of scaled observations.
+    clip: float  #: Max absolute value of scaled observations, in these units.
 
     def __call__(self, rows: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what the model sees of observations, shape (..., D)."""
+        """Return scaled observations, the input of the model, shape (..., D)."""
         return np.clip((rows - self.mean) / self.spread, -self.clip, self.clip).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
 class Sb3Policy:
-    """The actor of a trained policy: fully connected layers from an observation to moves, or to steering and speed."""
+    """The actor of a trained policy: fully connected layers from observations to actions.
+
+    Actions are moves, or steering and speed.
+    """
 
     name: str
     layers: DenseLayers
-    activation: str  #: One of :data:`ACTIVATIONS`.
-    moves: bool  #: Whether the outputs are the logits of moves.
-    squash: bool = False  #: Whether a tanh follows the last layer.
-    scale: ObservationScale | None = None  #: Of the observations; they are taken as they are without.
+    activation: str  #: Activation function, one of :data:`ACTIVATIONS`.
+    moves: bool  #: True if the outputs are the logits of moves.
+    squash: bool = False  #: True if a tanh follows the last layer.
+    scale: ObservationScale | None = None  #: Scale of the observations, if any.
 
     @property
     def content_hash(self) -> str:
-        """SHA-256 of the layers and of the scale."""
+        """SHA-256 of the layers and the scale."""
         about = f"{self.layers.sizes} {self.activation} {self.moves} {self.squash}".encode()
         scale = b"".join(np.asarray(values).tobytes() for values in self.scale or ())
         return hashlib.sha256(about + self._flat.tobytes() + scale).hexdigest()
@@ -96,7 +103,7 @@ class Sb3Policy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[Any], None]:
-        """Return the most probable action for each observation, whatever ``deterministic`` says."""
+        """Return the most probable action for each observation; ignore ``deterministic``."""
         rows, sizes = np.asarray(observation, np.float32), np.array(self.layers.sizes)
         if rows.shape[-1] != sizes[0]:
             raise InputError(
@@ -112,15 +119,18 @@ class Sb3Policy:
 
 
 def load_sb3_policy(path: Path) -> Sb3Policy:
-    """Read a policy that ``model.save(path)`` wrote, of PPO, A2C, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy."""
-    # Before torch is imported, which takes seconds.
+    """Read a policy from a file written by ``model.save(path)``.
+
+    The model is PPO, A2C, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy.
+    """
+    # The file is read before the import of torch, which takes seconds.
     content = read_limited(path, MAX_BYTES, "a policy", InputError)
     require("torch", extra="learning")
     import torch
 
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as file:
-            # Sizes as the archive states them: reading stops there, so a small file can't unpack to a huge one.
+            # Reading stops at the sizes stated in the zip: a small file can't unpack to a huge one.
             if sum(entry.file_size for entry in file.infolist()) > MAX_BYTES:
                 raise InputError(
                     f"{path} holds more than {MAX_BYTES} bytes; that is no policy of fully connected layers"
@@ -129,11 +139,11 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
             state = torch.load(io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True)
         if not isinstance(settings, dict) or not isinstance(state, dict):
             raise InputError("its settings and its weights must be mappings")
-    # Archives, compressed data and torch's format are damaged in a dozen ways.
+    # A damaged zip, damaged compression and damaged torch data raise a dozen types of errors.
     except Exception as error:
         said = str(error).partition("\n")[0]
         raise InputError(f"{path} is no file of Stable-Baselines3: {said:.200}") from None
-    # The settings hold the classes by their names in texts; unpickling them would run code from the file.
+    # The settings hold the names of classes in texts; unpickling would run code from the file.
     words = str(settings.get("policy_kwargs", ""))
     found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", words)
     if "features_extractor_class" in words:
@@ -142,7 +152,7 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
 
 
 def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3Policy:
-    """Return the actor of a policy's tensors; with None its activation is the algorithm's default."""
+    """Return the actor of a policy's tensors; activation None is the algorithm's default."""
     layers: list[str] = []
     for before, end, usual, squash in _ACTORS:  # noqa: B007
         found = [re.fullmatch(rf"{re.escape(before)}\.(\d+)\.weight", key) for key in state]
@@ -169,7 +179,10 @@ def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3
 
 
 def plain_model(model: Any, name: str) -> Any:
-    """Return the layers of a model of Stable-Baselines3, which other processes can be sent; any other as it is."""
+    """Return a Stable-Baselines3 model as layers, which can be sent to other processes.
+
+    Any other model is returned unchanged.
+    """
     state = getattr(getattr(model, "policy", None), "state_dict", None)
     if callable(state) and "features_extractor_class" not in getattr(model, "policy_kwargs", ()):
         activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
@@ -179,7 +192,7 @@ def plain_model(model: Any, name: str) -> Any:
 
 
 def _scaler(env: Any) -> Any:
-    """The ``VecNormalize`` around environments, if it changes their observations."""
+    """Return the ``VecNormalize`` around environments, if it changes their observations."""
     while env is not None and type(env).__name__ != "VecNormalize":
         env = vars(env).get("venv")
     return env if env is not None and env.norm_obs else None
@@ -194,7 +207,7 @@ def _scale_of(env: Any) -> ObservationScale | None:
 
 
 def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
-    """Return the scale that a file holds, for observations of a size."""
+    """Return the scale in a file, for observations of ``size`` numbers."""
     try:
         mean, spread, clip = (np.array(given[key], np.float64) for key in ObservationScale._fields)
     except (KeyError, IndexError, TypeError, ValueError):
@@ -209,18 +222,18 @@ def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
 
 
 def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
-    """Save a model of Stable-Baselines3, and beside the zip the arguments of its environment as ``.yaml``.
+    """Save a Stable-Baselines3 model as zip, and the arguments of its environment as ``.yaml``.
 
-    The scale of ``VecNormalize``, if it is around the environment, is kept with them; other wrappers that change
-    observations or actions are refused.
+    The ``.yaml`` file is next to the zip. It includes the scale of a ``VecNormalize`` around the
+    environment; other wrappers that change observations or actions are refused.
 
     Parameters
     ----------
     path : str or Path
-        Of the zip.
+        Path of the zip.
     model : BaseAlgorithm
     env : Env, VecEnv or VectorEnv, optional
-        The environment that it was trained in; by default that which it is connected to.
+        Environment of the training; by default the environment of the model.
     """
     target = Path(path).with_suffix(".zip")
     env = model.get_env() if env is None else env
@@ -235,7 +248,7 @@ def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
 
 
 def load_model(path: str | Path) -> Policy:
-    """Return the driver of a zip that :func:`save_model` wrote."""
+    """Return the policy in a zip written by :func:`save_model`."""
     file = Path(path).with_suffix(".yaml")
     if Path(path).is_file() and not file.is_file():
         raise InputError(

@@ -1,4 +1,4 @@
-"""The names of the agents of this package, apart from their code, which takes a second to import."""
+"""Names of the agents of this package, apart from their code, which takes a second to import."""
 
 SHIPPED = {
     "never-switch": "pcs_racing_agents.agents.blind:NEVER_SWITCH",
@@ -20,7 +20,7 @@ SHIPPED = {
     "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
     "pure-pursuit": "pcs_racing_agents.agents.drivers:PURE_PURSUIT",
 }
-"""Agents and drivers of this package: name, and reference to the entry. A new one is a file and a line here.
+"""Agents and fixed policies of this package: name, and reference to the entry.
 
-In addition there is ``always-MOVE`` for every move.
+A new agent is a file and a line here. In addition, ``always-MOVE`` exists for every move.
 """

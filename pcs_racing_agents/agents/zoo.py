@@ -1,10 +1,10 @@
-"""The zoo: a registry of agents and drivers by name.
+"""The zoo: a registry of agents and fixed policies by name.
 
-Those of this package are listed in :data:`SHIPPED`. A distribution adds its own in the entry point group
-``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
-:class:`pcs_racing_agents.agents.GameSpec`, the keywords ``name`` and ``seed``, and options of its own; it returns an
-agent, a driver, or any object with ``predict``. A program calls :func:`register_agent`. A module is imported when its
-agent is built.
+:data:`SHIPPED` lists the agents of this package. A distribution adds agents in the entry point
+group ``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
+:class:`pcs_racing_agents.agents.GameSpec`, the keywords ``name`` and ``seed``, and options of its
+own; it returns an agent, a fixed policy, or any object with ``predict``. A program calls
+:func:`register_agent`. A module is imported when its agent is built.
 """
 
 import difflib
@@ -33,7 +33,7 @@ from pcs_racing_agents.agents.own_code import is_code, own_code
 from pcs_racing_agents.agents.shipped import SHIPPED
 
 ENTRY_POINTS = "pcs_racing.agents"
-"""Entry point group in which a distribution names its agents: ``name = "package.module:function"``."""
+"""Entry point group for the agents of a distribution: ``name = "package.module:function"``."""
 
 ALWAYS = "always-"
 _ALWAYS = "pcs_racing_agents.agents.blind:always"
@@ -41,15 +41,15 @@ _ALWAYS = "pcs_racing_agents.agents.blind:always"
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """An agent or a driver of the zoo."""
+    """An agent or a fixed policy of the zoo."""
 
-    build: Callable[..., Any]  #: ``build(spec, name=..., seed=..., **options)`` makes it.
-    summary: str  #: What it does, in a sentence.
-    source: str = ""  #: Where the idea comes from.
-    needs: str = ""  #: What must be trained before it can race: "", "fit", "network" or "networks".
-    #: Options that differ from those of other entries with the same function.
+    build: Callable[..., Any]  #: Maker: ``build(spec, name=..., seed=..., **options)``.
+    summary: str  #: Description in a sentence.
+    source: str = ""  #: Source of the idea.
+    needs: str = ""  #: Training result that it needs: "", "fit", "network" or "networks".
+    #: Options that differ between entries with the same function.
     defaults: Mapping[str, Any] = field(default_factory=dict)
-    moves: bool = True  #: Whether it makes moves; drivers do not.
+    moves: bool = True  #: True if it makes moves; False for a fixed policy.
 
 
 _registered: dict[str, Entry] = {}
@@ -61,9 +61,10 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
     Parameters
     ----------
     build : callable
-        ``build(spec, name=..., seed=..., **options)`` returns an agent, a driver, or any object with ``predict``.
+        Function ``build(spec, name=..., seed=..., **options)``; it returns an agent, a fixed
+        policy, or any object with ``predict``.
     summary, source : str
-        For reports; by default the first line of the function's docstring.
+        Texts for reports; by default the summary is the first line of the function's docstring.
     """
     if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n") or name.startswith(ALWAYS):
         raise InputError(
@@ -84,7 +85,7 @@ def entries() -> dict[str, Entry]:
 def names(
     archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
 ) -> list[str]:
-    """Return the names of all agents and drivers for an archive, sorted.
+    """Return the names of all agents and fixed policies for an archive, sorted.
 
     Trained agents also need a network or a fit (:class:`Entry`).
     """
@@ -100,15 +101,17 @@ def make(
     seed: int = 0,
     **options: Any,
 ) -> Any:
-    """Make an agent or a driver by name; a third party's may be any object with ``predict``.
+    """Make an agent or a fixed policy by name.
+
+    A third-party agent may be any object with ``predict``.
 
     Parameters
     ----------
     name : str
-        One of :func:`names`; a policy as text, such as ``"lattice:pace=0.8"``; or the ``.zip`` of a model that drives
-        (:func:`pcs_racing_agents.agents.sb3_files.save_model`).
+        Name from :func:`names`; a policy as text, such as ``"lattice:pace=0.8"``; or the ``.zip``
+        of a control policy (:func:`pcs_racing_agents.agents.sb3_files.save_model`).
     archive, race
-        The game that it is for, as in :func:`pcs_racing.make_game`.
+        Game of the agent, as in :func:`pcs_racing.make_game`.
     seed : int
         Seed of the draws of mixed strategies.
     **options
@@ -123,7 +126,7 @@ def make(
 
 
 def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
-    """Make an agent or a driver for a game spec; see :func:`make`."""
+    """Make an agent or a fixed policy for a game spec; see :func:`make`."""
     if not isinstance(name, str):
         raise InputError(f"agent {name!r} must be a name")
     available = entries()
@@ -133,7 +136,8 @@ def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
         return resolve_name(_ALWAYS)(spec, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
     if is_model(name):
         return driver_of_model(name)
-    # An agent may have the name of a planner; anything else that begins with one is a policy.
+    # An agent may have the name of a planner. Any other text that begins with a planner's name is
+    # a policy.
     if name not in available:
         if split_name(name)[0] in planner_names() and not options:
             return as_competitor(parse_policy(name))
@@ -152,7 +156,7 @@ def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
 
 
 def build_member(member: str | Agent, spec: GameSpec, seed: int) -> Agent:
-    """Return an agent that is a member of another one; it is given as an agent or by name."""
+    """Return a member of a composite agent, given as an agent or by name."""
     agent = member if isinstance(member, Agent) else build(member, spec, seed=seed)
     if not isinstance(agent, Agent):
         raise InputError(f"{member!r} makes no moves; only agents can be part of another one")
@@ -160,14 +164,15 @@ def build_member(member: str | Agent, spec: GameSpec, seed: int) -> Agent:
 
 
 def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False) -> Competitor:
-    """Make an agent from text: a name, or a name with options as in ``"cfr-argmax:network=out/net"``.
+    """Make an agent from its name, or with options as in ``"cfr-argmax:network=out/net"``.
 
-    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``. With ``code`` the text may
-    be code of your own, which is run (:mod:`pcs_racing_agents.agents.own_code`): never set it for a text from a file.
+    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``. With
+    ``code``, the text may name user code, which is run (:mod:`pcs_racing_agents.agents.own_code`):
+    never set it for a text from a file.
     """
     text = str(text).strip()
     name, separator, rest = split_name(text)
-    # "lane-switcher:3" is a variant of the planner, not an option of the agent of that name.
+    # "lane-switcher:3" is a variant of the planner, not an option of the agent "lane-switcher".
     if not separator or name not in entries() or name in planner_names():
         own = own_code(text, spec) if code else None
         if own is not None:
@@ -202,7 +207,7 @@ class _LateFunction:
     def __call__(self, spec: GameSpec, **options: Any) -> Any:
         try:
             function = resolve_name(self.reference)
-        except Exception as error:  # whatever a third party's module raises when it is imported
+        except Exception as error:  # any error in the import of a third-party module
             raise InputError(f"agent {self.name!r} can't be loaded from {self.reference}: {error}") from error
         return function(spec, **options)
 
@@ -213,7 +218,10 @@ def _declared() -> dict[str, str]:
 
 
 def options(name: str) -> dict[str, Any]:
-    """Return the options of an entry with their defaults (None: computed); of another distribution's entry, none."""
+    """Return the options of an entry with their defaults (None: computed).
+
+    The result is empty for an entry of another distribution.
+    """
     entry = entries()[name]
     if isinstance(entry.build, _LateFunction):
         return {}
@@ -247,20 +255,22 @@ def _first_line(function: Callable[..., Any]) -> str:
 def load_entrant(
     text: str, spec: GameSpec, *, drive: bool = False, weights: Path | None = None, name: str | None = None
 ) -> Competitor:
-    """Return the competitor that a word of the command line names, by code of your own as well.
+    """Return the competitor that an argument of the command line names; it may name user code.
 
     Parameters
     ----------
     text : str
-        One of these: what :func:`pcs_racing_agents.agents.parse_agent` takes; the path of a ``.zip`` file of
-        Stable-Baselines3, of which only numbers are read; with ``weights``, ``module:function``, a function of the
-        game spec and of their path that returns a competitor; with ``drive``, the folder of a driver at control level.
+        Text for :func:`pcs_racing_agents.agents.parse_agent`; or path of a ``.zip`` file of
+        Stable-Baselines3 (only its numbers are read); with ``weights``, ``module:function``, a
+        function of the game spec and the path of the weights that returns a competitor; with
+        ``drive``, the name or folder of a control policy.
     drive : bool
-        Whether the text is the name or the folder of a driver (:func:`pcs_racing.planners.trained.load_driver`).
+        True if the text is the name or folder of a control policy
+        (:func:`pcs_racing.planners.trained.load_driver`).
     weights : path, optional
-        File that is handed to the function.
+        File of weights for the function.
     name : str, optional
-        Name on the card, in place of its own.
+        Name on the card, in place of the competitor's name.
     """
     from pcs_racing.planners.trained import load_driver
     from pcs_racing_agents.agents.sb3_files import load_sb3_policy
@@ -268,7 +278,7 @@ def load_entrant(
     if drive:
         planner = load_driver(Path(text) if Path(text).is_dir() else text)
         return as_competitor(planner.policy({}), name or planner.name)
-    # One that drives has the arguments of its environment beside it, and is read below.
+    # A control policy has the arguments of its environment next to the zip, and is read below.
     if is_model(text) and not Path(text).with_suffix(".yaml").is_file():
         return as_competitor(load_sb3_policy(Path(text)), name or Path(text).stem)
     if weights is None:

@@ -1,4 +1,4 @@
-"""Score cards: what an agent scored by a protocol, as values, JSON, Markdown and a page; the leaderboard ranks them."""
+"""Score cards of agents by a protocol, as values, JSON, Markdown and a page; the leaderboard."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -37,7 +37,7 @@ def _gains(_: str, value: Any) -> dict[str, Gain]:
 
 
 def _made(kind: type[S], value: Any) -> S:
-    """Return declared values from themselves or from a mapping of all of them."""
+    """Return declared values from an instance, or from a mapping with all fields."""
     if isinstance(value, kind):
         return value
     names = [field.name for field in fields(kind)]
@@ -70,7 +70,7 @@ class Card(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for circuits in CIRCUITS:  # what the leaderboard shows
+        for circuits in CIRCUITS:  # columns of the leaderboard
             self.score("all", circuits)
 
     def score(self, part: str = "all", circuits: str = "all") -> CardScore:
@@ -160,7 +160,7 @@ def card_markdown(card: Card) -> str:
 
 
 def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
-    """Return the card as one page that loads nothing; all text is escaped."""
+    """Return the card as one self-contained page; all text is escaped."""
     return render("card.html", card=card, table=summary_rows(card), facts=fact_lines(card), races=races)
 
 
@@ -172,13 +172,13 @@ def render(name: str, **values: Any) -> str:
 def read_cards(paths: Iterable[Path]) -> list[Card]:
     """Read cards, ranked by their score over all races.
 
-    ``paths``: folders of cards, or folders that hold such folders.
+    ``paths``: folders of cards, or parents of such folders.
     """
     files = [card for path in paths for card in _cards_in(path)]
     cards = [read_card(path) for path in files]
     if not cards:
         raise InputError("there are no cards; give at least one folder that 'pcs-racing benchmark' wrote")
-    # Scores of two protocols, or of one with another archive or other opponents, say nothing about each other.
+    # Scores are comparable only under the same protocol, archive and opponents.
     first, names = cards[0], set()
     for path, card in zip(files, cards, strict=True):
         if card.protocol != first.protocol:
@@ -193,18 +193,18 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
                 f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames an agent)"
             )
         names.add(card.agent)
-    # By name where scores are equal, so that the page does not depend on the order of the folders.
+    # Equal scores are sorted by name: the page does not depend on the order of the folders.
     return sorted(cards, key=lambda card: (-card.score().score, card.agent))
 
 
 def _cards_in(path: Path) -> list[Path]:
-    """Return a folder of a card, or the folders of cards that it holds."""
+    """Return a card's folder, or all folders of cards in a folder."""
     inside = sorted(card.parent for card in path.glob("*/card.json"))
     return inside if inside and not (path / "card.json").exists() else [path]
 
 
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
-    """Return the leaderboard as a table, a line for each card."""
+    """Return the leaderboard as a table, one line per card."""
     rows: list[tuple[str, ...]] = [
         ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
     ]

@@ -1,4 +1,4 @@
-"""What a score card may say: declared values, since cards are what strangers send in."""
+"""Declared and checked values of score cards, since third parties submit cards."""
 
 import re
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ SHARE, DIFFERENCE = Interval(ge=0.0, le=1.0), Interval(ge=-1.0, le=1.0)
 
 @dataclass(frozen=True)
 class _Estimate(Settings):
-    """A value that lies between ``low`` and ``high``."""
+    """A value between ``low`` and ``high``."""
 
     value: ClassVar[str]  #: Name of the value.
 
@@ -45,7 +45,7 @@ class _Estimate(Settings):
 
     @property
     def interval(self) -> str:
-        """Interval as text, of a value without a sign."""
+        """Interval as text, for a value without a sign."""
         low, high = (getattr(self, name) for name in ("low", "high"))
         return f"[{low:.3f}, {high:.3f}]"
 
@@ -54,7 +54,8 @@ class _Estimate(Settings):
 class CardScore(_Estimate):
     """The score over a part of the races.
 
-    The interval is robust to clusters of start policies and of opponents' variants; it holds for these circuits.
+    The interval is robust to clusters of start policies and of opponents' variants; it holds for
+    these tracks.
     """
 
     value = "score"
@@ -70,7 +71,7 @@ class CardScore(_Estimate):
 
 @dataclass(frozen=True)
 class Gain(_Estimate):
-    """The adaptivity gain on some circuits."""
+    """The adaptivity gain on some tracks."""
 
     value = "gain"
     over: Annotated[str, NAME, "The baseline that it is a gain over."]
@@ -81,7 +82,7 @@ class Gain(_Estimate):
 
 @dataclass(frozen=True)
 class ReplyLoss(_Estimate):
-    """What an agent loses to a learned best reply."""
+    """The loss of an agent to a learned best response."""
 
     value = "loss"
     loss: Annotated[float, DIFFERENCE, "Races lost per race."]

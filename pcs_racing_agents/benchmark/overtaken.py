@@ -1,10 +1,11 @@
-"""The opponent's driver of the overtaking protocol [1]_: a lattice along a line of its own, at a share of its speed.
+"""The opponent's planner of the overtaking protocol [1]_: a lattice along its own scaled line.
 
-Ten times a second it compares `GOALS` places across half of the track, each at `SPEEDS` shares of the line's speed. A
-candidate costs by its distance from the line, by its lack of speed and by curvature times speed; one that leads into a
-wall or into the other car, or whose time to collision with a car ahead is below `LEAST_TTC`, is rejected.
+Ten times a second it compares `GOALS` places across half of the track, each at `SPEEDS` shares of
+the line's speed. The cost of a candidate consists of its distance from the line, its lack of speed,
+and curvature times speed. A candidate is rejected if it leads into a wall or the other car, or if
+its time to collision with a car ahead is below `LEAST_TTC`.
 
-What differs: the chosen lane is followed by the pursuit of this package, which strays less from it.
+Difference from [1]_: this package's pursuit follows the chosen lane, with smaller deviations.
 
 References
 ----------
@@ -23,21 +24,21 @@ from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import wrap_s
 
 GOALS, SPEEDS = 15, 19
-SLOWEST = 0.1  # of the shares of the line's speed; the largest is 1
-LINE, SPEED, BEND = 1.0, 1.0, 0.02  # costs of a metre from the line, of all of the speed, of a m/s times 1/m
+SLOWEST = 0.1  # min share of the line's speed; the max is 1
+LINE, SPEED, BEND = 1.0, 1.0, 0.02  # costs: m from the line, lost share of speed, m/s times 1/m
 LEAST_TTC = 2.0  # s
-CHECKS, CHECK_STEP = 8, 0.2  # moments at which a candidate is compared with the other car, s apart
-NEAR = 12.0  # m within which the other car is looked at
-WALL_AIR, CAR_AIR = 0.05, 0.1  # m beside the car
-NO_LIMIT = 3.0  # speed scale: the line's speeds are the limit
+CHECKS, CHECK_STEP = 8, 0.2  # number and spacing (s) of the checks against the other car
+NEAR = 12.0  # m: range of the checks against the other car
+WALL_AIR, CAR_AIR = 0.05, 0.1  # m: margins to walls and to the other car
+NO_LIMIT = 3.0  # speed scale, so large that only the line's speeds limit
 
-# Parameters: the factor of the speed, how many samples the line has, its distances from the race line and its speeds.
+# Parameters: speed factor, number of line samples, their distances from the race line and speeds.
 FACTOR, SAMPLES, FIRST = 0, 1, 2
 
 
 @inner_kernel
 def _sample(track, theta, s, column):  # type: ignore[no-untyped-def]
-    """Distance from the race line in m (column 0) or speed in m/s (1) of the own line at an arc length."""
+    """Return the own line's distance from the race line (column 0, m) or speed (1, m/s) at s."""
     number = int(theta[SAMPLES])
     u = wrap_s(track, s) / track.length * number
     k = int(u)
@@ -48,7 +49,7 @@ def _sample(track, theta, s, column):  # type: ignore[no-untyped-def]
 
 @inner_kernel
 def _clear(view, gap, v, d, reach):  # type: ignore[no-untyped-def]
-    """Whether a candidate at a speed keeps off the other car, which is expected to keep its speed and place."""
+    """Return whether a candidate avoids the other car, assumed to hold its speed and place."""
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + CAR_AIR
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + CAR_AIR
     closing = v - view[_view.OPP_V]
@@ -65,7 +66,7 @@ def _clear(view, gap, v, d, reach):  # type: ignore[no-untyped-def]
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
-    """Choose a place across the track and a share of the speed, and follow the line at that distance from it."""
+    """Choose a place across the track and a share of the speed, and follow the shifted line."""
     s0, gap, step = view[_view.OWN_S], gap_ahead(track, view), _line.lane_step(view)
     reach = (PATH_POINTS - 1) * step
     ends = track.line[line_index(track, s0 + reach)]
@@ -93,7 +94,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 
 def overtaken(samples: int) -> Planner:
-    """Return the planner for lines of so many samples, evenly spaced along the race line."""
+    """Return the planner for lines of a number of samples, evenly spaced along the race line."""
     numbers = [Parameter(f"d{i}", -10.0, 10.0, 0.0, "distance from the race line, m") for i in range(samples)]
     speeds = [Parameter(f"v{i}", 0.0, 30.0, 1.0, "speed, m/s") for i in range(samples)]
     factor = Parameter("factor", 0.0, 1.0, 0.5, "factor of the line's speeds")

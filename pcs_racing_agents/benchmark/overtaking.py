@@ -1,11 +1,13 @@
-"""The overtaking protocol of End2Race [1]_: 600 scenarios a circuit in which a slower car starts 3 m ahead.
+"""The overtaking protocol of End2Race [1]_: 600 scenarios per track with a slower car 3 m ahead.
 
-Both cars start at rest, at 50 places, and race for 8 s. The opponent drives one of three lines at one of four factors
-of its speed (:mod:`pcs_racing_agents.benchmark.overtaken`). A scenario ends in a collision as soon as either car
-touches a wall or the other car; else the ego has overtaken if it is ahead at the end, and else it follows.
+Both cars start at rest, at 50 places, and race for 8 s. The opponent drives one of three lines at
+one of four speed factors (:mod:`pcs_racing_agents.benchmark.overtaken`). A scenario ends in a
+collision as soon as either car touches a wall or the other car. Without a collision, the ego has
+overtaken if it is ahead at the end, and has followed otherwise.
 
-Lines come from a folder of files ``CIRCUIT_line0.csv`` to ``CIRCUIT_line2.csv`` (columns s; x; y; heading; curvature;
-speed; acceleration, the ego drives on line 1), or are made here: the race line, and lanes to both sides of it.
+Lines are read from files ``CIRCUIT_line0.csv`` to ``CIRCUIT_line2.csv`` in a folder (columns s; x;
+y; heading; curvature; speed; acceleration; the ego drives on line 1), or are made here: the race
+line, and a lane on each side of it.
 
 References
 ----------
@@ -41,33 +43,33 @@ from pcs_racing_agents.tournament.statistics import clustered_mean
 
 STARTS, LINES, FACTORS = 50, 3, (0.5, 0.6, 0.7, 0.8)
 AHEAD = 3.0  # m: 15 way points
-SPEED_RANGE = (0.8, 1.2)  # scales of the speed profile of pace 0 and 1: at the default pace of .5 it is the profile
+SPEED_RANGE = (0.8, 1.2)  # speed profile's scales at pace 0 and 1 (1.0 at the default pace 0.5)
 RULES = RaceConfig(name="overtaking", duration=8.0, speed_range=SPEED_RANGE)
-ASIDE, WALL_AIR = 0.57, 0.45  # m: distance of the lanes that are made here from the race line, and least to a wall
-SPACING = 0.5  # m between the samples of a line
+ASIDE, WALL_AIR = 0.57, 0.45  # m: distance of made lanes from the race line, min distance to walls
+SPACING = 0.5  # m: sample spacing of a line
 COLUMNS = ("s", "x", "y", "heading", "curvature", "speed", "acceleration")
-MAX_LINE = 16 * 2**20  # bytes of a file of a line
+MAX_LINE = 16 * 2**20  # bytes: size of a line's file
 MAX_SPEED = 20.0  # m/s
-MAX_GAP = 2.0  # m between two points of a line
-MERGE = 8  # samples before and behind a narrow place over which a lane comes in
-PUBLISHED = ("End2Race, published", 0.942, 0.592)  # shares without collision and overtaking, of 2,400 scenarios
+MAX_GAP = 2.0  # m: spacing of a line's points
+MERGE = 8  # samples before and behind a narrow place, for a lane's transition
+PUBLISHED = ("End2Race, published", 0.942, 0.592)  # collision-free and overtaking; n = 2,400
 
 Floats = NDArray[np.float64]
 
 
 class Lines(NamedTuple):
-    """A circuit whose race line is line 1, and the lines along it."""
+    """A track with line 1 as its race line, and the lines along it."""
 
     track: Track
-    d: Floats  #: shape (3, M): Distances from line 1 at evenly spaced arc lengths of it, m.
-    speed: Floats  #: shape (3, M): m/s.
+    d: Floats  #: shape (3, M): Distances from line 1 at its evenly spaced arc lengths, m.
+    speed: Floats  #: shape (3, M): Speeds, m/s.
 
 
 def made_lines(track: Track) -> Lines:
-    """Return the race line of a circuit and lanes beside it, with the speeds of the profile on their radius."""
+    """Return a track's race line and lanes next to it, with profile speeds for their radius."""
     samples = track.line[(_places(track) / track.arrays.ds).astype(np.intp)]
     room = np.stack([samples[:, LEFT], samples[:, LEFT], samples[:, RIGHT]]) - WALL_AIR
-    # The least room within some metres, so that a lane comes in early, and then its mean, so that it comes in slowly.
+    # Moving minimum of the room for early transitions of a lane, then a mean for slow transitions.
     around = np.stack([np.roll(np.clip(room, 0.0, ASIDE), k, axis=1) for k in range(-MERGE, MERGE + 1)])
     least = np.stack([np.roll(around.min(axis=0), k, axis=1) for k in range(-MERGE, MERGE + 1)]).mean(axis=0)
     d = np.array([[1.0], [0.0], [-1.0]]) * least
@@ -76,7 +78,7 @@ def made_lines(track: Track) -> Lines:
 
 
 def read_lines(track: Track, folder: Path) -> Lines:
-    """Return the lines of a folder on a circuit; line 1, in its direction, becomes the circuit's race line."""
+    """Return the lines of a folder; line 1, in its direction, becomes the track's race line."""
     tables = []
     for k in range(LINES):
         path = folder / f"{track.name}_line{k}.csv"
@@ -96,7 +98,7 @@ def read_lines(track: Track, folder: Path) -> Lines:
 
 
 def _checked(track: Track, path: Path, table: Floats) -> Floats:
-    """Return the table of a line, of which all points are checked."""
+    """Return the table of a line, after a check of all points."""
     xy, speed, half = table[:, 1:3], table[:, 5], 0.5 * track.length
     for wrong, right in (
         (np.diff(table[:, 0], append=np.inf) <= 0.0, "s must rise from point to point"),
@@ -106,7 +108,7 @@ def _checked(track: Track, path: Path, table: Floats) -> Floats:
     ):
         if wrong.any():
             raise MapError(f"{path}, point {np.argmax(wrong) + 1}: {right}")
-    # The sum is 0 or a number of laps, since the line is closed.
+    # The sum is 0 or a multiple of the lap length, since the line is closed.
     steps = np.mod(np.diff(s := track.to_frenet(xy)[:, 0], append=s[0]) + half, track.length) - half
     if round(abs(steps.sum()) / track.length) != 1:
         raise MapError(f"{path} must go round {track.name} once")
@@ -125,24 +127,24 @@ def _rising(s: Floats, values: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """What came of the scenarios of one driver; all arrays have one entry for each."""
+    """Outcomes of a planner's scenarios; all arrays have one entry per scenario."""
 
     driver: str
-    start: NDArray[np.str_]  #: Circuit and number of the start: the clusters.
+    start: NDArray[np.str_]  #: Track and number of the start: the clusters.
     circuit: NDArray[np.str_]
     factor: Floats
     line: NDArray[np.int64]
-    fault: NDArray[np.int64]  #: Of a collision: 1 of the ego, 2 of the opponent, 3 of both; 0 without a collision.
-    overtakes: NDArray[np.bool_]  #: Without a collision, whether the ego is ahead at the end.
+    fault: NDArray[np.int64]  #: Fault of a collision: 1 ego, 2 opponent, 3 both; 0 no collision.
+    overtakes: NDArray[np.bool_]  #: True if the ego is ahead at the end, without a collision.
 
     @property
     def safe(self) -> NDArray[np.bool_]:
-        """Whether there was no collision."""
+        """True without a collision."""
         return self.fault == 0
 
 
 def race_scenarios(lines: Lines, ego: Policy, *, seed: int = 0, threads: int | None = None) -> Outcomes:
-    """Drive the 600 scenarios of a circuit."""
+    """Drive the 600 scenarios of a track."""
     track, samples = lines.track, lines.d.shape[1]
     scenarios = np.array(list(product(range(STARTS), range(LINES), range(len(FACTORS)))))
     start, line, factor = scenarios.T
@@ -172,7 +174,7 @@ def race_scenarios(lines: Lines, ego: Policy, *, seed: int = 0, threads: int | N
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:
-    """Return the outcomes of one driver on several circuits as one."""
+    """Return the joined outcomes of one planner on several tracks."""
     names = [name for name in Outcomes.__dataclass_fields__ if name != "driver"]
     return Outcomes(parts[0].driver, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
 
@@ -183,7 +185,7 @@ def _share(values: NDArray[np.bool_], starts: NDArray[np.str_]) -> str:
 
 
 def summary(found: Sequence[Outcomes]) -> list[str]:
-    """Return the table of drivers: shares with 95 % intervals clustered by start, and whose fault collisions were."""
+    """Return the table of planners: shares (95 % intervals, clusters: starts), collision faults."""
     rows: list[tuple[str, ...]] = [
         ("driver", "without collision", "overtaking", "following", "collision: ego", "opponent", "both")
     ]
@@ -205,7 +207,7 @@ def _groups(one: Outcomes) -> Iterator[tuple[str, NDArray[np.bool_]]]:
 
 
 def detail(found: Sequence[Outcomes]) -> list[str]:
-    """Return a table of shares without collision / overtaking, by circuit, by factor of the speed and by line."""
+    """Return the shares without collision / with overtaking by track, speed factor and line."""
     head = ["driver", *(name for name, _ in _groups(found[0]))]
     rows = [
         [one.driver, *(f"{one.safe[on].mean():.1%} / {one.overtakes[on].mean():.1%}" for _, on in _groups(one))]

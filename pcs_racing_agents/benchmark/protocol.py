@@ -1,7 +1,8 @@
-"""The protocol of the benchmark: who is raced, where, how often, and from which starts.
+"""The protocol of the benchmark: opponents, tracks, numbers of races, and starts.
 
-A protocol is a YAML file with a version in its name. It also lists the hashes of everything that its results depend on
-(archive, circuits, opponents, rules): an installation in which one of them differs can't write cards of that version.
+A protocol is a YAML file with a version in its name. It also lists the hashes of all inputs of its
+results (archive, tracks, opponents, rules). An installation with another hash can't write cards of
+that version.
 """
 
 from collections.abc import Iterator
@@ -32,12 +33,12 @@ KINDS = {
     "planners": "drivers of other families",
     "agents": "agents that look at the race",
 }
-"""Kinds of opponents and what they do."""
+"""Kinds of opponents, with descriptions."""
 
 
 @dataclass(frozen=True)
 class ProtocolConfig(Settings):
-    """A protocol: opponents by kind, circuits, number of races."""
+    """A protocol: opponents by kind, tracks, number of races."""
 
     name: Annotated[Text, "Name, with the version."] = "bench-v2"
     archive: Annotated[Text, "Archive of the agents."] = "contest"
@@ -69,26 +70,26 @@ class ProtocolConfig(Settings):
 
 
 class Cell(NamedTuple):
-    """The races against one opponent on one circuit."""
+    """The races against one opponent on one track."""
 
     circuit: str
-    seen: bool  #: Whether the circuit may be trained on.
-    kind: str  #: Of the opponent, one of :data:`KINDS`.
+    seen: bool  #: True for a training track.
+    kind: str  #: Kind of the opponent, a key of :data:`KINDS`.
     opponent: str
 
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """A protocol with its circuits, opponents and rules loaded."""
+    """A protocol with loaded tracks, opponents and rules."""
 
     config: ProtocolConfig
     spec: GameSpec  #: Archive and rules of the game.
     tracks: dict[str, Track]
-    opponents: dict[str, Competitor]  #: And the baselines.
+    opponents: dict[str, Competitor]  #: Opponents and baselines.
 
     @property
     def cells(self) -> Iterator[Cell]:
-        """Every opponent on every circuit."""
+        """All cells: every opponent on every track."""
         for circuits, seen in ((self.config.seen, True), (self.config.unseen, False)):
             for circuit in circuits:
                 for kind in KINDS:
@@ -96,28 +97,28 @@ class Protocol:
                         yield Cell(circuit, seen, kind, opponent)
 
     def game(self, circuit: str) -> RaceGame:
-        """Return the game on a circuit."""
+        """Return the game on a track."""
         return RaceGame(self.tracks[circuit], self.spec.archive, self.spec.config)
 
     @cached_property
     def hashes(self) -> tuple[str, ...]:
-        """Hashes of what the results depend on, as ``"kind name sha256"``."""
+        """Hashes of all inputs of the results, as ``"kind name sha256"``."""
         lines = [
             f"archive {self.spec.archive.name} {self.spec.archive.content_hash}",
             f"rules {self.config.race} {fingerprint(self.spec.config)}",
             *(f"circuit {name} {track.content_hash}" for name, track in self.tracks.items()),
             *(f"opponent {name} {competitor_hash(car)}" for name, car in self.opponents.items()),
         ]
-        # Sixteen digits are enough to tell two versions apart, and fit on a line of the protocol's file.
+        # Sixteen digits distinguish versions, and fit on a line of the protocol's file.
         return tuple(" ".join([*line.split()[:-1], line.split()[-1][:16]]) for line in lines)
 
     @property
     def content_hash(self) -> str:
-        """Hash of the protocol and of everything that its results depend on."""
+        """Hash of the protocol and of all inputs of its results."""
         return fingerprint([self.config.name, *self.hashes, self.config.egos, self.config.variants, self.config.seed])
 
     def check_hashes(self) -> None:
-        """Check that this installation is the one that the protocol describes."""
+        """Check that this installation has the hashes listed in the protocol."""
         if not self.config.hashes:
             return
         for wanted, here in zip_longest(self.config.hashes, self.hashes, fillvalue="nothing"):
@@ -129,7 +130,7 @@ class Protocol:
 
 
 def load_protocol(source: str | ProtocolConfig = "bench_v2", **changes: Any) -> Protocol:
-    """Return a protocol from a shipped one's name, a YAML file or a configuration, with some fields changed."""
+    """Return a protocol from a shipped name, a YAML file or a config, with changed fields."""
     config = load_config("protocol", ProtocolConfig(), source, **changes)
     rules: GameConfig = game_rules(load_race_config(config.race))
     spec = make_game_spec(config.archive, rules)
@@ -141,7 +142,7 @@ def load_protocol(source: str | ProtocolConfig = "bench_v2", **changes: Any) -> 
         {name: load_track(name) for name in circuits},
         {name: as_competitor(parse_agent(name, spec), name) for name in rivals},
     )
-    # With other fields it is a protocol of one's own, which no hashes were written down for.
+    # A protocol with changed fields is a custom protocol without listed hashes.
     if not changes:
         protocol.check_hashes()
     return protocol

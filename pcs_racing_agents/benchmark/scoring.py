@@ -1,4 +1,4 @@
-"""Races of an agent by a protocol, and what they say: scores, crashes, the adaptivity gain, a rating, its cost."""
+"""Races of an agent by a protocol: scores, crashes, adaptivity gain, rating, decision cost."""
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 
 
 class CellRaces(NamedTuple):
-    """The races of an agent against one opponent on one circuit."""
+    """The races of an agent against one opponent on one track."""
 
     cell: Cell
     pairing: Pairing
@@ -37,19 +37,20 @@ def play_protocol(
     agents: Sequence[Competitor],
     **run: Unpack[Run],
 ) -> dict[str, list[CellRaces]]:
-    """Simulate the races of agents and of the protocol's baselines, which all drive the same ones.
+    """Simulate the same races for all agents and for the protocol's baselines.
 
-    A driver with fewer policies than the protocol has start policies drives as many races, from more start lines.
+    A planner with fewer policies than the protocol's start policies drives the same number of
+    races, from more start lines.
 
     Parameters
     ----------
     agents : sequence of Competitor
-        With different names.
+        Agents with different names.
 
     Returns
     -------
     dict of str to list of CellRaces
-        By name: the agents first, then the baselines.
+        Races by name: the agents first, then the baselines.
     """
     arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
     if len(arms) < len(agents):
@@ -58,7 +59,7 @@ def play_protocol(
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
     config = protocol.config
-    # A driver has few policies or one, and gets more lines instead: as many races as the agents.
+    # A planner has few policies or one, and gets more lines instead: as many races as the agents.
     pairings = [
         cross_pairing(
             games[cell.circuit],
@@ -79,7 +80,7 @@ def play_protocol(
 
 
 def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
-    """Return the scores of an agent: over everything, by kind of opponent, and cell by cell."""
+    """Return the scores of an agent: in total, by kind of opponent, and by cell."""
     cells = list(races)
     scores = []
     for circuits, wanted in (("seen", (True,)), ("unseen", (False,)), ("all", (True, False))):
@@ -91,7 +92,7 @@ def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
 
 
 def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]]:
-    """Scores, and labels of start policies and of opponents' variants, race by race."""
+    """Return scores and labels of start policies and opponents' variants, one entry per race."""
     scores = np.concatenate([played.races.score for played in cells])
     egos = np.concatenate([played.races.variants[:, 0] for played in cells])
     opponents = np.concatenate(
@@ -102,9 +103,9 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
 
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     scores, egos, opponents = _columns(cells)
-    # Labels that are all the same have no spread to measure, and are taken as given.
+    # Labels without variation have no measurable spread, and are taken as given.
     clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
-    # One policy against one policy: the races differ in their start lines alone.
+    # One policy against one policy: races differ only in their start lines.
     estimate = clustered_mean(scores, *(clusters or [np.arange(len(scores))]))
     own = np.concatenate([played.races.fault[:, 0] > 0 for played in cells])
     crashed = np.concatenate([played.races.crashed for played in cells])
@@ -121,23 +122,23 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
 
 
 def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> Gain | None:
-    """Return what an agent scores more than the best baseline, on the same races.
+    """Return the agent's score minus the best baseline's score, on the same races.
 
-    The best one is taken after the fact, on these races, which can only make the gain smaller. None for a driver that
-    starts from other lines than the agents (:func:`play_protocol`): there are no same races.
+    The best baseline is chosen after the fact, on these races, which can only reduce the gain. None
+    for a planner with other start lines than the agents (:func:`play_protocol`): no common races.
 
     Parameters
     ----------
     results : mapping
-        As :func:`play_protocol` returns.
+        Results of :func:`play_protocol`.
     seen : bool, optional
-        Only circuits that may be trained on, or only the others; by default all.
+        True for training tracks only, False for test tracks only (default: all).
     """
 
     def rows(name: str) -> list[CellRaces]:
         return [played for played in results[name] if seen is None or played.cell.seen == seen]
 
-    # With the agent's own result left out, even if it is a baseline itself.
+    # The agent's own result is excluded, even if the agent is a baseline.
     blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
     best = max(blind, key=lambda name: blind[name])
     for own, other in zip(rows(agent), rows(best), strict=True):
@@ -149,12 +150,12 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None =
 
 
 def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
-    """Return the Bradley-Terry rating that explains an agent's score against opponents of known ratings.
+    """Return the Bradley-Terry rating that explains an agent's score against rated opponents.
 
-    None if none of the opponents was measured (:mod:`pcs_racing_agents.agents.describe`), or if it won or lost all
-    races against them.
+    None if no opponent has a measured rating (:mod:`pcs_racing_agents.agents.describe`), or if the
+    agent won or lost all races against rated opponents.
     """
-    from scipy.optimize import brentq  # takes a second
+    from scipy.optimize import brentq  # the import takes a second
 
     table = measurements()
     archive, race = protocol.spec.archive.name, protocol.spec.race
@@ -171,18 +172,18 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
     def excess(own: float) -> float:
         return float((1.0 / (1.0 + 10.0 ** ((strengths - own) / 400.0)) - scores).mean())
 
-    # An agent that won (or lost) every race is rated by no finite number.
+    # An agent that won (or lost) every race has no finite rating.
     return float(brentq(excess, -4000.0, 4000.0)) if excess(-4000.0) < 0.0 < excess(4000.0) else None
 
 
 def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> float | None:
-    """Return the time of one decision for one game, microseconds, the median of several; None for a driver."""
+    """Return an agent's median time per decision for one game, us; None for a planner."""
     predict = getattr(agent, "predict", None)
     if isinstance(agent, Driver) or predict is None:
         return None
     game = protocol.game(next(iter(protocol.tracks)))
     observation = game.observation(game.reset(games=1, seed=protocol.config.seed))[0, :1]
-    # The median: whatever the machine does in between only lengthens some of the times.
+    # The median: other load on the machine only lengthens some of the times.
     times = []
     for _ in range(repeats):
         begun = time.perf_counter()
@@ -192,14 +193,14 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
 
 
 def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: int) -> list[tuple[str, Replay]]:
-    """Return recordings, with titles, of the races in which an agent and another one came off most differently.
+    """Return titled recordings of the races with the max score difference between two agents.
 
-    ``own``, ``others``: the same cells in the same order, raced by the agent and by the other one. ``count``: number of
-    races; one of each cell is considered.
+    ``own``, ``others``: the same cells in the same order, raced by the agent and by the other
+    agent. ``count``: number of races; each cell offers one race.
     """
     telling: list[tuple[float, CellRaces, int]] = []
     for cell, other in zip(own, others, strict=True):
-        # In turn, a race that the agent wins and the other one loses, and the other way round.
+        # Alternately a race won by the agent and lost by the other agent, and the reverse.
         difference = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
         race = int(np.argmax(difference))
         telling.append((float(difference[race]), cell, race))

@@ -1,1 +1,1 @@
-"""The commands of ``pcs-racing``, a file for each group; every file offers ``add(commands)``."""
+"""The commands of ``pcs-racing``, one file per group."""

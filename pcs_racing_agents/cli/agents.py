@@ -1,4 +1,4 @@
-"""``pcs-racing agents`` and ``policies``: list agents and drivers, and planners with their parameters."""
+"""``pcs-racing agents`` and ``policies``: list agents, and planners with their parameters."""
 
 from typing import Annotated
 

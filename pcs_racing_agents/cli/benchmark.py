@@ -1,4 +1,4 @@
-"""``pcs-racing benchmark``, ``leaderboard`` and ``overtaking``: score cards, their ranking, and how cars are passed."""
+"""``pcs-racing benchmark``, ``leaderboard``, ``overtaking``: score cards, ranking, overtaking."""
 
 import csv
 import io
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 WATCHED = 3
 REPLY_RACES = 4000
-LEARNER = "best-reply"  # settings of the learner of best replies
+LEARNER = "best-reply"  # configuration of the best-response learner
 
 
 @command(
@@ -75,10 +75,10 @@ def run(
     with workers.start() as executor, open_job(out, "benchmark", settings) as job:
         results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
         for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
-            # Several agents share a job, whose groups of tasks need names that differ.
+            # Several agents share a job: its groups of tasks need distinct names.
             part = "" if alone else f"agent-{i}-"
             reply = _best_reply(rules, agent, job, part, executor) if full else None
-            # Names of agents hold colons and equals signs, which some file systems do not allow.
+            # Some file systems do not allow the colons and equals signs of agents' names.
             own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
             _write(rules, agent, digest, results, reply, own)
 
@@ -91,7 +91,7 @@ def _write(
     reply: "ReplyLoss | None",
     folder: Path,
 ) -> None:
-    """Print the card of one agent and write it."""
+    """Print and write the card of one agent."""
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.base.tables import aligned
     from pcs_racing_agents.benchmark.card import Card, fact_lines, summary_rows, write_card
@@ -103,7 +103,7 @@ def _write(
     circuits = {"seen": True, "unseen": False, "all": None}
     found = {} if name in config.blind else {key: gain(raced, name, seen) for key, seen in circuits.items()}
     gains = {key: value for key, value in found.items() if value is not None}
-    # A driver that starts from other lines than the baselines has no races to compare with theirs.
+    # A planner with other start lines than the baselines has no races in common with them.
     other = next((cells for blind, cells in raced.items() if blind != name), own) if gains or not found else own
     card = Card(
         protocol=config.name,
@@ -126,7 +126,7 @@ def _write(
 def _best_reply(
     protocol: "Protocol", agent: "Competitor", job: "Job", part: str, executor: "Executor | None"
 ) -> "ReplyLoss":
-    """Train a best reply to the agent on the circuits that may be trained on, and return what it wins there."""
+    """Train a best response to the agent on the training tracks, and return the agent's loss."""
     from pcs_racing_agents.benchmark.card_values import ReplyLoss
     from pcs_racing_agents.learning.responses.best_reply import best_reply
     from pcs_racing_agents.learning.responses.learner import load_response_settings

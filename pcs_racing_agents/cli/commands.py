@@ -1,4 +1,4 @@
-"""Commands from functions: the parameters become words and options of a command line, the docstring becomes its help::
+"""Commands from functions: parameters become words and options, the docstring becomes the help::
 
     @command("wave", "pcs-racing wave Ada --times 3")
     def wave(
@@ -9,9 +9,10 @@
     ) -> None:
         "Wave at somebody."
 
-A parameter before ``*`` is a word of the command line, which may be left out if it has a default; one behind ``*`` is
-an option. The type says how a value is read: ``bool`` is a switch, ``Sequence[T]`` takes one value or more, and
-``tuple[T, T]`` two. A dataclass whose fields are declared like parameters stands for all the options that it holds.
+A parameter before ``*`` is a word of the command line, optional if it has a default; a parameter
+after ``*`` is an option. The type decides the parsing: ``bool`` is a switch, ``Sequence[T]`` takes
+one or more values, and ``tuple[T, T]`` two. A dataclass with fields declared like parameters is a
+group of options.
 """
 
 import argparse
@@ -28,12 +29,12 @@ from pcs_racing.base.checks import did_you_mean
 from pcs_racing.base.errors import choices
 from pcs_racing.base.settings import Settings, option_words, options_of
 
-Parsers = argparse._SubParsersAction  # what ``add_subparsers`` returns; it has no public name
+Parsers = argparse._SubParsersAction  # result type of ``add_subparsers``, without a public name
 
 
 @dataclass(frozen=True)
 class Option:
-    """What the help says of a parameter; its default is added."""
+    """Help text of a parameter; the default is appended."""
 
     help: str
     metavar: str | tuple[str, ...] | None = None
@@ -41,16 +42,16 @@ class Option:
 
 
 class ConfigOptions:
-    """A parameter that gets those settings of a class, by name, that the command line states."""
+    """A parameter for the options of a class stated on the command line, by name."""
 
     def __init__(self, cls: type[Settings], *names: str) -> None:
         self.cls, self.names = cls, names
 
     def add(self, parser: ArgumentParser) -> None:
-        """Add an option for each of them."""
+        """Add an option for each field."""
         options = options_of(self.cls)
         for name in self.names:
-            several = get_origin(options[name].kind) is tuple  # of numbers or names with a note
+            several = get_origin(options[name].kind) is tuple  # of numbers or annotated names
             kind = get_args(get_args(options[name].kind)[0])[0] if several else options[name].kind
             parser.add_argument(
                 f"--{name.replace('_', '-')}",
@@ -61,23 +62,23 @@ class ConfigOptions:
             )
 
     def values(self, parsed: Namespace) -> dict[str, Any]:
-        """Return what was stated; lists become tuples, as settings hold them."""
+        """Return the stated values, with lists converted to tuples."""
         stated = {name: getattr(parsed, name) for name in self.names if getattr(parsed, name) is not None}
         return {name: tuple(value) if isinstance(value, list) else value for name, value in stated.items()}
 
 
 @dataclass(frozen=True)
 class Command:
-    """A command, or a group of commands, which has no function."""
+    """A command, or a group of commands (without a function)."""
 
-    name: str  #: Of a command in a group: the names of both, as they are typed.
+    name: str  #: Name as typed, with the group's name first if any.
     summary: str
     examples: tuple[str, ...]
     function: Callable[..., None] | None = None
 
 
 class Parser(ArgumentParser):
-    """Print an error as one line, with the nearest of the words that were possible."""
+    """A parser that prints an error as one line, with the nearest valid words."""
 
     def error(self, message: str) -> NoReturn:
         """End the process with status 2."""
@@ -92,7 +93,7 @@ class Parser(ArgumentParser):
 
 
 def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:
-    """Make a command of a function; the first paragraph of its docstring is the summary."""
+    """Turn a function into a command; the first paragraph of its docstring is the summary."""
 
     def make(function: Callable[..., None]) -> Command:
         summary = str(getdoc(function)).partition("\n\n")[0]
@@ -102,9 +103,9 @@ def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Comman
 
 
 def add_commands(parsers: "Parsers[ArgumentParser]", module: ModuleType) -> None:
-    """Add all commands of a module, in their order; a group stands before its commands."""
+    """Add all commands of a module, in their order; a group precedes its commands."""
     groups = {"": parsers}
-    # A module keeps the order in which its names were bound: that of the file, and so that of the help.
+    # A module's names are in the order of the file, which is the order of the help.
     for made in [value for value in vars(module).values() if isinstance(value, Command)]:
         group, _, name = made.name.rpartition(" ")
         parser = groups[group].add_parser(
@@ -127,7 +128,7 @@ def _run(function: Callable[..., None], parsed: Namespace) -> None:
 
 
 def add_parameters(parser: ArgumentParser, target: Callable[..., Any], title: str | None = None) -> None:
-    """Add the parameters of a function, or the fields of a dataclass as a group of options, to a parser."""
+    """Add a function's parameters, or a dataclass's fields as a group of options, to a parser."""
     group = parser.add_argument_group(title) if title else parser
     for parameter, kind, declared in _parameters(target):
         if isinstance(declared, ConfigOptions):
@@ -139,7 +140,7 @@ def add_parameters(parser: ArgumentParser, target: Callable[..., Any], title: st
 
 
 def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str, Any]:
-    """Return the values that a command line states for what :func:`add_parameters` added."""
+    """Return the command line's values for the parameters added by :func:`add_parameters`."""
     values = {}
     for parameter, kind, declared in _parameters(target):
         if isinstance(declared, ConfigOptions):
@@ -152,7 +153,7 @@ def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str,
 
 
 def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Option | ConfigOptions | None]]:
-    """Parameters with their types and declarations; a dataclass of options has none."""
+    """Yield parameters with their types and declarations (None for a dataclass of options)."""
     hints = get_type_hints(target, include_extras=True)
     for name, parameter in signature(target).parameters.items():
         hint = hints[name]
@@ -165,12 +166,12 @@ def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Op
 
 
 def _phrase(sentence: str) -> str:
-    """Return a sentence as argparse shows a help text: a small letter first, and no full stop."""
+    """Return a sentence as an argparse help text: lower-case first letter, no full stop."""
     return f"{sentence[0].lower()}{sentence[1:].rstrip('.')}".replace("%", "%%")
 
 
 def _options(parser: ArgumentParser) -> Iterator[str]:
-    """All options of a parser and of its commands."""
+    """Yield all options of a parser and of its commands."""
     yield from parser._option_string_actions
     for action in parser._actions:
         if isinstance(action, Parsers):
@@ -184,22 +185,22 @@ def _name(parameter: Parameter) -> tuple[str, ...]:
 
 
 def _reading(parameter: Parameter, kind: Any, option: Option) -> dict[str, Any]:
-    """How argparse reads a parameter and what it says of it."""
+    """Return argparse's arguments for a parameter."""
     word, needed = parameter.kind is not Parameter.KEYWORD_ONLY, parameter.default is Parameter.empty
     default = None if needed else parameter.default
     said = " ".join(map(str, default)) if isinstance(default, tuple) else default
-    # `is False`, not falsehood: a default of 0 is worth telling.
+    # `is False`, not falsehood: a default of 0 is worth showing.
     shown = "" if default is None or default is False or default == () else f" (default: {said})"
     reading: dict[str, Any] = {"default": default, "help": f"{option.help}{shown}".replace("%", "%%")}
     if kind is bool:
         return {**reading, "action": "store_true"}
-    # A type and None: None stands for an option that was not stated.
+    # A type or None: None means that the option was not stated.
     if get_origin(kind) is UnionType:
         (kind,) = (part for part in get_args(kind) if part is not NoneType)
-    # What is left of ``bool | None`` has three answers: not stated, yes, and no.
+    # ``bool | None`` has three values: not stated, yes, and no.
     if kind is bool:
         return {**reading, "action": BooleanOptionalAction}
-    # The origin of ``Sequence[str]`` is the class of collections.abc, the one that is imported above.
+    # The origin of ``Sequence[str]`` is the class of collections.abc imported above.
     if get_origin(kind) is Sequence:
         kind, reading["nargs"] = get_args(kind)[0], "+"
     elif get_origin(kind) is tuple:

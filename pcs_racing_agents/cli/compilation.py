@@ -29,10 +29,10 @@ def run() -> None:
 
 
 def compile_kernels() -> None:
-    """Compile what commands, environments and tests need most, in two processes.
+    """Compile the common kernels of commands, environments and tests, in two processes.
 
-    The tasks of a row take about as long as each other and share few functions, since what two processes compile at the
-    same time is compiled twice. What is in a row may call what is in the rows above.
+    The tasks of a row take about the same time and share few functions, since two processes would
+    both compile a shared function. Functions of a row may call functions of the rows above.
     """
     # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
@@ -42,19 +42,19 @@ def compile_kernels() -> None:
 
 
 def _planners() -> None:
-    """The planners of most races, without a race."""
+    """Compile the planners of most races, without a race."""
     for text in PLANNERS:
         parse_policy(text).planner.pointers()
 
 
 def _field() -> None:
-    """All other planners."""
+    """Compile all other planners."""
     for name in sorted({*planner_names()} - {*PLANNERS}):
         parse_policy(name).planner.pointers()
 
 
 def _races() -> None:
-    """Races of all planners, one and several at a time, and what a game observes of them."""
+    """Compile races of all planners, single and batched, and a game's observations of them."""
     track, lattice = load_track(TRACK), parse_policy("lattice")
     config = load_race_config("contest", duration=0.1)
     for count in (1, 2):
@@ -66,7 +66,7 @@ def _races() -> None:
 
 
 def _solvers() -> None:
-    """Solvers of games, and a lidar."""
+    """Compile solvers of games, and a lidar."""
     from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
 
     tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(2, 2, 2, 2)))
@@ -76,23 +76,23 @@ def _solvers() -> None:
 
 
 def _gym() -> None:
-    """The step of the F1TENTH gym."""
+    """Compile the step of the F1TENTH gym."""
     from pcs_racing.f1tenth.env import GenerationA
 
     GenerationA(map=TRACK, num_agents=1).reset(np.zeros((1, 3)))
 
 
 def _circuits() -> None:
-    """A circuit that is generated, and then a track built from its walls."""
+    """Compile the generation of a circuit, and the building of a track from its walls."""
     from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
 
-    # The libraries of the extra mapping may be missing.
+    # The libraries of the extra "mapping" may be missing.
     with suppress(ModuleNotFoundError):
         random_circuit(RandomCircuits(), 7)
 
 
 def _drives() -> None:
-    """Environments at the control level: with a lidar and an opponent, and alone."""
+    """Compile environments at the control level: with a lidar and an opponent, and single-car."""
     from pcs_racing.envs.drive import DriveVectorEnv
 
     for options in ({"opponent": "lattice", "beams": 8}, {"opponent": None}):

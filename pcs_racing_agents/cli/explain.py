@@ -1,4 +1,4 @@
-"""``pcs-racing explain``: explain the moves of an agent in one race, or summarise them over many races."""
+"""``pcs-racing explain``: explain an agent's moves in one race, or summarise many races."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -114,7 +114,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
         if not 0 <= race < len(pairing):
             raise InputError(f"--index is {race}; there are races 0 to {len(pairing) - 1}")
     if car is None:
-        # A driver makes no moves that could be explained: then the other car is meant.
+        # A planner has no moves to explain: then the other car is explained.
         car = int(isinstance(pairing.ego, Driver))
     explanation = explain_game(
         pairing.game,
@@ -125,7 +125,7 @@ def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, 
         candidates=out is not None,
     )
     if results is not None:
-        # The race was driven again: if it ends otherwise than its line says, what follows would explain another race.
+        # A repeated race with another end than in the results would be another race.
         results.check_lead(number, explanation.played.lead[0])
     text = story(explanation)
     print(text)

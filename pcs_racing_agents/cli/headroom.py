@@ -1,4 +1,4 @@
-"""``pcs-racing headroom``: the value of knowing the opponent's policy, in an archive or a pool of policies."""
+"""``pcs-racing headroom``: value of knowing the opponent's policy in an archive or policy pool."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pcs_racing_agents.policies.policy_pool import PolicyPool
 
 MOST = 16
-"""Policies of a pool whose size is not given: all pairs of them race in less than a minute a circuit."""
+"""Default size of a pool: all pairs of its policies race in less than a minute per track."""
 NOTE = """H: value of knowing the opponent before the start, in races won, over the best fixed policy; low: a bound
 from below; opponents, pool: standard errors over opponents and over draws of the pool; transitive: share of the
 payoffs' variance that ratings explain, noise removed"""
@@ -47,7 +47,7 @@ class PoolOptions:
     races: Annotated[int, Option("races of each pair on each track")] = 64
 
     def pool(self) -> "tuple[list[str], PolicyPool]":
-        """Return the pool that the options ask for, and the names of its policies."""
+        """Return the names of the pool's policies, and the pool."""
         from pcs_racing_agents.policies.policy_pool import PolicyPool, spanning_policies
 
         if self.policies:
@@ -60,7 +60,7 @@ class PoolOptions:
 
 
 def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
-    """Return what a job of a pool's races must be the same in."""
+    """Return the values that identify a job of a pool's races."""
     return {
         "tracks": [as_track(track).content_hash for track in pool.tracks],
         "policies": [[policy.planner.name, *policy.parameters.tolist()] for policy in pool.policies],
@@ -109,7 +109,7 @@ def run(
 
 
 def headroom_row(track: str, estimate: "Headroom", share: float) -> tuple[str, ...]:
-    """Return the texts of a circuit: headroom, its bound, its two errors, and the transitive share."""
+    """Return the texts of a track: headroom, its bound, its two errors, and transitive share."""
     errors = (estimate.opponents_error, estimate.pool_error)
     return (
         track,
@@ -121,10 +121,10 @@ def headroom_row(track: str, estimate: "Headroom", share: float) -> tuple[str, .
 
 
 def mean_row(estimates: "Sequence[Headroom]") -> tuple[str, ...]:
-    """Return the texts of the mean over circuits, whose errors are those of means over the same policies."""
+    """Return the texts of the mean over tracks, with errors of each policy's mean over tracks."""
     from pcs_racing_agents.policies.headroom import jackknife_error
 
-    # The same policies race on all circuits, so errors are those of the mean of each policy over the circuits.
+    # The same policies race on all tracks: errors are computed from each policy's mean over tracks.
     gains = np.mean([estimate.gains for estimate in estimates], axis=0)
     error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
     pool = jackknife_error(np.mean([estimate.without for estimate in estimates], axis=0))
@@ -133,7 +133,7 @@ def mean_row(estimates: "Sequence[Headroom]") -> tuple[str, ...]:
 
 
 def write_payoffs(tracks: Sequence[str], payoffs: Iterable[Any], names: Sequence[str], file: Path) -> Path:
-    """Write a line for each circuit and each two policies: the mean payoff over all folds, and its standard error."""
+    """Write a line per track and pair of policies: mean payoff over all folds, standard error."""
     lines: list[tuple[object, ...]] = [("track", "policy", "opponent", "payoff", "error")]
     for track, folds in zip(tracks, payoffs, strict=True):
         mean, error = folds.mean(axis=0), folds.std(axis=0, ddof=1) / np.sqrt(len(folds))

@@ -1,4 +1,4 @@
-"""``pcs-racing learn``, ``best-reply`` and ``ppo``: train agents, opponents that exploit one, and PPO baselines."""
+"""``pcs-racing learn``, ``best-reply`` and ``ppo``: train agents, best responses and PPO."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -30,12 +30,12 @@ METHODS = {
 }
 
 
-# The settings that a method takes by default stand first.
+# The default configuration of a method comes first.
 CONFIGS = {
     name: sorted(shipped_configs(name), key=lambda config: config not in ("default", "response")) for name in METHODS
 }
 
-# By default one opponent that keeps a policy of the archive, and one that changes it at random.
+# Default: one opponent with a fixed policy of the archive, one with random changes of policy.
 Pool = Annotated[Sequence[str], Option(f"opponents: {AGENT_HELP}", "AGENT")]
 POOL = ("never-switch", "random-moves")
 
@@ -49,7 +49,7 @@ class Games:
     rules: Rules
 
     def make(self) -> "tuple[GameSpec, list[RaceGame]]":
-        """Return archive and rules that the options name, and the game on each circuit."""
+        """Return archive and rules of the options, and the game on each track."""
         from pcs_racing_agents.agents.game_spec import make_game_spec
         from pcs_racing_agents.tournament.play import game_rules
 
@@ -58,7 +58,7 @@ class Games:
         return spec, [make_game(load_track(name), spec.archive, config) for name in self.track]
 
     def agents(self, texts: Sequence[str], spec: "GameSpec") -> "list[Competitor]":
-        """Return the agents of these names."""
+        """Return the named agents."""
         from pcs_racing_agents.agents.zoo import parse_agent
 
         return [parse_agent(text, spec, seed=self.rules.seed, code=True) for text in texts]
@@ -96,7 +96,7 @@ def run(
     from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 
     spec, made = games.make()
-    # Self-play needs no pool, so an agent of the pool that can't be made must not stop it.
+    # Self-play needs no pool: an invalid agent of the pool must not stop it.
     opponents = [] if method == "self-play" else games.agents(pool, spec)
     methods: dict[str, tuple[Callable[..., Any], Callable[..., Any]]] = {
         "response": (responses.load_response_settings, responses.learn_response),
@@ -126,7 +126,7 @@ def run(
 
 
 def run_identity(games: "list[RaceGame]", spec: "GameSpec", competitors: "list[Competitor]") -> dict[str, Any]:
-    """Return what identifies games and competitors in the manifest of a job."""
+    """Return the identity of games and competitors for a job's manifest."""
     from pcs_racing_agents.agents.agent import competitor_hash
 
     return {

@@ -1,4 +1,4 @@
-"""The command line ``pcs-racing``: parse the arguments, run the command, and print an error as one line."""
+"""The command line ``pcs-racing``: argument parser, command runner, and one-line errors."""
 
 import argparse
 import io
@@ -69,7 +69,7 @@ FILES = {
         "compile the kernels now (they are cached on disk)",
     ),
 }
-"""File in this folder and summary of each command, in the order of the help: only what a call needs is imported."""
+"""File in this folder and summary of each command, in help order: a call imports its file only."""
 
 NAMING = {
     "race": {"--ego": "planner", "--opponent": "planner"},
@@ -82,23 +82,23 @@ NAMING = {
     "explain": {"--agents": "agent"},
     "play": {"--opponent": "agent"},
 }
-"""What the words behind an option name, by command; "" stands for the words before all options.
+"""Kind of names after an option, by command; "" means the words before all options.
 
-Unknown names are told before the code of what would race is imported, which takes a second."""
+Unknown names are reported before the import of the racing code, which takes a second."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command of these words behind ``pcs-racing``, by default those of the process; return the exit status.
+    """Run a command from the words after ``pcs-racing`` (default: ``sys.argv``).
 
-    It is 0, or 2 after an error that the user can correct, which is printed as one line on stderr; 130 after Ctrl-C,
-    and 143 after SIGTERM.
+    Return the exit status: 0, or 2 after a correctable error (printed as one line on stderr), 130
+    after Ctrl-C, and 143 after SIGTERM.
     """
-    if sys.stderr is None:  # closed: nothing is read there, and no file that is opened later gets its number
+    if sys.stderr is None:  # closed: output is dropped, and no later file gets its number
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     if sys.stdout is None:
         return _fail(InputError("the standard output is closed; send it to a file or to /dev/null"))
     for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):  # what a terminal can't show is escaped: names of files, say
+        if isinstance(stream, io.TextIOWrapper):  # escape unsupported characters
             stream.reconfigure(errors="backslashreplace")
     words = sys.argv[1:] if arguments is None else list(arguments)
     if words[:1] == ["help"]:
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_parsed(parsed: argparse.Namespace) -> int:
-    """Run a command whose words were parsed, and return the exit status of :func:`main`."""
+    """Run a parsed command, and return the exit status of :func:`main`."""
     logging.basicConfig(format="pcs-racing: %(message)s", level=logging.WARNING)
     try:
         with _terminable():
@@ -122,7 +122,7 @@ def run_parsed(parsed: argparse.Namespace) -> int:
     except (InputError, ModuleNotFoundError) as error:
         return _fail(error)
     except BrokenPipeError:
-        # The reader (a pager, head) has closed the pipe. Without this the interpreter would fail again at its end.
+        # The reader (a pager, head) has closed the pipe. Without this Python fails at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
@@ -133,10 +133,10 @@ def run_parsed(parsed: argparse.Namespace) -> int:
         terminated = isinstance(stop, Terminated)
         print(f"pcs-racing: {'terminated' if terminated else 'interrupted'}", file=sys.stderr)
         return 143 if terminated else 130
-    except SystemExit as stop:  # of an agent, say
+    except SystemExit as stop:  # e.g. from an agent
         return _fail(InputError(f"code of your own ended the process: SystemExit: {stop.code}"))
     except Exception as error:
-        # Here, since it takes as long to import as a race to drive.
+        # Imported here, since the import takes as long as a race.
         from pcs_racing_agents.base.executors import is_lost
 
         if not is_lost(error):
@@ -147,8 +147,8 @@ def run_parsed(parsed: argparse.Namespace) -> int:
 
 @contextmanager
 def _terminable() -> Iterator[None]:
-    """Let SIGTERM end the block as Ctrl-C would: files are closed, folders unlocked and workers sent home."""
-    if threading.current_thread() is not threading.main_thread():  # only there Python handles signals
+    """Let SIGTERM end the block like Ctrl-C: close files, unlock folders and stop workers."""
+    if threading.current_thread() is not threading.main_thread():  # no signals elsewhere
         yield
         return
 
@@ -168,7 +168,7 @@ def _fail(error: Exception) -> int:
 
 
 def _parser(command: str | None = None, *, brief: bool = False) -> argparse.ArgumentParser:
-    """Return the parser of one command or, if there is no such command, of all; a brief one only lists them."""
+    """Return the parser of a command, or of all if unknown; a brief parser only lists commands."""
     parser = Parser(
         prog="pcs-racing",
         description="Simulate head-to-head races of two cars; search, train and compare policies and agents for them.",
@@ -181,7 +181,7 @@ def _parser(command: str | None = None, *, brief: bool = False) -> argparse.Argu
         for name, (_, summary) in FILES.items():
             commands.add_parser(name, help=summary)
         return parser
-    # Each file imports what its commands need for their options, which for all of them takes longer than a race.
+    # Each file imports modules for its options: importing all files takes longer than a race.
     wanted = [FILES[command]] if command in FILES else FILES.values()
     for file in dict.fromkeys(file for file, _ in wanted):
         add_commands(commands, import_module(f"pcs_racing_agents.cli.{file}"))
@@ -196,13 +196,13 @@ def _version() -> str:
 
 
 def check_command(word: str, commands: Sequence[str]) -> None:
-    """Refuse a word that is no command."""
+    """Refuse an unknown command."""
     if word not in commands and not word.startswith("-"):
         raise UnknownNameError(f"command {word!r} is unknown; {choices(word, commands)}")
 
 
 def check_names(words: Sequence[str]) -> None:
-    """Refuse names of planners, agents, circuits and rules that nobody knows; of paths and code nothing is asked."""
+    """Refuse unknown names of planners, agents, tracks and rules; ignore paths and code."""
     kinds = {**NAMING.get(words[0], {}), "--track": "track", "--rules": "rules"}
     option = ""
     for word in words[1:]:
@@ -216,7 +216,7 @@ def check_names(words: Sequence[str]) -> None:
             find_shipped(word)
         elif kind == "rules":
             load_race_config(word)
-        # A place with a colon may be code of one's own: module:function.
+        # A name with a colon may be user code: module:function.
         elif not (name.endswith((".py", ".zip")) or (colon and rest.isidentifier()) or name.startswith("always-")):
             _check_racer(kind, name.strip())
 

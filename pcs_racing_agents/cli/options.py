@@ -1,4 +1,4 @@
-"""What several commands share: options, checks of the files and folders that they write, pages in a browser."""
+"""Shared parts of commands: options, checks of output files and folders, browser pages."""
 
 import sys
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from pcs_racing.race.config import PAPER, PRESETS, RaceConfig, load_race_config
 from pcs_racing_agents.cli.commands import Option
 
 DEFAULT_TRACK = "Brackwater"
-"""The circuit that commands and environments use by default."""
+"""The default track of commands and environments."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 OWN_CODE = "FILE.py:Class, module:function or model.zip"
 POLICY_HELP = f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
@@ -30,7 +30,7 @@ NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
 
 class Terminated(KeyboardInterrupt):
-    """SIGTERM: what ends after Ctrl-C ends after this, too."""
+    """SIGTERM, with the same effect as Ctrl-C."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +42,7 @@ class Rules:
     seed: Annotated[int, Option("seed of the starts and of the noise")] = 0
 
     def config(self) -> RaceConfig:
-        """Return the race configuration that the options ask for."""
+        """Return the race configuration of the options."""
         changes = {} if self.duration is None else {"duration": self.duration}
         return load_race_config(self.rules, **changes)
 
@@ -64,20 +64,20 @@ class Workers:
     )
 
     def start(self) -> AbstractContextManager[Executor | None]:
-        """Return the executor that the options ask for, as a context."""
-        # Imported only now: the command `race`, which has no workers, reads this file, too.
+        """Return the executor of the options, as a context."""
+        # Imported late: the command `race`, without workers, reads this file, too.
         from pcs_racing_agents.base.executors import make_executor
 
         return make_executor(self.executor, self.workers, self.scheduler)
 
 
 def archive_for(archive: str | None, rules: RaceConfig) -> str:
-    """Return the archive that was asked for; by default the one whose first axis is measured as the rules do it."""
+    """Return the requested archive, or the default archive for the rules' measure of its axis 0."""
     return archive or ("default" if rules.aggressiveness == PAPER.aggressiveness else "contest")
 
 
 def can_draw(picture: str) -> bool:
-    """Return whether matplotlib is installed; if not, print on stderr which picture is missing and what to install."""
+    """Return whether matplotlib is installed; if not, print the missing picture and a remedy."""
     if find_spec("matplotlib") is not None:
         return True
     print(f'pcs-racing: {picture} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
@@ -96,7 +96,7 @@ def output_file(path: Path, *endings: str) -> Path:
 
 
 def output_folder(path: Path) -> Path:
-    """Make a folder if it does not exist, and return its path."""
+    """Create a folder if it does not exist, and return its path."""
     check_path("the folder", path)
     try:
         path.mkdir(parents=True, exist_ok=True)

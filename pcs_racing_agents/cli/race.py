@@ -26,7 +26,7 @@ from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
 
-# The default race. It lasts its full time and has an overtake; `python studies/first_race.py` searched the drivers.
+# The default race lasts its full time and has an overtake; found by `python studies/first_race.py`.
 EGO = "lattice:pace=0.5"
 OPPONENT = "lattice:pace=0.6"
 
@@ -59,13 +59,13 @@ def run(
     target = output_file(replay, ".html", ".json") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None
     bag = output_file(mcap, ".mcap") if mcap else None
-    # A missing library is told before the race, not after it.
+    # A missing library is reported before the race, not after it.
     if film is not None and film.suffix == ".mp4":
         require("imageio_ffmpeg", extra="video")
     if bag is not None:
         require("mcap_ros2", extra="ros")
     circuit = load_track(track)
-    # Before the race, which may have to be compiled first.
+    # Printed before the race, which may need compilation first.
     about = f"preset {config.name}, seed {rules.seed}, race {index}"
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
     recorded = record_race(circuit, driver, others, config, seed=rules.seed, index=index, candidates=target is not None)
@@ -73,7 +73,7 @@ def run(
     if config.heats > 1 and len(others) == 1:
         print(_series(circuit, driver, others[0], config, rules.seed, index))
     if target is None:
-        # Every option except those left to the preset: a later version may have other defaults.
+        # Every option not left to the preset: a later version may have other defaults.
         options = {"track": track, "ego": ego, "opponent": tuple(opponent), **asdict(rules), "index": index}
         stated = {name: value if isinstance(value, tuple) else (value,) for name, value in options.items()}
         words = [text for name, value in stated.items() if value != (None,) for text in (f"--{name}", *map(str, value))]
@@ -91,7 +91,7 @@ def run(
 
 
 def _policy(option: str, text: str) -> Policy:
-    """Read a policy; an agent, which is none, is told where it can race."""
+    """Read a policy; the error for an agent names the command for agents."""
     try:
         return parse_driver(text)
     except UnknownNameError:
@@ -105,7 +105,7 @@ def _policy(option: str, text: str) -> Policy:
 
 
 def _series(track: Track, ego: Policy, opponent: Policy, config: RaceConfig, seed: int, index: int) -> str:
-    """Return who wins the series that a race belongs to: the races of all numbers that count as one in tables."""
+    """Return the result of a race's series: the races counted as one in tables."""
     numbers = [index // config.heats * config.heats + heat for heat in range(config.heats)]
     setup = RaceSetup(track, config, (ego.planner, opponent.planner))
     state = start_races(setup, starts_of(track, config, numbers, seed), np.array([race_seed(seed, n) for n in numbers]))

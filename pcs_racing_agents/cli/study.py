@@ -1,4 +1,4 @@
-"""``pcs-racing study``: run a study, from the search for policies to the report."""
+"""``pcs-racing study``: run a study, from the policy search to the report."""
 
 from collections.abc import Sequence
 from dataclasses import replace

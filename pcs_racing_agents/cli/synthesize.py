@@ -47,7 +47,7 @@ def run(
     if config is None:
         changes.setdefault("name", out.resolve().name)
     settings = load_archive_config(config, **changes)
-    # A missing library is told before hours of work, not after them.
+    # A missing library is reported before hours of work, not after them.
     require("moocore", *(("cma",) if settings.method == "mo-cma-es" else ()), extra="synthesis")
     print(
         f"{settings.name}: {', '.join(settings.tracks)}, preset {settings.preset}, "
@@ -79,7 +79,7 @@ def progress_line() -> ArchiveCallback:
     """Return a callback that updates a line on stderr: progress, hypervolume, and remaining time."""
     print_line = show_line()
     begin = time.monotonic()
-    # The last times and shares done, not the first: a resumed run begins fast, with what is there already.
+    # The last times and shares done, not the first: stored results make a resumed run start fast.
     recent = deque([(begin, 0.0)], maxlen=8)
 
     def show(state: ArchiveProgress) -> None:

@@ -1,4 +1,4 @@
-"""``pcs-racing tournament``: race every pair of competitors; print a table, write results and a payoff matrix."""
+"""``pcs-racing tournament``: race all pairs of competitors; table, results and payoff matrix."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -72,7 +72,7 @@ def run(
         if out is None:
             print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
             return
-        # The table is printed within the job: as long as it is written, nobody else may write into the folder.
+        # The table is printed within the job, which locks the folder against other writers.
         with open_job(out, "tournament", tournament_settings(plan)) as job:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
             print(tournament_text(tournament))

@@ -1,4 +1,4 @@
-"""``pcs-racing track``: list, show, import, generate and calibrate circuits."""
+"""``pcs-racing track``: list, show, import, generate and calibrate tracks."""
 
 from pathlib import Path
 from typing import Annotated
@@ -114,11 +114,11 @@ def run_calibrate(
 
 
 def _write_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
-    """Store a calibration in the file NAME_track.yaml, and keep the other entries of the file."""
+    """Store a calibration in the file NAME_track.yaml, with its other entries unchanged."""
     if track.folder is None:
         raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
     path = track.folder / f"{track.name}_track.yaml"
-    # Entries for other rules, and what a person has added, stay as they are.
+    # Entries for other rules and a person's additions remain unchanged.
     info = parse_info(path, read_inside(track.folder, path, MAX_YAML)) if path.is_file() else {}
     info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
@@ -127,7 +127,7 @@ def _write_calibration(track: Track, preset: str, calibration: Calibration) -> P
 
 
 def _direction(text: str) -> str | float:
-    """Return a heading if the text is a number, else the text itself, which the mapping tools check."""
+    """Return a heading if the text is a number, else the text (checked by the mapping tools)."""
     try:
         return float(text)
     except ValueError:

@@ -1,4 +1,4 @@
-"""``pcs-racing train``: train a network that predicts counterfactual regrets from observations."""
+"""``pcs-racing train``: train a network to predict counterfactual regrets from observations."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -52,7 +52,7 @@ def run(
     manifests = [part.settings for part in stored]
     _check_one_game(trees, manifests)
     index = [(part, i) for part in stored for i in range(len(part))]
-    # A missing library is told before any long work.
+    # A missing library is reported before any long work.
     require("torch", *(("tensorboard",) if not no_tensorboard else ()), extra="learning")
     if not no_picture:
         require("matplotlib", extra="plots")
@@ -89,7 +89,7 @@ def run(
 
 
 def _check_one_game(folders: Sequence[Path], manifests: Sequence[Mapping[str, Any]]) -> None:
-    """Check that all trees have the same archive (by content) and the same rules; tracks may differ."""
+    """Check that all trees have equal archives (by content) and rules; tracks may differ."""
 
     def facts(settings: Mapping[str, Any]) -> dict[str, Any]:
         rules = {key: value for key, value in settings["rules"].items() if key != "race"}
@@ -116,7 +116,7 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
 
 
 def _write_scores(scores: Mapping[str, NDArray[np.float64]], file: Path) -> None:
-    """Write the scores of the network and of other strategies on the trees held out from training."""
+    """Write the scores of the network and of other strategies on the held-out trees."""
     from pcs_racing_agents.networks.metrics import TreeScore
 
     rows = [["strategy", "tree", *TreeScore._fields]]

@@ -1,4 +1,4 @@
-"""``pcs-racing tree``, ``solve`` and ``export``: build game trees in a folder, solve them, or write one for others."""
+"""``pcs-racing tree``, ``solve`` and ``export``: build, solve and export game trees."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -72,7 +72,7 @@ def run(
 
 
 def tree_table(trees: StoredTrees) -> str:
-    """Return a table of the simulated segments of each tree, and of the share that sharing saved."""
+    """Return a table of each tree's simulated segments and the share saved by sharing."""
     rows: list[tuple[str, ...]] = [
         ("tree", "policies", "start", "side", "seeds", "driven", "of shared", "of replayed", "crashes", "repeats")
     ]
@@ -152,7 +152,7 @@ def run_solve(
 
 
 def solve_table(solved: Sequence[_SolvedTree]) -> str:
-    """Return a text table of every tree and method, and of the means over the trees."""
+    """Return a text table of all trees and methods, with means over the trees."""
     lines: list[tuple[str, ...]] = [
         ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
     ]

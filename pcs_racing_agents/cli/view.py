@@ -1,4 +1,4 @@
-"""``pcs-racing view`` and ``play``: pages that play the races of a tournament, and on which you race yourself."""
+"""``pcs-racing view`` and ``play``: pages that replay a tournament, and pages to race yourself."""
 
 import os
 import sys
@@ -106,7 +106,7 @@ def run(
 
 
 def _page_file(path: Path, out: Path | None) -> Path:
-    """Return the path of the page, which can be written."""
+    """Return the path of the page, after a check that it is writeable."""
     if not path.exists():
         raise InputError(f"there is no {path}; give the folder of a tournament or a study")
     if out is None and path.is_file():
@@ -123,8 +123,8 @@ def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Pat
     if path.is_file():
         if path.suffix != ".csv":
             raise InputError(f"{path} is no results file; give a folder, or the results.csv in it")
-        # The races of a study's ratings have a folder of their own, of the same name as their file.
-        # Resolved, so that a link to a results file leads to the folder that it belongs to.
+        # The races of a study's ratings have a separate folder with the name of their file.
+        # Resolved: a link to a results file leads to the file's folder.
         beside = path.resolve().parent if path.name == "results.csv" else path.resolve().with_suffix("")
         if not (beside / "job.yaml").is_file():
             return None, path
@@ -137,7 +137,7 @@ def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Pat
 
 
 def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[SelectedRace]":
-    """Return the races with replays: those that were asked for, then as many that a rule selects."""
+    """Return the races with replays: requested races, then ``count`` races selected by a rule."""
     from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
 
     for number in numbers:
@@ -145,7 +145,7 @@ def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[Sele
             raise InputError(f"--index names {number}; there are races 0 to {len(table) - 1}")
     requested = {number: SelectedRace(number, "a race that was asked for") for number in numbers}
     selected = {pick.race: pick for pick in choose_races(table, count)}
-    # The order of the first, the reason of the last: what was asked for stands first and says so.
+    # Order of the first, reason of the last: requested races come first, and are marked as such.
     return list({**requested, **selected, **requested}.values())
 
 
@@ -181,7 +181,7 @@ def _content(
 
 
 def _kind_of_start(results: "ResultsFolder") -> str:
-    """Return the kind of start of the races, if the folder holds it; else the default."""
+    """Return the kind of start of the races from the folder, or the default."""
     if results.study is not None:
         return results.study.spec.config.race_rules.start
     game = results.settings.get("game")
@@ -224,27 +224,27 @@ def run_play(
         from pcs_racing_agents.watch.person_race import drive_page, make_person_drive
 
         wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
-        wheel.answer("/begin/0")  # what does not fit is told now
+        wheel.answer("/begin/0")  # report errors now
         with make_server(drive_page(wheel), wheel.answer, port or 0, method="POST") as server:
             run_server(server, "play", open_it=not no_open)
         return
     races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)
-    # A competitor that does not fit is told now, and kernels are compiled before the page opens.
+    # Report an unsuitable competitor now, and compile kernels before the page opens.
     races.situation(0, ())
     with make_server(play_page(races), races.answer, port or 0) as server:
         run_server(server, "play", open_it=not no_open)
 
 
 def open_page(address: str) -> None:
-    """Open a browser if there is a display; without one, Python would start a browser in this terminal."""
-    # Elsewhere there is always a display.
+    """Open a browser if there is a display (without it, Python would use this terminal)."""
+    # Other systems always have a display.
     if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         return
     webbrowser.open(address)
 
 
 def run_server(server: ThreadingHTTPServer, what: str, *, open_it: bool) -> None:
-    """Serve a page until the command is interrupted; prints what is at which address."""
+    """Serve a page until the command is interrupted; print its address."""
     address = f"http://127.0.0.1:{server.server_address[1]}/"
     print(f"{what} at {address} (Ctrl-C ends it)", flush=True)
     if open_it:

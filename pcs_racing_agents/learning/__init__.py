@@ -1,1 +1,1 @@
-"""Learning: PPO, responses learned from branched games, and learned characteristics."""
+"""Learning: PPO, responses learned from branched games, PSRO and self-play."""

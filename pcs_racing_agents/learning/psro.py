@@ -1,7 +1,8 @@
-"""Policy-space response oracles (PSRO, Lanctot et al. 2017), made of learned responses.
+"""Policy-space response oracles (PSRO, Lanctot et al. 2017) with learned responses.
 
-Each round learns a response to the equilibrium mixture of all responses so far, and races it against them; the
-equilibrium of the larger game is the next mixture. The first response is one to a pool of opponents.
+Each round learns a response to the equilibrium mixture of all earlier responses, and races it
+against them. The equilibrium of the extended game is the next mixture. The first response is
+learned against a pool of opponents.
 """
 
 from collections.abc import Sequence
@@ -24,12 +25,12 @@ from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro
 
 MIXING_SEED = 6_000_000
-"""Added to the settings' seed: other races than those that responses learn from."""
+"""Offset of the settings' seed, so that these races differ from the responses' training games."""
 
 
 @dataclass(frozen=True)
 class PSROSettings(Settings):
-    """Settings of policy-space response oracles."""
+    """Settings of policy-space response oracles (PSRO)."""
 
     rounds: Annotated[int, Interval(ge=2, le=32), "Responses that are learned."] = 6
     races: Annotated[
@@ -45,16 +46,16 @@ class PSROSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self.response(0)  # an unknown learner is refused here, not after hours of work
+        self.response(0)  # refuse an unknown learner before any training
 
     def response(self, number: int) -> ResponseSettings:
-        """Return the settings of one of the responses, each with a seed of its own."""
+        """Return the settings of one response, with its own seed."""
         settings = load_response_settings(self.learner)
         return replace(settings, seed=settings.seed + self.seed * 64 + number)
 
 
 def load_psro_settings(source: str | Path | PSROSettings | None = None, **changes: Any) -> PSROSettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    """Return settings from a name, a YAML file or settings, with changes (:func:`load_config`)."""
     return load_config("psro", PSROSettings(), source, **changes)
 
 
@@ -68,7 +69,7 @@ def learn_psro(
     name: str = "psro",
     **workers: Unpack[Workers],
 ) -> NetworkSet:
-    """Learn responses to the equilibrium mixture of responses, round after round.
+    """Learn responses to the equilibrium mixture of earlier responses, in several rounds.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def learn_psro(
     Returns
     -------
     NetworkSet
-        The responses that the equilibrium plays, with their probabilities.
+        Responses in the support of the equilibrium, with their probabilities.
     """
     networks: list[RegretNetwork] = []
     members: list[Agent] = []
@@ -104,7 +105,7 @@ def learn_psro(
         )
         networks.append(network)
         members.append(network_agent(network, spec, settings.seed))
-        # A single response is its own equilibrium; what is known of earlier ones is not raced again.
+        # A single response is its own equilibrium. Payoffs of earlier rounds are reused.
         if round_ > 0:
             meta = fit_psro(training, members, known=meta, job=job, **workers)
         opponents, weights = members, np.ones(1) if meta is None else meta.weights

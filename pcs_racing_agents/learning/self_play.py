@@ -1,14 +1,16 @@
 """Single deep CFR (Steinberger 2019) with external sampling on branched games.
 
-In iteration t both cars play regret matching on the advantages that the network of iteration t - 1 predicts. At every
-step of many games all moves of one car are tried with the same noise, and how much better each is than the strategy
-itself is a row. After each iteration a network is fitted to the rows of all iterations, in which iteration t has
-weight t (linear CFR, Brown and Sandholm 2019): it predicts the mean counterfactual regret of every move.
+In iteration t both cars play regret matching on the advantages predicted by the network of
+iteration t - 1. At every step of many games all moves of one car are tried with the same noise;
+the advantages of the moves over the strategy form a row. After each iteration a network is fitted
+to the rows of all iterations; the rows of iteration t have weight t (linear CFR, Brown and Sandholm
+2019). The network predicts the mean counterfactual regret of every move.
 
-No player knows the noise, the start line or the opponent's policy: rows hold observations alone, and what follows a
-branch is played from observations, too. The strategy to play is the average of the iterations, in which each has the
-weight t and its own probability of coming to the situation: one iteration's network is drawn for each game, and
-:class:`pcs_racing_agents.agents.mixture.Mixture` turns that draw into probabilities of moves.
+No player knows the noise, the start line or the opponent's policy: rows hold only observations, and
+the moves after a branch depend only on observations, too. The final strategy is the average of the
+iterations. Iteration t is weighted by t and by its own probability of reaching the situation: the
+network of one iteration is drawn for each game, and
+:class:`pcs_racing_agents.agents.mixture.Mixture` turns the draw into probabilities of moves.
 """
 
 from collections.abc import Sequence
@@ -46,12 +48,13 @@ from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
 WEIGHTS = ("linear", "uniform")
-"""Weight of iteration t in regrets and in the average strategy: t (linear CFR), or 1 (vanilla CFR, as in the paper)."""
+"""Weights of iteration t in the regrets and in the average strategy: t (linear CFR), or 1 (vanilla
+CFR, as in the paper)."""
 
 
 @dataclass(frozen=True)
 class SelfPlaySettings(LearnerSettings):
-    """Settings of the training in self-play."""
+    """Settings of training by self-play."""
 
     iterations: Annotated[
         int,
@@ -86,40 +89,40 @@ class SelfPlaySettings(LearnerSettings):
 
 
 def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None, **changes: Any) -> SelfPlaySettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    """Return settings from a name, a YAML file or settings, with changes (:func:`load_config`)."""
     return load_config("self-play", SelfPlaySettings(), source, **changes)
 
 
 class GameSampler(Protocol):
-    """Samples branched games of one kind, the protocol of what self-play learns from."""
+    """Protocol of the samplers of branched games for self-play."""
 
     @property
     def identity(self) -> GameIdentity:
-        """The game that the network learns; several samplers, such as of circuits, may have one game."""
+        """Identity of the learned game; samplers of several tracks may share it."""
 
     @property
     def steps(self) -> int:
-        """Number of moves that each player makes."""
+        """Number of moves of each player."""
 
     def traverse(
         self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
     ) -> Arrays:
-        """Play games up to a step, and try all moves of one player in each.
+        """Play games up to a step, and try all moves of one player in each game.
 
         Parameters
         ----------
         network : RegretNetwork or None
-            Advantages by which both players do regret matching; None for uniformly random moves.
+            Advantages for the regret matching of both players; None for uniformly random moves.
         exploration : float
-            Probability of a random move in place of one by regret matching.
+            Probability of a random move instead of a move by regret matching.
         keys : ndarray, shape (B,)
-            Of the games: everything that is drawn depends on them alone.
+            Keys of the games; all random draws depend only on them.
 
         Returns
         -------
         dict of ndarray
-            ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move minus that of the
-            strategy; ``game`` (R,), the number of the key.
+            ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move
+            minus the strategy's value; ``game`` (R,), the index of the key.
         """
 
 
@@ -136,15 +139,16 @@ def learn_self_play(
     Parameters
     ----------
     samplers : sequence of GameSampler
-        One for each circuit (:class:`RaceSampler`), all of one game; they share one network.
+        A sampler for each track (:class:`RaceSampler`), all of one game; they share one network.
     job : Job
-        Stores rows and networks, so that a stopped run can be resumed.
+        Job that stores rows and networks, so that a stopped run can be resumed.
 
     Returns
     -------
     NetworkSet
-        A network of advantages for each iteration, to be played by regret matching, with the weights of the average
-        strategy. The last one was fitted to the rows of all iterations: it predicts the mean counterfactual regrets.
+        Advantage network of each iteration, to be played by regret matching, with the weights of
+        the average strategy. The last network was fitted to the rows of all iterations: it
+        predicts the mean counterfactual regrets.
     """
     if len(samplers) == 0:
         raise InputError("there is no game to learn; give at least one")
@@ -166,7 +170,7 @@ def learn_self_play(
         results = job.run(place, work, blocks, **workers)
         weight = settings.iteration_weight(iteration)
         for arrays, block in zip(results, blocks, strict=True):
-            if len(arrays["game"]):  # not all of its games were over before
+            if len(arrays["game"]):  # some of its games were still running
                 i, step, _ = block.place
                 rows.append(block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight))
         members = [settings.train_settings(iteration, member) for member in range(settings.members)]
@@ -174,7 +178,8 @@ def learn_self_play(
             job, f"{place}-networks", join_rows(rows), identity, members, place, workers.get("executor")
         )
         networks.append(merge_networks(fitted, place))
-    # The network of iteration t is the strategy of iteration t + 1; that of the first, random moves, is left out.
+    # The network of iteration t is the strategy of iteration t + 1. The strategy of iteration 1
+    # (random moves) is left out.
     weights = [settings.iteration_weight(iteration + 2) for iteration in range(settings.iterations)]
     facts: dict[str, str | int | float | bool] = {
         "rows": sum(map(len, rows)),
@@ -204,10 +209,10 @@ class ExploringStrategy:
 
     network: RegretNetwork
     exploration: float  #: Probability of a random move.
-    count: int  #: Number of moves M that there are; those that the network does not value are never made.
+    count: int  #: Total number of moves M; moves without a network output are never made.
 
     def __call__(self, observation: ObservationBatch) -> NDArray[np.float64]:
-        """Probabilities of the moves, shape (B, M)."""
+        """Return the probabilities of the moves, shape (B, M)."""
         values = self.network.unclipped(observation)
         offered = values.shape[1]
         probabilities = np.zeros((len(observation), self.count))
@@ -218,30 +223,31 @@ class ExploringStrategy:
 
 @dataclass(frozen=True, eq=False)
 class RaceSampler:
-    """The game on one circuit: every move of one car is tried, and both cars play by the same network."""
+    """Sampler of games on one track; all moves of car 0 are tried, both cars use one network."""
 
     game: RaceGame
-    spec: GameSpec  #: Archive and rules, as agents know them.
-    payoff: str = "win"  #: "win" or "utility": What a game counts.
+    spec: GameSpec  #: Archive and rules, as known to agents.
+    payoff: str = "win"  #: Payoff of a game: "win" or "utility".
 
     @property
     def identity(self) -> GameIdentity:
-        """The game that a network learns; any circuit belongs to it."""
+        """Identity of the learned game; it is the same for all tracks."""
         return game_identity(self.game)
 
     @property
     def steps(self) -> int:
-        """Number of moves that each car makes."""
+        """Number of moves of each car."""
         return self.game.config.moves
 
     def traverse(
         self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
     ) -> Arrays:
-        """Return the advantages of all moves of car 0 at a step, in games with both cars in the same strategy.
+        """Return the advantages of all moves of car 0 at a step, if both cars play one strategy.
 
-        Car 0 comes to the step by uniformly random moves, as in external sampling (Lanctot et al. 2009): its own
-        probability of coming there is then the same in all iterations, and advantages of several iterations can be
-        averaged without importance weights. Whether it starts in front or behind is drawn, so it learns for both cars.
+        Car 0 reaches the step by uniformly random moves, as in external sampling (Lanctot et al.
+        2009). Its own reach probability is then the same in all iterations, and the advantages of
+        several iterations can be averaged without importance weights. Its start position (in front
+        or behind) is random, so the network learns for both cars.
         """
         random = random_player(self.game, self.spec, 2)
         first, second = (self._player(network, exploration, seed) for seed in (0, 1))
@@ -258,7 +264,8 @@ class RaceSampler:
 
     def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Agent:
         if network is None:
-            # Draws are a function of seed and observation: other seeds than those of the players by regret matching.
+            # Draws are a function of seed and observation: these seeds differ from the seeds of the
+            # regret-matching players.
             return random_player(self.game, self.spec, seed + 2)
         strategy = ExploringStrategy(network, exploration, len(self.spec.moves))
         return Agent("self-play", strategy, self.spec, seed)

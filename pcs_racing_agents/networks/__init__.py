@@ -1,4 +1,4 @@
-"""The regret approximator: training rows, the network, and how it is trained and judged."""
+"""Regret approximator: training rows, network, training and evaluation."""
 
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import (

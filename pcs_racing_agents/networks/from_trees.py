@@ -22,14 +22,15 @@ from pcs_racing_agents.networks.training import TrainingResult, train_network
 
 
 class TrainedOnTrees(NamedTuple):
-    """A network trained on game trees."""
+    """Network trained on game trees."""
 
-    network: RegretNetwork  #: Its scores on the held-out trees are among what it knows of its training.
+    network: RegretNetwork  #: Network; its ``training`` includes the scores on the held-out trees.
     result: TrainingResult
-    #: Choices on the rows of the held-out trees, or of the validation pairs where no tree is held out.
+    #: Scores of choices on the rows of the held-out trees, or of the validation pairs without
+    #: held-out trees.
     rows: list[RowScore]
-    #: :class:`TreeScore` of the network and other strategies on each held-out tree, shape (trees, 4); empty if none
-    #: are held out.
+    #: :class:`TreeScore` of the network and other strategies on each held-out tree,
+    #: shape (trees, 4); empty without held-out trees.
     scores: dict[str, NDArray[np.float64]]
 
 
@@ -50,14 +51,15 @@ def train_on_trees(
     Parameters
     ----------
     tree_at : callable
-        Returns tree ``i``; asked when it is needed, once or (of trees held out) twice. A tree in which the race is over
-        before the first move has no rows and is skipped.
+        Returns tree ``i``; called when the tree is needed, once or (for held-out trees) twice. A
+        tree is skipped if the race is over before the first move, since it has no rows.
     pairs : array of int, shape (trees, 2)
         Starting policies of each tree.
     about : dict, optional
-        What else the network should know of its training, texts and numbers by name.
+        Further facts about the training for the network: texts and numbers by name.
     executor : Executor, optional
-        Where trees are solved, and where the network learns, if there is another process. It changes no result.
+        Executor that solves the trees and, if it has another process, trains the network. It
+        changes no result.
     solving, learning : callable, optional
         Called as ``progress(done, total, label)`` after every tree and every epoch (in this process).
     """
@@ -73,7 +75,7 @@ def train_on_trees(
     training = join_rows([block for block, out in zip(rows, held_out, strict=True) if block is not None and not out])
     test_blocks = [block for block, out in zip(rows, held_out, strict=True) if block is not None and out]
     test = [i for i, block in enumerate(rows) if block is not None and held_out[i]]
-    # Torch has one random state and one number of threads per process: threads would disturb each other.
+    # Torch has one random state and one thread count per process: threads would disturb each other.
     elsewhere = in_other_processes(executor)
     learn = partial(
         train_network,
@@ -84,7 +86,7 @@ def train_on_trees(
         progress=learning if elsewhere is None else None,
     )
     network, result = run_task(learn, settings, elsewhere, "learning")
-    # Without held-out trees the pairs of the early stopping must do, whose scores are a little too good.
+    # Without held-out trees the pairs of early stopping are used; their scores are slightly biased.
     test_rows = (
         join_rows(test_blocks) if test_blocks else training.take(np.isin(training.pair, result.validation_pairs))
     )
@@ -99,7 +101,7 @@ def train_on_trees(
 
 
 def _hold_out(numbers: NDArray[np.int64], settings: TrainSettings) -> NDArray[np.bool_]:
-    """Return which trees are held out for evaluation, shape (trees,), by the numbers of their starting pairs."""
+    """Return a mask of held-out trees, shape (trees,), drawn by numbers of starting pairs."""
     different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
     if different < least:
         raise InputError(

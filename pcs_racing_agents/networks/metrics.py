@@ -1,6 +1,7 @@
-"""Evaluation of a network: agreement with its targets, and the value that its choices lose on held-out trees.
+"""Evaluation of a network: agreement with targets, and value lost by choices on held-out trees.
 
-A small error of the values can cost much, and a large one nothing; what counts is the move that they lead to.
+A small error of the values can cost much, and a large error nothing; only the resulting move
+counts.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -24,33 +25,39 @@ from pcs_racing_agents.solvers import (
 )
 
 Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
-"""Probabilities of the moves, shape (R, A), for observations (R, D)."""
+"""Function from observations (R, D) to probabilities of the moves, shape (R, A)."""
 
 
 class RowScore(NamedTuple):
     """Comparison of a network's choices with the targets of rows."""
 
-    step: int  #: Moves made so far; -1 for all rows together, each with its weight.
+    step: int  #: Number of moves made so far; -1 for all rows together, each with its weight.
     rows: int
-    agreement: float  #: Weighted share of rows in which the chosen move has the highest target.
-    chance: float  #: Same for moves drawn at random (above 1 / A where several moves are equally good).
-    constant: float  #: Same for the one move that does best on these very rows.
-    shortfall: float  #: Weighted mean of the highest target minus the chosen move's.
-    error: float  #: Weighted mean squared error of the network's values (of the clipped ones if it clips).
+    agreement: float  #: Weighted share of rows whose chosen move has the highest target.
+    #: Same share for random moves (above 1 / A where several moves are equally good).
+    chance: float
+    constant: float  #: Same share for the best constant move on these rows.
+    shortfall: float  #: Weighted mean of the highest target minus the target of the chosen move.
+    #: Weighted mean squared error of the network's values (clipped values if it clips).
+    error: float
 
 
 class TreeScore(NamedTuple):
-    """The value of a strategy on one tree, mean of both roles, in units of the utility."""
+    """Value of a strategy on one tree, mean of both roles, in units of the utility."""
 
-    #: Value of the game minus what the strategy gets from an opponent that knows it: half its NashConv.
+    #: Value of the game minus the strategy's value against an opponent that knows it: half its
+    #: NashConv.
     lost_to_best_response: float
-    lost_to_equilibrium: float  #: Value of the game minus what it gets from an opponent that plays its equilibrium.
-    off_in_self_play: float  #: How far from the value of the game it is what car 0 gets if both cars follow it.
-    against_random: float  #: What it gets from an opponent that moves at random.
+    #: Value of the game minus the strategy's value against an opponent that plays its equilibrium.
+    lost_to_equilibrium: float
+    #: Absolute difference between the value of the game and the value of car 0 if both cars follow
+    #: the strategy.
+    off_in_self_play: float
+    against_random: float  #: Value against an opponent with random moves.
 
 
 def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
-    """Compare choices with targets: first on all rows, then on those of each step."""
+    """Compare choices with targets: first on all rows, then on the rows of each step."""
     values = network(rows.observations)
     choice = network.choose(rows.observations, rows.mask)
     best = best_moves(rows.targets, rows.mask)
@@ -77,7 +84,10 @@ def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
 
 
 def follow(network: RegretNetwork) -> Play:
-    """Return the strategy that makes the network's choice with certainty; of target "nash", one that draws from it."""
+    """Return the strategy that makes the network's choice with certainty.
+
+    For target "nash" the strategy draws from the network's probabilities.
+    """
 
     def play(observations: NDArray[np.float32]) -> NDArray[np.float64]:
         choice = np.eye(len(network.moves))[network.choose(observations)]
@@ -91,7 +101,7 @@ def follow(network: RegretNetwork) -> Play:
 
 
 def constant_plays(moves: Sequence[str]) -> dict[str, Play]:
-    """Return the strategies that always make the same move, by name."""
+    """Return the strategies of one constant move each, by name."""
 
     def always(i: int) -> Play:
         return lambda observations: np.tile(np.eye(len(moves))[i], (len(observations), 1))
@@ -111,10 +121,10 @@ def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
 
 
 def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None) -> TreeScore:
-    """Evaluate a strategy (:func:`play_profile`) on a tree, with the exact solution of the tree if it is known.
+    """Evaluate a strategy (:func:`play_profile`) on a tree, with its exact solution if known.
 
-    With several noise seeds the strategy sees the observations of each of them; the best response to it, and the
-    equilibrium, know the moves made so far but not the seed.
+    With several noise seeds the strategy gets the observations of each seed. The best response
+    and the equilibrium know the moves made so far but not the seed.
     """
     tree = race_tree.game_tree()
     exact = solve_exact(tree) if exact is None else exact
@@ -123,8 +133,8 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
     each = GameTree.from_payoffs(
         payoffs.reshape(seeds, *(count for pair in tree.moves for count in pair)), np.full(seeds, 1.0 / seeds)
     )
-    # The strategy sees its observations, which differ from seed to seed: each node is an infoset of its own. Its
-    # opponent knows the moves, but not the seed: nodes of all seeds are one infoset.
+    # The observations of the strategy differ by seed: each node is its own infoset. The opponent
+    # knows the moves but not the seed: nodes of all seeds are one infoset.
     own = [np.arange(each.nodes(k)) for k in range(each.depth)]
     shared = [np.tile(np.arange(tree.nodes(k)), seeds) for k in range(each.depth)]
     both_see = each.with_infosets(list(zip(own, own, strict=True)))
@@ -133,7 +143,7 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
         value = exact.value if player == 0 else -exact.value
         labels = (own, shared) if player == 0 else (shared, own)
         game = each.with_infosets(list(zip(*labels, strict=True)))
-        # Only the player's half of the profile is the strategy; whoever answers brings the other half.
+        # The player's half of the profile is the strategy; the opponent supplies the other half.
         uniform = uniform_profile(game)
 
         def against(other: Profile, player: int = player) -> Profile:

@@ -1,7 +1,8 @@
-"""The regret approximator of the paper: a network that predicts the value of each move from an observation.
+"""Regret approximator of the paper: a network for the value of each move from an observation.
 
-It needs no torch, takes a few microseconds for a decision, and never changes. How it is trained is in
-:mod:`pcs_racing_agents.networks.training`, how it is stored in :mod:`pcs_racing_agents.networks.network_files`.
+It needs no torch, takes a few microseconds for a decision, and never changes.
+:mod:`pcs_racing_agents.networks.training` trains it,
+:mod:`pcs_racing_agents.networks.network_files` stores it.
 """
 
 from collections.abc import Mapping
@@ -22,10 +23,10 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class RegretNetwork:
-    """``R_approx(h, e_k)`` of Equation 8 of the paper: all moves' values from one observation.
+    """``R_approx(h, e_k)`` of Equation 8 of the paper: values of all moves from one observation.
 
-    ``h`` is encoded in an observation of the game, of a size that does not depend on how long the history is. Between
-    the layers stand ReLUs; after the last one only if ``clipped``.
+    ``h`` is encoded in an observation of the game; its size does not depend on the length of the
+    history. ReLUs separate the layers; a ReLU follows the last layer only if ``clipped``.
 
     Examples
     --------
@@ -35,13 +36,15 @@ class RegretNetwork:
     """
 
     name: str
-    identity: GameIdentity  #: The game that it was made for.
-    target: str  #: What it approximates (:data:`pcs_racing_agents.networks.targets.TARGETS`, or something else).
-    clipped: bool  #: Whether values below 0 are shown as 0, as the paper does with regrets.
+    identity: GameIdentity  #: Game that the network was made for.
+    #: Kind of the values (:data:`pcs_racing_agents.networks.targets.TARGETS`, or another text).
+    target: str
+    clipped: bool  #: True if values below 0 are returned as 0, as regrets in the paper.
     layers: DenseLayers  #: D inputs and A outputs.
-    mean: Floats  #: shape (D,): ``mean``, ``scale``: The first layer sees ``(observation - mean) / scale``.
+    #: shape (D,): ``mean``, ``scale``: Scaling of inputs: ``(observation - mean) / scale``.
+    mean: Floats
     scale: Floats
-    #: How it was trained and how well it does: texts and numbers by name.
+    #: Facts about training and evaluation: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -67,7 +70,8 @@ class RegretNetwork:
             assign(key, array)
         if not (self.scale > 0.0).all():
             raise InputError(f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0")
-        # The scaling of the inputs is part of the first layer from here on: one pass less for every decision.
+        # The scaling of the inputs becomes part of the first layer: one pass less for every
+        # decision.
         first = self.layers.weights[0].astype(np.float64) / self.scale
         bias = self.layers.biases[0] - (first * self.mean).sum(axis=1)
         scaled = DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
@@ -90,12 +94,12 @@ class RegretNetwork:
 
     @property
     def elements(self) -> tuple[str, ...]:
-        """Names of the D numbers that it sees."""
+        """Names of the D inputs."""
         return self.identity.elements
 
     @property
     def moves(self) -> tuple[str, ...]:
-        """Names of the A moves that it values."""
+        """Names of the A moves."""
         return self.identity.moves
 
     @property
@@ -104,15 +108,16 @@ class RegretNetwork:
         return self.layers.hidden
 
     def __call__(self, observations: ArrayLike) -> Floats:
-        """Value of each move, shape (..., A), for observations (..., D); see :attr:`clipped`.
+        """Return the value of each move, shape (..., A), for observations (..., D).
 
-        The values of an observation do not depend on what else is in the batch, not even in the last bit.
+        See :attr:`clipped`. The values of an observation do not depend on the rest of the batch,
+        not even in the last bit.
         """
         values = self.unclipped(observations)
         return np.maximum(values, np.float32(0.0)) if self.clipped else values
 
     def unclipped(self, observations: ArrayLike) -> Floats:
-        """Value of each move before any clipping, shape (..., A)."""
+        """Return the value of each move before any clipping, shape (..., A)."""
         x = np.asarray(observations, np.float32)
         inputs, moves = len(self.identity.elements), len(self.identity.moves)
         if x.ndim == 0 or x.shape[-1] != inputs:
@@ -125,18 +130,18 @@ class RegretNetwork:
         return out.reshape(*x.shape[:-1], moves)
 
     def choose(self, observations: ArrayLike, mask: ArrayLike | None = None) -> NDArray[np.int64]:
-        """Index of the move to make, shape (...): the one of highest value (Equation 9 of the paper).
+        """Return the index of the move with the highest value, shape (...) (paper, Equation 9).
 
-        Where all values are clipped to 0 the paper's choice is arbitrary; here it is the move of the highest value
-        before clipping. Of equal values the first is taken.
+        If all values are clipped to 0, the choice of the paper is arbitrary; this function returns
+        the move with the highest value before clipping. Of equal values the first is chosen.
 
         Parameters
         ----------
         observations : array_like, shape (..., D)
         mask : array_like of bool, shape (..., A), optional
-            Moves that may be made, at least one of each row; all of them by default.
+            Allowed moves, at least one in each row; all moves by default.
         """
-        values = self.unclipped(observations)  # where one is above 0, clipping does not change which is the highest
+        values = self.unclipped(observations)  # clipping does not change a positive maximum
         if mask is not None:
             allowed = np.asarray(mask)
             if allowed.dtype != np.bool_ or allowed.shape != values.shape:
@@ -151,7 +156,7 @@ class RegretNetwork:
     def check_fits(self, game: RaceGame) -> None:
         """Check that a game has the observations and the moves of this network.
 
-        A game may offer the move "stay" in addition: the network never makes it. Rules of the race that the network was
-        not made for (the preset, the track, the length of a step) are no error: it may be tried there.
+        A game may offer the move "stay" in addition: the network never makes it. Other rules of the
+        race (preset, track, length of a step) are no error: the network may be tried there.
         """
         check_same_game(self.identity, game_identity(game), f"network {self.name!r}")

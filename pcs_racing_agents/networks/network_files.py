@@ -1,8 +1,8 @@
 """Networks and sets of networks as folders.
 
-The folder of a network holds ``weights.safetensors`` beside a manifest. A set, which a mixture of learned strategies is
-kept as, is a folder with a folder for each network and ``set.yaml``, which names them and says how often each is
-played. It is written last; until then the folder is no set.
+The folder of a network holds ``weights.safetensors`` and a manifest. A set stores a mixture of
+learned strategies: a folder with a folder for each network and ``set.yaml``, with the name and the
+probability of each network. ``set.yaml`` is written last; until then the folder is no set.
 """
 
 import os
@@ -26,7 +26,7 @@ from pcs_racing_agents.networks.network import RegretNetwork
 _SCALING = ("input.mean", "input.scale")
 
 _IDENTITY = ("elements", "moves", "epsilon", "archive", "archive_sha256", "preset")
-"""What a manifest records of the network's game; the number of decisions follows from the elements."""
+"""Manifest entries about the network's game; the number of decisions follows from the elements."""
 
 NETWORK_FORMAT = ArtifactFormat(
     "network",
@@ -45,11 +45,11 @@ _KINDS: dict[str, tuple[Any, Any, str]] = {
     "epsilon": (list, float, "a list of numbers"),
     "training": (dict, None, "a mapping"),
 }
-"""Of each field of the manifest: its type, that of its elements, and how messages call it."""
+"""Type, element type and name in messages of each manifest field."""
 
 
 def save_network(network: RegretNetwork, folder: str | Path) -> Path:
-    """Write a network into a folder, which is made if need be; returns the folder."""
+    """Write a network into a folder, made if missing; return the folder."""
     recorded = {key: getattr(network.identity, key) for key in _IDENTITY}
     fields = {
         "name": network.name,
@@ -64,12 +64,12 @@ def save_network(network: RegretNetwork, folder: str | Path) -> Path:
 
 
 def list_networks() -> list[str]:
-    """Names of the networks that come with the package, sorted."""
+    """Return the names of the shipped networks, sorted."""
     return NETWORK_FORMAT.shipped_names()
 
 
 def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwork:
-    """Return a network from the name of a shipped one, from its folder, or as it is."""
+    """Return a network by shipped name or folder; a network is returned unchanged."""
     if isinstance(source, RegretNetwork):
         return source
     folder = NETWORK_FORMAT.find(source)
@@ -106,11 +106,11 @@ SET_FORMAT = ManifestFormat(
     "network set", ("name", "decision", "weights", "networks", "digests", "training"), "save_network_set"
 )
 LARGEST = 64
-"""Most networks of a set."""
+"""Maximum number of networks in a set."""
 
 
 def check_weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
-    """Return how often each of so many is met or played, in any unit."""
+    """Return ``count`` frequencies, in any unit, as an array, or raise an error."""
     weights = np.asarray(values, np.float64)
     if weights.shape != (count,) or not np.isfinite(weights).all() or (weights < 0.0).any() or not weights.any():
         raise InputError(f"{name} are {values!r:.80}; give {count} finite numbers of 0 or above, not all of them 0")
@@ -119,14 +119,15 @@ def check_weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float6
 
 @dataclass(frozen=True, eq=False)
 class NetworkSet:
-    """Networks of one game, one of which is drawn for each game that is played."""
+    """Networks of one game; one network is drawn for each played game."""
 
     name: str
     networks: tuple[RegretNetwork, ...]
-    weights: NDArray[np.float64]  #: shape (C,): Probability of each; they sum to 1.
-    #: How moves follow from a network's values (:data:`pcs_racing_agents.agents.from_network.DECISIONS`).
+    weights: NDArray[np.float64]  #: shape (C,): Probability of each network; the sum is 1.
+    #: Rule from a network's values to moves
+    #: (:data:`pcs_racing_agents.agents.from_network.DECISIONS`).
     decision: str
-    #: How the set was made: texts and numbers by name.
+    #: Facts about the origin of the set: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -141,15 +142,15 @@ class NetworkSet:
 
     @property
     def identity(self) -> GameIdentity:
-        """The game that the networks were made for."""
+        """Game that the networks were made for."""
         return self.networks[0].identity
 
 
 def save_network_set(networks: NetworkSet, folder: str | Path) -> Path:
-    """Write a set into a folder, which is made if need be; returns the folder."""
+    """Write a set into a folder, made if missing; return the folder."""
     folder = Path(folder)
     names = [f"{i:02d}" for i in range(len(networks.networks))]
-    # Written last: a set whose networks are half replaced is no set.
+    # The manifest is written last: a set with half-replaced networks is no set.
     (folder / SET_FILE).unlink(missing_ok=True)
     for name, network in zip(names, networks.networks, strict=True):
         save_network(network, folder / name)
@@ -166,12 +167,12 @@ def save_network_set(networks: NetworkSet, folder: str | Path) -> Path:
 
 
 def list_network_sets() -> list[str]:
-    """Names of the sets that come with the package, sorted."""
+    """Return the names of the shipped sets, sorted."""
     return sorted(path.parent.name for path in NETWORK_FORMAT.shipped.glob(f"*/{SET_FILE}"))
 
 
 def load_network_set(source: str | os.PathLike[str] | NetworkSet) -> NetworkSet:
-    """Return a set from the name of a shipped one, from its folder, or as it is."""
+    """Return a set by shipped name or folder; a set is returned unchanged."""
     if isinstance(source, NetworkSet):
         return source
     if not isinstance(source, str | os.PathLike):

@@ -1,6 +1,7 @@
 """Training rows: an observation of a player, and a target for each of its moves.
 
-Rows come from game trees (:mod:`pcs_racing_agents.networks.targets`), but the trainer takes them from anywhere.
+Rows come from game trees (:mod:`pcs_racing_agents.networks.targets`), but the trainer accepts rows
+of any source.
 """
 
 from collections.abc import Sequence
@@ -17,14 +18,15 @@ from pcs_racing.base.errors import InputError
 class Rows:
     """R decisions, each of one player."""
 
-    #: shape (R, D): The player's observations (:attr:`pcs_racing.RaceGame.observation_elements`).
+    #: shape (R, D): Observations of the player (:attr:`pcs_racing.RaceGame.observation_elements`).
     observations: NDArray[np.float32]
     targets: NDArray[np.float32]  #: shape (R, A): Value of each move, never clipped; 0 where the mask is False.
-    weights: NDArray[np.float64]  #: shape (R,): How much each row counts, 0 or more; not all 0.
-    #: shape (R,): Which starting pair the row comes from: rows of one pair are all learned from or all validated on.
+    weights: NDArray[np.float64]  #: shape (R,): Weight of each row, 0 or more; not all 0.
+    #: shape (R,): Starting pair of each row: all rows of a pair are used either for training or for
+    #: validation.
     pair: NDArray[np.int64]
-    step: NDArray[np.int64]  #: shape (R,): Moves made so far.
-    #: shape (R, A): Which targets are known; at least one in every row. All of them by default.
+    step: NDArray[np.int64]  #: shape (R,): Number of moves made so far.
+    #: shape (R, A): True for known targets, at least one in every row; all True by default.
     mask: NDArray[np.bool_] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
@@ -89,15 +91,15 @@ def join_rows(sources: Sequence[Rows]) -> Rows:
 
 
 def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
-    """Number of an unordered pair of starting policies, shape (...) for policies (..., 2)."""
-    # The pairs (3, 7) and (7, 3) get the same number: the trees of the two are nearly mirror images, and a network that
-    # learned from one should not be judged on the other.
+    """Return the number of an unordered starting pair, shape (...) for policies (..., 2)."""
+    # The pairs (3, 7) and (7, 3) get the same number: their trees are nearly mirror images, and a
+    # network trained on one pair should not be evaluated on the other.
     both = np.sort(np.asarray(policies, np.int64), axis=-1)
     return both[..., 1] * (both[..., 1] + 1) // 2 + both[..., 0]
 
 
 def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSequence) -> NDArray[np.int64]:
-    """Draw a share of the different pairs, sorted; at least one, and at least one stays behind."""
+    """Draw a share of the different pairs, sorted; at least one is drawn, at least one is left."""
     different = np.unique(pairs)
     if len(different) < 2:
         raise InputError("all rows come from one starting pair; validation needs rows of at least 2")
@@ -106,7 +108,10 @@ def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSeque
 
 
 def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-    """Choose a share of the starting pairs to validate on; return which rows are, shape (R,), and the pairs, sorted."""
+    """Choose a share of the starting pairs for validation.
+
+    Return the mask of their rows, shape (R,), and the pairs, sorted.
+    """
     validation_pairs = draw_pairs(rows.pair, share, np.random.SeedSequence(seed, spawn_key=(0,)))
     held_out = np.isin(rows.pair, validation_pairs)
     for side in (held_out, ~held_out):

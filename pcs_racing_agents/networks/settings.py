@@ -1,4 +1,4 @@
-"""Settings of the training of networks."""
+"""Configuration of network training."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,10 +15,11 @@ from pcs_racing_agents.solvers import VARIANTS
 
 @dataclass(frozen=True)
 class TrainSettings(Settings):
-    """How rows are made from trees and how a network learns them.
+    """Configuration of training rows from trees and of the training of a network.
 
-    Where targets carry much noise, a ``floor`` would favour moves of much noise. Situations differ much more than the
-    moves in one of them: without ``differences`` a network learns the former first. Neither is for clipped targets.
+    With noisy targets, a ``floor`` favours noisy moves. Situations differ much more than the moves
+    in one situation: without ``differences`` a network learns the situations first. Neither option
+    is for clipped targets.
     """
 
     target: Annotated[
@@ -103,7 +104,7 @@ class TrainSettings(Settings):
 def settings_for_trees(settings: TrainSettings) -> TrainSettings:
     """Return settings with the defaults for rows of trees in place of None."""
     weights = "uniform" if settings.target == "regret" else "random"
-    values = settings.target != "nash"  # which are probabilities
+    values = settings.target != "nash"  # nash targets are probabilities
     return replace(
         settings,
         row_weights=weights if settings.row_weights is None else settings.row_weights,
@@ -113,7 +114,7 @@ def settings_for_trees(settings: TrainSettings) -> TrainSettings:
 
 
 def load_train_settings(source: str | Path | TrainSettings | None = None, **changes: Any) -> TrainSettings:
-    """Return settings from a shipped configuration's name, a YAML file or settings, with some fields changed.
+    """Return settings by shipped name, YAML file or object, with some fields changed.
 
     A YAML file is a mapping of the fields of :class:`TrainSettings`; a field that is absent takes the default.
     """

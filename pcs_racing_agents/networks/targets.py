@@ -1,15 +1,15 @@
 """Targets of networks, and training rows of game trees.
 
-For every node of a solved tree and every player a target is a number for each move. The targets differ in what they
-assume of the opponent and in how they compare nodes:
+A target is a number for each move of a player at a node of a solved tree. Targets differ in their
+assumption about the opponent and in their comparison of nodes:
 
-- cumulative regrets are the paper's target; they shrink with the opponent's probability of coming to a node, so that
-  nodes which it avoids hardly count;
+- cumulative regrets are the paper's target; they shrink with the opponent's probability of reaching
+  a node, so that nodes avoided by the opponent hardly count;
 - normalised regrets have the same size at every node;
-- equilibrium advantages ask the exact solution instead of CFR;
-- "static" values play best against an opponent that does not look at the race: it makes a sequence of moves that was
-  drawn uniformly beforehand, of which only the past is seen;
-- and "nash" is no value but the equilibrium strategy itself.
+- equilibrium advantages come from the exact solution instead of CFR;
+- "static" values are values of best play against an opponent that ignores the race: it makes a
+  sequence of moves drawn uniformly in advance, with only the past observed;
+- "nash" is the equilibrium strategy itself instead of a value.
 """
 
 from typing import Any, NamedTuple, Protocol
@@ -31,15 +31,15 @@ from pcs_racing_agents.solvers import (
 
 Floats = NDArray[np.float64]
 Solution = CFRResult | ExactResult
-"""What :func:`solve_for` returns."""
+"""Result of :func:`solve_for`."""
 
 
 class Target(NamedTuple):
-    """A kind of target."""
+    """Kind of target."""
 
     meaning: str
-    clipped: bool  #: Whether values below 0 are learned and shown as 0.
-    solver: str  #: What it is made from: "cfr" or "exact".
+    clipped: bool  #: True if values below 0 are learned and returned as 0.
+    solver: str  #: Solver of the trees: "cfr" or "exact".
 
 
 TARGETS = {
@@ -49,13 +49,13 @@ TARGETS = {
     "static-q": Target("utility of a move followed by best play, against a static opponent", False, "exact"),
     "nash": Target("probability of the move in an equilibrium, from which the agent draws", False, "exact"),
 }
-"""Kinds of targets that trees give."""
+"""Kinds of targets from trees."""
 
 ROW_WEIGHTS = {
     "uniform": "every node counts the same, so that the last step makes up nearly everything",
     "random": "as often as random moves lead there: every step counts the same",
 }
-"""How much the nodes of a tree count."""
+"""Rules for the weights of the nodes of a tree."""
 
 
 def get_target(name: str) -> Target:
@@ -66,7 +66,7 @@ def get_target(name: str) -> Target:
 
 
 def best_moves(targets: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
-    """Which moves have the highest target of their row, shape (R, A); equal up to rounding counts as highest."""
+    """Return a mask of the highest targets of each row, shape (R, A), up to rounding."""
     values = np.asarray(targets, np.float64)
     if mask is not None:
         values = np.where(mask, values, -np.inf)
@@ -80,7 +80,7 @@ def solve_for(tree: GameTree, target: str, *, iterations: int = 1000, variant: s
     Parameters
     ----------
     iterations, variant
-        Of CFR, if the target is made of regrets.
+        Options of CFR, for targets based on regrets.
     """
     if get_target(target).solver == "cfr":
         return cfr(tree, iterations, variant=variant)
@@ -93,13 +93,14 @@ def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[
     Parameters
     ----------
     solution : CFRResult or ExactResult
-        What :func:`solve_for` returned for the tree and target.
+        Result of :func:`solve_for` for the tree and target.
 
     Returns
     -------
     list of (ndarray, ndarray)
-        For each level those of car 0, shape (rows, A), and car 1, shape (rows, B), each from its own point of view and
-        never clipped; NaN in rows about which the solution says nothing (CFR that never came there).
+        For each level the targets of car 0, shape (rows, A), and of car 1, shape (rows, B), each
+        from its own point of view and never clipped; NaN in rows without information in the
+        solution (never reached by CFR).
     """
     kind = get_target(target)
     wanted = CFRResult if kind.solver == "cfr" else ExactResult
@@ -121,7 +122,10 @@ def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[
 
 
 def _normalised(regrets: Floats, reach: Floats) -> Floats:
-    """Return rows divided by their largest magnitude: 0 where all regrets are, NaN where the opponent never came."""
+    """Return rows divided by their maximum magnitude.
+
+    Rows are 0 where all regrets are 0, and NaN where the opponent never came.
+    """
     size = np.abs(regrets).max(axis=1, keepdims=True)
     return np.where(reach[:, None] > 0.0, regrets / np.where(size > 0.0, size, 1.0), np.nan)
 
@@ -130,9 +134,9 @@ def _normalised(regrets: Floats, reach: Floats) -> Floats:
 
 
 class PlayedTree(Protocol):
-    """The protocol of a tree of races with S noise seeds and ``N_k`` nodes at level k.
+    """Protocol of a tree of races with S noise seeds and ``N_k`` nodes at level k.
 
-    :class:`pcs_racing_agents.trees.RaceTree` is one.
+    :class:`pcs_racing_agents.trees.RaceTree` implements it.
     """
 
     @property
@@ -145,13 +149,13 @@ class PlayedTree(Protocol):
 
     @property
     def over(self) -> Any:
-        """For each level whether the race was over before its decision, shape (S, N_k)."""
+        """True if the race was over before the decision, for each level, shape (S, N_k)."""
 
     def game_tree(self) -> GameTree:
-        """Return the tree with payoffs averaged over the seeds, which no player sees."""
+        """Return the tree with payoffs averaged over the seeds, unobserved by the players."""
 
     def observations(self, level: int) -> NDArray[np.float32]:
-        """Return both players' observations at the nodes of a level, shape (S, N_k, 2, D)."""
+        """Return observations of both players at the nodes of a level, shape (S, N_k, 2, D)."""
 
 
 def tree_rows(
@@ -165,19 +169,21 @@ def tree_rows(
 ) -> Rows:
     """Make training rows of a tree of races and its solution, all of one starting pair.
 
-    Both players' decisions at all nodes are rows, for each seed its own: the observations differ, the targets come from
-    the mean over the seeds, since no driver knows the noise. Nodes where the race is over are left out.
+    The decisions of both players at all nodes are rows, separate for each seed. Observations differ
+    by seed; targets come from the mean over the seeds, since no policy knows the noise. Nodes after
+    the end of the race are left out.
 
     Parameters
     ----------
     solution : CFRResult or ExactResult
-        What :func:`solve_for` returns for ``race_tree.game_tree()``.
+        Result of :func:`solve_for` for ``race_tree.game_tree()``.
     target, row_weights : str
         One of :data:`TARGETS`, and one of :data:`ROW_WEIGHTS`.
     rows_per_step : int
-        Most nodes of each step that are taken, drawn at random; 0 for all. The weights make up for it.
+        Maximum number of nodes per step, drawn at random; 0 for all. The weights compensate for the
+        omitted nodes.
     seed : int
-        Of that draw.
+        Seed of the draw of nodes.
     """
     if row_weights not in ROW_WEIGHTS:
         raise UnknownNameError(f"unknown row weights {row_weights!r}; there are {', '.join(ROW_WEIGHTS)}")
@@ -193,12 +199,13 @@ def tree_rows(
         sample = np.arange(nodes)
         if 0 < rows_per_step < nodes:
             sample = np.sort(rng.permutation(nodes)[:rows_per_step])
-        # Every node counts 1 or 1 / nodes; those that are taken also stand for those that are not.
+        # Every node counts 1 or 1 / nodes; drawn nodes also carry the weight of omitted nodes.
         weight = (nodes if row_weights == "uniform" else 1.0) / len(sample) / seeds
         running = ~over[:, sample]
-        # Where some seeds have crashed, differences between moves are those of the seeds that go on: a driver who has
-        # to decide knows that it has not crashed. The solution's values are means over all seeds: what the crashed ones
-        # pay, whatever is played, is taken off (advantages hold nothing of it), and the rest spread over the others.
+        # If some seeds have crashed, differences between moves belong to the other seeds: a player
+        # with a decision knows that it has not crashed. The solution's values are means over all
+        # seeds: the payoffs of crashed seeds, equal for all moves, are subtracted (advantages do
+        # not include them), and the rest is spread over the other seeds.
         ended_payoffs = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[sample]
         for player, values in enumerate((first, second)):
             goals = values[sample]

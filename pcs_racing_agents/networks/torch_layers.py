@@ -1,6 +1,7 @@
-"""Dense layers in torch, to be trained; and torch for one training at a time.
+"""Dense layers in torch for training; torch for one training at a time.
 
-torch's number of threads and its random generator belong to the whole process, so trainings take turns.
+torch's number of threads and its random generator belong to the whole process, so trainings run one
+after another.
 """
 
 import threading
@@ -20,7 +21,7 @@ _TURN = threading.RLock()
 def torch_alone() -> Iterator[Any]:
     """Provide torch, limited to one thread, to one thread of this process at a time.
 
-    Several threads gain nothing for networks as small as ours, and would change the order of sums.
+    Several threads gain nothing for networks of this size, and would change the order of sums.
     """
     try:
         import torch
@@ -41,13 +42,13 @@ def initial_layers(sizes: Sequence[int], rng: np.random.Generator) -> list[Any]:
     Returns
     -------
     list of tensor
-        Weight and bias of each layer in turn; they take gradients.
+        Weight and bias of each layer, alternating; they take gradients.
     """
     import torch
 
     parameters = []
     for i, (below, above) in enumerate(pairwise(sizes)):
-        gain = 2.0 if i < len(sizes) - 2 else 1.0  # the last layer has no ReLU behind it
+        gain = 2.0 if i < len(sizes) - 2 else 1.0  # no ReLU follows the last layer
         weight = rng.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
         parameters += [torch.from_numpy(weight), torch.zeros(above, dtype=torch.float32)]
     for parameter in parameters:
@@ -56,7 +57,7 @@ def initial_layers(sizes: Sequence[int], rng: np.random.Generator) -> list[Any]:
 
 
 def relu_forward(parameters: Sequence[Any], x: Any) -> Any:
-    """Return the outputs of layers with ReLUs between them; ``parameters`` as of :func:`initial_layers`."""
+    """Return outputs of layers with ReLUs; ``parameters`` as from :func:`initial_layers`."""
     from torch import relu
     from torch.nn.functional import linear
 
@@ -66,6 +67,6 @@ def relu_forward(parameters: Sequence[Any], x: Any) -> Any:
 
 
 def layers_from_torch(parameters: Sequence[Any]) -> DenseLayers:
-    """Return a copy of parameters (weight and bias of each layer in turn) as layers that need no torch."""
+    """Return a copy of parameters (alternating weights and biases) as layers without torch."""
     arrays = [parameter.detach().cpu().numpy() for parameter in parameters]
     return DenseLayers(tuple(arrays[::2]), tuple(arrays[1::2]))

@@ -1,7 +1,8 @@
-"""Training a network on rows: AdamW, validation on held-out starting pairs, early stopping.
+"""Training of a network on rows: AdamW, validation on held-out starting pairs, early stopping.
 
-The same settings and rows give the same network: initial weights and draws come from numpy generators of the
-settings' seed, torch works in one thread meanwhile, and its own random state is neither read nor changed.
+The same settings and rows give the same network: initial weights and draws come from numpy
+generators of the settings' seed, torch runs in one thread, and its own random state is neither read
+nor changed.
 """
 
 from pathlib import Path
@@ -29,25 +30,29 @@ Floats = NDArray[np.float32]
 class Epoch(NamedTuple):
     """Learning rate, losses and scores of an epoch."""
 
-    epoch: int  #: From 1 on; 0 is the network before any learning.
-    learning_rate: float  #: At its end.
-    training_loss: float  #: Mean over the epoch's draws while it was learning from them; that of epoch 0 is NaN.
-    validation_loss: float  #: Both losses are mean squared errors in units of the targets' root mean square.
-    #: Weighted share of the validation rows in which the network's choice is a move of the highest target.
+    epoch: int  #: Number of the epoch, from 1; 0 is the network before any training.
+    learning_rate: float  #: Learning rate at the end of the epoch.
+    training_loss: float  #: Mean over the epoch's draws during their updates; NaN for epoch 0.
+    #: Mean over the validation rows. Both losses are mean squared errors in units of the targets'
+    #: root mean square.
+    validation_loss: float
+    #: Weighted share of the validation rows whose chosen move has the highest target.
     validation_agreement: float
-    #: Weighted mean of how much less the chosen move's target is than the highest, in units of the target.
+    #: Weighted mean of the highest target minus the target of the chosen move, in units of the
+    #: target.
     validation_shortfall: float
 
 
 class TrainingResult(NamedTuple):
-    """The layers of a trained network, and the history of its training."""
+    """Layers of a trained network, and history of its training."""
 
-    layers: DenseLayers  #: ``layers``, ``mean``, ``scale``: See :class:`pcs_racing_agents.networks.RegretNetwork`.
+    #: ``layers``, ``mean``, ``scale``: Fields of :class:`pcs_racing_agents.networks.RegretNetwork`.
+    layers: DenseLayers
     mean: Floats
     scale: Floats
     epochs: tuple[Epoch, ...]
-    best: int  #: Index of the epoch that the weights are from: that of the lowest validation loss.
-    validation_pairs: NDArray[np.int64]  #: Starting pairs that were not learned from.
+    best: int  #: Index of the epoch of the weights, with the minimum validation loss.
+    validation_pairs: NDArray[np.int64]  #: Starting pairs held out from training.
 
 
 def train_network(
@@ -60,16 +65,17 @@ def train_network(
     clipped: bool = False,
     progress: Progress | None = None,
 ) -> tuple[RegretNetwork, TrainingResult]:
-    """Train a network for the game that rows come from, from whatever source.
+    """Train a network on rows of its game, from any source.
 
     Parameters
     ----------
     target : str, optional
-        What the rows' targets are; by default the settings' target.
+        Kind of the rows' targets; by default the settings' target.
     clipped : bool
-        Whether the network learns and shows targets below 0 as 0.
+        True if the network learns and returns targets below 0 as 0.
     progress : callable, optional
-        Called after every epoch as ``progress(epoch, epochs, label)``; an early stop makes ``epochs`` smaller.
+        Called after every epoch as ``progress(epoch, epochs, label)``; an early stop reduces
+        ``epochs``.
     """
     for key, names in (("observations", identity.elements), ("targets", identity.moves)):
         size = getattr(rows, key).shape[1]
@@ -82,7 +88,7 @@ def train_network(
         "starting_pairs": len(np.unique(rows.pair)),
         "validation_pairs": len(result.validation_pairs),
         "epochs": result.epochs[-1].epoch,
-        # Before the first epoch there is no loss of training.
+        # Epoch 0 has no training loss.
         **{k: v if k == "epoch" else float(f"{v:.6g}") for k, v in best._asdict().items() if np.isfinite(v)},
     }
     summary["best_epoch"] = summary.pop("epoch")
@@ -114,7 +120,7 @@ def train_layers(
 def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> TrainingResult:
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     training, validation = rows.take(~held_out), rows.take(held_out)
-    # The scaling comes from the training rows alone, so that validation stays independent of them.
+    # The scaling comes from the training rows alone, so that validation stays independent.
     by = scale_rows(training, settings, clipped)
     draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
 
@@ -129,7 +135,7 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
         error = torch.where(one_sided, error.clamp(min=0.0), error)
         if not settings.differences or clipped:
             return (weight * error * error).sum(dim=1)
-        # The mean of a row's moves in units of its own spread, and the differences to it in theirs.
+        # Mean of a row's moves, and differences from it, each in units of its own spread.
         mean = (weight * error).sum(dim=1, keepdim=True)
         difference = error - mean
         return (weight * difference * difference).sum(dim=1) + (by.level * mean[:, 0]) ** 2
@@ -169,8 +175,8 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
             each.mean().backward()
             optimiser.step()
             total += float(each.detach().sum())
-        # The loss of an epoch is that of its draws while the weights changed; only the validation loss is one of fixed
-        # weights.
+        # The training loss is a mean over draws while the weights changed; only the validation loss
+        # is a loss of fixed weights.
         epochs.append(judge(number, total / count))
         if not np.isfinite(epochs[-1].validation_loss):
             raise InputError(
@@ -180,7 +186,7 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
         since += 1
         if epochs[-1].validation_loss < epochs[best].validation_loss:
             best, since = number, 0
-            # The optimiser changes the tensors in place: what is kept must be copies.
+            # The optimiser changes the tensors in place, so the best weights are copied.
             kept = [layer.detach().clone() for layer in layers]
         elif since % max(settings.patience // 4, 1) == 0:
             optimiser.param_groups[0]["lr"] *= 0.5
@@ -190,7 +196,7 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
         if since == settings.patience:
             break
     scaled = layers_from_torch(kept)
-    # The last layer's outputs are in the units of training; the network's are in those of the targets.
+    # The last layer's outputs are in units of training, the network's outputs in units of targets.
     weights = (*scaled.weights[:-1], scaled.weights[-1] * by.size)
     biases = (*scaled.biases[:-1], scaled.biases[-1] * by.size + by.centre)
     return TrainingResult(DenseLayers(weights, biases), by.mean, by.scale, tuple(epochs), best, pairs)
@@ -200,22 +206,25 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
 
 
 class Scaling(NamedTuple):
-    """Numbers that bring inputs and targets to order 1."""
+    """Scaling of inputs and targets to order 1."""
 
-    mean: Floats  #: shape (D,): ``mean``, ``scale``: Of the inputs.
+    mean: Floats  #: shape (D,): ``mean``, ``scale``: Scaling of the inputs.
     scale: Floats
-    depth: float  #: How far below the highest of its row a target may lie; infinite without a floor.
-    centre: Floats  #: shape (A,): Mean target of each move; 0 for clipped ones.
+    #: Maximum distance of a target below the highest of its row; infinite without a floor.
+    depth: float
+    centre: Floats  #: shape (A,): Mean target of each move; 0 for clipped targets.
     size: np.float32  #: Unit of the targets.
-    hopeless: float  #: Mean square, in that unit, of targets of rows that have none above 0.
-    level: float  #: That unit in the spread of the rows' means, at most 1.
+    #: Mean square, in units of ``size``, of targets in rows without a positive target.
+    hopeless: float
+    level: float  #: ``size`` in units of the spread of the rows' means, at most 1.
 
 
 def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:
     """Return the scaling of rows from their weighted means and spreads.
 
-    Inputs get mean 0 and deviation 1 (an input that never changes keeps its unit). Targets are measured around every
-    move's mean (around 0 if clipped: 0 must stay 0), in units of their root mean square.
+    Inputs get mean 0 and deviation 1 (a constant input retains its unit). Targets are measured
+    around every move's mean (around 0 if clipped: 0 must stay 0), in units of their root mean
+    square.
     """
     share = rows.weights / rows.weights.sum()
     mean = share @ rows.observations.astype(np.float64)
@@ -224,7 +233,8 @@ def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:
     total = known_share.sum(axis=0)
     depth = np.inf
     if settings.floor and not clipped:
-        # The floor is in units of what random moves lose on average, so that it means the same for every target.
+        # The floor is in units of the mean loss of random moves, so that it is comparable for all
+        # targets.
         below_highest = _highest(rows) - rows.targets
         depth = settings.floor * np.sum(known_share * below_highest) / total.sum() or np.inf
     targets = _raised(rows, depth).astype(np.float64)
@@ -238,14 +248,14 @@ def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:
         if settings.differences:
             values = np.where(rows.mask, values - means, 0.0)
         size = np.sqrt(np.sum(known_share * values**2) / total.sum()) or 1.0
-        # The mean never counts more than the differences: in rows of advantages there is nothing to learn of it.
+        # The mean never counts more than the differences: means of advantages hold no information.
         level = max(np.sqrt(share @ means[:, 0] ** 2), size)
-    # How far below 0 the targets of rows without a positive one are, in that unit.
+    # Depth below 0 of the targets in rows without a positive target, in units of ``size``.
     known_share = known_share * ~(targets > 0.0).any(axis=1, keepdims=True)
     hopeless = np.sum(known_share * (targets / size) ** 2) / known_share.sum() if known_share.any() else 1.0
     return Scaling(
         mean.astype(np.float32),
-        # A constant input tells nothing; divided by its deviation it would be noise.
+        # A constant input has no information; divided by its deviation it would be noise.
         np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32),
         float(depth),
         centre.astype(np.float32),
@@ -260,22 +270,25 @@ def _highest(rows: Rows) -> Floats:
 
 
 def _raised(rows: Rows, depth: float) -> Floats:
-    """Return targets, raised to at most ``depth`` below the highest of their row."""
+    """Return targets, raised to at most ``depth`` below the highest target of their row."""
     if np.isinf(depth):
         return rows.targets
     return np.where(rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0))
 
 
 def row_goals(rows: Rows, by: Scaling, clipped: bool, below_zero: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Return the goals of the outputs, the weights of their errors, and whether only errors upwards count."""
+    """Return goals of the outputs, weights of their errors, and a mask of one-sided errors.
+
+    Of one-sided errors only errors upwards count.
+    """
     goal = (_raised(rows, by.depth) - by.centre) / by.size
     weight = (rows.mask / rows.mask.sum(axis=1, keepdims=True)).astype(np.float32)
     if not clipped:
         return goal, weight, np.zeros(goal.shape, np.bool_)
     one_sided = goal <= 0.0
     if below_zero > 0.0:
-        # In a row without a positive regret the clipped values would not tell which move is the least bad. Such rows
-        # can lie far below 0: they count in units of their own spread.
+        # In a row without a positive regret clipped values do not identify the least bad move. Such
+        # rows can lie far below 0: they count in units of their own spread.
         hopeless = ~(goal > 0.0).any(axis=1, keepdims=True)
         one_sided &= ~hopeless
         weight = np.where(hopeless, np.float32(below_zero / max(by.hopeless, 1.0)) * weight, weight)

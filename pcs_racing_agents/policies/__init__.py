@@ -1,4 +1,4 @@
-"""Archives of policies: search for Pareto sets, of any function and of policies; payoffs of all pairs of a pool."""
+"""Policy archives: search for Pareto sets, of any function and of policies; payoffs of pools."""
 
 from pcs_racing_agents.policies.archive_run import make_archive
 from pcs_racing_agents.policies.archive_search import ArchiveProgress

@@ -1,4 +1,4 @@
-"""The files of a synthesis: the archive with its manifest, the course of the search, and a picture."""
+"""Output files of a synthesis: the archive with its manifest, the search history, and a picture."""
 
 import logging
 from collections.abc import Mapping, Sequence
@@ -43,17 +43,18 @@ def write_archive(
     history: Sequence[ArchiveProgress],
     notes: Mapping[str, str | float],
 ) -> PolicyArchive:
-    """Write an archive's files into a folder and return it.
+    """Write an archive's files into a folder and return the archive.
 
-    ``explored`` are parameters and results of everything raced in the search, ``parameters``, shape (K, P), those of
-    the archive's policies, and ``raced`` the races that measured them. Hypervolumes have the units of ``scale``;
-    ``notes`` is what else the manifest is to say.
+    ``explored`` holds parameters and results of all policies raced in the search, ``parameters``,
+    shape (K, P), the parameters of the archive's policies, and ``raced`` the races of their
+    measurement. Hypervolumes have the units of ``scale``; ``notes`` are further entries of the
+    manifest.
     """
     measured = summarise(raced)
     coordinates = measured.coordinates
     front = front_layers(coordinates) == 0
     winner = raced["winner"]
-    # Crashes are stated for parts of the first axis, too: the mean would hide that fast policies crash more.
+    # Crash rates of parts of the first axis, too: the mean hides that fast policies crash more.
     low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
     facts = {
         "policies": len(parameters),
@@ -109,16 +110,16 @@ def write_archive(
 
 
 def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int = 0) -> float:
-    """Standard error of a set's hypervolume, were its races drawn again (bootstrap).
+    """Return the standard error of a set's hypervolume over new draws of its races (bootstrap).
 
-    Pairs of races that differ in the side only are drawn together.
+    Pairs of races that differ only in the side are drawn together.
     """
     totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     pairs = totals.shape[1] // 2
     rng = np.random.default_rng(seed)
     volumes = []
     for _ in range(RESAMPLES):
-        # Both sides of a start line at once: their races have line and opponent in common, so they are not
+        # Both sides of a start line at once: their races share line and opponent, so they are not
         # independent.
         weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
         sums = (totals * weights[:, None]).sum(axis=1)
@@ -132,7 +133,7 @@ def _top_tenth(values: Floats, by: Floats) -> float:
 
 
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
-    """Every option of a synthesis that matters, as a text or a number."""
+    """Return every option of a synthesis that matters, as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
     if config.selection != "headroom":
         values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}
@@ -151,7 +152,7 @@ def _versions() -> dict[str, str]:
 
 
 def _rounded(value: str | float) -> str | int | float | bool:
-    """A number as the manifest is to hold it: six significant digits."""
+    """Return a number for the manifest, rounded to six significant digits."""
     if isinstance(value, str | bool | int):
         return value
     return float(f"{float(value):.6g}")
@@ -159,9 +160,9 @@ def _rounded(value: str | float) -> str | int | float | bool:
 
 @picture
 def front_picture(archive: PolicyArchive) -> Any:
-    """Draw the first two axes of an archive: its policies with their standard errors above everything explored.
+    """Draw the first two axes of an archive: policies with standard errors, and all explored ones.
 
-    Colours show own crash rates where they are known.
+    Colours show own crash rates, if known.
     """
     axes = get_characteristics(archive.characteristics)
     up, right = 0, min(1, len(axes) - 1)

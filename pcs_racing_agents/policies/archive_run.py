@@ -1,13 +1,15 @@
-"""The synthesis of an archive: search, choice and measurement of policies, as one resumable job.
+"""Synthesis of an archive: search, choice and measurement of policies, as one resumable job.
 
-1. **Search.** Some policies at random (the initial sample) set the scale; then an optimiser proposes generation after
-   generation, and every policy is raced in the same scenarios (Algorithm 1 of the paper).
-2. **Choice.** The best of everything evaluated are raced again, in other scenarios. Policies that crash too often, that
-   another one clearly beats, or that nearly coincide with another one are left out. As an option, candidates race each
-   other instead, and a pool that holds a game is kept (:mod:`pcs_racing_agents.policies.selection`).
-3. **Measurement.** What is left is raced in new scenarios once more; these races alone give the coordinates, since the
-   best of many noisy values is too good to be true.
-4. **Judgement**, of a pool that was chosen for headroom only: its headroom in new races.
+1. **Search.** Random policies (the initial sample) set the scale. Then an optimiser proposes
+   generation after generation, and every policy races in the same scenarios (Algorithm 1 of the
+   paper).
+2. **Choice.** The best evaluated policies race again, in other scenarios. Policies are left out if
+   they crash too often, are clearly beaten by another policy, or nearly coincide with another
+   policy. As an option, candidates race each other instead, and the choice is a pool with headroom
+   (:mod:`pcs_racing_agents.policies.selection`).
+3. **Measurement.** The remaining policies race once more in new scenarios. The coordinates come
+   from these races alone, since the maximum of many noisy values is biased.
+4. **Judgement**, only of a pool chosen for headroom: its headroom in new races.
 """
 
 from collections.abc import Mapping, Sequence
@@ -55,22 +57,24 @@ def make_archive(
 ) -> PolicyArchive:
     """Make an archive and write it: ``archive.npz``, ``manifest.yaml``, ``hypervolume.csv`` and ``front.png``.
 
-    What is done on the way is kept in the folder ``job``: a run that was stopped goes on when it is started again. The
-    picture needs matplotlib; without it there is none.
+    Intermediate results are stored in the folder ``job``: an interrupted run resumes when it is
+    started again. The picture needs matplotlib; without matplotlib it is left out.
 
     Parameters
     ----------
     folder : str or Path
-        A new or empty folder, or one in which the same synthesis was begun.
+        A new or empty folder, or a folder with a started run of the same synthesis.
     executor : Executor, optional
-        Where policies race (:func:`pcs_racing_agents.base.executors.make_executor`). It has no influence on the result.
+        Executor of the races (:func:`pcs_racing_agents.base.executors.make_executor`). It has no
+        influence on the result.
     callback : callable, optional
-        Called with the :class:`~pcs_racing_agents.policies.archive_search.ArchiveProgress` as the work goes on.
+        Called with the :class:`~pcs_racing_agents.policies.archive_search.ArchiveProgress` during
+        the run.
     """
     folder = Path(folder)
     family = get_planner(config.planner)
     hashes = {name: load_track(name).content_hash for name in (*config.tracks, *(config.judging_tracks or ()))}
-    # Drawn before the folder is made: an impossible option must leave nothing behind.
+    # Drawn before the folder is made: an invalid option must not leave a folder behind.
     search, choice, final = stage_scenarios(config)
     first, optimiser, payoffs, judging = _roots(config)[3:]
     _check_folder(folder)
@@ -105,7 +109,7 @@ def make_archive(
 
 
 def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
-    """The races of a synthesis: of its search, its choice and its measurement; no two stages share any."""
+    """Return the scenarios of search, choice and measurement; no two stages share a race."""
     search, choice, final, *_ = _roots(config)
 
     def drawn(root: np.random.SeedSequence, opponents: int, starts: int, duration: float) -> Scenarios:
@@ -129,17 +133,21 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
-    """Roots of the three stages, the initial sample, the optimiser, and the payoffs in choice and judgement."""
+    """Return the root seeds of all random parts of a synthesis.
+
+    The parts are the three stages, the initial sample, the optimiser, and the payoffs in choice and
+    judgement.
+    """
     return np.random.SeedSequence(config.seed).spawn(7)
 
 
 def draw_policies(family: Planner, count: int, root: np.random.SeedSequence, fixed: Sequence[str] = ()) -> Floats:
-    """Policies at random between their bounds, each parameter spread evenly (a Latin hypercube), shape (count, P).
+    """Draw random policies within their bounds by Latin hypercube sampling, shape (count, P).
 
-    Nothing is drawn for the parameters in ``fixed``, which keep their defaults.
+    Parameters in ``fixed`` are not drawn and have their defaults.
 
-    The mean strength of a set of opponents shifts the lead of every policy that races against them; small sets that
-    are spread evenly differ less in it than independent draws.
+    The mean strength of a set of opponents shifts the lead of every policy that races against them.
+    It varies less between small Latin hypercube samples than between independent draws.
     """
     varied = family.without(fixed)
     low, high = family.bounds[family.indices(varied)].T
@@ -149,12 +157,12 @@ def draw_policies(family: Planner, count: int, root: np.random.SeedSequence, fix
 
 def _number(root: np.random.SeedSequence) -> int:
     """Return a seed derived from a root, independent of the draws from the root itself."""
-    # A child, not the root itself, from which other things are drawn; 63 bits, since seeds are signed.
+    # A child of the root, since other draws use the root itself; 63 bits, since seeds are signed.
     return int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
 
 
 def _check_folder(folder: Path) -> None:
-    """Raise an error if a folder holds files but no run of a synthesis: they must not be overwritten."""
+    """Check that a folder with files holds a run of a synthesis: no other file is overwritten."""
     if folder.is_dir() and not (folder / "job").is_dir():
         others = sorted(entry.name for entry in folder.iterdir())
         if others:
@@ -164,8 +172,9 @@ def _check_folder(folder: Path) -> None:
 def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats, Notes]:
     """Choose among the policies of a search, by new races.
 
-    Candidates for a front race again in ``scenarios``; ``seed`` is the root of the races between candidates for a pool
-    with headroom. Returned are the parameters that vary, shape (K, P), and how many policies were left out, and why.
+    Candidates for a front race again in ``scenarios``; ``seed`` is the root of the races between
+    candidates for a pool with headroom. Return the parameters that vary, shape (K, P), and the
+    numbers of policies left out for each reason.
     """
     config = races.config
     theta, explored = races.explored()
@@ -191,7 +200,7 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
 
 
 def _choose_front(races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Scenarios) -> tuple[Floats, Notes]:
-    """Race the best of the allowed policies again in new scenarios, and choose those that none clearly beats."""
+    """Race the best allowed policies in new scenarios, and choose policies not clearly beaten."""
     config = races.config
     theta, explored = races.explored()
     order = allowed[spread_first(_unit(explored.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
@@ -211,11 +220,12 @@ def _choose_front(races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Sce
 
 
 def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
-    """Race policies in new scenarios, sort them by the first axis, and leave out what does not belong in an archive.
+    """Race policies in new scenarios, sort them by the first axis, and filter them.
 
-    That is: those that crash too often after all, and of a front those that another one clearly beats after all. These
-    add nothing to the front, so this makes the front look no better than it is. Returned are the parameters that are
-    left, shape (K, P), their races, and how many were left out.
+    Policies that still crash too often are left out and, for a front, also policies that another
+    policy clearly beats. Beaten policies add nothing to the front, so their removal makes the front
+    look no better than it is. Return the parameters of the remaining policies, shape (K, P), their
+    races, and the numbers of policies left out.
     """
     limit = races.config.crash_limit
     within_limits = kept = np.zeros(0, np.int64)
@@ -226,7 +236,7 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
         kept = within_limits
         if races.config.selection == "pareto":
             kept = within_limits[~_beaten(races.config, raced, within_limits)]
-        # Sorted, so that an archive reads from the most careful to the fastest policy.
+        # Sorted from the most careful to the fastest policy.
         kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
     fewest = 2 if races.config.selection == "pareto" else 3
     if len(kept) < fewest:
@@ -244,7 +254,7 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
 
 
 def _beaten(config: ArchiveConfig, raced: Arrays, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which of the policies in ``rows`` another of them beats by more than the error bars."""
+    """Return which policies in ``rows`` are beaten within ``rows`` beyond the error bars."""
     subset = {key: values[rows] for key, values in raced.items()}
     return beaten(summarise(subset).coordinates, difference_errors(subset), config.error_bars)
 

@@ -1,7 +1,7 @@
-"""The races of a synthesis: the objective function of the search, and the record of its results.
+"""Races of a synthesis: objective function of the search, and record of its results.
 
-The opponents are random policies, fixed for the run as in the paper. Its authors call that a limitation, but opponents
-from the growing archive did not help (``docs/synthesis.md``).
+The opponents are random policies, fixed for the run as in the paper. The authors call this a
+limitation, but opponents from the growing archive did not help (``docs/synthesis.md``).
 """
 
 from collections import deque
@@ -27,46 +27,49 @@ from pcs_racing_agents.policies.synthesize import Evaluated
 
 Floats = NDArray[np.float64]
 
-BLOCK = 2  # policies of a task: a generation of 32 keeps 16 cores busy
-REFERENCE = -0.1  # worst point of a hypervolume: a tenth of the initial sample's range below its worst
+BLOCK = 2  # policies per task: a generation of 32 keeps 16 cores busy
+REFERENCE = -0.1  # reference point: a tenth of the initial sample's range below its worst values
 
 
 class ArchiveProgress(NamedTuple):
-    """The progress of a synthesis."""
+    """Progress of a synthesis."""
 
-    #: What was done last: ``"search"``, ``"choice"``, ``"measurement"`` or, of policies chosen for headroom,
-    #: ``"judgement"``.
+    #: Stage of the latest work: ``"search"``, ``"choice"``, ``"measurement"`` or, for policies
+    #: chosen for headroom, ``"judgement"``.
     stage: str
-    generation: int  #: ``generation``, ``generations``: Generations done, and asked for.
+    #: ``generation``, ``generations``: Numbers of finished and requested generations.
+    generation: int
     generations: int
-    evaluations: int  #: Policies raced in the search so far.
-    hypervolume: float  #: Of the search's front, in units of the initial sample's range.
-    front: int  #: Policies in that front.
+    evaluations: int  #: Number of policies raced in the search so far.
+    #: Hypervolume of the search's front, in units of the initial sample's range.
+    hypervolume: float
+    front: int  #: Number of policies in the search's front.
     own_crash: float  #: Mean own crash rate of the policies raced last.
-    done: float  #: Share of all the racing that is done, 0 to 1.
+    done: float  #: Finished share of all racing, 0 to 1.
 
 
 ArchiveCallback = Callable[[ArchiveProgress], object]
-"""Called after the initial sample (generation 0), after every generation, and now and then in later stages."""
+"""Callback after the initial sample (generation 0), every generation, and parts of later stages."""
 
 
 @dataclass
 class PolicyRaces:
-    """The objective function of a synthesis: called with parameters, it races the policies as tasks of a job."""
+    """Objective function of a synthesis: a call races the given policies as tasks of a job."""
 
     config: ArchiveConfig
     job: Job
     executor: Executor | None
     callback: ArchiveCallback
-    scenarios: Scenarios  #: Of the search.
+    scenarios: Scenarios  #: Races of the search.
     scale: Scale = field(init=False)  #: Range of the initial sample, once it has raced.
     #: Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
     raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
     history: list[ArchiveProgress] = field(default_factory=list)
-    _names: deque[str] = field(default_factory=lambda: deque(["initial-sample"]))  # of the next evaluations
+    # names of the next evaluations
+    _names: deque[str] = field(default_factory=lambda: deque(["initial-sample"]))
 
     def __call__(self, parameters: Floats) -> Evaluated:
-        """Race policies in the scenarios of the search; own crashes above the limit violate it."""
+        """Race policies in the scenarios of the search; crashes above the limit are violations."""
         evaluation = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
         # The first policies are the initial sample, whose range is the unit of hypervolumes.
         if not self.raced:
@@ -84,15 +87,15 @@ class PolicyRaces:
         self._names.append(f"generation-{generation.generation + 1:05d}")
 
     def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
-        """Race policies, given by the parameters that vary, or read what an earlier run of the job has left."""
+        """Race policies, given by the parameters that vary, or load results of an earlier run."""
         parameters = self._complete(parameters)
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
-        # The search tells its progress by generations, with the hypervolume that the tasks do not know.
+        # The search reports progress by generation, with the hypervolume, unknown to the tasks.
         progress = None if stage == "search" else self.progress(stage)
         return join(run_races(name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress))
 
     def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
-        """Race all pairs of a pool, or read what an earlier run of the job has left, shape (T, F, N, N)."""
+        """Race all pairs of a pool or load results of an earlier run, shape (T, F, N, N)."""
         return pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
 
     def progress(self, stage: str) -> Progress:
@@ -104,11 +107,14 @@ class PolicyRaces:
         return progress
 
     def _complete(self, parameters: Floats) -> Floats:
-        """Return policies with those parameters, too, that do not vary."""
+        """Return parameters of policies, completed by the parameters that do not vary."""
         return get_planner(self.config.planner).complete(self.config.varied, parameters)
 
     def violation(self, evaluation: Evaluation) -> Floats:
-        """Return by how much policies violate the limits, shape (K,): per race, or in the initial sample's range."""
+        """Return by how much policies violate the limits, shape (K,).
+
+        Rates are per race; coordinates are in units of the initial sample's range.
+        """
         beyond = evaluation.own_crash - self.config.search_crash_limit
         if self.config.rivals:
             beyond = np.maximum(beyond, self.config.min_score - evaluation.score)
@@ -121,11 +127,11 @@ class PolicyRaces:
 
     @property
     def evaluations(self) -> int:
-        """Policies raced in the search so far."""
+        """Number of policies raced in the search so far."""
         return sum(len(parameters) for parameters, _ in self.raced)
 
     def explored(self) -> tuple[Floats, Evaluation]:
-        """Everything raced in the search, in that order."""
+        """Return parameters and results of all policies of the search, in race order."""
         parameters, results = zip(*self.raced, strict=True)
         return np.concatenate(parameters), Evaluation(
             *(np.concatenate(arrays) for arrays in zip(*results, strict=True))
@@ -142,7 +148,7 @@ class PolicyRaces:
         """Return the share of all racing that is done after a share of a stage."""
         work = self.config.work
         if stage == "search":
-            # A search may end early or resume: what counts are the policies raced so far.
+            # A search may end early or resume, so its progress is the number of policies raced.
             share *= self.evaluations / self.config.evaluations
         earlier = list(work)[: list(work).index(stage)]
         return (sum(work[name] for name in earlier) + share * work[stage]) / sum(work.values())

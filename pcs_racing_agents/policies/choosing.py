@@ -1,9 +1,9 @@
-"""The choice of a pool of policies with much headroom, from noisy payoffs of more policies on several circuits.
+"""Choice of a pool of policies with high headroom, from noisy payoffs on several tracks.
 
-The headroom of a set that is the best of many on the same races is far too good to be true: it counts the noise of
-every payoff. So payoffs are first replaced by what is left of them without noise (:func:`denoised`). The set is then
-chosen for the mean over all circuits, a fixed number from each group of policies of similar speed, which leaves little
-room for sets that are good by chance.
+The set with the maximum headroom of many sets on the same races has a biased headroom: it includes
+the noise of every payoff. So payoffs are denoised first (:func:`denoised`). The set is then chosen
+for the mean over all tracks, with a fixed number of policies from each group of similar speed,
+which leaves little room for sets that are good by chance.
 """
 
 from collections.abc import Sequence
@@ -22,16 +22,17 @@ Indices = NDArray[np.int64]
 def denoised(payoffs: ArrayLike) -> Floats:
     """Return a payoff matrix without most of its noise, shape (N, N): ratings and shrunk cyclic planes.
 
-    A plane of strength s keeps ``sqrt(s^2 - e^2)``, where e is the strength that noise alone reaches, and a weaker one
-    is dropped: the shrinkage with the least expected squared error for a matrix of low rank in noise (Gavish and Donoho
-    2017, Optimal shrinkage of singular values).
+    A plane of strength s gets the strength ``sqrt(s^2 - e^2)``, where e is the strength that noise
+    alone reaches; a weaker plane is dropped. This shrinkage has the minimum expected squared error
+    for a matrix of low rank in noise (Gavish and Donoho 2017, Optimal shrinkage of singular
+    values).
 
     Parameters
     ----------
     payoffs : array_like, shape (F, N, N)
-        As for :func:`pcs_racing_agents.policies.headroom.cyclic_planes`.
+        Payoffs as for :func:`pcs_racing_agents.policies.headroom.cyclic_planes`.
     """
-    # Ratings are means over all opponents, whose noise is small already; only the cyclic part is shrunk.
+    # Ratings, means over all opponents, have little noise; only the cyclic part is shrunk.
     folds = np.asarray(payoffs, np.float64)
     rating = ratings(folds)
     matrix = rating[:, None] - rating[None, :]
@@ -43,7 +44,7 @@ def denoised(payoffs: ArrayLike) -> Floats:
 
 
 def pool_headroom(payoffs: Floats, pools: Indices) -> Floats:
-    """Return the headroom of pools on each circuit when payoffs are known exactly, shape (B, T).
+    """Return the headroom of pools on each track for exactly known payoffs, shape (B, T).
 
     Parameters
     ----------
@@ -58,25 +59,27 @@ def pool_headroom(payoffs: Floats, pools: Indices) -> Floats:
 def choose_pool(
     payoffs: ArrayLike, groups: Sequence[ArrayLike], count: int, *, starts: int = 8, seed: int = 0
 ) -> Indices:
-    """Choose the pool with the greatest headroom, mean over circuits, by exchanging one policy at a time; ascending.
+    """Choose the pool with the maximum headroom, mean over tracks; return ascending indices.
+
+    The search exchanges one policy at a time.
 
     Parameters
     ----------
     payoffs : array_like, shape (T, N, N)
-        Without noise (:func:`denoised`), on T circuits.
+        Payoffs without noise (:func:`denoised`), on T tracks.
     groups : sequence of array_like of int
-        Disjoint sets of policies, from which equally many are taken; if ``count`` is no multiple of their number, one
-        more from some of them, evenly spaced.
+        Disjoint sets of policies. The pool takes equally many policies from each set; if ``count``
+        is no multiple of their number, it takes one more from some sets, evenly spaced.
     count : int
-        Policies of the pool, at least 3.
+        Number of policies in the pool, at least 3.
     starts : int
-        Random pools from which the exchange begins; the best result is returned.
+        Number of random initial pools; the best result is returned.
     seed : int
-        Of these pools.
+        Seed of the initial pools.
     """
     check_whole("count", count, 3)
     matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]
-    # The group of each place in the pool; a remainder is spread over the groups, not given to the first ones.
+    # Group of each place in the pool; a remainder is spread over all groups, not the first ones.
     places = np.arange(count) * len(groups) // count
     for number, group in enumerate(sets):
         if len(group) < np.count_nonzero(places == number):
@@ -105,7 +108,7 @@ def _exchanged(
         place, other = np.transpose(exchanges)
         pools[np.arange(len(pools)), place] = other
         values = pool_headroom(payoffs, pools).mean(axis=1)
-        # Without the margin, rounding could exchange two equal policies for ever.
+        # The margin prevents an endless exchange of two equal policies by rounding.
         if values.max() <= value + 1e-12:
             return pool, value
         pool, value = pools[values.argmax()], float(values.max())

@@ -1,4 +1,4 @@
-"""Settings of the synthesis of an archive."""
+"""Configuration of the synthesis of an archive."""
 
 from dataclasses import dataclass
 from math import comb
@@ -17,11 +17,11 @@ from pcs_racing_agents.policies.mo_cma_es import LOSSES, MEANS
 from pcs_racing_agents.policies.optimisers import METHODS
 
 CHOICES = ("pareto", "headroom")
-"""How policies are chosen for an archive: those that none clearly beats, or a pool that holds a game."""
+"""Rules of selection: policies that no other policy clearly beats, or a pool with headroom."""
 
 KIND = "archive"
 HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks")
-"""Settings that only matter with ``selection: headroom``."""
+"""Options that only matter with ``selection: headroom``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = Interval(ge=0.1, le=3600.0)
@@ -29,10 +29,11 @@ _SECONDS = Interval(ge=0.1, le=3600.0)
 
 @dataclass(frozen=True)
 class ArchiveConfig(Settings):
-    """How an archive is made: 2,000 policies and 48 races each by default.
+    """Configuration of an archive: 2,000 policies and 48 races each by default.
 
-    Durations are multiples of ``segment_seconds``. Every policy meets all pairs of opponents and start lines, from both
-    sides, on every track; the three stages (search, choice, measurement) draw different ones.
+    Durations are multiples of ``segment_seconds``. Every policy meets all pairs of opponents and
+    start lines, from both sides, on every track. The three stages (search, choice, measurement)
+    draw different opponents and start lines.
     """
 
     name: Annotated[Text, "Name of the archive."] = "archive"
@@ -184,7 +185,7 @@ class ArchiveConfig(Settings):
             )
 
     def _check_headroom(self) -> None:
-        """Check what only the choice for headroom needs."""
+        """Check the options that only the choice for headroom needs."""
         if not 3 <= self.max_policies <= self.candidates:
             raise ConfigError(
                 f"max_policies is {self.max_policies}; a pool chosen for headroom holds 3 policies at least, and no "
@@ -201,16 +202,16 @@ class ArchiveConfig(Settings):
 
     @property
     def rules(self) -> RaceConfig:
-        """Rules of the races, with the duration of those of the search."""
+        """Rules of the races, with the duration of a race in the search."""
         return self.rules_of(self.duration)
 
     def rules_of(self, duration: float) -> RaceConfig:
-        """Rules of the races, with another duration."""
+        """Return the rules of the races, with another duration."""
         return load_race_config(self.preset, duration=float(duration))
 
     @property
     def search_crash_limit(self) -> float:
-        """The crash limit for races of the search."""
+        """Crash limit for races of the search."""
         # With a constant crash rate, the share that survives is exponential in the length of a race.
         return float(1.0 - (1.0 - self.crash_limit) ** (self.duration / self.final_duration))
 
@@ -224,22 +225,22 @@ class ArchiveConfig(Settings):
 
     @property
     def varied(self) -> tuple[str, ...]:
-        """Names of the parameters that the search varies: those that the archive holds."""
+        """Names of the parameters that the search varies and the archive holds."""
         return get_planner(self.planner).without(self.fixed)
 
     @property
     def evaluations(self) -> int:
-        """Policies that the search races at most, the initial sample included."""
+        """Maximum number of policies raced in the search, initial sample included."""
         return self.initial_sample + self.generations * self.population
 
     @property
     def races(self) -> int:
-        """Races of each policy during the search."""
+        """Number of races of each policy in the search."""
         return len(self.tracks) * (self.opponents + len(self.rivals)) * self.starts * 2
 
     @property
     def work(self) -> dict[str, float]:
-        """Seconds of racing in each stage, at most."""
+        """Maximum racing time of each stage, s."""
         races, more = 2 * len(self.tracks), len(self.rivals)
         work = {
             "search": self.evaluations * self.races * self.duration,
@@ -259,10 +260,10 @@ class ArchiveConfig(Settings):
 
 
 def list_archive_configs() -> list[str]:
-    """Names of the configurations that come with the package."""
+    """Return the names of the shipped configurations."""
     return list(shipped_configs(KIND))
 
 
 def load_archive_config(source: str | Path | ArchiveConfig | None = None, **changes: Any) -> ArchiveConfig:
-    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
+    """Return a configuration by shipped name, YAML file or object, with some fields changed."""
     return load_config(KIND, ArchiveConfig(), source, **changes)

@@ -1,4 +1,4 @@
-"""The choice of a few diverse policies of an archive: determinantal point processes and their greedy maximum.
+"""Choice of diverse policies of an archive: determinantal point processes, greedy maximum.
 
 A k-DPP draws a set Y of k items with probability proportional to det(L_Y), the squared volume spanned by the items'
 features: the more similar two items are, the less often they appear together (A. Kulesza and B. Taskar, Determinantal
@@ -34,11 +34,11 @@ def select_diverse(
     Parameters
     ----------
     k : int
-        1 to the number of policies.
+        Number of policies to choose, 1 to the size of the archive.
     method : {"kdpp", "map", "random"}
         See :data:`METHODS`.
     rng : numpy.random.Generator or int
-        Where the random choice comes from.
+        Generator or seed of the random choice.
     scale : float
         Distance over which policies count as similar, in normalised units (:func:`similarity`); above 0.
 
@@ -60,10 +60,10 @@ def select_diverse(
 
 
 def similarity(points: ArrayLike, scale: float) -> Floats:
-    """Kernel exp(-distance^2 / (2 scale^2)) between points (K, G), shape (K, K).
+    """Return the kernel exp(-distance^2 / (2 scale^2)) between points (K, G), shape (K, K).
 
-    A millionth is added to the diagonal: points that coincide then still make a matrix of full rank, so that as many
-    items can be drawn as there are.
+    The diagonal is raised by a millionth. So the matrix has full rank even if points coincide, and
+    up to K items can be drawn.
     """
     check_number("scale", scale, above=0.0)
     points = np.asarray(points, np.float64)
@@ -74,14 +74,15 @@ def similarity(points: ArrayLike, scale: float) -> Floats:
 def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
     """Draw a set of ``k`` items from a k-DPP (Kulesza and Taskar, algorithms 1 and 8), shape (k,).
 
-    The kernel, shape (K, K), is symmetric, with no negative eigenvalue and at least ``k`` positive ones.
+    The kernel, shape (K, K), is symmetric, without negative eigenvalues and with at least ``k``
+    positive eigenvalues.
     """
     values, vectors = np.linalg.eigh(kernel)
     with np.errstate(divide="ignore"):
         logs = np.log(np.maximum(values, 0.0))
     table = log_elementary_symmetric(logs, k)
     basis: list[int] = []
-    # Which eigenvectors: the n-th is in with its share of all sets of those up to n.
+    # Choice of eigenvectors: n is included with its share of all sets of the first n.
     for n in range(len(values), 0, -1):
         left = k - len(basis)
         if left == 0:
@@ -92,23 +93,24 @@ def sample_kdpp(kernel: Floats, k: int, rng: np.random.Generator) -> Indices:
     items = np.empty(k, np.int64)
     for i in range(k):
         weights = np.sum(space**2, axis=1)
-        # Exactly 0, which rounding would not give: no item may be drawn twice.
+        # Exactly 0, despite rounding: no item may be drawn twice.
         weights[items[:i]] = 0.0
         items[i] = rng.choice(len(weights), p=weights / weights.sum())
-        # The column that is eliminated: the largest entry divides, so that rounding stays small.
+        # Eliminated column: division by the largest entry minimises rounding errors.
         pivot = int(np.argmax(np.abs(space[items[i]])))
         column = space[:, pivot] / space[items[i], pivot]
         space = np.delete(space - np.outer(column, space[items[i]]), pivot, axis=1)
-        # An orthonormal basis of what is orthogonal to the item.
+        # Orthonormal basis of the subspace orthogonal to the item.
         space = np.linalg.qr(space)[0]
     return items
 
 
 def log_elementary_symmetric(logs: Floats, k: int) -> Floats:
-    """Logarithms of elementary symmetric polynomials, shape (k + 1, N + 1).
+    """Return logarithms of elementary symmetric polynomials, shape (k + 1, N + 1).
 
-    Entry (l, n) belongs to the sum over all sets of ``l`` of the first ``n`` values of their products (Kulesza and
-    Taskar, algorithm 7); the values are given as logarithms, since products of many small ones underflow.
+    Entry (l, n) belongs to the sum of the products of all sets of ``l`` of the first ``n`` values
+    (Kulesza and Taskar, algorithm 7). The values are logarithms, since products of many small
+    values underflow.
     """
     table = np.full((k + 1, len(logs) + 1), -np.inf)
     table[0] = 0.0
@@ -118,10 +120,10 @@ def log_elementary_symmetric(logs: Floats, k: int) -> Floats:
 
 
 def greedy_map(kernel: Floats, k: int) -> Indices:
-    """Items chosen one by one, each the one that enlarges det(L_Y) most, shape (k,), in the order chosen.
+    """Choose items one by one for the maximum det(L_Y), shape (k,), in the order of the choice.
 
-    The gain of an item is its squared distance from the span of those chosen; it is updated as in an incremental
-    Cholesky factorisation. Of equal items the one with the lowest index is taken.
+    The gain of an item is its squared distance from the span of the chosen items; it is updated as
+    in an incremental Cholesky factorisation. Of equal items the lowest index is chosen.
     """
     gains = np.diag(kernel).astype(np.float64)
     rows = np.zeros((k, len(kernel)))
@@ -129,7 +131,7 @@ def greedy_map(kernel: Floats, k: int) -> Indices:
     for i in range(k):
         items[i] = np.argmax(gains)
         best = items[i]
-        # The next row of the Cholesky factor; a gain may be 0 where points coincide.
+        # Next row of the Cholesky factor; a gain may be 0 where points coincide.
         rows[i] = (kernel[best] - rows[:i, best] @ rows[:i]) / np.sqrt(max(gains[best], 1e-300))
         gains = gains - rows[i] ** 2
         gains[items[: i + 1]] = -np.inf

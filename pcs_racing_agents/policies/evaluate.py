@@ -1,8 +1,8 @@
 """Evaluation of policies by races: the ``eval`` of Algorithm 1, in tasks for any worker.
 
-The races in which policies are compared have the same circuits, starts, opponents and noise for every policy. It meets
-every pair of start line and opponent, from both sides of the grid, on every track. All is drawn once per run, so that
-policies differ by what they do and not by the luck of the draw.
+Races for a comparison have the same tracks, starts, opponents and noise for every policy. Every
+policy meets every pair of start line and opponent, from both sides of the grid, on every track. All
+draws happen once per run, so that policies differ by their driving and not by chance.
 """
 
 from collections.abc import Sequence
@@ -35,21 +35,23 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Scenarios:
-    """The races that every policy drives: R of them."""
+    """The R races of every policy."""
 
-    #: Circuits, or their names or folders, which workers on other machines load themselves.
+    #: Tracks, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
     config: RaceConfig  #: Rules and duration.
-    planner: str  #: Of the policies and of their opponents, except for rivals.
+    planner: str  #: Planner of the policies and of their opponents, except for rivals.
     characteristics: tuple[str, ...]
-    segment_seconds: float  #: Length of the segments that coordinates are means of, s.
+    segment_seconds: float  #: Length of the segments averaged in coordinates, s.
     opponents: Floats  #: shape (O, P): Parameters of the opponents.
-    rivals: tuple[str, ...]  #: Drivers of other planners, numbered after the opponents, as :func:`parse_policy` reads.
-    track: NDArray[np.int64]  #: shape (R,): Index of the circuit of each race, ascending.
+    #: Policies of other planners, numbered after the opponents; format of :func:`parse_policy`.
+    rivals: tuple[str, ...]
+    track: NDArray[np.int64]  #: shape (R,): Index of the track of each race, ascending.
     start_s: Floats  #: shape (R,): Start line, m.
-    side: NDArray[np.int64]  #: shape (R,): 0 when the policy starts on the left or in front.
+    #: shape (R,): Side of the start; 0 if the policy starts on the left or in front.
+    side: NDArray[np.int64]
     seed: NDArray[np.uint64]  #: shape (R,): Noise key.
-    opponent: NDArray[np.int64]  #: shape (R,): Index of the opponent; a rival's from O on.
+    opponent: NDArray[np.int64]  #: shape (R,): Index of the opponent; rivals start at O.
 
     def __len__(self) -> int:
         return len(self.track)
@@ -67,19 +69,19 @@ def draw_scenarios(
     segment_seconds: float = 8.0,
     seed: int = 0,
 ) -> Scenarios:
-    """Draw the races of a run: on every track, all pairs of ``starts`` start lines and all opponents, from both sides.
+    """Draw races on every track: all pairs of start lines and opponents, from both sides.
 
     Parameters
     ----------
     opponents : ndarray, shape (O, P)
     rivals : sequence of str
-        Drivers of other planners that are met as the opponents are.
+        Policies of other planners, met in the same way as the opponents.
     starts : int
-        Start lines on each track, 1 to 1000.
+        Number of start lines on each track, 1 to 1000.
     segment_seconds : float
         Length of a segment, s; the duration of the race must be a multiple.
     seed : int
-        Root of start lines and noise.
+        Root seed of start lines and noise.
 
     Returns
     -------
@@ -100,7 +102,7 @@ def draw_scenarios(
     line, opponent, side = (indices.ravel() for indices in np.mgrid[:starts, : len(opponents) + len(rivals), :2])
     start_s, seeds = [], []
     for index, track in enumerate(tracks):
-        # A root of its own for each circuit: another circuit in the list does not change the races on this one.
+        # Each track has its own root: another track in the list changes no race on this track.
         root = np.random.SeedSequence(seed, spawn_key=(index,))
         lines, noise = root.spawn(2)
         start_s.append(start_lines(as_track(track), rules, lines)[line])
@@ -132,32 +134,34 @@ def check_policies(name: str, parameters: ArrayLike, planner: Planner) -> Floats
 RACES_AT_ONCE = 4096  # bounded memory
 
 PolicyTask: TypeAlias = tuple[Scenarios, Floats]
-"""Scenarios, and parameters of the policies that race in them, shape (k, P)."""
+"""Scenarios, and parameters of the policies to race, shape (k, P)."""
 
 
 class Evaluation(NamedTuple):
     """Coordinates, own crashes and wins of K policies."""
 
     coordinates: Floats  #: shape (K, G): Mean over all segments of races, in the characteristics' units.
-    own_crash: Floats  #: shape (K,): Share of the races that ended by a crash of the policy's own fault.
-    spread: Floats  #: shape (K, G): Standard error of the coordinates, were the races drawn again.
-    won: Floats  #: shape (K,): Share of the races that the policy won.
-    score: Floats  #: shape (K,): Score against rivals, a win being 1 and a tie 1/2; 1 where there are none.
+    #: shape (K,): Share of the races that ended by a crash of the policy's own fault.
+    own_crash: Floats
+    spread: Floats  #: shape (K, G): Standard error of the coordinates over draws of the races.
+    won: Floats  #: shape (K,): Share of races won by the policy.
+    score: Floats  #: shape (K,): Score against rivals (win 1, tie 1/2); 1 without rivals.
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios; a policy's result does not depend on the others of the task.
 
-    The arrays are ``totals`` (k, R, G): sums over the segments that each race began; ``segments`` (k, R): how many it
-    began; ``own_crash`` (k, R): whether it ended by a crash of the policy's own fault; ``crashed`` (k, R): whether it
-    ended by a crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none; ``rival`` (k, R): whether the opponent
-    was a rival.
+    The arrays are ``totals`` (k, R, G): sums over the segments begun in each race;
+    ``segments`` (k, R): number of segments begun; ``own_crash`` (k, R): True if the race ended by a
+    crash of the policy's own fault; ``crashed`` (k, R): True if the race ended by a crash;
+    ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none; ``rival`` (k, R): True if the opponent
+    is a rival.
     """
     raced = race_segments(task, threads)
     values, progress, sums, time = (raced.pop(name) for name in ("values", "progress", "sums", "time"))
     begun = ~np.isnan(values[..., 0])
     totals = np.zeros((*values.shape[:2], values.shape[3]))
-    # Segment after segment, in a fixed order: sums are then the same for every shape of the task.
+    # A fixed order of segments gives the same sums for every shape of the task.
     for k in range(values.shape[2]):
         totals += np.where(begun[:, :, k, None], values[:, :, k], 0.0)
     segments = begun.sum(axis=2)
@@ -170,10 +174,11 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
 
 
 def _pooled(axis: Characteristic, races: Segment, segments: NDArray[np.int64]) -> Floats:
-    """Totals of the races of one policy, shape (R,), whose sum over that of the ``segments`` is the pooled value.
+    """Return totals of the races of one policy, shape (R,), for a pooled value.
 
-    They differ by what each race contributes to it (the value without that race says how much), so that their spread
-    is that of the pooled value: the jackknife.
+    The sum of the totals, divided by the sum of the ``segments``, is the pooled value. The totals
+    differ by the contribution of each race (from the value without this race), so that their spread
+    is the spread of the pooled value: the jackknife.
     """
 
     def value(progress: Floats, sums: Floats, time: Floats) -> Floats:
@@ -190,9 +195,9 @@ def _pooled(axis: Characteristic, races: Segment, segments: NDArray[np.int64]) -
 def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     """Race some policies in some scenarios, and measure every segment of every race.
 
-    ``values`` (k, R, S, G) are the characteristics of the policy in each of the S segments of a race; NaN in segments
-    that the race did not begin. ``progress`` (k, R, 2), ``sums`` (k, R, 2, 9) and ``time`` (k, R) are those of whole
-    races; the other arrays are those of :func:`race_policies`.
+    ``values`` (k, R, S, G) are the characteristics of the policy in each of the S segments of a
+    race; NaN in segments that the race did not begin. ``progress`` (k, R, 2), ``sums`` (k, R, 2, 9)
+    and ``time`` (k, R) describe whole races; see :func:`race_policies` for the other arrays.
     """
     scenarios, parameters = task
     axes = get_characteristics(scenarios.characteristics)
@@ -231,7 +236,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
                         f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race {which[row]} of policy "
                         f"{ego[row]}; it must be finite"
                     )
-                # A race that has crashed stands still: its segments are missing, not 0.
+                # A crashed race does not continue: its remaining segments are missing, not 0.
                 values[ego, which, k] = np.where(begun[:, None], measured, np.nan)
             own_crash[ego, which] = state.fault[:, 0] == 1
             crashed[ego, which] = state.crashed
@@ -244,7 +249,7 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
 
 
 def opponent_families(scenarios: Scenarios, planner: Planner) -> list[tuple[Planner, dict[int, Policy]]]:
-    """Planners of the opponents, and those of each planner by their number."""
+    """Return the planners of the opponents, each with its opponents by number."""
     families: dict[str, tuple[Planner, dict[int, Policy]]] = {}
     drivers = [Policy(planner, theta, "opponent") for theta in scenarios.opponents]
     for number, driver in enumerate([*drivers, *map(parse_policy, scenarios.rivals)]):
@@ -253,10 +258,11 @@ def opponent_families(scenarios: Scenarios, planner: Planner) -> list[tuple[Plan
 
 
 def summarise(raced: Arrays) -> Evaluation:
-    """Return means, shares and standard errors of what :func:`race_policies` returned.
+    """Return means, shares and standard errors of the results of :func:`race_policies`.
 
-    A coordinate is a ratio, the sum over all segments by their number; its standard error follows from the residuals of
-    the races (linearised; the segments of a race count as one observation).
+    A coordinate is a ratio: the sum over all segments divided by their number. Its standard error
+    follows from the residuals of the races (linearised; the segments of a race count as one
+    observation).
     """
     totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     races = totals.shape[1]
@@ -278,7 +284,8 @@ def evaluate(
 ) -> Evaluation:
     """Race every policy, shape (K, P), in every scenario.
 
-    Blocks of policies race on the executor; without one in this thread, which shares the races among the cores.
+    Blocks of policies race on the executor. Without an executor they race in this thread, which
+    shares the races among the cores.
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
     tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]

@@ -3,9 +3,9 @@
 If one policy is best against every opponent, adaptation can't win races. *Headroom* is the gain of a best response to
 a known policy of the opponent over the best fixed policy. It is a property of a pool of policies and of the rules.
 
-Payoffs are races won minus one half: the score of policy i against policy j in a set of races, 0 between equals. They
-come in *folds*, disjoint sets of races with different start lines and noise, so that a policy that is selected on some
-races is evaluated on others: the maximum of noisy numbers is biased.
+Payoffs are races won minus one half: the score of policy i against policy j in a set of races, 0
+between equals. They come in *folds*, disjoint sets of races with different start lines and noise. A
+policy selected on some races is evaluated on others, since the maximum of noisy numbers is biased.
 """
 
 from dataclasses import dataclass
@@ -23,14 +23,15 @@ _NOISE_LEVEL = 0.95
 
 @dataclass(frozen=True, eq=False)
 class Headroom:
-    """The value of knowing the opponent's policy in a pool of policies, in races won."""
+    """Value of knowing the opponent's policy in a pool of policies, in races won."""
 
-    #: Mean over opponents j of ``P[best response to j, j] - P[best fixed policy, j]``. Best response and best fixed
-    #: policy are selected on all folds but one and evaluated on that one, in turn.
+    #: Mean over opponents j of ``P[best response to j, j] - P[best fixed policy, j]``. Both
+    #: policies are selected on all folds but one and evaluated on the remaining fold, for every
+    #: fold.
     value: float
-    low: float  #: The same, minus the best fixed policy of the evaluation races themselves: a lower bound.
+    low: float  #: Lower bound: the same gain over the best fixed policy of the evaluation races.
     opponents_error: float  #: Standard error over opponents of the same kind.
-    #: shape (N,): ``value`` of the pool without each of its policies, as a response and as an opponent.
+    #: shape (N,): ``value`` without each policy of the pool, as a response and as an opponent.
     without: Floats
     gains: Floats  #: shape (N,): Value of knowing each opponent; their mean is ``value``.
     best_fixed: int  #: Policy with the highest mean payoff over all folds.
@@ -43,12 +44,12 @@ class Headroom:
 
 @dataclass(frozen=True, eq=False)
 class CyclicPlane:
-    """A plane of the cyclic part of a payoff matrix, in which rock, paper and scissors lie around the origin."""
+    """Plane of the cyclic part of a payoff matrix; rock, paper, scissors surround the origin."""
 
     strength: float  #: Singular value of the plane.
-    noise: float  #: 95 % quantile of the largest singular value of noise alone.
-    #: shape (N, 2): The policies in the plane. Its contribution to the payoff is ``x_i y_j - y_i x_j``: of two policies
-    #: at right angles, the one that lies clockwise of the other beats it.
+    noise: float  #: 95 % quantile of the maximum singular value of noise alone.
+    #: shape (N, 2): Policies in the plane. The plane contributes ``x_i y_j - y_i x_j`` to the
+    #: payoff: of two policies at right angles, the clockwise policy beats the other.
     points: Floats
 
 
@@ -63,7 +64,7 @@ def headroom(payoffs: ArrayLike) -> Headroom:
     folds = checked_payoffs(payoffs)
     value, low, gains = cross_fitted(folds)
     count = folds.shape[1]
-    # Policies are drawn, not only races: without one of them its row and its column are missing.
+    # Policies are a random sample, too: without a policy its row and its column are missing.
     without = np.array([cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
     return Headroom(
         value=value,
@@ -84,8 +85,9 @@ def jackknife_error(without: Floats) -> float:
 def ratings(payoffs: ArrayLike) -> Floats:
     """Return the rating of each policy, shape (N,): its mean payoff over the pool and all folds.
 
-    ``ratings[i] - ratings[j]`` is the transitive part of the payoff matrix, the nearest one in which no cycle exists
-    (least squares on a complete graph; Jiang and others 2011, Statistical ranking and combinatorial Hodge theory).
+    ``ratings[i] - ratings[j]`` is the transitive part of the payoff matrix: the nearest matrix
+    without cycles (least squares on a complete graph; Jiang and others 2011, Statistical ranking
+    and combinatorial Hodge theory).
     """
     return np.asarray(checked_payoffs(payoffs).mean(axis=(0, 2)))
 
@@ -120,16 +122,17 @@ def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
     Parameters
     ----------
     payoffs : array_like, shape (F, N, N)
-        As for :func:`headroom`; F must be even, so that as many folds are added as subtracted. With few folds the
-        noise level is itself noisy: of 200 pools without a cycle 14 % exceed it with 4 folds, 7 % with 16.
+        Payoffs as for :func:`headroom`; F must be even, so that equally many folds are added and
+        subtracted. With few folds the noise level is itself noisy: of 200 pools without a cycle
+        14 % exceed it with 4 folds, 7 % with 16.
     seed : int
-        Of the order of the signs.
+        Seed of the order of the signs.
     """
     folds = checked_payoffs(payoffs)
     if len(folds) % 2:
         raise InputError(f"payoffs have {len(folds)} folds; the edge of noise needs an even number of them")
     noise = _noise_edge(folds, np.random.default_rng(seed))
-    # i times an antisymmetric matrix is Hermitian; its eigenvalues come in pairs +-strength, a plane each.
+    # i times an antisymmetric matrix is Hermitian; a plane is a pair of its eigenvalues +-strength.
     strengths, vectors = np.linalg.eigh(1j * _cyclic(folds.mean(axis=0)))
     planes = []
     for k in range(len(strengths) - 1, (len(strengths) - 1) // 2, -1):
@@ -139,7 +142,7 @@ def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
 
 
 def checked_payoffs(payoffs: ArrayLike) -> Floats:
-    """Return payoffs of shape (F, N, N) as an array, or refuse them."""
+    """Return payoffs of shape (F, N, N) as an array, or raise an error."""
     folds = np.asarray(payoffs, dtype=np.float64)
     if folds.ndim != 3 or folds.shape[1] != folds.shape[2]:
         raise InputError(f"payoffs have shape {folds.shape}; it must be (folds, policies, policies)")
@@ -163,8 +166,8 @@ def cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
     total = folds.sum(axis=0)
     opponents = np.arange(folds.shape[1])
     gains, lows = [], []
-    # What is chosen on the other folds is judged on this one: chosen on the same races, the best of many noisy payoffs
-    # would seem better than it is.
+    # Choices on the other folds are evaluated on this fold: on the same races, the maximum of many
+    # noisy payoffs is biased.
     for judged in folds:
         training = total - judged
         responses = judged[training.argmax(axis=0), opponents]
@@ -181,8 +184,8 @@ def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
     signs = np.repeat([1.0, -1.0], count // 2)[:, None].repeat(played.shape[1], axis=1)
     noise = np.zeros((policies, policies))
     largest = []
-    # As many folds are added as subtracted, in another order for each pair: the payoff of a pair cancels out, and noise
-    # of the same size is left.
+    # Equally many folds are added and subtracted, in another order for each pair: the payoff of a
+    # pair cancels out, and noise of the same size is left.
     for _ in range(_NOISE_DRAWS):
         noise[pairs] = (rng.permuted(signs, axis=0) * played).mean(axis=0)
         largest.append(np.linalg.norm(_cyclic(noise - noise.T), 2))

@@ -1,8 +1,8 @@
-"""Hypervolume indicators: the quality of a set of points, and what one more point would add.
+"""Hypervolume indicators: quality of a set of points, and the contribution of one more point.
 
-All objectives are **maximised**. The hypervolume of a set is the volume of the region that its points dominate, above a
-reference point: what lies below the set and above the reference on every axis. ``pip install "pcs-racing[synthesis]"``
-brings moocore, which computes it exactly.
+All objectives are **maximised**. The hypervolume of a set is the volume of the region that its
+points dominate: the region below the set and above a reference point on every axis.
+``pip install "pcs-racing[synthesis]"`` brings moocore, which computes it exactly.
 """
 
 import numpy as np
@@ -14,10 +14,10 @@ Floats = NDArray[np.float64]
 
 
 def non_dominated(points: ArrayLike, *, duplicates: bool = True) -> NDArray[np.bool_]:
-    """Which of K points no other point beats, shape (K,).
+    """Return which of K points no other point beats, shape (K,).
 
-    A point beats another if it is at least as large on all axes and larger on one. Of equal points all stay, since none
-    beats the other, or without ``duplicates`` only the first.
+    A point beats another point if it is at least as large on all axes and larger on one. Equal
+    points all stay, since they don't beat each other; without ``duplicates`` only the first stays.
     """
     points = _points(points)
     if len(points) == 0:
@@ -26,24 +26,25 @@ def non_dominated(points: ArrayLike, *, duplicates: bool = True) -> NDArray[np.b
 
 
 def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
-    """Volume of what a set of points dominates above a reference point (Fonseca, Paquete, Lopez-Ibanez, CEC 2006).
+    """Return the volume that a set of points dominates above a reference point.
 
-    Points that don't exceed the reference on all axes add nothing.
+    Points that don't exceed the reference on all axes add nothing. See Fonseca, Paquete,
+    Lopez-Ibanez, CEC 2006.
 
     Parameters
     ----------
     points : array_like, shape (K, G)
     reference : array_like, shape (G,) or ()
-        The worst point that counts; one number stands for all axes.
+        Worst point that counts; one number applies to all axes.
     """
     points = _points(points)
     return _hypervolume(points, _reference(reference, points.shape[1]))
 
 
 def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
-    """Hypervolume that the front of some points would lose without each of them, shape (K,).
+    """Return the hypervolume that the front of some points loses without each point, shape (K,).
 
-    0 for points that another one beats or equals; such points do not lessen what others contribute.
+    0 for points that another point beats or equals; such points do not reduce other contributions.
     """
     points = _points(points)
     reference = _reference(reference, points.shape[1])
@@ -53,12 +54,12 @@ def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
 
 
 def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
-    """Hypervolume of a front, shape (K, G), with each of n other points added, shape (n,)."""
+    """Return the hypervolume of a front, shape (K, G), with each of n points added, shape (n,)."""
     points = _points(points)
     front = _front(front, points.shape[1])
     reference = _reference(reference, points.shape[1])
     total = np.full(len(points), _hypervolume(front, reference))
-    # Most points add nothing; only for the others a hypervolume is computed, which is what takes the time.
+    # Most points add nothing; the slow part, a hypervolume, is computed only for the others.
     better = distance_to_improvement(points, front, reference) == 0.0
     for i in np.flatnonzero(better):
         total[i] = max(total[i], _hypervolume(np.vstack([front, points[i]]), reference))
@@ -66,17 +67,18 @@ def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike)
 
 
 def uncrowded_improvement(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
-    """Uncrowded hypervolume improvement of each point, shape (n,): what to maximise to improve a front.
+    """Return the uncrowded hypervolume improvement of each point, shape (n,), to be maximised.
 
-    Positive where a point would add hypervolume to the front: that hypervolume. Elsewhere minus the distance to the
-    nearest place where it would. Unlike the hypervolume alone it tells bad points from worse ones (C. Toure and others,
-    Uncrowded hypervolume improvement: COMO-CMA-ES and the Sofomore framework, GECCO 2019).
+    Positive for a point that adds hypervolume to the front: the added hypervolume. Otherwise minus
+    the distance to the nearest place where a point adds hypervolume. Unlike the hypervolume alone
+    it distinguishes bad from worse points (C. Toure and others, Uncrowded hypervolume improvement:
+    COMO-CMA-ES and the Sofomore framework, GECCO 2019).
 
     Parameters
     ----------
     points : array_like, shape (n, G)
     front : array_like, shape (K, G)
-        May be empty, and may hold points that others beat.
+        Front; may be empty and may hold beaten points.
     reference : array_like, shape (G,) or ()
     """
     points = _points(points)
@@ -91,10 +93,10 @@ def uncrowded_improvement(points: ArrayLike, front: ArrayLike, reference: ArrayL
 
 
 def distance_to_improvement(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
-    """Euclidean distance from each point to the region in which a point improves on the front, shape (n,).
+    """Return the Euclidean distance of each point to the region that improves a front, shape (n,).
 
-    0 in that region and on its border. The region is where all axes exceed the reference and no point of the front is
-    at least as large on all of them.
+    0 inside the region and on its border. Inside the region all axes exceed the reference, and no
+    point of the front is at least as large on all axes.
     """
     points = _points(points)
     corners = search_corners(front, _reference(reference, points.shape[1]))
@@ -106,11 +108,12 @@ def distance_to_improvement(points: ArrayLike, front: ArrayLike, reference: Arra
 
 
 def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
-    """Lower corners of the region in which a point improves on the front, shape (C, G).
+    """Return the lower corners of the region that improves a front, shape (C, G).
 
-    A point improves the front if it exceeds one of the corners on all axes: the region is the union of the boxes above
-    them (the local bounds of K. Klamroth, R. Lacour and D. Vanderpooten, On the representation of the search region in
-    multi-objective optimization, EJOR 2015, for maximisation).
+    A point improves the front if it exceeds a corner on all axes: the region is the union of the
+    boxes above the corners (the local bounds of K. Klamroth, R. Lacour and D. Vanderpooten, On the
+    representation of the search region in multi-objective optimization, EJOR 2015, for
+    maximisation).
     """
     reference = _reference(reference, np.size(reference))
     front = _front(front, len(reference))
@@ -118,20 +121,20 @@ def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
     front = front[non_dominated(front, duplicates=False)]
     if len(front) == 0:
         return reference[None]
-    # With two axes the corners are the inner ones of a staircase.
+    # With two axes the corners are the inner corners of a staircase.
     if len(reference) == 2:
         front = front[np.argsort(-front[:, 0])]
         return np.column_stack([np.append(front[:, 0], reference[0]), np.insert(front[:, 1], 0, reference[1])])
     corners = reference[None]
     for point in front:
-        # The point dominates the lower part of these boxes. What is left of each are the boxes in which one axis
-        # exceeds the point.
+        # The point dominates the lower part of these boxes. The rest of each box is a union of
+        # boxes that exceed the point on one axis.
         inside = np.all(corners < point, axis=1)
         cut = np.repeat(corners[inside], len(reference), axis=0)
         axes = np.tile(np.arange(len(reference)), int(inside.sum()))
         cut[np.arange(len(cut)), axes] = point[axes]
         corners = np.vstack([corners[~inside], cut])
-        # A box above a corner that another corner lies below is part of the other's box.
+        # A box is part of another box if the other box has a lower corner.
         corners = corners[non_dominated(-corners, duplicates=False)]
     return corners
 

@@ -1,20 +1,24 @@
-"""MO-CMA-ES, Algorithm 1 of the paper: a CMA-ES whose loss is the hypervolume that a point adds to an archive.
+"""MO-CMA-ES, Algorithm 1 of the paper: CMA-ES on the hypervolume that points add to an archive.
 
-The comments in :meth:`MOCMAES.ask` and :meth:`MOCMAES.tell` are the lines of the algorithm. Where it leaves room:
+The comments in :meth:`MOCMAES.ask` and :meth:`MOCMAES.tell` are the lines of the algorithm. Choices
+where the paper leaves room:
 
-- Line 8: a point's loss is minus the hypervolume that it would add to the archive or, where it would add none, its
-  distance to the nearest place where it would (``loss="uhvi"``). The literal reading, the hypervolume of archive and
-  point together (``loss="total_hypervolume"``), is the same for all dominated points.
-- Line 8: objectives are normalised by the front as it is then, this generation included, since no other range is known;
-  the reference point lies a tenth of that range below its nadir.
-- Line 13: the mean moves to the recombined elite of this generation, as in CMA-ES (``mean="generation"``). The literal
-  reading is the mean of the archive's Pareto set (``mean="archive"``): where that set is no straight line, it is the
-  mean of points far from each other.
-- Parameters have bounds, of which the paper says nothing. Samples outside are moved to the border, and CMA-ES learns
-  from where it drew them: so its mean can settle beyond a border and keep a parameter at its limit. The mean
-  stays within three standard deviations of the box, and the step size within twice its first value.
-- The paper never restarts. Here, once the step size has collapsed or the archive has stopped growing, the search starts
-  again at a point of the front, the likelier the more hypervolume it contributes: there the front is thin.
+- Line 8: the loss of a point is minus the hypervolume that the point adds to the archive. If it
+  adds none, the loss is the distance to the nearest place where a point adds hypervolume
+  (``loss="uhvi"``). The literal reading, the hypervolume of archive and point together
+  (``loss="total_hypervolume"``), is the same for all dominated points.
+- Line 8: objectives are normalised by the current front, this generation included, since no other
+  range is known. The reference point lies a tenth of that range below the nadir.
+- Line 13: the mean moves to the recombined elite of this generation, as in CMA-ES
+  (``mean="generation"``). The literal reading is the mean of the archive's Pareto set
+  (``mean="archive"``): if that set is no straight line, it is the mean of distant points.
+- Bounds of parameters are not in the paper. Samples outside the bounds are moved to the border, but
+  CMA-ES learns from the original samples: so its mean can settle beyond a border and hold a
+  parameter at its limit. The mean stays within three standard deviations of the box, and the step
+  size within twice its first value.
+- Restarts are not in the paper. Here, once the step size has collapsed or the archive has stopped
+  growing, the search restarts at a random point of the front. Points that contribute more
+  hypervolume, where the front is thin, are more likely.
 """
 
 from dataclasses import dataclass
@@ -31,23 +35,25 @@ Floats = NDArray[np.float64]
 
 LOSSES = ("uhvi", "total_hypervolume")
 MEANS = ("generation", "archive")
-SMALLEST_STEP = 1e-4  # of the range of the parameters
+SMALLEST_STEP = 1e-4  # share of the range of the parameters
 PATIENCE = 10  # generations
-LEAST_GAIN = 1e-5  # of the normalised hypervolume, in a generation
+LEAST_GAIN = 1e-5  # normalised hypervolume per generation
 
 
 @dataclass(frozen=True, eq=False)
 class OptimiserOptions:
     """Options of an optimiser. Optimisers work in the unit cube and maximise."""
 
-    dimension: int  #: Parameters, P.
-    population: int  #: Points of a generation, n.
+    dimension: int  #: Number of parameters, P.
+    population: int  #: Number of points per generation, n.
     seed: np.random.SeedSequence
-    elite_ratio: float  #: Share of a generation that is recombined and added to the archive (lambda of Algorithm 1).
+    #: Share of a generation that is recombined and added to the archive (lambda of Algorithm 1).
+    elite_ratio: float
     loss: str  #: ``loss``, ``mean``: Reading of Algorithm 1.
     mean: str
-    #: shape (P,): First mean; without one the first generation is a sample of the whole cube (:func:`latin_hypercube`),
-    #: and the search starts in the middle of what is best there, with half the step size.
+    #: shape (P,): First mean. Without a first mean the first generation is a sample of the whole
+    #: cube (:func:`latin_hypercube`), and the search starts in the middle of its best points, with
+    #: half the step size.
     start: Floats | None
     step_size: float  #: First standard deviation.
     reference: float | Floats  #: shape (G,): Reference point in normalised objectives.
@@ -56,9 +62,10 @@ class OptimiserOptions:
 
 
 class CubeCMAES:
-    """CMA-ES of pycma in the unit cube, drawing from a given generator instead of numpy's global one.
+    """CMA-ES of pycma in the unit cube, with a given generator instead of numpy's global generator.
 
-    Its step size stays below ``largest``; of ``population`` points of a generation ``elite`` are recombined.
+    The step size stays below ``largest``; ``elite`` of ``population`` points per generation are
+    recombined.
     """
 
     def __init__(
@@ -77,21 +84,21 @@ class CubeCMAES:
 
     @property
     def step_size(self) -> float:
-        """Largest standard deviation of a parameter."""
+        """Maximum standard deviation of a parameter."""
         return float(np.max(self._es.stds))
 
     @property
     def degenerate(self) -> bool:
-        """Whether the distribution has collapsed or diverged."""
+        """True if the distribution has collapsed or diverged."""
         return not SMALLEST_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
 
     def ask(self) -> Floats:
-        """Return a generation of points, shape (n, P), of which some may lie outside the cube."""
+        """Return a generation of points, shape (n, P); some may lie outside the cube."""
         self._samples = self._es.ask()
         return np.stack(self._samples)
 
     def tell(self, ranks: Floats) -> None:
-        """Update the distribution from the points' ranks, which are all that CMA-ES uses."""
+        """Update the distribution from the points' ranks, the only input of CMA-ES."""
         self._es.tell(self._samples, ranks.tolist())
         # Without a limit the step size may grow until all points lie on the border.
         self._es.sigma = min(self._es.sigma, self._largest)
@@ -99,14 +106,16 @@ class CubeCMAES:
 
     def move(self, mean: Floats) -> None:
         """Set the mean."""
-        # Points are moved to the border before they are evaluated, so nothing else would keep the mean from running
-        # away.
+        # Points are moved to the border before their evaluation, so nothing else limits the mean.
         room = 3.0 * self._es.stds
         self._es.mean = np.clip(mean, -room, 1.0 + room)
 
 
 def cma_options(rng: np.random.Generator) -> dict[str, Any]:
-    """Options with which pycma draws from a generator, leaves numpy's global one alone, and prints nothing."""
+    """Return pycma options for draws from a generator, without output.
+
+    pycma then leaves numpy's global generator alone.
+    """
     return {
         "seed": np.nan,
         "randn": lambda *shape: rng.standard_normal(shape),
@@ -130,7 +139,7 @@ class MOCMAES:
 
     @property
     def step_size(self) -> float:
-        """Largest standard deviation of a parameter, as a share of its range; NaN before the search has a mean."""
+        """Maximum standard deviation as a share of a parameter's range; NaN without a mean."""
         return np.nan if self._es is None else self._es.step_size
 
     def ask(self) -> Floats:
@@ -141,7 +150,7 @@ class MOCMAES:
         return self._es.ask()
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
-        """Learn from the generation that was asked for, and return the archive with its best points in it."""
+        """Learn from the results of ``ask``, and return the archive with the best points added."""
         if self._es is None:
             grown = archive.joined(points, objectives, violation)
             self._es = self._started(middle_of_the_best(grown), 0.5 * self._spec.step_size)
@@ -149,7 +158,7 @@ class MOCMAES:
         # Line 8: the hypervolume loss against the archive.
         scale = archive.joined(points, objectives, violation).scale(self._spec.ideal, self._spec.nadir)
         loss = hypervolume_loss(self._spec.loss, archive, objectives, violation, scale, self._spec.reference)
-        # Line 9: sort. Infeasible points come last, by how much they violate.
+        # Line 9: sort. Infeasible points come last, sorted by violation.
         # The last key counts first. All feasible points violate by 0, so among them the loss decides.
         order = np.lexsort((loss, np.maximum(violation, 0.0)))
         # Line 10: the best lambda join the archive.
@@ -168,7 +177,7 @@ class MOCMAES:
 
     def _restart_if_done(self, before: ParetoArchive, after: ParetoArchive, scale: Scale) -> None:
         assert self._es is not None
-        # As long as nothing feasible is known, there is no hypervolume to stand still.
+        # Without a feasible point there is no hypervolume that could stagnate.
         if len(after.front):
             old, new = (
                 hypervolume(scale(archive.objectives[archive.front]), self._spec.reference)
@@ -197,13 +206,19 @@ class MOCMAES:
 
 
 def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Floats:
-    """Return points of the unit cube, shape (count, dimension), of which every axis has one in each of equal parts."""
+    """Return a Latin hypercube sample of the unit cube, shape (count, dimension).
+
+    Each of ``count`` equal parts of every axis holds one point.
+    """
     intervals = np.stack([rng.permutation(count) for _ in range(dimension)], axis=1)
     return np.asarray((intervals + rng.random((count, dimension))) / count, np.float64)
 
 
 def middle_of_the_best(explored: ParetoArchive) -> Floats:
-    """Return the mean of the front's parameters; if nothing is feasible, the point that violates least."""
+    """Return the mean of the front's parameters.
+
+    If no point is feasible, return the point with the minimum violation.
+    """
     if len(explored.front):
         return np.asarray(explored.parameters[explored.front].mean(axis=0), np.float64)
     return explored.parameters[int(np.argmin(explored.violation))]
@@ -217,10 +232,10 @@ def hypervolume_loss(
     scale: Scale,
     reference: float | Floats,
 ) -> Floats:
-    """Loss of n points against the Pareto front of an archive (line 8 of Algorithm 1), shape (n,).
+    """Return the loss of n points against an archive's Pareto front, shape (n,).
 
-    The loss of infeasible points is infinite. The reference point is in units of the scale; ``kind`` is one of
-    :data:`LOSSES`.
+    This is line 8 of Algorithm 1. The loss of infeasible points is infinite. The reference point is
+    in units of the scale; ``kind`` is one of :data:`LOSSES`.
     """
     loss = np.full(len(objectives), np.inf)
     feasible = violation <= 0.0

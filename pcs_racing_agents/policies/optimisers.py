@@ -1,8 +1,8 @@
-"""The optimisers behind one ask-and-tell protocol, and those to compare with.
+"""Optimisers with one ask-and-tell protocol: MO-CMA-ES and baselines.
 
-All get the same information: the number of parameters, the size of a generation, a seed, and after every
-generation its objectives and violations. None knows the ideal or the nadir point beforehand unless the caller states
-them.
+All optimisers get the same information: number of parameters, size of a generation, seed, and after
+every generation its objectives and violations. They do not know the ideal or nadir point in advance
+unless the caller states it.
 
 - ``nsga2``: pymoo's NSGA-II with its default operators.
 - ``random``: uniform in the box.
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 class Optimiser(Protocol):
-    """An ask-and-tell optimiser in the unit cube."""
+    """Ask-and-tell optimiser in the unit cube."""
 
     @property
     def restarts(self) -> int:
@@ -32,13 +32,13 @@ class Optimiser(Protocol):
 
     @property
     def step_size(self) -> float:
-        """Largest standard deviation of a parameter, as a share of its range; NaN for methods without one."""
+        """Maximum standard deviation as a share of a parameter's range; NaN without step size."""
 
     def ask(self) -> Floats:
-        """Return a generation of points, shape (n, P); those outside the unit cube are moved to its border."""
+        """Return a generation of points, shape (n, P); the caller clips them to the unit cube."""
 
     def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
-        """Learn from the generation that was asked for, and return the archive with its points in it."""
+        """Learn from the results of ``ask``, and return the archive with the points added."""
 
 
 class Random:
@@ -61,7 +61,7 @@ class Random:
 
 
 class NSGA2:
-    """NSGA-II: K. Deb and others, IEEE Transactions on Evolutionary Computation 6(2), 2002; pymoo's."""
+    """NSGA-II of pymoo: K. Deb and others, IEEE Trans. Evolutionary Computation 6(2), 2002."""
 
     restarts = 0
     step_size = np.nan
@@ -83,7 +83,7 @@ class NSGA2:
         self._algorithm.setup(problem, termination=NoTermination(), seed=seed, verbose=False)
 
     def ask(self) -> Floats:
-        """Return the first population (drawn uniformly) or the children of the present one."""
+        """Return the first population (drawn uniformly) or the children of the last population."""
         if self._algorithm is None:
             self._set_up(2)  # the number of objectives has no influence before the first results
         self._asked = self._algorithm.ask()
@@ -110,7 +110,7 @@ METHODS = tuple(_METHODS)
 
 
 def make_optimiser(method: str | Callable[[OptimiserOptions], Optimiser], spec: OptimiserOptions) -> Optimiser:
-    """Return one of the optimisers by name, or what a function makes of the options."""
+    """Return an optimiser by name, or the result of a function of the options."""
     if not isinstance(method, str):
         return method(spec)
     if method not in _METHODS:

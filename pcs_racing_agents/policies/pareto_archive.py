@@ -1,4 +1,4 @@
-"""The archive of a search: all evaluated points, and the Pareto front of its members."""
+"""Archive of a search: all evaluated points, and the Pareto front of its members."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,9 +13,9 @@ Indices = NDArray[np.int64]
 
 
 class Scale(NamedTuple):
-    """Points that stand for 1 and 0 on each axis while hypervolumes are measured."""
+    """Points normalised to 1 and 0 on each axis for hypervolumes."""
 
-    ideal: Floats  #: shape (G,)
+    ideal: Floats  #: shape (G,): ``ideal``, ``nadir``: Points normalised to 1 and 0.
     nadir: Floats
 
     def __call__(self, objectives: Floats) -> Floats:
@@ -28,12 +28,12 @@ class ParetoArchive:
     """All points of a search so far; adding points returns a new archive."""
 
     parameters: Floats  #: shape (N, P)
-    objectives: Floats  #: shape (N, G): To maximise.
-    violation: Floats  #: shape (N,): Up to 0 where the point is feasible.
-    #: shape (N,): Whether the point was added to the archive (the population archive of Algorithm 1).
+    objectives: Floats  #: shape (N, G): Objectives, to maximise.
+    violation: Floats  #: shape (N,): Violation; up to 0 for feasible points.
+    #: shape (N,): True for members of the archive (the population archive of Algorithm 1).
     member: NDArray[np.bool_]
-    #: shape (K,): Indices of the archive's Pareto front, ascending: feasible members that no other feasible member
-    #: beats; of equal ones the first.
+    #: shape (K,): Indices of the archive's Pareto front, ascending: feasible members that no other
+    #: feasible member beats; of equal members the first.
     front: Indices = field(init=False)
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class ParetoArchive:
     def joined(
         self, parameters: Floats, objectives: Floats, violation: Floats, member: NDArray[np.bool_] | None = None
     ) -> "ParetoArchive":
-        """Return this with n more points, all of them members of the archive unless stated."""
+        """Return the archive with n points added, all of them as members unless stated."""
         count = len(parameters)
         known = self.objectives if len(self) else np.zeros((0, objectives.shape[1]))
         return ParetoArchive(
@@ -63,9 +63,10 @@ class ParetoArchive:
         )
 
     def scale(self, ideal: Floats | None = None, nadir: Floats | None = None) -> Scale:
-        """Return the range of the front, or what is stated instead.
+        """Return the range of the front, or the stated points.
 
-        An axis on which the front has no extent gets the range of all feasible points, or else an extent of 1.
+        An axis without extent in the front gets the range of all feasible points, or else an extent
+        of 1.
         """
         if ideal is not None and nadir is not None:
             return Scale(ideal, nadir)
@@ -73,7 +74,7 @@ class ParetoArchive:
         if len(feasible) == 0:
             return Scale(np.ones(self.objectives.shape[1]), np.zeros(self.objectives.shape[1]))
         low, high = feasible.min(axis=0), feasible.max(axis=0)
-        # Nothing may be divided by an extent of 0.
+        # A division by an extent of 0 is avoided.
         high = np.where(low < high, high, low + 1.0)
         if len(self.front):
             least, largest = self.objectives[self.front].min(axis=0), self.objectives[self.front].max(axis=0)

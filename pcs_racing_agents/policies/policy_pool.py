@@ -1,6 +1,7 @@
 """Payoffs of all pairs of a pool of policies, each fixed for a whole race.
 
-This is the game of choosing a policy before the start; :mod:`pcs_racing_agents.policies.headroom` analyses it.
+The payoffs define the game of choosing a policy before the start;
+:mod:`pcs_racing_agents.policies.headroom` analyses it.
 """
 
 from dataclasses import dataclass, replace
@@ -30,15 +31,16 @@ _RACES_AT_ONCE = 512
 
 @dataclass(frozen=True, eq=False)
 class PolicyPool:
-    """A pool of policies and the races that decide its payoffs."""
+    """Pool of policies, and the races that decide its payoffs."""
 
-    policies: tuple[Policy, ...]  #: N >= 3 of them.
-    #: Circuits, or their names or folders, which workers on other machines load themselves.
+    policies: tuple[Policy, ...]  #: N >= 3 policies.
+    #: Tracks, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
     config: RaceConfig
-    races: int = 64  #: Races of every pair on every circuit. The two sides of the grid take turns on each start line.
-    folds: int = 16  #: Disjoint sets of start lines into which the races are divided.
-    seed: int = 0  #: Root of start lines and noise. Every race has noise of its own.
+    #: Races of every pair on every track, alternately from both sides of the grid on each line.
+    races: int = 64
+    folds: int = 16  #: Number of disjoint sets of start lines with equally many races.
+    seed: int = 0  #: Root seed of start lines and noise. Every race has its own noise.
 
     def __post_init__(self) -> None:
         if len(self.policies) < 3:
@@ -56,40 +58,43 @@ class PolicyPool:
         return list(combinations_with_replacement(range(len(self.policies)), 2))
 
     def starts(self, number: int) -> tuple[Track, Starts]:
-        """Return a circuit and where its races start: two of them on each line, from both sides."""
+        """Return a track and the starts of its races: two on each line, from both sides."""
         track = as_track(self.tracks[number])
         rules = replace(self.config, start_lines=self.races // 2)
         lines = start_lines(track, rules, np.random.SeedSequence(self.seed, spawn_key=(number,)))
         return track, Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
 
     def noise(self, *key: int) -> NDArray[np.uint64]:
-        """Return noise keys of the races of a pair, which depend on its numbers and not on the block that races it."""
+        """Return noise keys of the races of a pair.
+
+        The keys depend on the numbers of the pair and not on the block of its races.
+        """
         seeds = np.random.SeedSequence(self.seed, spawn_key=key)
         return seeds.generate_state(self.races, np.uint64).astype(np.uint64)
 
     def by_fold(self, scores: Floats) -> Floats:
-        """Return mean payoffs by fold and slot, shape (..., F, 2), from the scores of all races, shape (..., R)."""
+        """Return mean payoffs by fold and slot, shape (..., F, 2), of scores, shape (..., R)."""
         folds = scores.reshape(*scores.shape[:-1], -1, self.folds, 2)
         return np.asarray(folds.mean(axis=-3) - 0.5)
 
 
 def pool_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -> Floats:
-    """Race all pairs of a pool; payoffs whatever the slot on the grid, shape (T, F, N, N), antisymmetric.
+    """Race all pairs of a pool; return mean payoffs, shape (T, F, N, N), antisymmetric.
 
-    The mean over the slots of what :func:`slot_payoffs` returns for the same arguments.
+    The mean covers the slots in the result of :func:`slot_payoffs` for the same arguments.
     """
     return np.asarray(slot_payoffs(pool, name=name, **run).mean(axis=2))
 
 
 def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -> Floats:
-    """Race all pairs of a pool, as tasks of this name; payoffs by slot of the grid.
+    """Race all pairs of a pool, as tasks of this name; return payoffs by slot of the grid.
 
     Returns
     -------
     ndarray, shape (T, F, 2, N, N)
-        Score of the row's policy against the column's minus one half, for every circuit, fold and slot of the row's
-        policy: 0 on the left or in front, 1 on the right or behind. A tie and a crash that pays nobody count one half.
-        The mean over the slots is antisymmetric.
+        Score of the row's policy against the column's policy minus one half, for every track, fold
+        and slot of the row's policy: 0 on the left or in front, 1 on the right or behind. A tie and
+        a no-contest crash count one half. The mean over the slots is antisymmetric.
     """
     step = max(1, _RACES_AT_ONCE // pool.races)
     blocks = [pool.pairs[first : first + step] for first in range(0, len(pool.pairs), step)]
@@ -100,7 +105,8 @@ def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -
     for (_, track, block), result in zip(tasks, results, strict=True):
         for (i, j), won in zip(block, result["payoffs"], strict=True):
             if i == j:
-                # Either car is the policy: what one slot wins the other one loses, so that both are told by one number.
+                # Both cars have the same policy: a win of one slot is a loss of the other, so one
+                # number describes both.
                 front = (won[:, 0] - won[:, 1]) / 2.0
                 won = np.stack([front, -front], axis=1)
             payoffs[track, :, :, i, j] = won
@@ -109,7 +115,7 @@ def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -
 
 
 def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
-    """Race some pairs on one circuit: their payoffs in every fold and slot, shape (pairs, F, 2)."""
+    """Race some pairs on a track; return payoffs by fold and slot, shape (pairs, F, 2)."""
     pool, number, pairs = task
     track, starts = pool.starts(number)
     scores = np.empty((len(pairs), pool.races))
@@ -126,12 +132,12 @@ def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: in
 
 
 def race_scores(winner: NDArray[np.int8]) -> Floats:
-    """Return the score of car 0 in races that are over: 1 for a win, 0 for a loss, else one half."""
+    """Return the score of car 0 in finished races: 1 for a win, 0 for a loss, else one half."""
     return np.where(winner == 0, 1.0, np.where(winner == 1, 0.0, 0.5))
 
 
 def spanning_policies(archive: PolicyArchive, size: int) -> tuple[list[str], tuple[Policy, ...]]:
-    """Return names and policies of a pool that spans an archive, evenly spaced in the order of its first axis."""
+    """Return names and policies of a pool evenly spaced along an archive's first axis."""
     size = check_whole("size", size, 3, len(archive))
     order = np.argsort(archive.coordinates[:, 0], kind="stable")
     indices = order[np.linspace(0, len(order) - 1, size).round().astype(np.intp)]

@@ -1,7 +1,7 @@
 """Multi-objective search with an ask-and-tell interface.
 
-All objectives are maximised. A search is replayable: the same seed and the same results lead to the same state, so one
-that was stopped resumes when it receives the same results again.
+All objectives are maximised. A search is replayable: the same seed and the same results lead to the
+same state. So an interrupted search resumes when it receives the same results again.
 """
 
 from collections.abc import Callable
@@ -22,21 +22,23 @@ Floats = NDArray[np.float64]
 
 
 class Generation(NamedTuple):
-    """The archive after a generation, and the points and results of that generation."""
+    """Archive after a generation, with the points and results of the generation."""
 
-    generation: int  #: Its number, from 1; 0 for an initial sample.
-    evaluations: int  #: Of all generations so far.
-    #: Of the archive's front in the normalisation of this generation. The range of the front changes unless ideal and
-    #: nadir were stated, so these numbers can't be compared with each other: see :meth:`Synthesis.hypervolumes`.
+    generation: int  #: Number of the generation, from 1; 0 for an initial sample.
+    evaluations: int  #: Number of evaluations in all generations so far.
+    #: Hypervolume of the archive's front in the normalisation of this generation. The range of the
+    #: front changes unless ideal and nadir were stated, so these numbers are not comparable with
+    #: each other: see :meth:`Synthesis.hypervolumes`.
     hypervolume: float
-    archive_size: int  #: Points in the front, K.
-    restarts: int  #: So far.
-    #: Largest standard deviation of a parameter, as a share of its range; NaN for methods without one.
+    archive_size: int  #: Number of points in the front, K.
+    restarts: int  #: Number of restarts so far.
+    #: Maximum standard deviation as a share of a parameter's range; NaN for methods without step
+    #: size.
     step_size: float
-    infeasible: int  #: Points of this generation that violate the constraint.
+    infeasible: int  #: Number of points of this generation that violate the constraint.
     front: Floats  #: shape (K, G): Objectives of the archive's front.
-    front_parameters: Floats  #: shape (K, P): Its points.
-    parameters: Floats  #: shape (n, P): The points evaluated.
+    front_parameters: Floats  #: shape (K, P): Points of the archive's front.
+    parameters: Floats  #: shape (n, P): Evaluated points.
     objectives: Floats  #: shape (n, G)
     violation: Floats  #: shape (n,)
 
@@ -45,51 +47,57 @@ class Generation(NamedTuple):
 class Synthesis:
     """Result of a search."""
 
-    #: shape (K, P): The archive's Pareto front, in the order in which its points were found. It is empty if nothing
-    #: feasible was.
+    #: shape (K, P): Pareto front of the archive, in the order of discovery; empty if no point was
+    #: feasible.
     parameters: Floats
     objectives: Floats  #: shape (K, G)
-    explored_parameters: Floats  #: shape (N, P): Everything evaluated.
+    explored_parameters: Floats  #: shape (N, P): All evaluated points.
     explored_objectives: Floats  #: shape (N, G)
     explored_violation: Floats  #: shape (N,)
     generations: tuple[Generation, ...]
-    ideal: Floats  #: shape (G,): ``ideal``, ``nadir``: Of the final front, or what was stated.
+    #: shape (G,): ``ideal``, ``nadir``: Range of the final front, or the stated points.
+    ideal: Floats
     nadir: Floats
-    reference: Floats  #: shape (G,): Reference point of hypervolumes in units of ideal (1) and nadir (0).
+    #: shape (G,): Reference point of hypervolumes in units of ideal (1) and nadir (0).
+    reference: Floats
 
     def hypervolumes(self) -> Floats:
-        """Hypervolume of the archive's front after each generation, all in the final normalisation, shape (T,)."""
+        """Return the front's hypervolume after each generation, in the final scale, shape (T,)."""
         scale = Scale(self.ideal, self.nadir)
         return np.array([hypervolume(scale(generation.front), self.reference) for generation in self.generations])
 
 
 class Search:
-    """A search for a Pareto set: ``ask`` returns points, ``tell`` takes their objectives.
+    """Search for a Pareto set: ``ask`` returns points, ``tell`` takes their objectives.
 
     Parameters
     ----------
     bounds : array_like, shape (P, 2)
-        Smallest and largest value of each parameter.
+        Minimum and maximum value of each parameter.
     population : int
-        Points of a generation, 4 to 10,000.
+        Number of points per generation, 4 to 10,000.
     elite_ratio : float
         Share of a generation that CMA-ES recombines and adds to its archive, above 0 to 1.
     loss : {"uhvi", "total_hypervolume"}
-        Loss of CMA-ES: the uncrowded hypervolume improvement, or the paper's words taken literally.
+        Loss of CMA-ES: the uncrowded hypervolume improvement, or the literal reading of the paper.
     mean : {"generation", "archive"}
-        Where the mean of CMA-ES moves: to its generation's elite, or to the mean of the archive's Pareto set.
+        Target of the mean of CMA-ES: the elite of the generation, or the mean of the archive's
+        Pareto set.
     method : {"mo-cma-es", "nsga2", "random"} or callable
-        The first is the paper's. The options for CMA-ES do nothing in the others. A function makes an optimiser of your
-        own (:class:`pcs_racing_agents.policies.optimisers.Optimiser`) of the options.
+        The first method is the paper's. The options for CMA-ES have no effect on the other methods.
+        A function makes a custom optimiser
+        (:class:`pcs_racing_agents.policies.optimisers.Optimiser`) from the options.
     reference : float or array_like, shape (G,)
         Reference point of the hypervolume in normalised objectives; by default a tenth of the range below the nadir.
     ideal, nadir : array_like, shape (G,), optional
-        Values that normalise to 1 and 0. By default the range of the front, as it is in each generation.
+        Values that normalise to 1 and 0. By default the range of the current front in each
+        generation.
     start : {"middle", "sample"} or array_like, shape (P,)
-        First mean of CMA-ES: the middle of the bounds, a point, or the middle of the best of a first generation that is
-        a sample of everything within the bounds.
+        First mean of CMA-ES: the middle of the bounds, a point, or for a sample the middle of the
+        best points of a first generation sampled within the bounds.
     step_size : float
-        First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1; half of it after a sample.
+        First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1; halved
+        after a sample.
     """
 
     def __init__(
@@ -144,7 +152,7 @@ class Search:
 
     @property
     def archive(self) -> Floats:
-        """Parameters of the archive's Pareto front as it is now, shape (K, P)."""
+        """Parameters of the archive's current Pareto front, shape (K, P)."""
         return self._parameters[self._explored.front]
 
     def ask(self) -> Floats:
@@ -156,15 +164,15 @@ class Search:
         return self._asked.copy()
 
     def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
-        """Take the results of the points asked for.
+        """Take the results of the points returned by ``ask``.
 
         Parameters
         ----------
         objectives : array_like, shape (n, G)
-            To maximise.
+            Objectives, to maximise.
         violation : array_like, shape (n,), optional
-            Up to 0 where a point is feasible. Infeasible points never enter the archive and rank behind all others, the
-            more the larger it is.
+            Violation, up to 0 for feasible points. Infeasible points never enter the archive and
+            rank behind all feasible points, by increasing violation.
         """
         asked = self._asked
         if len(asked) == 0:
@@ -179,10 +187,11 @@ class Search:
         return generation
 
     def add(self, parameters: ArrayLike, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
-        """Add points that were evaluated elsewhere to the archive, at any time between ``tell`` and ``ask``.
+        """Add points evaluated elsewhere to the archive, at any time between ``tell`` and ``ask``.
 
-        The optimisers see them as what is there already; none of them recombines these points. Returned is the archive
-        with them, as a generation of the number of the last one, 0 before the first.
+        Optimisers see these points as part of the archive and do not recombine them. Return the
+        archive with the points, as a generation with the number of the last generation, 0 before
+        the first.
         """
         points = self.check_points("parameters", parameters)
         self._check_results_in()
@@ -201,7 +210,7 @@ class Search:
         return values
 
     def result(self) -> Synthesis:
-        """Return the archive and everything evaluated so far."""
+        """Return the archive and all evaluated points."""
         explored, front = self._explored, self._explored.front
         scale = explored.scale(*self._scale_from)
         return Synthesis(
@@ -217,7 +226,7 @@ class Search:
         )
 
     def _generation(self, number: int, points: Floats, objectives: Floats, violation: Floats) -> Generation:
-        """Return the archive as it is now, with the points evaluated last."""
+        """Return the current archive with the points evaluated last."""
         front = self._explored.objectives[self._explored.front]
         scale = self._explored.scale(*self._scale_from)
         return Generation(

@@ -1,13 +1,14 @@
-"""The choice of an archive's policies: those that no other clearly beats, at a distance from each other; or a game.
+"""Choice of an archive's policies: distant policies not clearly beaten, or a pool with headroom.
 
-Coordinates are means over races and carry errors. A policy that another one beats by less than the error of their
-difference may well belong to the front, so it stays; all policies drive the same races, which makes that error small.
+Coordinates are means over races and have errors. A policy stays if another policy beats it by less
+than the error of their difference, since it may belong to the front. All policies drive the same
+races, so that error is small.
 
-A Pareto front of speed and restraint is a line of ever faster policies, and where the faster one wins, one policy is
-the best reply to all others. For headroom the archive is a pool that holds a game of rock, paper and scissors:
-*candidates* of all speeds, each of which some others beat, race each other on all circuits, and the pool with the most
-headroom, with equally many policies from each group along the first axis, is kept
-(:func:`pcs_racing_agents.policies.choosing.choose_pool`).
+A Pareto front of speed and restraint is a line of ever faster policies. If the faster policy wins,
+one policy is the best response to all others. For headroom the archive is a pool with a game of
+rock, paper and scissors. *Candidates* of all speeds, each beaten by some others, race each other on
+all tracks. The choice is the pool with the maximum headroom, with equally many policies from each
+group along the first axis (:func:`pcs_racing_agents.policies.choosing.choose_pool`).
 """
 
 from collections.abc import Mapping
@@ -32,13 +33,15 @@ Notes = Mapping[str, str | float]
 
 MOST_FOLDS = 16
 INTERVALS_PER_GROUP = 4
-"""Candidates are spread more evenly along the first axis than the pool has to be."""
+"""Number of intervals per group, to spread candidates along the first axis more than the pool."""
 
 
 def front_layers(points: Floats) -> Indices:
-    """Layer of each point, shape (K,): 0 if no other point beats it, 1 if only points of layer 0 do, and so on.
+    """Return the layer of each point, shape (K,).
 
-    A point beats another if it is at least as large in all coordinates and larger in one.
+    Layer 0 holds points that no other point beats, layer 1 points that only points of layer 0 beat,
+    and so on. A point beats another point if it is at least as large in all coordinates and larger
+    in one.
     """
     points = np.asarray(points, np.float64)
     better = np.all(points[:, None] >= points[None], axis=-1) & np.any(points[:, None] > points[None], axis=-1)
@@ -52,17 +55,17 @@ def front_layers(points: Floats) -> Indices:
 
 
 def difference_errors(raced: Arrays) -> Floats:
-    """Standard errors of the differences between the coordinates of K policies, shape (K, K, G).
+    """Return standard errors of coordinate differences between K policies, shape (K, K, G).
 
-    ``raced`` is what :func:`~pcs_racing_agents.policies.evaluate.race_policies` returned: the same R races for all of
-    them.
+    ``raced`` is the result of :func:`~pcs_racing_agents.policies.evaluate.race_policies`: the same
+    R races for all policies.
     """
     totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     races = totals.shape[1]
     coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
-    # What each race contributes to the error of a ratio of sums, linearised.
+    # Contribution of each race to the error of a ratio of sums, linearised.
     shares = (totals - coordinates[:, None] * segments[..., None]) / segments.sum(axis=1)[:, None, None]
-    # Not BLAS, which chooses the order of a sum by its threads and the processor.
+    # No BLAS: its order of a sum depends on its threads and on the processor.
     products = np.einsum("irg,jrg->ijg", shares, shares)
     own = np.einsum("iig->ig", products)
     squares = own[:, None] + own[None] - 2.0 * products
@@ -70,20 +73,22 @@ def difference_errors(raced: Arrays) -> Floats:
 
 
 def beaten(coordinates: Floats, errors: Floats, error_bars: float) -> NDArray[np.bool_]:
-    """Whether each of K policies is beaten: another one is better on all axes, by more than its error bars, shape (K,).
+    """Return which of K policies are beaten beyond the error bars, shape (K,).
 
-    Differences below ``error_bars`` standard errors (``errors``, shape (K, K, G)) do not count; with 0 every policy
-    that is smaller on all axes is beaten.
+    A policy is beaten if another policy is better on all axes. Differences below ``error_bars``
+    standard errors (``errors``, shape (K, K, G)) do not count; with 0 every policy that is smaller
+    on all axes is beaten.
     """
-    # Of j over i, at (i, j).
+    # Difference of j from i, at (i, j).
     ahead = coordinates[None] - coordinates[:, None]
     return np.asarray(np.all(ahead > error_bars * errors, axis=-1).any(axis=1))
 
 
 def spread_first(points: Floats, spacing: float, count: int) -> Indices:
-    """The best ``count`` of K normalised points that keep a distance from each other, by layers of the front.
+    """Return the best ``count`` of K normalised points with a minimum spacing, by front layer.
 
-    Points of one layer come by their index; one that is nearer than ``spacing`` to a better one is passed over.
+    Points of one layer are ordered by index; a point nearer than ``spacing`` to a better point is
+    skipped.
     """
     kept: list[int] = []
     for candidate in np.lexsort((np.arange(len(points)), front_layers(points))).tolist():
@@ -94,9 +99,10 @@ def spread_first(points: Floats, spacing: float, count: int) -> Indices:
 
 
 def thin_out(points: Floats, spacing: float, maximum: int) -> Indices:
-    """Choose normalised points that keep a distance from each other, ascending indices.
+    """Choose normalised points with a minimum spacing; return ascending indices.
 
-    All are taken that :func:`spread_first` would take; the spacing is widened until no more than ``maximum`` remain.
+    The choice is the result of :func:`spread_first`; the spacing is widened until at most
+    ``maximum`` points remain.
     """
     while len(kept := spread_first(points, spacing, len(points))) > maximum:
         # A spacing of 0 would never grow.
@@ -105,11 +111,11 @@ def thin_out(points: Floats, spacing: float, maximum: int) -> Indices:
 
 
 def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tuple[Floats, Notes]:
-    """Race all pairs of candidates of all speeds, and choose the pool with the most headroom.
+    """Race all pairs of candidates of all speeds, and choose the pool with maximum headroom.
 
-    Candidates are taken from the ``allowed`` policies of the search; ``seed`` is the root of start lines, noise and of
-    the search for the pool. Returned are the parameters that vary, shape (config.max_policies, P), in the order
-    of the first axis, and what the choice expects of the pool.
+    Candidates come from the ``allowed`` policies of the search; ``seed`` is the root of start
+    lines, noise and the search for the pool. Return the parameters that vary, shape
+    (config.max_policies, P), in the order of the first axis, and notes with the expected headroom.
     """
     config = races.config
     theta, explored = races.explored()
@@ -137,9 +143,9 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
 
 
 def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
-    """Race all pairs of an archive's policies in new races, and say how much of a game it holds on each circuit.
+    """Race all pairs of an archive's policies in new races, and report headroom on each track.
 
-    Circuits of ``config.judging_tracks`` are not used for the choice.
+    Tracks of ``config.judging_tracks`` are not used for the choice.
     """
     config = races.config
     tracks = (*config.tracks, *(config.judging_tracks or ()))
@@ -160,16 +166,16 @@ def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
 
 
 def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: int) -> Indices:
-    """Choose up to ``count`` policies that span an axis, in its order: the best scores of each of several equal
-    intervals.
+    """Choose up to ``count`` policies that span an axis, in its order, by score and interval.
 
-    Intervals take turns, until so many are chosen or none is left.
+    Each round takes the best remaining policy of each of several equal intervals, until ``count``
+    policies are chosen or none is left.
     """
     edges = np.linspace(axis.min(), axis.max(), intervals + 1)[1:-1]
     interval = np.searchsorted(edges, axis, side="right")
     # The index decides between equal scores, so that the choice does not depend on the sorting.
     ranked = np.lexsort((np.arange(len(axis)), -score))
-    rank = np.zeros(len(axis), np.int64)  # within its interval
+    rank = np.zeros(len(axis), np.int64)  # rank within the interval
     for k in range(intervals):
         inside = ranked[interval[ranked] == k]
         rank[inside] = np.arange(len(inside))
@@ -179,12 +185,15 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
 
 
 def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int) -> PolicyPool:
-    """Return the races of all pairs of some policies, in as many folds as there are start lines, or up to 16."""
+    """Return the races of all pairs of some policies.
+
+    The number of folds is an even divisor of the number of start lines, up to 16.
+    """
     planner = get_planner(config.planner)
     complete = planner.complete(config.varied, parameters)
     policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(complete))
     rules = config.rules_of(config.final_duration)
     lines = races // 2
-    # As many folds are added as subtracted: an even number.
+    # An even number, since equally many folds are added and subtracted.
     folds = max(k for k in range(2, MOST_FOLDS + 1, 2) if lines % k == 0)
     return PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)

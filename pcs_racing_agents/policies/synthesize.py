@@ -11,18 +11,18 @@ from pcs_racing.base.checks import check_array, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.policies.search import Generation, Search, Synthesis
 
-BLOCKS = 16  # of a generation, when an executor evaluates them
+BLOCKS = 16  # blocks of a generation on an executor
 
 
 class Evaluated(NamedTuple):
-    """Objectives of n points, and by how much they violate the constraint."""
+    """Objectives of n points, and violations of the constraint."""
 
-    objectives: ArrayLike  #: shape (n, G): To maximise.
-    #: shape (n,): By how much a constraint is violated: up to 0 where the point is feasible, which all are if it is
-    #: left out.
+    objectives: ArrayLike  #: shape (n, G): Objectives, to maximise.
+    #: shape (n,): Violation of a constraint, up to 0 for feasible points; without it all points are
+    #: feasible.
     violation: ArrayLike | None = None
-    #: shape (n, P): The points themselves. Where stored results carry them, they are compared with the points asked
-    #: for.
+    #: shape (n, P): Evaluated points; in stored results they are compared with the requested
+    #: points.
     parameters: ArrayLike | None = None
 
 
@@ -38,7 +38,7 @@ def synthesize(
     callback: Callable[[Generation], object] | None = None,
     **options: Any,
 ) -> Synthesis:
-    """Search the Pareto set of a function.
+    """Search for the Pareto set of a function.
 
     Parameters
     ----------
@@ -47,32 +47,33 @@ def synthesize(
         **maximised**; or ``(objectives, violation)`` with a violation for each, up to 0 where the point is feasible
         (:meth:`Search.tell`). A row's result must not depend on the other rows.
     bounds : array_like, shape (P, 2)
-        Smallest and largest value of each parameter.
+        Minimum and maximum value of each parameter.
     generations : int
-        1 to 1,000,000; with an initial sample from 0.
+        Number of generations, 1 to 1,000,000; from 0 with an initial sample.
     initial : array_like, shape (n, P), optional
-        Initial sample: points that are evaluated before the first generation and enter the archive. Their range
-        normalises objectives unless ``ideal`` and ``nadir`` are stated. No optimiser recombines them.
+        Initial sample: points evaluated before the first generation and added to the archive. Their
+        range normalises objectives unless ``ideal`` and ``nadir`` are stated. Optimisers do not
+        recombine them.
     evaluations : int, optional
-        Most points to evaluate in all: a generation that would exceed them is not begun.
+        Maximum number of evaluated points; a generation that would exceed it is not begun.
     executor : Executor, optional
-        Evaluates a generation in up to 16 blocks at once. It has no influence on the result.
+        Executor for up to 16 blocks of a generation at once. It has no influence on the result.
     evaluated : sequence
-        Results of the first evaluations, where they are known from an earlier run with the same arguments: objectives,
-        ``(objectives, violation)`` or :class:`Evaluated` each, such as a :class:`Generation` holds. They stand in
-        for calls of ``evaluate``, and the search goes on from there as if it had never stopped.
+        Results of the first evaluations from an earlier run with the same arguments: objectives,
+        ``(objectives, violation)`` or :class:`Evaluated` each, as in a :class:`Generation`. They
+        replace calls of ``evaluate``, and the search continues as if never interrupted.
     callback : callable, optional
-        Called with the :class:`Generation` after each, and after the initial sample.
+        Called with the :class:`Generation` after each generation and after the initial sample.
     **options
-        Of :class:`Search`: ``population``, ``elite_ratio``, ``loss``, ``mean``, ``seed``, ``method``, ``reference``,
-        ``ideal``, ``nadir``, ``start``, ``step_size``.
+        Options of :class:`Search`: ``population``, ``elite_ratio``, ``loss``, ``mean``, ``seed``,
+        ``method``, ``reference``, ``ideal``, ``nadir``, ``start``, ``step_size``.
     """
     check_whole("generations", generations, 1 if initial is None else 0, 1_000_000)
     most = np.inf if evaluations is None else check_whole("evaluations", evaluations, 1)
     most_results = generations + (initial is not None)
     if len(evaluated) > most_results:
         raise InputError(f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}")
-    # Made before anything is evaluated, so that impossible options are told at once.
+    # Made before any evaluation, so that invalid options are reported at once.
     search = Search(bounds, **options)
     stored = iter(evaluated)
     spent = 0
@@ -85,7 +86,7 @@ def synthesize(
         if stored_value is None:
             return _evaluate(evaluate, points, executor)
         result = _evaluated(stored_value)
-        # Results of other points would lead the search astray without any sign of it.
+        # Results of other points would mislead the search silently.
         if result.parameters is not None and not np.array_equal(np.asarray(result.parameters), points):
             raise InputError(
                 f"stored results belong to other points than those after {spent - len(points)} evaluations: they were "
@@ -100,7 +101,7 @@ def synthesize(
     if initial is not None:
         sample = search.check_points("initial", initial)
         result = results(sample)
-        # The range of the sample normalises all that follows.
+        # The range of the sample normalises all later objectives.
         if options.get("ideal") is None:
             values = check_array("objectives", result.objectives, (len(sample), None))
             search = Search(bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)})

@@ -1,4 +1,4 @@
-"""The paper's study in one command: archive, game trees, networks, agents, races, and a report, stage by stage."""
+"""The paper's study in stages: archive, game trees, networks, agents, races and a report."""
 
 from pcs_racing_agents.study.run import STAGES, run_study
 from pcs_racing_agents.study.study import Study, StudyConfig, load_study_config

@@ -12,7 +12,7 @@ PAPER = "#c22443"
 
 @picture
 def scores_picture(table: StudyTable) -> Any:
-    """Draw each agent's score with its interval: a panel for each row, the paper's win rates beside ours."""
+    """Draw each agent's score with its interval and the paper's win rates, one panel per row."""
     figure, panels = _grid(table)
     names = table.arms
     for row, axes in panels:
@@ -24,7 +24,7 @@ def scores_picture(table: StudyTable) -> Any:
             axes.plot([arm.low, arm.high], [heights[arm.arm]] * 2, color=colour, lw=2.0, solid_capstyle="butt")
             axes.plot(arm.score, heights[arm.arm], "o", color=colour, ms=5.5)
         if row.paper is not None:
-            # The paper has two agents: the base, and its game-theoretic agent, which is our cfr-argmax.
+            # The paper has two agents: the base and the game-theoretic agent (our cfr-argmax).
             diamonds = [(row.paper.non_gt, heights[base.arm])]
             if "cfr-argmax" in heights:
                 diamonds.append((row.paper.gt, heights["cfr-argmax"]))
@@ -37,9 +37,9 @@ def scores_picture(table: StudyTable) -> Any:
 
 @picture
 def differences_picture(table: StudyTable) -> Any:
-    """Draw each agent's difference from the base with its interval: a panel for each row, the paper's beside ours."""
+    """Draw each agent's difference from the base, with intervals and the paper's differences."""
     figure, panels = _grid(table)
-    # Heights are those of the whole table, so that an agent that did not race in a row leaves a gap there.
+    # All panels share the heights of the whole table: an agent missing from a row leaves a gap.
     names = [arm for arm in table.arms if arm != table.base]
     for row, axes in panels:
         axes.axvline(0.0, color=INK, lw=0.8)
@@ -56,7 +56,7 @@ def differences_picture(table: StudyTable) -> Any:
 
 @picture
 def adaptivity_picture(table: StudyTable) -> Any:
-    """Draw the adaptivity gain of each row: the best agent minus the best one without observations."""
+    """Draw each row's adaptivity gain: best agent minus best agent without observations."""
     rows = [(row, row.gain) for row in table.rows if row.gain is not None]
     if not rows:
         raise InputError("the table has no adaptivity gains; name the best and the open-loop arm")
@@ -89,13 +89,13 @@ def adaptivity_picture(table: StudyTable) -> Any:
 
 
 def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
-    """Return a figure with a panel for each row: circuits below each other, opponents side by side."""
+    """Return a figure with one panel per row: one line per track, one column per opponent."""
     tracks = list(dict.fromkeys(row.track for row in table.rows))
     opponents = list(dict.fromkeys(row.opponent for row in table.rows))
     height = 0.55 + 0.21 * len(table.arms)
     figure = new_figure(2.0 + 2.3 * len(opponents), 0.7 + height * len(tracks))
     grid = figure.subplots(len(tracks), len(opponents), sharex=True, sharey=True, squeeze=False)
-    # Not every circuit has every opponent: a place of the grid that no row takes stays empty.
+    # Not every track has every opponent: panels without a row stay empty.
     for axes in grid.ravel():
         axes.set_visible(False)
     panels = []

@@ -1,4 +1,4 @@
-"""The stages that race: the races of the tables, and all agents against all for the ratings."""
+"""Racing stages: the races of the tables, and the round robin of all agents for the ratings."""
 
 from functools import cache
 from itertools import product
@@ -17,7 +17,7 @@ RATING_SEED = 5_000_000
 
 
 class StudyRaces(NamedTuple):
-    """Races of an agent against one kind of opponent on a circuit, for one of the study's tables."""
+    """Races of an agent against one kind of opponent on a track, for one of the study's tables."""
 
     table: str
     pairing: Pairing
@@ -30,9 +30,9 @@ def race_tables(study: Study) -> None:
 
 
 def table_races(study: Study) -> list[StudyRaces]:
-    """Return the races of all tables; those that are stored are read."""
+    """Return the races of all tables; stored races are read."""
     config = study.config
-    # The same objects for all pairings: by them it is seen which races agents have in common (play_pairings).
+    # All pairings share these objects: play_pairings finds common races by object identity.
     games, agents = cache(study.game), cache(study.agent)
     tables, pairings = [], []
     for number, (table, (tracks, opponents, arms, lines)) in enumerate(config.tables.items()):
@@ -46,7 +46,7 @@ def table_races(study: Study) -> list[StudyRaces]:
                     egos=config.egos,
                     opponents=config.variants,
                     lines=lines,
-                    # By opponent and table, but not by circuit and arm: all arms of a row drive the same races.
+                    # The seed ignores circuit and arm: all arms of a row drive the same races.
                     seed=config.seed + TABLE_SEED + 100 * number + opponents.index(opponent),
                 )
             )
@@ -57,7 +57,7 @@ def table_races(study: Study) -> list[StudyRaces]:
 
 
 def race_for_ratings(study: Study) -> None:
-    """Play all agents against all others, for the ratings."""
+    """Race all pairs of agents, for the ratings."""
     if not study.config.rated:
         return
     config = study.config

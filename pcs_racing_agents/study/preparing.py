@@ -1,4 +1,4 @@
-"""The stages before the races: archive, game trees, and the training of all agents."""
+"""Stages before the races: archive, game trees, and the training of all agents."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from pcs_racing_agents.networks.from_trees import TrainedOnTrees
 
 
-# Added to the study's seed: other start policies and other noise than in the races of the tables. Which start places
-# training and tables may draw from is decided in pcs_racing.race.races.start_lines.
+# Offsets of the study's seed: start policies and noise differ from the races of the tables.
+# pcs_racing.race.races.start_lines decides which start places training and tables draw from.
 TREE_SEED = 1_000_000
 FITTING_SEED = 2_000_000
 RESPONSE_SEED = 3_000_000
 SAMPLED_SEED = 4_000
-PPO_SEEDS = 2**31  # torch takes no larger ones
+PPO_SEEDS = 2**31  # upper limit of torch
 
 
 def make_the_archive(study: Study) -> None:
-    """Make the archive by the configuration's synthesis; nothing to do if it names an existing one."""
+    """Make the archive by the configuration's synthesis, unless it names an existing archive."""
     if study.config.synthesis is None:
         return
     from pcs_racing_agents.policies.archive_run import make_archive
@@ -50,11 +50,11 @@ def make_the_archive(study: Study) -> None:
 
 
 def play_trees(study: Study) -> None:
-    """Play game trees on every training circuit, in parallel."""
+    """Play game trees on every training track, in parallel."""
     config = study.config
     if config.pairs == 0:
         return
-    # All circuits side by side: no worker waits at the end of one for the last trees of it.
+    # All tracks in parallel: no worker waits for the last trees of a track.
     with ExitStack() as opened:
         groups = [
             opened.enter_context(
@@ -73,14 +73,14 @@ def play_trees(study: Study) -> None:
 
 
 def stored_trees(study: Study) -> list[StoredTrees]:
-    """Return the trees that were played, one folder for each circuit."""
+    """Return the played trees, one folder per track."""
     if study.config.pairs == 0:
         return []
     return [load_trees(study.folder / "trees" / name, study.archive) for name in study.config.circuits]
 
 
 def train_networks(study: Study) -> None:
-    """Train a network for every target, in parallel if there are processes; all have the same validation trees."""
+    """Train a network per target, in parallel processes if any; all share validation trees."""
     from pcs_racing_agents.networks.training import write_epochs
 
     config = study.config
@@ -91,7 +91,7 @@ def train_networks(study: Study) -> None:
         return
     settings = [load_train_settings(config.training, target=name, seed=config.seed) for name in missing]
     elsewhere = in_other_processes(study.executor)
-    # Other processes may not see the files of this one, so that they are sent the trees; and they can't show progress.
+    # Other processes may not see local files, so the trees are sent; they can't show progress.
     trees = stored if elsewhere is None else [list(each) for each in stored]
     train = partial(
         _train,
@@ -118,10 +118,10 @@ def _train(
     tracks: str,
     progress: Callable[[str], Progress | None] | None,
 ) -> "TrainedOnTrees":
-    """Train a network on the trees of all circuits, here or in another process.
+    """Train a network on the trees of all tracks, here or in another process.
 
-    ``pairs`` (ndarray of int, shape (trees, 2)): starting policies of the trees. ``progress``: makes a progress
-    function for epochs.
+    ``pairs`` (ndarray of int, shape (trees, 2)): starting policies of the trees. ``progress``:
+    factory of a progress function for epochs.
     """
     from pcs_racing_agents.networks.from_trees import train_on_trees
 
@@ -138,7 +138,7 @@ def _train(
 
 
 def learn_sampled_regrets(study: Study) -> None:
-    """Learn the regrets of "cfr-argmax" from sampled games; nothing to do without settings for it."""
+    """Learn the regrets of "cfr-argmax" from sampled games, if the study configures this."""
     if study.config.sampled_cfr is None:
         return
     settings = load_self_play_settings(study.config.sampled_cfr)
@@ -150,14 +150,14 @@ def learn_sampled_regrets(study: Study) -> None:
         progress = study.progress(f"tasks ({name})")
         learned = learn_self_play(samplers, settings, job, name=name, executor=study.executor, progress=progress)
     save_network_set(learned, study.network(name))
-    # The last network predicts mean regrets over all iterations; the paper plays the move of the highest.
+    # The last network predicts mean regrets over all iterations; the paper plays the argmax.
     training = {**learned.training, "sampled": True}
     last = replace(learned.networks[-1], name="regret", target="regret", training=training)
     save_network(last, study.network("regret"))
 
 
 def choose_open_loop(study: Study) -> None:
-    """Fit the baselines on training races: a fixed policy, an open-loop sequence of moves, a lead plan."""
+    """Fit the baselines on training races: fixed policy, open-loop move sequence, lead plan."""
     from pcs_racing_agents.tournament.fitting import (
         TrainingRaces,
         fit_best_fixed,
@@ -173,7 +173,7 @@ def choose_open_loop(study: Study) -> None:
         races=config.fitting_games,
         seed=config.seed + FITTING_SEED,
     )
-    # Spread over the archive, since a search over all policies of a large one would drive most races in vain.
+    # Candidates are spread over the archive: searching all policies of a large archive is wasteful.
     targets = None
     if 0 < config.fixed_targets < len(study.archive):
         rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
@@ -212,9 +212,9 @@ def learn_responses(study: Study) -> None:
 
 
 def train_ppo_baseline(study: Study) -> None:
-    """Train PPO on the study's game; nothing to do without settings for it.
+    """Train PPO on the study's game, if the study configures this.
 
-    Circuits, archive and rules are those of the study; everything else is in the settings.
+    The study gives tracks, archive and rules; the settings give everything else.
     """
     config = study.config
     if config.ppo is None:
@@ -223,7 +223,7 @@ def train_ppo_baseline(study: Study) -> None:
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
 
-    # Learned on the study's own game, or a comparison with its agents would say nothing.
+    # Training uses the study's own game: a comparison with its agents needs the same game.
     settings = load_ppo_settings(config.ppo, tracks=config.circuits)
     trained = train_ppo(
         settings,

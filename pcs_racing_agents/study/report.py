@@ -1,4 +1,4 @@
-"""The report of a study: a single page with tables, pictures and replays, which loads nothing else."""
+"""The report of a study: one self-contained page with tables, pictures and replays."""
 
 import base64
 import os
@@ -29,7 +29,7 @@ class TitledTable(NamedTuple):
 
     title: str
     head: Sequence[str]
-    rows: Sequence[Sequence[str]]  #: As many cells as the head; numbers are aligned to the right.
+    rows: Sequence[Sequence[str]]  #: Rows of as many cells as the head; numbers align right.
     note: str = ""
 
 
@@ -39,13 +39,13 @@ class ReportContent:
 
     title: str
     about: str = ""  #: Subject of the study, in a few sentences.
-    findings: Sequence[str] = ()  #: Results, a sentence each; the first stands at the top.
-    caution: str = ""  #: Why the results are not to be relied on.
+    findings: Sequence[str] = ()  #: Results, one sentence each; the first is the headline.
+    caution: str = ""  #: Reason to distrust the results.
     table: StudyTable | None = None
-    archive: PolicyArchive | None = None  #: Drawn with the moves of one policy, of length ``epsilon``.
+    archive: PolicyArchive | None = None  #: Archive to draw, with moves of length ``epsilon``.
     epsilon: float | tuple[float, ...] = 0.5
-    curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)  #: Loss by epoch of every network, by its name.
-    #: Learning curves of reinforcement learning by step (in millions): a panel for each figure.
+    curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)  #: Losses per network.
+    #: Learning curves of reinforcement learning by step (in millions), one panel per figure.
     reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
     round_robin: RoundRobin | None = None
     situations: Sequence[Situations] = ()  #: Moves by situation, for each agent.
@@ -58,14 +58,14 @@ class ReportContent:
 
 
 def write_page(content: ReportContent, path: str | os.PathLike[str]) -> Path:
-    """Write the report; the file appears whole or not at all. Without matplotlib it has no pictures of its own."""
+    """Write the report atomically; without matplotlib it has no pictures of its own."""
     page = report_page(content)
     write_atomically(Path(path), lambda file: file.write(page.encode("utf-8")))
     return Path(path)
 
 
 def page_environment(package: str) -> Environment:
-    """Return the environment of a package's page templates: all text is escaped, and ``page`` embeds a replay."""
+    """Return a package's template environment: text is escaped, and ``page`` embeds a replay."""
     environment = Environment(
         loader=PackageLoader(package, ""),
         autoescape=True,
@@ -79,7 +79,7 @@ def page_environment(package: str) -> Environment:
 
 def report_page(content: ReportContent) -> str:
     """Return the report as HTML from the template ``report.html``; all text is escaped."""
-    # Names of agents and circuits come from files: nothing gets into the page without being escaped.
+    # Names of agents and tracks come from files: all text is escaped.
     environment = page_environment("pcs_racing_agents.study")
     environment.filters |= {"p_value": p_text, "plain": _plain, "data": _data}
     environment.tests["number"] = is_number
@@ -105,7 +105,7 @@ def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     from pcs_racing_agents.tournament import table
     from pcs_racing_agents.watch import pcs_picture, situations
 
-    # The template names a picture; only modules that are imported here, for a report alone, can draw one.
+    # The template names a picture; the modules imported here, only for reports, draw it.
     home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))
     return picture_bytes(getattr(home, name)(*arguments, **options))
 
@@ -120,7 +120,7 @@ def _plain(value: Any) -> str:
 
 
 def _ratings(content: ReportContent) -> list[tuple[str, ...]]:
-    """Return the ratings as a table, the best first; empty if there are none."""
+    """Return the ratings as a table, best first; empty without ratings."""
     round_robin = content.round_robin
     if round_robin is None or round_robin.ratings is None:
         return []

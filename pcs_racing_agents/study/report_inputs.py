@@ -1,4 +1,4 @@
-"""What a report is made of: the stages' results, read from their files, and example races."""
+"""Inputs of a report: the stages' results, read from their files, and example races."""
 
 import platform
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ LARGEST = 1e100
 
 
 def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve]:
-    """Read learning curves; by default training and validation loss, as they stand beside a trained network."""
+    """Read learning curves; by default a trained network's training and validation loss."""
     names = columns or ("training_loss", "validation_loss")
     rows = _rows(path, (x, *names))
     steps = np.array([_number(row[x], path) for row in rows])
@@ -60,7 +60,7 @@ def _number(text: str | None, path: str | Path) -> float:
     try:
         value = float(text) if text else np.nan
     except ValueError:
-        # As impossible as infinity; an empty cell is a number that is not known.
+        # Text is as invalid as infinity; an empty cell is an unknown number.
         value = np.inf
     if np.isinf(value) or abs(value) > LARGEST:
         raise InputError(f"{path} holds {text!r} where a number should be")
@@ -76,33 +76,34 @@ class ExplainedRace(NamedTuple):
     """A race with explanation and replay for a report."""
 
     title: str
-    text: str  #: The explanation; may be empty.
+    text: str  #: Explanation; may be empty.
     replay: Replay
-    #: The moves, as :func:`pcs_racing_agents.watch.pictures.explanation_picture` draws them, SVG; may be empty.
+    #: Moves as an SVG picture; may be empty.
+    #: Drawn by :func:`pcs_racing_agents.watch.pictures.explanation_picture`.
     picture: bytes = b""
 
 
 class Highlight(NamedTuple):
-    """An example race of an agent; the smallest of several is the one to show."""
+    """An example race of an agent; of several, the report shows the smallest."""
 
-    rank: int  #: How telling its kind of race is: 0 before 1.
-    gap: float  #: Between the cars at its end, m.
+    rank: int  #: Order of preference of its kind of race: 0 before 1.
+    gap: float  #: Gap between the cars at the end, m.
     title: str
-    race: int  #: Its number in the pairing.
-    races: int  #: Number of the races that it was chosen from.
+    race: int  #: Index in the pairing.
+    races: int  #: Number of candidate races.
 
 
 def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highlight]:
-    """Select a win by switching, a loss, and a crash of an agent, by kind; a kind that did not occur is absent.
+    """Select an agent's win by switching, loss and crash, by kind, as far as they occurred.
 
-    Preferred are a win that the agent without moves loses in the same race, a loss that it wins, and a crash by the
-    agent's fault after its first move. Of several such races the one in which the cars are closest at the end is
-    selected.
+    Preferences: a win in a race lost by the agent without moves, a loss in a race won by the agent
+    without moves, a crash by the agent's fault after its first move. Of several such races, the
+    race with the smallest final gap between the cars is selected.
 
     Parameters
     ----------
     races, baseline : RaceTable
-        The same races, driven by the agent and by the one that never switches.
+        The same races, driven by the agent and by the agent that never switches.
     """
     clean, switched = ~races.crashed, races.switches[:, 0] > 0
     won, lost, fault = clean & (races.winner == 0), clean & (races.winner == 1), races.fault[:, 0] > 0
@@ -119,7 +120,7 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
         },
     )
     highlights = {}
-    # The criteria of a kind stand from the most telling one down; the first that any race meets is taken.
+    # Criteria of a kind, best first; the first criterion that any race meets is used.
     for kind, choices in zip(KINDS, criteria, strict=True):
         for rank, (title, mask) in enumerate(choices.items()):
             numbers = np.flatnonzero(mask)

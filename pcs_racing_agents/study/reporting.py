@@ -1,4 +1,4 @@
-"""The last stage: one line for every race, the tables, and the page."""
+"""The last stage: race results line by line, tables, and the report page."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -44,19 +44,19 @@ from pcs_racing_agents.watch.situations import Situations, summarise, write_situ
 
 SEED = 7_000_000
 GAME_THEORETIC = "cfr-argmax"  # the paper's agent
-FEWEST_RACES = 1000  # of an agent in a row, below which a study is a smoke test; the paper has 4,000
+FEWEST_RACES = 1000  # per agent and row; below it is a smoke test; paper: 4,000
 
 
 def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
-    """Count the moves of every agent of the main table that uses its observations; write each as CSV.
+    """Count the moves of the main table's agents that use observations; write each as CSV.
 
-    ``races``: maximum number of each pairing; drawn by the study's seed, the same ones for all agents.
+    ``races``: max number per pairing, drawn by the study's seed; all agents get the same races.
     """
     pairings = []
     for table, pairing, _ in study_races:
         # An open-loop agent's moves in situations would show the situations, not the agent.
         if table == "main" and isinstance(pairing.ego, Agent) and not is_open_loop(pairing.ego):
-            # Begun anew for each pairing: all agents are shown in the same races.
+            # Fresh generator per pairing: all agents are shown in the same races.
             rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
             pairings.append(pairing.take(np.sort(rng.permutation(len(pairing))[:races])))
     if not pairings:
@@ -95,7 +95,7 @@ def write_report(study: Study, seconds: Mapping[str, float]) -> None:
 def study_table(
     study: Study, study_races: Sequence[StudyRaces], name: str, scored: Callable[[RaceTable], RaceTable] | None = None
 ) -> StudyTable:
-    """Compare the arms of one of the study's tables; ``scored`` may give the races other winners."""
+    """Compare the arms of one of the study's tables; ``scored`` may redefine the winners."""
     races = concatenate_races(cell.races for cell in study_races if cell.table == name)
     races = races if scored is None else scored(races)
     config, open_loop = study.config, best_open_loop(study)
@@ -103,21 +103,21 @@ def study_table(
     table = make_table(races, base=config.arms[0], best=config.best, open_loop=open_loop, seen=learned_on)
     if config.game.race.name == "paper":
         return table
-    # With other rules than the paper's its figures can't be compared.
+    # The paper's figures are comparable under the paper's rules only.
     return replace(table, rows=tuple(replace(row, paper=None) for row in table.rows))
 
 
 def best_open_loop(study: Study) -> str | None:
-    """Return the fitted baseline that won most training races; None without such arms.
+    """Return the fitted baseline with the max number of training wins; None without such arms.
 
-    It is the best of the best fixed policy, the best open-loop sequence and the best lead plan. The sequence is at
-    least as good on those races as any constant move, and the plan as any of the fixed policies, since their searches
-    begin with the best of these.
+    Candidates are the best fixed policy, the best open-loop sequence and the best lead plan. On
+    the training races the sequence is at least as good as any constant move, and the plan as any
+    fixed policy, since their searches begin with the best constant move and the best fixed policy.
     """
     if not set(BEST_OPEN_LOOP) <= set(study.config.arms):
         return None
     fits = {name: load_fit(study.folder / "open-loop" / f"{name}.yaml") for name in BEST_OPEN_LOOP}
-    return max(BEST_OPEN_LOOP, key=lambda name: float(fits[name].training["reached"]))  # of equals the first
+    return max(BEST_OPEN_LOOP, key=lambda name: float(fits[name].training["reached"]))  # first max
 
 
 def _content(
@@ -157,7 +157,7 @@ def _content(
 
 
 def _papers_statistic(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[TitledTable]:
-    """Write the main table by the paper's own statistic, and yield its rows as a sheet; nothing in other races."""
+    """Write the main table by the paper's statistic and yield it; only under the paper's rules."""
     table = study_table(study, study_races, "main", by_progress)
     if GAME_THEORETIC not in table.arms or not any(row.paper for row in table.rows):
         return
@@ -182,7 +182,7 @@ def _findings(table: StudyTable) -> Iterator[str]:
 
 
 def _caution(table: StudyTable) -> str:
-    """Return that a study is too small to conclude from; empty if it is not."""
+    """Return a warning if a study is too small for conclusions, else an empty text."""
     races = min(arm.races for row in table.rows for arm in row.arms)
     if races >= FEWEST_RACES:
         return ""
@@ -190,7 +190,7 @@ def _caution(table: StudyTable) -> str:
 
 
 def _curves(study: Study) -> dict[str, list[Curve]]:
-    """Learning curves of the networks, in the order of the configuration."""
+    """Return the learning curves of the networks, in the order of the configuration."""
     files = {name: study.network(name) / "learning_curves.csv" for name in study.config.targets}
     return {name: read_curves(file) for name, file in files.items() if file.is_file()}
 
@@ -199,7 +199,7 @@ REWARDS = {"worth": "payoff of a race", "won": "races won", "fault": "crashes by
 
 
 def _reward_curves(study: Study) -> dict[str, list[Curve]]:
-    """Return the learning curves of PPO, if the study trained it: a panel for each figure, a line for each seed."""
+    """Return PPO's learning curves, if trained: a panel per figure, a line per seed."""
     file = study.network("ppo") / "curve.csv"
     if not file.is_file():
         return {}
@@ -218,7 +218,7 @@ def _reward_curves(study: Study) -> dict[str, list[Curve]]:
 
 
 def _round_robin(study: Study) -> RoundRobin | None:
-    """Return the summary of all against all."""
+    """Return the summary of the round robin."""
     file = study.folder / "ratings.csv"
     if not file.is_file():
         return None
@@ -243,8 +243,8 @@ def _seeds(study: Study) -> dict[str, int]:
 
 
 def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
-    """Yield a win by switching, a loss and a crash of the best agent, each the closest of all rows."""
-    # By names, since the baseline of a race is the pairing with the same circuit and opponent.
+    """Yield the best agent's closest win by switching, loss and crash over all rows."""
+    # Keyed by names: the baseline of a race is the pairing with the same track and opponent.
     raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
     found: dict[str, list[tuple[Highlight, Pairing]]] = {}
     for (track, ego, opponent), races in raced.items():

@@ -1,4 +1,4 @@
-"""Opening the results of a tournament or of a study, to repeat and watch their races."""
+"""Loader of the results of a tournament or study, to repeat and watch their races."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +11,7 @@ from pcs_racing_agents.watch.results_folder import ResultsFolder, read_manifest,
 
 
 def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
-    """Open the folder of a tournament or of a study; its agents named in ``code`` may be code, which is run."""
+    """Open a tournament's or study's folder; agents named in ``code`` may be code, which is run."""
     path = Path(folder)
     manifest = read_manifest(path)
     if manifest is None or manifest["kind"] not in ("tournament", "study"):
@@ -19,7 +19,7 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
             f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing study' wrote with "
             "--out"
         )
-    # A study keeps the races of its ratings in a folder of their own, and their lines beside it.
+    # A study stores the races of its ratings in a separate folder, with their lines next to it.
     file, study = path / "results.csv", None
     if manifest["kind"] == "study":
         study = Study(_study_config(manifest["settings"]), path, quiet=True)

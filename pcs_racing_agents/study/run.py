@@ -1,8 +1,8 @@
-"""Running a study: its stages in order, each in its own folder; finished stages are skipped.
+"""Runner of a study: its stages in order, each in its own folder; finished stages are skipped.
 
-A finished stage leaves a file ``done.yaml``, with digests of what it wrote for later ones; a stopped stage resumes its
-job. The results are functions of the study's configuration alone. The time of a stage includes earlier runs of it that
-were stopped.
+A finished stage leaves a file ``done.yaml`` with digests of its outputs for later stages; a
+stopped stage resumes its job. The results depend on the study's configuration alone. The time of
+a stage includes its stopped runs.
 """
 
 import hashlib
@@ -27,7 +27,7 @@ from pcs_racing_agents.study import playing, preparing, reporting
 from pcs_racing_agents.study.study import Study, StudyConfig
 
 DONE, SECONDS = "done.yaml", "seconds.txt"
-"""Files in the folder of a finished stage, and of one that was stopped."""
+"""Files in the folder of a finished stage and of a stopped stage."""
 
 
 def _report(study: Study) -> None:
@@ -35,16 +35,16 @@ def _report(study: Study) -> None:
 
 
 class Stage(NamedTuple):
-    """A stage of a study; it works in a folder of its name."""
+    """A stage of a study, with a folder of the same name."""
 
     name: str
-    needs: tuple[str, ...]  #: Stages that must be done before.
-    does: str  #: Its work, in a few words.
-    run: Callable[[Study], None]  #: ``run(study)`` does the work, and skips what an earlier call has done.
-    always: bool = False  #: Whether it runs again after it is done.
+    needs: tuple[str, ...]  #: Stages to finish first.
+    does: str  #: Short description of its work.
+    run: Callable[[Study], None]  #: Function ``run(study)``; it skips finished work.
+    always: bool = False  #: True to run again after it is done.
 
     def check_libraries(self, config: StudyConfig) -> None:
-        """Raise ModuleNotFoundError if it needs a library that is missing."""
+        """Raise ModuleNotFoundError if a required library is missing."""
         learns = {
             "networks": config.pairs > 0,
             "responses": bool(config.responses),
@@ -78,16 +78,16 @@ STAGES = (
     Stage("ratings", LEARNED, "lets agents race all against all", playing.race_for_ratings),
     Stage("report", ("races", "ratings"), "writes results.csv and report.html", _report, always=True),
 )
-"""All stages, in the order in which they run."""
+"""All stages, in order of execution."""
 
 
 def stage_seconds(study: Study) -> dict[str, float]:
-    """Return the time of each finished stage, s, including earlier runs that were stopped."""
+    """Return the time of each finished stage, s, including its stopped runs."""
     return {name: float(note["seconds"]) for name, note in _notes(study.folder).items()}
 
 
 def _notes(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return what finished stages have noted, by name."""
+    """Return the notes of finished stages, by name."""
     notes = {}
     for stage in STAGES:
         file = folder / stage.name / DONE
@@ -102,7 +102,7 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
-    """Return digests of what a stage has left for later ones, by path; jobs guard their chunks."""
+    """Return digests of a stage's outputs for later stages, by path; jobs guard their chunks."""
     names = {"networks": config.targets, "responses": config.responses, "sampled-cfr": (stage, "regret")}
     left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
     left += [f"{stage}/*", f"{stage}/*/job.yaml", f"{stage.replace('-', '_')}.csv"]
@@ -116,7 +116,7 @@ def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
 
 @contextmanager
 def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
-    """Measure the time of a stage, and return a function of it; a stop leaves it in a file, from which it goes on."""
+    """Yield a function of a stage's elapsed time; a stopped run saves the time for the next."""
     try:
         before = float(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -149,11 +149,12 @@ def run_study(
     folder : str or Path
         New, empty, or of the same study.
     only : sequence of str, optional
-        Names of stages to run; each needs the results of some earlier ones. All by default.
+        Names of stages to run (default: all). A stage may need results of earlier stages.
     executor : Executor, optional
-        Runs the jobs (:func:`pcs_racing_agents.base.executors.make_executor`). It does not change the results.
+        Executor of the jobs (:func:`pcs_racing_agents.base.executors.make_executor`). The results
+        do not depend on it.
     """
-    # Before the folder is claimed: a misspelt stage or a missing library leaves nothing behind.
+    # Checks come before the folder: a misspelt stage or a missing library leaves nothing behind.
     remaining = stages_to_run(config, folder, only)
     study = Study(config, Path(folder), executor, quiet)
     with claim_folder(study.folder, "study", plain_settings(config)):
@@ -165,9 +166,9 @@ def run_study(
 
 
 def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[Stage]:
-    """Return the stages that are still to be run, in order, after a check of their libraries and of all circuits.
+    """Return the remaining stages in order, after a check of their libraries and of all tracks.
 
-    Arguments are those of :func:`run_study`.
+    The arguments are as in :func:`run_study`.
     """
     names = [stage.name for stage in STAGES]
     for name in only or ():
@@ -180,7 +181,7 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     ]
     for stage in remaining:
         stage.check_libraries(config)
-    # Damaged or changed, they would give other results without a word.
+    # Damaged or changed files would silently give other results.
     for name, note in _notes(Path(folder)).items():
         present = _digests(config, Path(folder), name)
         for file in note["files"]:
@@ -189,7 +190,7 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
                     f"{Path(folder) / str(file)} is not what stage {name!r} left, by {Path(folder) / name / DONE}; "
                     "delete both, and the stage runs again"
                 )
-    # A circuit that is only raced in the last stage must not be found missing after hours of the others.
+    # A missing track of the last stage is reported now, not after hours of other stages.
     for name in config.every_track:
         load_track(name)
     return remaining
@@ -207,7 +208,7 @@ def _run_stage(study: Study, stage: Stage) -> None:
         print(f"{stage.name}: {stage.does}", flush=True)
     folder = study.folder / stage.name
     folder.mkdir(exist_ok=True)
-    # The note is written last: a stage that was stopped at any moment is not done, and runs again.
+    # The note is written last: a stopped stage is not done, and runs again.
     with seconds_counted(folder / SECONDS) as spent:
         stage.run(study)
         files = {} if stage.always else _digests(study.config, study.folder, stage.name)

@@ -1,4 +1,4 @@
-"""A study: its declared settings, and its folder, the context of its stages."""
+"""A study: declared configuration, and a folder as the context of its stages."""
 
 import os
 from concurrent.futures import Executor
@@ -31,12 +31,12 @@ from pcs_racing_agents.networks.targets import get_target
 from pcs_racing_agents.policies.config import load_archive_config
 
 BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
-"""Baselines, fitted on training races: the best fixed policy and sequence of moves, and the lead-conditioned plan."""
+"""Baselines fitted on training races: fixed policy, move sequence and lead-conditioned plan."""
 
 
 @dataclass(frozen=True)
 class StudyConfig(Settings):
-    """Settings of a study; they determine its results."""
+    """Configuration of a study; it determines the results."""
 
     race: Annotated[Text, "Rules: a preset's name or a YAML file."] = "paper"
     epsilon: Annotated[float | tuple[float, ...], STEP_SIZES, "Length of a move, in normalised coordinates."] = 0.5
@@ -154,7 +154,7 @@ class StudyConfig(Settings):
             )
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
-        # With some of them only, the best of those that are there would be called the best baseline.
+        # A subset of them would pass the best of the subset off as the best baseline.
         missing = [name for name in BEST_OPEN_LOOP if name not in self.arms]
         if 0 < len(missing) < len(BEST_OPEN_LOOP):
             present = next(name for name in BEST_OPEN_LOOP if name in self.arms)
@@ -171,7 +171,7 @@ class StudyConfig(Settings):
 
     @property
     def tables(self) -> dict[str, tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], int]]:
-        """Circuits, opponents, arms and start lines of each table, by name."""
+        """Tracks, opponents, arms and start lines of each table, by name."""
         tables = {"main": (self.tracks, self.opponents, self.arms, self.lines)}
         if self.further_lines:
             tables["further"] = (
@@ -184,19 +184,19 @@ class StudyConfig(Settings):
 
     @property
     def every_track(self) -> tuple[str, ...]:
-        """All circuits that are used."""
+        """All tracks of the study."""
         return tuple(dict.fromkeys((*self.circuits, *self.tracks, *self.further_tracks)))
 
     @property
     def game(self) -> GameConfig:
-        """Rules of the game; with the move "stay" if the race's rules have it."""
+        """Rules of the game, with the move "stay" if the race rules have it."""
         race = load_race_config(self.race)
         own = {name: getattr(self, name) for name in ("epsilon", "moves", "step_seconds", "first_steps")}
         return load_game_config(race, **own)
 
 
 def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:
-    """Return a configuration from a shipped one's name, a YAML file or a configuration, with some fields changed."""
+    """Return a configuration from a shipped name, a YAML file or a config, with changed fields."""
     return load_config("study", StudyConfig(), source, **changes)
 
 
@@ -210,51 +210,51 @@ class Study:
 
     config: StudyConfig
     folder: Path
-    executor: Executor | None = None  #: Runs the jobs.
-    quiet: bool = False  #: Show no progress.
+    executor: Executor | None = None  #: Executor of the jobs.
+    quiet: bool = False  #: No progress output.
 
     @cached_property
     def archive(self) -> PolicyArchive:
-        """The archive that was made, or the one that the configuration names."""
+        """Archive of the study's synthesis, or the archive named by the configuration."""
         return load_archive(self.config.archive if self.config.synthesis is None else self.folder / "archive")
 
     @cached_property
     def spec(self) -> GameSpec:
-        """Archive and rules, as agents know them."""
+        """Archive and rules, in the form for agents."""
         return make_game_spec(self.archive, self.config.game)
 
     def game(self, track: str) -> RaceGame:
-        """Return the game on a circuit."""
+        """Return the game on a track."""
         return make_game(self.track(track), self.archive, self.config.game)
 
     def games(self) -> list[RaceGame]:
-        """Return the games on the circuits of training."""
+        """Return the games on the training tracks."""
         return [self.game(track) for track in self.config.circuits]
 
     def tree_game(self, track: str) -> RaceGame:
-        """Return the game of the trees on a circuit: without "stay", which would make them six times as large."""
+        """Return the trees' game on a track, without "stay" (trees would be six times as large)."""
         return make_game(self.track(track), self.archive, self.config.game, stay=False)
 
     def track(self, name: str) -> Track:
-        """Return a circuit."""
+        """Return a track."""
         return load_track(name)
 
     def network(self, kind: str) -> Path:
-        """Return the folder of a network, or of a set of networks, that this study trains."""
+        """Return the folder of a network (or set of networks) trained by this study."""
         return self.folder / "networks" / kind
 
     def agent(self, name: str) -> Competitor:
-        """Return an agent or driver by name, with the networks and fits of this study where it has them.
+        """Return an agent or planner by name, with this study's networks and fits where available.
 
-        In addition to the names of the zoo there are those of the configuration's ``responses``: learned responses
-        without a margin.
+        The names are the zoo's names and the names in the configuration's ``responses`` (learned
+        responses without a margin).
         """
         seed = self.config.seed
         if name in self.config.responses:
             agent = build("cfr-argmax", self.spec, seed=seed, network=self.network(name))
             assert isinstance(agent, Agent)
             return Agent(name, agent.strategy, agent.spec, agent.seed, agent.facts)
-        # What this study has trained goes before what is shipped; a stage that did not run leaves the shipped one.
+        # Networks and fits of this study, once trained, replace shipped networks and fits.
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
         if name == "adaptive" and self.config.responses:
@@ -267,5 +267,5 @@ class Study:
         return make(name, self.spec, seed=seed, **options)
 
     def progress(self, unit: str) -> Progress | None:
-        """Return a progress function that updates a line on stderr; None if the study is quiet."""
+        """Return a progress function that updates a line on stderr; None if ``quiet``."""
         return None if self.quiet else show_progress(unit)

@@ -1,6 +1,7 @@
-"""The table of a study: each agent's score against each kind of opponent, with the figures of the paper.
+"""The table of a study: scores of agents against kinds of opponents, with the paper's figures.
 
-A row is a circuit and a kind of opponent; an arm is an agent in a row, and all arms of a row drove the same races.
+A row is a track and a kind of opponent. An arm is an agent in a row; all arms of a row drove the
+same races.
 ``docs/statistics.md`` explains the columns and the intervals.
 """
 
@@ -19,14 +20,14 @@ Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 FEWEST_LINES = 5
-"""Least number of shared start lines for intervals that are clustered by them: with fewer, df are too few."""
+"""Min number of shared start lines for clustering by start line (fewer: too few df)."""
 
 
 class PaperRow(NamedTuple):
     """A row of the paper's table of win rates (Table I)."""
 
-    non_gt: float  #: ``non_gt``, ``gt``: Win rate of the agent that never switches, and of the game-theoretic one.
-    non_gt_sd: float  #: ``non_gt_sd``, ``gt_sd``: The figures after the paper's plus-minus signs.
+    non_gt: float  #: ``non_gt``, ``gt``: Win rates of the never-switching and game-theoretic agent.
+    non_gt_sd: float  #: ``non_gt_sd``, ``gt_sd``: Figures after the paper's plus-minus signs.
     gt: float
     gt_sd: float
     difference: float
@@ -44,7 +45,7 @@ PAPER_TABLE: dict[tuple[str, bool], PaperRow] = {
     ("Random", False): PaperRow(0.625, 0.278, 0.738, 0.172, 0.113, 0.00276),
     ("Unseen", False): PaperRow(0.556, 0.101, 0.565, 0.098, 0.009, 0.147),
 }
-"""The paper's table, by (kind of opponent, whether the circuit was seen in training)."""
+"""The paper's table, by (kind of opponent, True for a training track)."""
 
 
 class ArmResult(NamedTuple):
@@ -53,10 +54,10 @@ class ArmResult(NamedTuple):
     arm: str
     races: int
     score: float
-    low: float  #: ``low``, ``high``: Interval of the score that is robust to the clusters of the races.
+    low: float  #: ``low``, ``high``: Cluster-robust interval of the score.
     high: float
-    sd: float  #: Standard deviation of the score over the ego's start policies, as we read the paper's plus-minus.
-    #: ``crash``, ``own_crash``: Shares of races that ended in a crash, and in a crash by the agent's fault.
+    sd: float  #: Standard deviation of the score over start policies (the paper's plus-minus).
+    #: ``crash``, ``own_crash``: Shares of races with a crash, and with a crash by own fault.
     crash: float
     own_crash: float
 
@@ -67,29 +68,29 @@ class Difference:
 
     arm: str
     base: str
-    result: Comparison  #: The result to quote; clustered by egos, opponents and, if pairs shared them, start lines.
-    two_way: Comparison  #: The same, clustered by egos and opponents only: it takes the start lines as given.
-    p_holm: float  #: ``result.p_clustered``, adjusted over the rows of the table in which this arm stands (Holm 1979).
+    result: Comparison  #: Result to quote; clusters: egos, opponents and shared start lines.
+    two_way: Comparison  #: Result for given start lines; clusters: egos and opponents.
+    p_holm: float  #: ``result.p_clustered``, adjusted over this arm's rows (Holm 1979).
 
 
 @dataclass(frozen=True)
 class TableRow:
-    """All agents on one circuit against one kind of opponent."""
+    """All agents on one track against one kind of opponent."""
 
     track: str
     opponent: str
-    seen: bool  #: Whether agents were trained on this circuit.
-    paper: PaperRow | None  #: The row of the paper's table that it corresponds to.
+    seen: bool  #: True for a training track.
+    paper: PaperRow | None  #: Matching row of the paper's table.
     lines: int  #: Number of different start lines.
-    #: Whether the intervals are clustered by start line; else every pair had its own, or there are too few.
+    #: True if intervals are clustered by start line; else each pair had its own, or too few.
     lines_drawn: bool
-    arms: tuple[ArmResult, ...]  #: The base first.
+    arms: tuple[ArmResult, ...]  #: Results of all arms, the base first.
     differences: tuple[Difference, ...]  #: Differences of the other arms from the base.
-    gain: Difference | None  #: The adaptivity gain: the best agent minus the baseline that was best in training.
+    gain: Difference | None  #: Adaptivity gain: best agent minus the best baseline in training.
 
     @property
     def name(self) -> str:
-        """Circuit and opponent as text."""
+        """Track and opponent as text."""
         return f"{self.track} ({'seen' if self.seen else 'unseen'}) against {self.opponent}"
 
 
@@ -98,8 +99,8 @@ class StudyTable:
     """The whole table."""
 
     rows: tuple[TableRow, ...]
-    base: str  #: The agent that the others are compared with: the paper's non-GT one.
-    best: str | None  #: ``best``, ``open_loop``: The agents that the adaptivity gain is the difference of.
+    base: str  #: Reference agent of the differences: the paper's non-GT agent.
+    best: str | None  #: ``best``, ``open_loop``: Agents of the adaptivity gain, their difference.
     open_loop: str | None
 
     @property
@@ -121,15 +122,15 @@ def make_table(
     Parameters
     ----------
     races : RaceTable
-        Rows and arms (the egos) keep the order in which they come first.
+        Races; rows and arms (the egos) are in order of first occurrence.
     base : str, optional
-        The arm to compare with; by default the first.
+        The arm to compare with (default: the first arm).
     best : str, optional
         The agent of the adaptivity gain. It must be chosen before the races.
     open_loop : str, optional
         The best arm without observations, chosen on training races.
     seen : collection of str
-        Circuits that agents were trained on.
+        Training tracks.
     """
     pairs: dict[tuple[str, str, str], RaceTable] = {}
     seeds: dict[tuple[str, str, str], str] = {}
@@ -149,7 +150,7 @@ def make_table(
         if name is not None and name not in arms:
             raise InputError(f"{role} is {name!r}, which did not race; the arms are {', '.join(arms)}")
     if best == open_loop:
-        open_loop = None  # the best agent is itself open-loop: there is no such gain
+        open_loop = None  # the best agent is open-loop itself: no gain
     rows = [
         _row(track, opponent, pairs, [base, *(arm for arm in arms if arm != base)], best, open_loop, track in seen)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
@@ -158,7 +159,7 @@ def make_table(
 
 
 def by_progress(races: RaceTable) -> RaceTable:
-    """Return the races as the paper scores them: who has progressed further at the end wins, crash or not."""
+    """Return the races by the paper's scoring: the final leader wins, crash or not."""
     return replace(races, winner=np.where(races.lead == 0.0, -1, races.lead < 0.0), crash=np.zeros_like(races.crash))
 
 
@@ -179,10 +180,10 @@ def _row(
     scores = {arm: matched_scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
     egos, opponents = first.variants.T.astype(np.int64)
     lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
-    # Labels and lines are those of the first arm, whose order the scores of all others were brought into.
+    # Labels and lines come from the first arm; the scores of all other arms follow its order.
     labels = (egos, opponents)
     start = _shared_lines(egos, opponents, lines)
-    # A driver with a single policy is taken as given.
+    # A planner with a single policy is taken as given.
     varied = tuple(codes for codes in labels if codes is egos or len(np.unique(codes)) > 1)
     clusters = varied if start is None else (*varied, start)
 
@@ -194,7 +195,7 @@ def _row(
     for arm, races in raced.items():
         mean = clustered_mean(scores[arm], *clusters)
         by_ego = np.bincount(_codes(egos), scores[arm]) / np.bincount(_codes(egos))
-        # A score is between 0 and 1; the t distribution does not know that.
+        # A score is between 0 and 1; the t distribution is unbounded.
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
         shares = float(races.crashed.mean()), float((races.fault[:, 0] > 0).mean())
         results.append(ArmResult(arm, len(races), mean.mean, low, high, float(by_ego.std(ddof=1)), *shares))
@@ -214,7 +215,7 @@ def _row(
 
 def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
     """Return the scores of an arm in the order of the races of another arm."""
-    # Mostly they are in the same order already, and a dictionary of all races can be spared.
+    # The orders mostly agree; then no dictionary of all races is needed.
     columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
     if all(np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)):
         return races.score
@@ -226,14 +227,14 @@ def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
 
 def _units(races: RaceTable) -> list[tuple[int, int, float, int]]:
     """Return the identity of each race, equal for all arms: variants, start line, side."""
-    # A results file has four digits of a start line: races from a file and from memory are the same ones.
+    # Results files have four digits of a start line: rounding matches races in file and memory.
     columns = (*races.variants.T, races.start_s.round(4), races.side)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 
 def _shared_lines(egos: Labels, opponents: Labels, lines: Labels) -> Labels | None:
-    """Labels of start lines where the pairs shared them; None where each pair had its own, or there are too few."""
-    # As many lines as pairs or more: then lines were drawn for each pair, and are no cluster beside it.
+    """Return the labels of shared start lines; None if each pair had its own, or too few."""
+    # At least as many lines as pairs: lines were drawn per pair and are no separate cluster.
     pairs = len(set(zip(egos.tolist(), opponents.tolist(), strict=True)))
     return lines if FEWEST_LINES <= len(np.unique(lines)) < pairs else None
 
@@ -243,13 +244,13 @@ def _codes(labels: Labels) -> NDArray[np.intp]:
 
 
 def _adjusted(rows: list[TableRow]) -> list[TableRow]:
-    """Return the rows with p-values that are adjusted over all rows, for each arm separately."""
+    """Return the rows with p-values adjusted over all rows, separately for each arm."""
 
     def adjust(differences: list[Difference]) -> Iterator[Difference]:
         p_values = holm([difference.result.p_clustered for difference in differences]).tolist() if differences else []
         return iter([replace(difference, p_holm=p) for difference, p in zip(differences, p_values, strict=True)])
 
-    # By arm: the question is whether this agent gains in all rows, not whether any agent does.
+    # Per arm: the question is about the gain of this agent over all rows, not of any agent.
     differences: dict[str, list[Difference]] = {}
     for row in rows:
         for difference in row.differences:

@@ -15,7 +15,7 @@ DETAILS = ("agent", "score", "sd", "crash", "own fault", "difference", "95 % int
 
 
 def p_text(p: float) -> str:
-    """Return a p-value with two digits that count."""
+    """Return a p-value with two significant digits."""
     if np.isnan(p):
         return "-"
     return f"{p:.3f}" if p >= 0.01 else f"{p:.1e}" if p >= 1e-99 else "< 1e-99"
@@ -28,7 +28,7 @@ def difference_text(difference: Difference) -> str:
 
 
 def paper_text(row: TableRow) -> str:
-    """Return the paper's figures for a row; empty if there are none."""
+    """Return the paper's figures for a row; empty without figures."""
     if row.paper is None:
         return ""
     paper = row.paper
@@ -39,7 +39,7 @@ def paper_text(row: TableRow) -> str:
 
 
 def overview_rows(table: StudyTable, show: Callable[[Difference], str] = difference_text) -> list[tuple[str, ...]]:
-    """Return the short table, its head first: a line for each row, a column for each agent's difference."""
+    """Return the short table, head first: one line per row, one column per difference."""
     others = [arm for arm in table.arms if arm != table.base]
     gain = [] if table.best is None or table.open_loop is None else [f"{table.best} - {table.open_loop}"]
     papers = any(row.paper is not None for row in table.rows)
@@ -61,7 +61,7 @@ def overview_rows(table: StudyTable, show: Callable[[Difference], str] = differe
 
 
 def paper_rows(table: StudyTable, arm: str) -> list[tuple[str, ...]]:
-    """Return the rows that the paper has, in its columns and beside its figures, the head first."""
+    """Return the rows of the paper's table, with the paper's columns and figures, head first."""
     lines: list[tuple[str, ...]] = [
         ("circuit", "opponent", table.base, arm, "difference", "p", "paper: non-GT", "GT", "difference", "p")
     ]
@@ -79,7 +79,7 @@ def paper_rows(table: StudyTable, arm: str) -> list[tuple[str, ...]]:
 
 
 def detail_rows(row: TableRow) -> Iterator[tuple[str, ...]]:
-    """Return the lines of one row in the columns :data:`DETAILS`: one for each agent, then the adaptivity gain."""
+    """Yield the lines of a row in the columns :data:`DETAILS`: agents, then the adaptivity gain."""
     differences = {difference.arm: difference for difference in row.differences}
     for arm in row.arms:
         shares = (f"{arm.score:.3f}", f"{arm.sd:.3f}", f"{arm.crash:.1%}", f"{arm.own_crash:.1%}")
@@ -89,10 +89,10 @@ def detail_rows(row: TableRow) -> Iterator[tuple[str, ...]]:
 
 
 def notes(table: StudyTable) -> list[str]:
-    """Return the sentences that explain the columns."""
+    """Return explanations of the columns, as sentences."""
     races = sorted({arm.races for row in table.rows for arm in row.arms})
     count = f"{races[0]}" if len(races) == 1 else f"{races[0]} to {races[-1]}"
-    # Rows may differ in this: then the weaker claim is the one that holds for all of them.
+    # Rows may differ here: then the weaker claim holds for all rows.
     lines_drawn = {row.lines_drawn for row in table.rows}
     kinds = "egos, opponents and start lines" if lines_drawn == {True} else "egos and opponents"
     sentences = [
@@ -143,7 +143,7 @@ CSV_COLUMNS = (
 
 
 def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
-    """Write one line for each comparison as CSV; the same table gives the same bytes.
+    """Write one line per comparison as CSV; the same table gives the same bytes.
 
     The kind of a comparison is ``difference`` (from the base) or ``adaptivity gain``.
     """
@@ -156,7 +156,7 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
 
 
 def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:
-    # With six digits: what lies behind them depends on the processor's rounding, and files are compared byte by byte.
+    # Six digits: further digits depend on the processor, and files are compared byte by byte.
     arm = next(arm for arm in row.arms if arm.arm == difference.arm)
     result, two_way, paper = difference.result, difference.two_way, row.paper
     numbers = (
@@ -182,9 +182,9 @@ def _columns(difference: Difference) -> tuple[str, ...]:
 
 
 def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
-    """Return one sentence on how an arm compares with another one over the rows of a table.
+    """Return one sentence that compares two arms over the rows of a table.
 
-    ``results``: one difference for each row, at least one.
+    ``results``: one difference per row, at least one.
     """
     more, less = sum(result.low > 0.0 for result in results), sum(result.high < 0.0 for result in results)
     smallest, largest = (pick(result.difference for result in results) for pick in (min, max))

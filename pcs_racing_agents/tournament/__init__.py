@@ -1,4 +1,4 @@
-"""Competitors against each other: games, pairings, tournaments, ratings and their tables."""
+"""Tournaments: games between competitors, pairings, statistics, ratings and result tables."""
 
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing

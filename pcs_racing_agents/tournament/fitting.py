@@ -1,8 +1,9 @@
-"""Fits on training races: baselines of three kinds, and the equilibrium mixture of agents.
+"""Fits on training races: three kinds of baselines, and the equilibrium mixture of agents.
 
-They are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind and one ahead). Every
-candidate drives the same training races (common random numbers), which reduces the noise of their differences. An
-open-loop agent's result is a :class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
+The baselines are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind
+and a policy ahead). Every candidate drives the same training races (common random numbers), which
+reduces the noise of their differences. The result of a baseline is a
+:class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
 "best-fixed" and "best-lead-plan".
 """
 
@@ -32,13 +33,13 @@ Choices = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False)
 class TrainingRaces:
-    """The races in which candidates are compared."""
+    """Training races for the comparison of candidates."""
 
     tracks: tuple[Track, ...]
-    opponents: tuple[Competitor, ...]  #: Each is met equally often.
+    opponents: tuple[Competitor, ...]  #: Opponents, with equal frequencies.
     spec: GameSpec
     races: int = 100  #: Races against each opponent on each track; even.
-    seed: int = 1_000_003  #: Of starts, start policies and noise: another one than that of the test races.
+    seed: int = 1_000_003  #: Seed of starts, start policies and noise; different from test races.
 
     def __post_init__(self) -> None:
         if len(self.tracks) == 0 or len(self.opponents) == 0:
@@ -47,7 +48,7 @@ class TrainingRaces:
         object.__setattr__(self, "opponents", tuple(self.opponents))
 
     def facts(self, reached: float, candidates: int) -> dict[str, str | int | float]:
-        """Return how a fit was selected, for its file."""
+        """Return facts about the selection of a fit, for its file."""
         return {
             "tracks": ", ".join(track.name for track in self.tracks),
             "opponents": ", ".join(map(competitor_name, self.opponents)),
@@ -65,17 +66,17 @@ def evaluate(
     common: list[Pairing] = []
     for game, schedule in _games(training):
         for k, opponent in enumerate(training.opponents):
-            # Different start policies against each opponent, the same for all candidates.
+            # Start policies differ between opponents, but not between candidates.
             rolled = schedule._replace(draws=np.roll(schedule.draws, 2 * k, axis=0))
             common.append(schedule_pairing(game, candidates[0], opponent, rolled, training.seed))
-    # Pairings that differ in their ego alone: what candidates have in common is driven once, most of it.
+    # Pairings differ only in their ego: common parts of the candidates' races are simulated once.
     pairings = [replace(pairing, ego=candidate) for candidate in candidates for pairing in common]
     means = np.array([races.score.mean() for races in play_pairings(pairings, name=name, **run)])
     return means.reshape(len(candidates), -1).mean(axis=1)
 
 
 def _games(training: TrainingRaces) -> list[tuple[RaceGame, RaceSchedule]]:
-    """Return the game on each track, and its races."""
+    """Return the game and the race schedule of each track."""
     spec, rules = training.spec, training.spec.config.race_rules
     return [
         (
@@ -89,8 +90,8 @@ def _games(training: TrainingRaces) -> list[tuple[RaceGame, RaceSchedule]]:
 def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
     """Find the open-loop sequence of moves with the highest mean score.
 
-    The search begins with the best constant sequence and takes the best change of one step, until none is an
-    improvement.
+    The search starts with the best constant sequence, and repeatedly makes the best change of one
+    step until no change is an improvement.
     """
     spec = training.spec
 
@@ -105,15 +106,17 @@ def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
 def _search(
     raced: Callable[[Sequence[Choices], int], NDArray[np.float64]], options: Sequence[int], places: int
 ) -> tuple[Choices, dict[Choices, float]]:
-    """Search the best choice of an option for each of some places, and return it with the scores of all that raced.
+    """Search the best choice of an option for each place; return it with all evaluated scores.
 
-    The search begins with the best of the choices with one option at all places, and takes the best change of one place
-    until none is an improvement. Of equals the one with the lowest numbers is best.
+    The search starts with the best constant choice (one option at all places), and repeatedly makes
+    the best change of one place until no change is an improvement. Ties go to the choice with the
+    lowest numbers.
 
     Parameters
     ----------
     raced : callable
-        ``raced(choices, before)`` returns the scores of choices; ``before`` were raced earlier.
+        ``raced(choices, before)`` returns the scores of choices; ``before`` is the number of
+        choices raced earlier.
     """
     scores: dict[Choices, float] = {}
 
@@ -123,7 +126,7 @@ def _search(
             scores.update(zip(new, raced(new, len(scores)).tolist(), strict=True))
         return max(scores, key=lambda choice: (scores[choice], [-i for i in choice]))
 
-    # Every choice is raced once, so a round without a better one is the last: the search ends.
+    # Every choice is raced once. The search ends after a round without an improvement.
     current: Choices = ()
     best = race_new([(option,) * places for option in options])
     while current != best:
@@ -133,9 +136,9 @@ def _search(
 
 
 def fit_best_fixed(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
-    """Find the target policy with the highest mean score, for an agent that goes there and keeps it.
+    """Find the target policy with the highest mean score, for an agent that moves there and stays.
 
-    ``targets``: candidates; all policies of the archive by default.
+    ``targets``: candidates; by default all policies of the archive.
     """
     spec = training.spec
     candidates = list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
@@ -146,15 +149,16 @@ def fit_best_fixed(training: TrainingRaces, *, targets: Sequence[int] | None = N
 
 
 def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
-    """Find two target policies with the highest mean score, for an agent that goes to one behind and one ahead.
+    """Find the two target policies of a lead plan (behind, ahead) with the highest mean score.
 
-    The search begins with the best fixed policy, the same behind and ahead, and takes the best change of one of the
-    two until none is an improvement: on the training races the plan is at least as good as the best fixed policy.
+    The search starts with the best fixed policy, used behind and ahead, and repeatedly makes the
+    best change of one target until no change is an improvement. In the training races the plan is
+    at least as good as the best fixed policy.
 
     Parameters
     ----------
     targets : sequence of int, optional
-        Candidates; all policies of the archive by default.
+        Candidates; by default all policies of the archive.
     """
     spec = training.spec
     candidates = list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
@@ -169,10 +173,11 @@ def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None
 
 
 class MetaStrategy(NamedTuple):
-    """An equilibrium of the zero-sum game in which both players choose one of N agents."""
+    """Equilibrium of the zero-sum meta-game; both players choose one of N agents."""
 
     weights: NDArray[np.float64]  #: shape (N,): Probability of each agent.
-    payoffs: NDArray[np.float64]  #: shape (N, N): Share of races that each agent won minus each other's.
+    #: shape (N, N): Row agent's share of races won minus column agent's share.
+    payoffs: NDArray[np.float64]
 
 
 def fit_psro(
@@ -182,19 +187,19 @@ def fit_psro(
     known: MetaStrategy | None = None,
     **run: Unpack[Run],
 ) -> MetaStrategy:
-    """Find the equilibrium probabilities of agents, in the zero-sum game in which both players choose an agent.
+    """Find the equilibrium probabilities of agents in the zero-sum game of choosing an agent.
 
-    The payoff of one agent against another is its share of races won minus the other's, over the same races from both
-    sides of the grid (empirical game of PSRO, Lanctot et al. 2017).
+    The payoff of an agent against another agent is the difference of their shares of races won,
+    over the same races from both sides of the grid (empirical game of PSRO, Lanctot et al. 2017).
 
     Parameters
     ----------
     training : TrainingRaces
-        Its opponents are not used.
+        Training races; the opponents are not used.
     members : sequence of Agent
-        At least two.
+        At least two agents.
     known : MetaStrategy, optional
-        Of the first members: their payoffs are taken from it.
+        Equilibrium of the first members; their payoffs are reused.
     """
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):
@@ -208,9 +213,9 @@ def fit_psro(
         for (i, j), (game, schedule) in product(pairs, _games(training))
     ]
     played = play_pairings(pairings, name=f"psro-{first}-{len(members)}", **run)
-    # Won minus lost: a race that pays nobody counts as 0, like a tie.
+    # Wins minus losses: a no-contest counts as 0, like a tie.
     excess = [np.mean(1.0 * (races.winner == 0) - 1.0 * (races.winner == 1)) for races in played]
-    # The game is zero-sum, so that one of the two directions of a pair is enough.
+    # The game is zero-sum: one direction of each pair is sufficient.
     payoffs = np.zeros((len(members), len(members)))
     if known is not None:
         payoffs[:first, :first] = known.payoffs

@@ -1,10 +1,10 @@
-"""Games of several egos from the same starts against one opponent, driven once for as long as they are the same.
+"""Games of several egos against one opponent with equal starts; common parts are simulated once.
 
-A step of a race follows from the state before it and from the policies that drive it. All egos begin with the same
-policies, so the first step of a game is the same for all of them; later ones are the same for those whose policies
-were the same so far. Their games are the branches of a tree, and each of its steps is driven once. The results are
-those of games that are driven one by one, to the bit: they do not depend on the batch that a game is driven in, on the
-number of threads, or on earlier games.
+A step of a race depends only on the previous state and the policies of the step. All egos begin
+with the same policies, so the first step of a game is the same for all egos; a later step is the
+same for all egos with the same policies so far. The games are branches of a tree, and each step of
+the tree is simulated once. The results are bit-identical to separate games: they do not depend on
+the batch, on the number of threads, or on earlier games.
 """
 
 import copy
@@ -31,12 +31,12 @@ CARS = ("ego", "opponent")
 
 
 def variant_count(game: RaceGame, competitor: Competitor) -> int:
-    """Return how many variants a competitor has: a driver's policies, else the archive's, with which it may start."""
+    """Return the number of a competitor's variants: a planner's policies, or the archive's size."""
     return len(competitor.policies) if isinstance(competitor, Driver) else len(game.archive)
 
 
 def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceGame:
-    """Return the game in which two competitors meet: with the move "stay", and with their planners."""
+    """Return the game of two competitors: with the move "stay" and their planners."""
     planners = [car.planner if isinstance(car, Driver) else None for car in (ego, opponent)]
     config = game.config if game.config.stay else replace(game.config, stay=True)
     game = replace(game, config=config, ego_planner=planners[0], opponent_planner=planners[1])
@@ -53,20 +53,20 @@ def race_columns(
     starts: Starts,
     seeds: ArrayLike,
 ) -> list[Arrays]:
-    """Play the same B games with each of K egos, several of them only if none is a driver.
+    """Play the same B games with each of K egos; a planner as ego must be the only ego.
 
     Parameters
     ----------
     policies : array_like of int, shape (B, 2)
-        Variant of each car: the policy of the archive to start with; for a driver which of its policies.
+        Variant of each car: index of the start policy in the archive, or of a planner's policy.
     seeds : array_like of int, shape (B,)
         Keys of the games.
 
     Returns
     -------
     list of K dict of ndarray
-        By name what a :class:`pcs_racing_agents.tournament.races.RaceTable` says of how the races went. ``moves`` are
-        indices of moves, and ``noise`` (which it lacks) the keys of the steering noise.
+        Result columns of a :class:`pcs_racing_agents.tournament.races.RaceTable` by name. ``moves``
+        are indices of moves; the extra column ``noise`` holds the keys of the steering noise.
     """
     if not egos or (len(egos) > 1 and any(isinstance(ego, Driver) for ego in egos)):
         raise InputError(
@@ -75,7 +75,7 @@ def race_columns(
     game = game_between(game, egos[0], opponent)
     for ego in egos[1:]:
         check_competitor(game, ego)
-    # No conversion to whole numbers here: policies given as 2.7 or True would become others without a word.
+    # No conversion to integers here: policies such as 2.7 or True would change silently.
     keys, variants = np.asarray(seeds), np.asarray(policies)
     if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
         raise InputError(
@@ -95,12 +95,13 @@ def race_columns(
 
 
 class _SharedGames(NamedTuple):
-    """B games of each of K egos, of m moves."""
+    """B games of m moves for each of K egos."""
 
-    state: GameState  #: The ends of all different games.
-    branch: Indices  #: shape (K, B): Where in ``state`` each ego's games are.
-    path: Indices  #: shape (K, B, 2, m + 1): Policy driven in each step; -1 for a driver and after a crash.
-    moves: Indices  #: shape (K, B, 2, m): Moves made; -1 for a driver and after a crash.
+    state: GameState  #: Final states of all distinct games.
+    branch: Indices  #: shape (K, B): Row in ``state`` of each ego's games.
+    #: shape (K, B, 2, m + 1): Archive policy of each step; -1 for a planner and after a crash.
+    path: Indices
+    moves: Indices  #: shape (K, B, 2, m): Moves; -1 for a planner and after a crash.
 
 
 def _drive(
@@ -111,23 +112,24 @@ def _drive(
     starts: Starts,
     keys: NDArray[Any],
 ) -> _SharedGames:
-    """Drive the branches of all games, step by step."""
+    """Simulate the branches of all games, step by step."""
     games, steps = len(variants), game.config.moves
     drivers = [
         [car.policies[i] for i in variants[:, place]] if isinstance(car, Driver) else None
         for place, car in enumerate((egos[0], opponent))
     ]
-    # A driver's variant is no policy of the archive; -1 leaves its place to it.
+    # A planner's variant is no archive policy: -1 marks its column.
     first = np.where([driver is None for driver in drivers], variants, -1)
     state = game.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
-    # At first every ego's game k is row k of the state. A row is copied only when its egos part, so the state grows
-    # with the number of different games; rows never join again, since what was driven differs from there on.
+    # Initially game k of every ego is row k of the state. A row is copied only when its egos part,
+    # so the state grows with the number of distinct games. Rows never merge, since their histories
+    # differ.
     branch = np.tile(np.arange(games), (len(egos), 1))
     path = np.full((len(egos), games, 2, steps + 1), -1, np.int64)
     moves = np.full((len(egos), games, 2, steps), -1, np.int64)
     path[..., 0] = first
-    # A model's memory belongs to a game. The egos have one for each of their games, the opponent one for each branch,
-    # because in one branch it cannot know which of the egos it meets.
+    # A model's memory belongs to a game. An ego has one memory for each game, the opponent one for
+    # each branch, because within a branch it can't distinguish the egos.
     memories: list[list[Any]] = [[None] * games for _ in egos]
     opponent_memories: list[Any] = [None] * games
     for step in range(steps):
@@ -145,8 +147,8 @@ def _drive(
         if drivers[1] is None:
             replies = ask_moves(opponent, game, state, 1, observation=seen[:, 1], memories=opponent_memories)
             moves[running, 1, step] = replies[branch][running]
-        # Two egos with different moves that lead to the same policy go on together. Games that are over count as
-        # policy 0: they are not driven, and must not multiply.
+        # Egos with different moves to the same policy stay in one branch. Finished games count as
+        # policy 0: they are not simulated, and must not multiply.
         policies = np.where(running, game.next_policy(state.policy[branch, 0], own), 0)
         _, chosen, after = np.unique(branch * len(game.archive) + policies, return_index=True, return_inverse=True)
         parents = branch.reshape(-1)[chosen]
@@ -161,9 +163,9 @@ def _drive(
 def _ask_ego(
     ego: Competitor, game: RaceGame, state: GameState, rows: Indices, seen: NDArray[np.float32], memories: list[Any]
 ) -> tuple[Indices, list[Any]]:
-    """Moves of an ego in its games, which are some rows of a state, and what it remembers of each of them after it."""
-    # ask_moves knows memories by the row of the state; several egos' games may lie in the same row, so each ego has
-    # a list of its own.
+    """Return an ego's moves and its updated memories for its games, given as rows of a state."""
+    # ask_moves indexes memories by row of the state. Games of several egos may share a row, so each
+    # ego has its own list.
     remembered: list[Any] = [None] * state.games
     for row, memory in zip(rows, memories, strict=True):
         remembered[row] = memory
@@ -172,24 +174,25 @@ def _ask_ego(
 
 
 def _branched(memories: list[Any], parents: Indices) -> list[Any]:
-    """What is remembered in each branch; branches that part do not share what may be changed in place."""
+    """Return the memory of each branch; parting branches get copies, since memories are mutable."""
     if all(memory is None for memory in memories):
         return [None] * len(parents)
-    # Copied only where games part: in all others the model goes on with its own object.
+    # Copies only for parting games: in all other games the model continues with its object.
     parted = np.bincount(parents) > 1
     return [copy.deepcopy(memories[parent]) if parted[parent] else memories[parent] for parent in parents]
 
 
 def _columns(game: RaceGame, games: _SharedGames, ego: int) -> Arrays:
-    """Results of the games of one of several egos."""
+    """Return the results of one ego's games."""
     state = take_games(games.state, games.branch[ego])
     race = state.race
     return {
         "lead": race.lead,
         "winner": game.winner(state),
-        # A race has one code. That of a contact of the cars is the higher one: it may end at a wall for one of them.
+        # A race has one code. The code of a car contact is higher than the wall code: after a
+        # contact one car may hit a wall.
         "crash": race.crash.max(axis=1),
-        # Faults that did not end a race are only counted in its state.
+        # Faults that did not end the race are only counted in the state.
         "fault": game.fault(state).astype(np.int8),
         "overtakes": narrow(race.overtakes),
         "duration": np.asarray(race.tick * DT, np.float64),

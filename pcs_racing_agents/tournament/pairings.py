@@ -1,11 +1,14 @@
-"""Pairings: sets of races of two competitors on one circuit, drawn in advance so that any race can be repeated.
+"""Pairings: sets of races of two competitors on one track, drawn in advance and repeatable.
 
-Tournaments, the tables of studies, training races and folders of results consist of pairings. There are two designs:
+Tournaments, tables of studies, training races and results folders consist of pairings. There are
+two designs:
 
-- scheduled (:func:`schedule_pairing`): race ``k`` has the same start line, side and noise for every pair on a circuit;
-- crossed (:func:`cross_pairing`): start policies of the ego times variants of the opponent, start lines and sides,
-  20 x 20 x 5 x 2 = 4,000 games in the paper. For all egos against an opponent everything but the ego's decisions is
-  the same: start policies, variants of the opponent, lines, sides and noise.
+- scheduled (:func:`schedule_pairing`): race ``k`` has the same start line, side and noise for every
+  pair on a track;
+- crossed (:func:`cross_pairing`): start policies of the ego times variants of the opponent, start
+  lines and sides (20 x 20 x 5 x 2 = 4,000 games in the paper). All egos against an opponent have
+  the same start policies, opponent variants, lines, sides and noise; only the ego's decisions
+  differ.
 """
 
 from collections.abc import Sequence
@@ -33,24 +36,28 @@ MOST_RACES = 2000
 
 
 class RaceSchedule(NamedTuple):
-    """Races of one pair on one track; the same for all pairs (common random numbers)."""
+    """Races of one pair on one track, equal for all pairs (common random numbers)."""
 
-    starts: Starts  #: N of them; races 2j and 2j + 1 start on the same line, from either side.
-    #: shape (N, 2): Random numbers that select the variants of ego and opponent. Races 2j and 2j + 1 swap them with the
-    #: sides, so that the advantage of a side is equal for both competitors.
+    starts: Starts  #: N starts; races 2j and 2j + 1 use both sides of one start line.
+    #: shape (N, 2): Random numbers that select the variants of ego and opponent. Races 2j and
+    #: 2j + 1 swap them with the sides, so that both competitors have the advantage of a side
+    #: equally often.
     draws: NDArray[np.uint64]
     seeds: NDArray[np.uint64]  #: shape (N,): Keys of the noise.
 
     def variants(self, ego: int, opponent: int) -> NDArray[np.int64]:
-        """Return the variants in each race, shape (N, 2), from the numbers of variants of ego and opponent."""
+        """Return the variants in each race, shape (N, 2).
+
+        ``ego``, ``opponent``: number of variants of each.
+        """
         return (self.draws % np.array([ego, opponent], np.uint64)).astype(np.int64)
 
 
 def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> RaceSchedule:
     """Draw the races of each pair on a track.
 
-    ``config``: its ``start_lines`` is not used: every two races draw a line of their own. ``races``: even, from 2 to
-    2000.
+    ``config``: rules, without an effect of ``start_lines``: every two races draw their own line.
+    ``races``: even number from 2 to 2000.
     """
     if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
         raise InputError(
@@ -58,29 +65,29 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Ra
             "driven from both sides"
         )
     starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
-    # Large numbers, of which the remainder selects a variant: a schedule is drawn before anybody knows who races, and
-    # pairs with equally many variants start alike.
+    # The remainder of a large number selects a variant: a schedule is independent of competitors,
+    # and pairs with equal numbers of variants have equal starts.
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     draws = generator.integers(2**63, size=(races // 2, 2), dtype=np.uint64)
     swapped = np.stack([draws, draws[:, ::-1]], axis=1).reshape(races, 2)
     return RaceSchedule(starts, swapped, race_seeds(seed, races))
 
 
-LINE_SETS = 8  # start lines on a circuit, as a multiple of those of one pair of variants
+LINE_SETS = 8  # start lines of a track, as a multiple of the lines of one pair of variants
 
 
 @dataclass(frozen=True, eq=False)
 class Pairing:
-    """N races of two competitors on one circuit."""
+    """N races of two competitors on one track."""
 
-    game: RaceGame  #: Circuit, archive and rules.
-    ego: Competitor  #: ``ego``, ``opponent``: In car 0 and car 1.
+    game: RaceGame  #: Track, archive and rules.
+    ego: Competitor  #: ``ego``, ``opponent``: Competitors in car 0 and car 1.
     opponent: Competitor
-    #: shape (N, 2): The policy of the archive that each starts with; for a driver which of its policies.
+    #: shape (N, 2): Index of each start policy in the archive, or of a planner's policy.
     variants: NDArray[np.int64]
-    starts: Starts  #: N of them.
+    starts: Starts  #: N starts.
     noise: NDArray[np.uint64]  #: shape (N,): Keys of the races' noise.
-    seed: int  #: Seed of the draws of all of this.
+    seed: int  #: Seed of all these draws.
 
     def __len__(self) -> int:
         return len(self.noise)
@@ -91,34 +98,40 @@ class Pairing:
         return competitor_name(self.ego), competitor_name(self.opponent)
 
     def take(self, rows: ArrayLike) -> "Pairing":
-        """Return some of the races, by their numbers."""
+        """Return the races with these indices."""
         indices = np.asarray(rows)
         return replace(
             self, variants=self.variants[indices], starts=self.starts.take(indices), noise=self.noise[indices]
         )
 
     def race_arguments(self, race: int) -> dict[str, Any]:
-        """Return the variants, start and seed of a race: keyword arguments of functions that simulate a single game."""
+        """Return variants, start and seed of a race as keyword arguments for a single game."""
         if not 0 <= race < len(self):
             raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
         return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
 
     def race(self, egos: Sequence[Competitor]) -> list[Arrays]:
-        """Drive the races with each of several egos; see :func:`pcs_racing_agents.tournament.games.race_columns`."""
+        """Simulate the races with each of several egos.
+
+        See :func:`pcs_racing_agents.tournament.games.race_columns`.
+        """
         return race_columns(self.game, egos, self.opponent, self.variants, self.starts, self.noise)
 
 
 class RaceBlock(NamedTuple):
-    """Some races of a group of pairings, which differ in nothing but their egos."""
+    """Block of races of a group of pairings that differ only in their egos."""
 
-    content_hash: str  #: Hash of everything that their result depends on.
-    group: int  #: Number of the group.
-    first: int  #: ``first``, ``last``: The races of each pairing from ``first`` to before ``last``.
+    content_hash: str  #: Hash of all inputs of the result.
+    group: int  #: Index of the group.
+    first: int  #: ``first``, ``last``: Half-open range of each pairing's races, without ``last``.
     last: int
 
 
 def race_block(groups: Sequence[Sequence[Pairing]], observations: bool, block: RaceBlock) -> Arrays:
-    """Drive a block of races: arrays by name, whose first axis is that of the egos; observations only if wanted."""
+    """Simulate a block of races; return arrays by name with the egos as first axis.
+
+    ``observations``: True to return observations, too.
+    """
     group = groups[block.group]
     raced = group[0].take(np.arange(block.first, block.last)).race([pairing.ego for pairing in group])
     left_out = {"noise"} if observations else {"noise", "observations"}
@@ -128,7 +141,7 @@ def race_block(groups: Sequence[Sequence[Pairing]], observations: bool, block: R
 def schedule_pairing(
     game: RaceGame, ego: Competitor, opponent: Competitor, schedule: RaceSchedule, seed: int
 ) -> Pairing:
-    """Return the races of a schedule for two competitors; ``seed`` is that of the schedule."""
+    """Return the races of a schedule for two competitors; ``seed`` is the schedule's seed."""
     variants = schedule.variants(variant_count(game, ego), variant_count(game, opponent))
     return Pairing(game, ego, opponent, variants, schedule.starts, schedule.seeds, seed)
 
@@ -143,34 +156,35 @@ def cross_pairing(
     lines: int = 5,
     seed: int = 0,
 ) -> Pairing:
-    """Draw races of every ego variant against every opponent variant, on several lines, from both sides.
+    """Draw races of all ego variants against all opponent variants, on several lines, both sides.
 
     Parameters
     ----------
     ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
-        "never-switch" is the paper's non-GT agent, "random-policy" its random one, "lane-switcher" its unseen one. The
-        draws depend on the numbers of their variants only: all agents drive the same races.
+        Competitors in car 0 and car 1. In the paper "never-switch" is the non-GT agent,
+        "random-policy" the random agent, "lane-switcher" the unseen agent. The draws depend only on
+        the numbers of variants: all agents drive the same races.
     egos, opponents : int or sequence of int
-        Number of variants, drawn without repetition (all of them, if there are no more), or a list of variants.
+        Number of variants, drawn without repetition (at most all variants), or a list of variants.
     lines : int
-        Start lines of each pair of variants, 1 to 1000; drawn from eight times as many.
+        Start lines of each pair of variants, 1 to 1000; drawn from eight times as many lines.
     seed : int
-        Must be equal for pairings that are compared.
+        Seed of the draws; it must be equal for compared pairings.
     """
     cars = (as_competitor(ego), as_competitor(opponent))
     meeting = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
-    # A wrong seed is refused here, in the words of the function that will use it, before anything is drawn with it.
+    # Check the seed before any draw, with the error message of the function that uses it.
     race_seeds(seed, 1)
     first = _variants("egos", egos, variant_count(meeting, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(meeting, cars[1]), seed, 4)
     rules = replace(meeting.setup.config, start_lines=lines * LINE_SETS)
     positions = start_lines(meeting.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
-    # The side changes fastest: races 2j and 2j + 1 are the two sides of one line, as in a schedule.
+    # The side is the fastest axis: races 2j and 2j + 1 are both sides of one line, as in schedules.
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
     a, b, own_line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
     pairs = len(first) * len(second)
-    # If the lines were the same for all pairs, their effect would not average out, however many pairs there are.
+    # With equal lines for all pairs, the effect of the lines would not average out over pairs.
     generator = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(5,)))
     rounds = [generator.permutation(lines * LINE_SETS) for _ in range(-(-pairs // LINE_SETS))]
     line = np.concatenate(rounds)[np.repeat(np.arange(pairs), 2 * lines) * lines + own_line]
@@ -180,7 +194,8 @@ def cross_pairing(
 
 
 def _variants(noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
-    # The streams 0, 3, 4 and 5 are the draws of one pairing: another number of egos leaves the opponents as they are.
+    # Streams 0, 3, 4 and 5 are the draws of a pairing: the opponents don't depend on the number of
+    # egos.
     if is_whole(requested):
         if requested < 1:
             raise InputError(f"{noun} is {requested}; a pairing needs at least one variant")

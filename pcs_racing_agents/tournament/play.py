@@ -1,4 +1,4 @@
-"""Tournaments: every pair of competitors drives the same races, each start from both sides of the grid."""
+"""Tournaments: all pairs of competitors drive the same races, from both sides of each start."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -33,15 +33,15 @@ Rules = GameConfig | RaceConfig | str | Path
 
 @dataclass(frozen=True, eq=False)
 class TournamentPlan:
-    """A tournament that has been checked and whose races have been drawn, but not simulated."""
+    """Checked tournament with drawn races, not yet simulated."""
 
     competitors: tuple[Competitor, ...]
     tracks: tuple[Track, ...]
-    spec: GameSpec  #: The archive and the rules, the move "stay" included.
-    schedules: tuple[RaceSchedule, ...]  #: The races of each pair, by track.
-    races_per_pair: int  #: On each track.
+    spec: GameSpec  #: Archive and rules, with the move "stay".
+    schedules: tuple[RaceSchedule, ...]  #: Races of each pair, by track.
+    races_per_pair: int  #: Number of races of each pair on each track.
     seed: int
-    archive: str = ""  #: Name of a shipped archive, or the path of a folder, from which it is loaded again.
+    archive: str = ""  #: Source of the archive: name of a shipped archive, or path of a folder.
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -50,7 +50,7 @@ class TournamentPlan:
 
     @cached_property
     def pairings(self) -> tuple[Pairing, ...]:
-        """The races: every pair on the first track, then every pair on the next one."""
+        """Races of all pairs on the first track, then of all pairs on the next track, etc."""
         pairings = []
         for track, schedule in zip(self.tracks, self.schedules, strict=True):
             game = RaceGame(track, self.spec.archive, self.spec.config)
@@ -60,33 +60,33 @@ class TournamentPlan:
 
     @property
     def config(self) -> RaceConfig:
-        """Rules of the race, with the duration of the game."""
+        """Race rules with the duration of the game."""
         return self.spec.config.race_rules
 
 
 @dataclass(frozen=True, eq=False)
 class Tournament:
-    """A tournament that was played."""
+    """Played tournament with its races."""
 
     plan: TournamentPlan
     races: RaceTable
 
     @cached_property
     def series(self) -> RaceTable:
-        """What counts in scores: the races, or series of them where the rules say "best of"."""
+        """Scored units: the races, or series of races under "best of" rules."""
         return series_of(self.races, self.plan.config.heats)
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
-    """Return the rules of a game with the duration of a race: all its steps are stretched alike.
+    """Return the rules of a game with the duration of a race, by an equal stretch of all steps.
 
     Parameters
     ----------
     race : GameConfig, RaceConfig, str or path
-        Rules of a game are taken as they are.
+        Rules of a race, or of a game (not stretched).
     **settings
-        Fields of :class:`pcs_racing.GameConfig` to change; with ``step_seconds`` or ``first_steps`` nothing is
-        stretched.
+        Fields of :class:`pcs_racing.GameConfig` to change; with ``step_seconds`` or ``first_steps``
+        nothing is stretched.
     """
     if isinstance(race, GameConfig):
         return load_game_config(race, **settings)
@@ -94,7 +94,8 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     config = load_game_config(rules, **settings)
     if {"step_seconds", "first_steps"} & settings.keys():
         return config
-    # In whole tenths, the time between two plans: a step of 8.1666 s would end between them.
+    # Whole tenths of a second, the time between two plans: a step of 8.1666 s would end between two
+    # plans.
     parts = np.diff(config.end_ticks, prepend=0)
     parts //= np.gcd.reduce(parts)
     unit, rest = divmod(rules.ticks, 10 * int(parts.sum()))
@@ -120,7 +121,7 @@ def plan_tournament(
 ) -> TournamentPlan:
     """Check the arguments of a tournament, and draw its races; see :func:`play_tournament`.
 
-    With ``code`` the names may be code of your own, as in :func:`pcs_racing_agents.agents.parse_agent`.
+    ``code``: True to allow names of user code, as in :func:`pcs_racing_agents.agents.parse_agent`.
     """
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
@@ -139,7 +140,7 @@ def plan_tournament(
     for track in circuits:
         game = RaceGame(track, spec.archive, spec.config)
         for entrant in competitors:
-            # Against itself: whoever does not fit is refused before any race is simulated, not in the middle of them.
+            # A game against itself refuses an unsuitable competitor before any simulation.
             game_between(game, entrant, entrant)
     return plan
 
@@ -156,36 +157,37 @@ def play_tournament(
 ) -> Tournament:
     """Play every pair of competitors against each other.
 
-    All pairs drive the same races (common random numbers): the same start lines, spread over the circuit, each of them
-    from both sides, with the same start policies and the same noise.
+    All pairs drive the same races (common random numbers): the same start lines, spread over the
+    track, each from both sides, with the same start policies and the same noise.
 
     Parameters
     ----------
     entrants : sequence, or mapping by name
-        At least two agents, drivers, policies, names (:func:`pcs_racing_agents.agents.make`), or models with
-        ``predict``; with different names.
+        At least two agents, planners, policies, names (:func:`pcs_racing_agents.agents.make`), or
+        models with ``predict``; with different names.
     race : GameConfig, RaceConfig, str or path
-        The rules. Those of a race alone make a game of the same duration (:func:`game_rules`); its ``start_lines`` is
-        not used, since every two races draw a line of their own.
+        Rules. Race rules give a game of the same duration (:func:`game_rules`); their
+        ``start_lines`` is not used, since every two races draw their own line.
     races_per_pair : int
-        Races of each pair on each track; even, from 2 to 2000.
+        Number of races of each pair on each track; even, from 2 to 2000.
     seed : int
-        Seed of start lines, start policies and noise, and of the draws of agents that are given by name.
+        Seed of start lines, start policies and noise, and of the draws of agents given by name.
     **run
-        ``job``, ``executor``, ``progress`` as for :func:`pcs_racing_agents.tournament.play_pairings`; a job is opened
-        with :func:`tournament_settings`.
+        ``job``, ``executor``, ``progress`` as for
+        :func:`pcs_racing_agents.tournament.play_pairings`; open a job with
+        :func:`tournament_settings`.
     """
     plan = plan_tournament(tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed)
     return play_plan(plan, **run)
 
 
 def play_plan(plan: TournamentPlan, **run: Unpack[Run]) -> Tournament:
-    """Play a tournament that was planned; see :func:`play_tournament`."""
+    """Play a planned tournament; see :func:`play_tournament`."""
     return Tournament(plan, concatenate_races(play_pairings(plan.pairings, **run)))
 
 
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
-    """Return everything that a tournament depends on, for :func:`pcs_racing_agents.base.jobs.open_job`."""
+    """Return all inputs of a tournament, for :func:`pcs_racing_agents.base.jobs.open_job`."""
     spec = plan.spec
     return {
         "seed": plan.seed,

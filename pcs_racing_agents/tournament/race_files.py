@@ -1,6 +1,7 @@
-"""Results files: a race table as csv, one line for every race, and back.
+"""Results files: reading and writing a race table as CSV, one line per race.
 
-The columns of a large file repeat few texts. While it is read, each text of a column is stored once and parsed once.
+The columns of a large file repeat few texts. The reader stores and parses each distinct text of a
+column once.
 """
 
 import csv
@@ -21,7 +22,7 @@ from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.tournament.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
 
 NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
-"""Columns that every results file has; the others tell details."""
+"""Mandatory columns of a results file; other columns hold details."""
 LONGEST_TEXT = 300
 MOST_RACES = 2_000_000
 MOST_STEPS = 100_000_000
@@ -31,14 +32,14 @@ CARS = ("ego", "opponent")
 
 
 def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Path:
-    """Write one line for every race as CSV; the file appears whole or not at all, and is the same on every machine."""
+    """Write one CSV line per race; the write is atomic, and the file is equal on every machine."""
 
     def write(file: IO[bytes]) -> None:
         text = io.TextIOWrapper(file, encoding="utf-8", newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(RaceRow._fields)
         writer.writerows(map(_texts, races))
-        # Else the wrapper, once it is dropped, would close the file under the hands of write_atomically.
+        # Detach, since a deleted wrapper would close the file before write_atomically finishes.
         text.detach()
 
     write_atomically(Path(path), write)
@@ -46,16 +47,16 @@ def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Pat
 
 
 def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> RaceTable:
-    """Read a results file, which must have the columns in ``need`` besides :data:`NEEDED`.
+    """Read a results file; it must have the columns in ``need`` in addition to :data:`NEEDED`.
 
-    Of details that are missing nothing is known: no moves, no overtakes, variant 0, duration NaN.
+    Missing details get defaults: no moves, no overtakes, variant 0, duration NaN.
     """
     table = read_csv(path)
     return _parsed(_in_columns(table.path, table.columns, table.values()), need)
 
 
 def race_table(rows: Iterable[RaceRow]) -> RaceTable:
-    """Return the table of races given as rows, checked like a file."""
+    """Return the table of races in rows, with the same checks as for a file."""
     return _parsed(_in_columns("the table", RaceRow._fields, enumerate(map(_texts, rows), start=2)))
 
 
@@ -70,21 +71,21 @@ def _texts(row: RaceRow) -> list[str]:
 
 
 class _Lines(NamedTuple):
-    """The lines of a file, stored by column."""
+    """Lines of a file, stored by column."""
 
-    where: str  #: How errors call the file.
+    where: str  #: Name of the file in error messages.
     columns: dict[str, Categorical]
-    at: NDArray[np.int32]  #: shape (N,): Where the lines stand in the file, whose first line is 1.
+    at: NDArray[np.int32]  #: shape (N,): Line numbers in the file, counted from 1.
 
     def damaged(self, column: str, word: str, problem: str) -> InputError:
-        """Return an error that names the first line with a word, by its number in the file and by its race."""
-        # The first of the lines that hold the word: later ones repeat the fault.
+        """Return an error with the line number and race index of the first line with a word."""
+        # Later lines with the word repeat the fault.
         words, codes = self.columns[column]
         number = int(np.argmax(codes == words.index(word)))
         return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
 
     def words(self, name: str) -> Categorical:
-        """Return a column of words; empty ones where it is missing."""
+        """Return a column of words; a missing column gives empty words."""
         if name not in self.columns:
             return Categorical.constant("", len(self.at))
         for word in self.columns[name].words:
@@ -107,7 +108,7 @@ class _Lines(NamedTuple):
         return values[codes]
 
     def wholes(self, name: str, high: int, missing: int | None = None) -> NDArray[Any]:
-        """Return a column of whole numbers from 0 on."""
+        """Return a column of whole numbers from 0 to ``high``."""
         values = self.numbers(name, 0, high, missing)
         if (values != np.floor(values)).any():
             words, codes = self.columns[name]
@@ -116,7 +117,7 @@ class _Lines(NamedTuple):
         return narrow(values.astype(np.int64))
 
     def choices(self, name: str, allowed_words: Sequence[str]) -> NDArray[np.int64]:
-        """Return the places of a column's words in a list of allowed words."""
+        """Return the indices of a column's words in a list of allowed words."""
         words, codes = self.columns[name]
         for word in words:
             if word not in allowed_words:
@@ -125,8 +126,8 @@ class _Lines(NamedTuple):
         return np.array([allowed_words.index(word) for word in words], np.int64)[codes]
 
     def seeds(self) -> Categorical:
-        """Return the column of seeds, which are whole numbers of any size."""
-        # As text: a seed may have more digits than any number of the machine, and leading zeros mean nothing.
+        """Return the column of seeds, whole numbers of any size."""
+        # As text, since a seed may exceed every integer type; leading zeros are dropped.
         seeds = self.words("seed")
         for word in seeds.words:
             if not word.isascii() or not word.isdigit():
@@ -136,16 +137,16 @@ class _Lines(NamedTuple):
         return Categorical(tuple(words), np.array(places, np.int64)[seeds.codes])
 
     def steps(self, name: str) -> tuple[list[list[str]], NDArray[Any]]:
-        """Return the lists that the different texts of a column stand for, and the code of each line."""
+        """Return the lists parsed from a column's distinct texts, and the code of each line."""
         column = self.words(name)
         lists = [word.split("; ") if word else [] for word in column.words]
-        # Before anything is allocated: one long list would widen the table for all races.
+        # Check before any allocation: one long list would widen the table for all races.
         if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
             raise InputError(f"{self.where} holds too much: {len(self.at)} races with lists as long as that in {name}")
         return lists, column.codes
 
     def paths(self, name: str) -> NDArray[Any]:
-        """Return a column of lists of policies, shape (N, longest); -1 fills up the shorter ones."""
+        """Return a column of policy lists, shape (N, max length), padded with -1."""
         lists, codes = self.steps(name)
         values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
         for i, policies in enumerate(lists):
@@ -157,7 +158,7 @@ class _Lines(NamedTuple):
         return narrow(values)[codes]
 
     def moves(self, name: str) -> Categorical:
-        """Return a column of lists of moves, shape (N, longest)."""
+        """Return a column of move lists, shape (N, max length), padded with the code -1."""
         lists, codes = self.steps(name)
         words: dict[str, int] = {}
         values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
@@ -167,8 +168,8 @@ class _Lines(NamedTuple):
 
 
 def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
-    """Return lines by column, with every different text stored once."""
-    # Arrays of machine integers: a list of Python's takes several times the memory for millions of races.
+    """Return lines by column, with each distinct text stored once."""
+    # Arrays of machine integers, since Python lists need several times as much memory.
     codes, at = [array("i") for _ in names], array("i")
     words: list[dict[str, int]] = [{} for _ in names]
     work = [(column.append, codes_of.setdefault, codes_of) for column, codes_of in zip(codes, words, strict=True)]
@@ -178,14 +179,14 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
             append(place(text, len(codes_of)))
     columns = {}
     for name in names:
-        # Column by column, so that memory never holds two copies of all.
+        # Column by column, so that memory never holds two copies of the whole table.
         codes_of, column = words.pop(0), codes.pop(0)
         columns[name] = Categorical(tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of))))
     return _Lines(where, columns, np.array(at, np.int32))
 
 
 def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
-    """Return the table of a file's lines, every word checked and converted."""
+    """Return the table of a file's lines, with all words checked and converted."""
     if not len(lines.at):
         raise InputError(f"{lines.where} holds no races")
     missing = [name for name in (*NEEDED, *need) if name not in lines.columns]
@@ -197,7 +198,7 @@ def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
     def both(name: str) -> NDArray[Any]:
         return np.stack([lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1)
 
-    # The place of the word is a pair of bits: 1 for the ego, 2 for the opponent.
+    # The index of the word is a pair of bits: 1 for the ego, 2 for the opponent.
     fault = lines.choices("fault", FAULTS)
     return RaceTable(
         preset=lines.words("preset"),
@@ -220,7 +221,7 @@ def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
 
 
 def _side_by_side(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Two arrays (N, steps) as one (N, 2, most steps)."""
+    """Return two arrays (N, steps) as one array (N, 2, max steps), padded with -1."""
     steps = max(column.shape[1] for column in columns)
     return np.stack([np.pad(c, ((0, 0), (0, steps - c.shape[1])), constant_values=-1) for c in columns], axis=1)
 

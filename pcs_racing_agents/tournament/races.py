@@ -1,7 +1,8 @@
-"""Results of races as a columnar table, which tournaments, studies and the viewer read and write.
+"""Columnar table of race results, read and written by tournaments, studies and the viewer.
 
-Inside a :class:`RaceTable` stand small whole numbers; words are made for the reader (:class:`RaceRow`) and for the csv
-file (:mod:`pcs_racing_agents.tournament.race_files`). A race of four moves takes about 70 bytes.
+A :class:`RaceTable` holds small integers. A :class:`RaceRow` and the CSV file
+(:mod:`pcs_racing_agents.tournament.race_files`) hold words. A race of four moves takes about 70
+bytes.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
@@ -12,65 +13,67 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 WINNERS = ("ego", "opponent", "none")
-"""Words of ``RaceTable.winner``; the last one stands for -1, too."""
+"""Labels of ``RaceTable.winner``; -1 indexes the last label."""
 CRASHES = ("none", "wall", "car")
 FAULTS = ("none", "ego", "opponent", "both")
 
-BLOCK = 10_000  # rows that are made together
+BLOCK = 10_000  # number of rows converted together
 
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 
 class RaceRow(NamedTuple):
-    """One race in words: a line of ``results.csv``."""
+    """One race in words, a line of ``results.csv``."""
 
     preset: str = ""  #: Name of the rules.
     ego: str = ""  #: ``ego``, ``opponent``: Names of the competitors in car 0 and car 1.
     opponent: str = ""
     track: str = ""
-    #: Number of the race within its pair: the same number is the same start line, side and noise for every pair.
+    #: Index of the race within its pair; start line, side and noise of an index are equal for all
+    #: pairs.
     race: int = 0
     start_s: float = 0.0  #: Arc length of the start line, m.
-    side: int = 0  #: 0 when the ego started on the left or in front.
-    seed: int = 0  #: Seed that the races of the pair were drawn with.
-    lead: float = 0.0  #: Progress of the ego minus that of the opponent at the end, m.
-    winner: str = "none"  #: ``"ego"``, ``"opponent"``, or ``"none"`` for a tie and for a crash that pays neither.
-    crash: str = "none"  #: ``"none"``, ``"wall"`` or ``"car"``.
-    fault: str = "none"  #: Who is to blame for the crash: ``"none"``, ``"ego"``, ``"opponent"`` or ``"both"``.
-    ego_overtakes: int = 0  #: ``ego_overtakes``, ``opponent_overtakes``: How often each passed the other.
+    side: int = 0  #: Start side of the ego: 0 for left or in front.
+    seed: int = 0  #: Seed of the pair's races.
+    lead: float = 0.0  #: Ego's progress minus opponent's progress at the end, m.
+    winner: str = "none"  #: ``"ego"``, ``"opponent"``, or ``"none"`` for a tie or a no-contest.
+    crash: str = "none"  #: Kind of crash: ``"none"``, ``"wall"`` or ``"car"``.
+    fault: str = "none"  #: Fault of the crash: ``"none"``, ``"ego"``, ``"opponent"`` or ``"both"``.
+    ego_overtakes: int = 0  #: ``ego_overtakes``, ``opponent_overtakes``: Number of overtakes.
     opponent_overtakes: int = 0
-    #: Length of the race, s; shorter than the rules say after a crash; NaN where it is not known.
+    #: Length of the race, s; shortened by a crash; NaN if unknown.
     duration: float = np.nan
-    #: ``ego_variant``, ``opponent_variant``: The policy that it started with, or which of a driver's policies it was.
+    #: ``ego_variant``, ``opponent_variant``: Index of the start policy, or of a planner's policy.
     ego_variant: int = 0
     opponent_variant: int = 0
-    #: ``ego_path``, ``opponent_path``: Policies of the archive that it drove, step by step, until the end or a crash;
-    #: empty for a driver.
+    #: ``ego_path``, ``opponent_path``: Archive policies of each step, until the end or a crash;
+    #: empty for a planner.
     ego_path: tuple[int, ...] = ()
     opponent_path: tuple[int, ...] = ()
-    ego_moves: tuple[str, ...] = ()  #: ``ego_moves``, ``opponent_moves``: Moves that it made; empty for a driver.
+    #: ``ego_moves``, ``opponent_moves``: Moves of each step; empty for a planner.
+    ego_moves: tuple[str, ...] = ()
     opponent_moves: tuple[str, ...] = ()
 
 
 class Categorical(NamedTuple):
-    """A column of words, each of which is kept once."""
+    """A column of words that stores each distinct word once."""
 
     words: tuple[str, ...]
-    codes: NDArray[Any]  #: Places in ``words``; -1 for no word.
+    codes: NDArray[Any]  #: Indices into ``words``; -1 for no word.
 
     @classmethod
     def constant(cls, word: str, count: int) -> "Categorical":
-        """Return a column of one word."""
+        """Return a column with one repeated word."""
         return cls((word,), np.zeros(count, np.int8))
 
     @classmethod
     def concatenate(cls, columns: "Sequence[Categorical]", axis: int = 0) -> "Categorical":
-        """Join columns: along the rows, or side by side; words keep the order in which they first occur."""
+        """Join columns along the rows or side by side; words are ordered by first occurrence."""
         words: dict[str, int] = {}
         codes = []
         for column in columns:
-            # The last place is where a code of -1 points to.
+            # A code of -1 indexes the last element.
             places = np.array([*(words.setdefault(word, len(words)) for word in column.words), -1], np.int64)
             codes.append(narrow(places[column.codes]))
         joined = _concatenate(codes) if axis == 0 else np.stack(codes, axis=axis)
@@ -79,37 +82,38 @@ class Categorical(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RaceTable:
-    """N races; ``table[k]`` is one of them in words."""
+    """Table of N races; ``table[k]`` is race k in words."""
 
-    #: shape (N,): ``preset``, ``track``, ``seed``: Rules, circuit, and the seed (as text: it may be larger than any
-    #: column of numbers holds).
+    #: shape (N,): ``preset``, ``track``, ``seed``: Rules, track, and seed (as text, since a seed
+    #: may exceed the range of numeric columns).
     preset: Categorical
-    agents: Categorical  #: shape (N, 2): Who drove car 0 (the ego) and car 1 (the opponent).
+    agents: Categorical  #: shape (N, 2): Names of the competitors in car 0 (ego), car 1 (opponent).
     track: Categorical
-    race: NDArray[Any]  #: shape (N,): Number of the race within its pair.
-    #: shape (N,): ``start_s``, ``lead``, ``duration``: Start line, m; lead of the ego at the end, m; length, s, NaN
-    #: where it is not known.
+    race: NDArray[Any]  #: shape (N,): Index of the race within its pair.
+    #: shape (N,): ``start_s``, ``lead``, ``duration``: Start line, m; final lead of the ego, m;
+    #: length, s, NaN if unknown.
     start_s: Floats
-    side: NDArray[Any]  #: shape (N,): Of the ego.
+    side: NDArray[Any]  #: shape (N,): Start side of the ego.
     seed: Categorical
     lead: Floats
-    winner: NDArray[Any]  #: shape (N,): Car that won; -1 for a tie and for a crash that pays neither.
-    crash: NDArray[Any]  #: shape (N,): Place in :data:`CRASHES`.
-    fault: NDArray[Any]  #: shape (N, 2): 1 for a car that is to blame for the crash.
+    winner: NDArray[Any]  #: shape (N,): Car that won; -1 for a tie or a no-contest.
+    crash: NDArray[Any]  #: shape (N,): Index into :data:`CRASHES`.
+    fault: NDArray[Any]  #: shape (N, 2): 1 for a car at fault for the crash.
     overtakes: NDArray[Any]  #: shape (N, 2)
     duration: Floats
     variants: NDArray[Any]
-    path: NDArray[Any]  #: shape (N, 2, m + 1): Policies of the archive in each step; -1 for a driver and after a crash.
-    moves: Categorical  #: shape (N, 2, m): Moves made; no word for a driver and after a crash.
-    #: shape (N, 2, D): Last observations of both cars, which include the earlier ones; None where they were not kept.
-    #: They are not part of a file.
+    #: shape (N, 2, m + 1): Archive policy in each step; -1 for a planner and after a crash.
+    path: NDArray[Any]
+    moves: Categorical  #: shape (N, 2, m): Moves; no word for a planner and after a crash.
+    #: shape (N, 2, D): Last observations of both cars, with the history of earlier observations;
+    #: None if not recorded. Files do not contain them.
     observations: Any = None
 
     def __len__(self) -> int:
         return len(self.race)
 
     def __getitem__(self, number: int) -> RaceRow:
-        # A range knows negative numbers, and raises an IndexError, which ends loops over sequences.
+        # A range supports negative indices, and raises IndexError to end loops over sequences.
         number = range(len(self))[number]
         return next(self._rows(slice(number, number + 1)))
 
@@ -118,10 +122,10 @@ class RaceTable:
             yield from self._rows(slice(first, first + BLOCK))
 
     def take(self, rows: ArrayLike) -> "RaceTable":
-        """Return some of the races: numbers, or a bool for each."""
+        """Return the races of an array of indices or of a boolean mask."""
         indices = np.asarray(rows)
         if indices.size == 0:
-            # An empty list is one of floats to numpy, which no index may be.
+            # numpy converts an empty list to floats, which are invalid indices.
             indices = indices.astype(np.intp)
 
         def taken(column: Any) -> Any:
@@ -133,44 +137,44 @@ class RaceTable:
 
     @property
     def crashed(self) -> Flags:
-        """Whether a race ended in a crash, shape (N,)."""
+        """True for races that ended in a crash, shape (N,)."""
         return np.asarray(self.crash > 0)
 
     @property
     def tie(self) -> Flags:
-        """Whether a race ended level, without a crash, shape (N,)."""
+        """True for races that ended in a tie, without a crash, shape (N,)."""
         return (self.winner < 0) & ~self.crashed
 
     @property
     def score(self) -> Floats:
-        """Score of the ego, shape (N,): 1 for a win, a half for a tie, else 0 (a crash that pays neither included)."""
+        """Score of the ego, shape (N,): 1 for a win, 0.5 for a tie, else 0 (also a no-contest)."""
         return (self.winner == 0) + 0.5 * self.tie
 
     @property
     def switches(self) -> NDArray[np.int64]:
-        """How often each car changed its policy, shape (N, 2)."""
+        """Number of policy switches of each car, shape (N, 2)."""
         before, after = self.path[..., :-1], self.path[..., 1:]
-        # After a crash the path holds -1: that is no switch.
+        # The value -1 after a crash is no switch.
         return ((before != after) & (after >= 0)).sum(axis=-1)
 
     @property
     def places(self) -> NDArray[np.int64]:
-        """Labels of the places where the races started, shape (N,): the clusters of confidence intervals.
+        """Labels of the races' start places, shape (N,): clusters of confidence intervals.
 
-        Short circuits have few places, so that races of different numbers, and start lines of different numbers, may
-        share one. Places count as different from a tenth of a millimetre.
+        Short tracks have few places: races or start lines with different numbers may share a place.
+        The resolution is 0.1 mm.
         """
-        # Texts only of the places that differ, which are few, and not of a million races.
+        # Format only the few distinct places, not the places of a million races.
         lines, line = np.unique(np.stack([self.track.codes, self.start_s]), axis=1, return_inverse=True)
         labels = [f"{self.track.words[int(track)]} {start:.4f}" for track, start in lines.T.tolist()]
         return np.unique(np.array(labels, np.str_), return_inverse=True)[1][line.reshape(-1)]
 
     @property
     def pairs(self) -> dict[tuple[str, str, str, str], NDArray[np.intp]]:
-        """Numbers of the races by (track, ego, opponent, seed), in the order in which these first occur."""
+        """Race indices by (track, ego, opponent, seed), with keys in order of first occurrence."""
         if not len(self):
             return {}
-        # Codes instead of words: numbers sort much faster than texts.
+        # Codes instead of words: numbers sort much faster than text.
         columns = np.stack([self.track.codes, *self.agents.codes.T, self.seed.codes])
         _, first, pair = np.unique(columns, axis=1, return_index=True, return_inverse=True)
         pair = pair.reshape(-1)
@@ -183,7 +187,7 @@ class RaceTable:
         return numbers
 
     def with_seeds(self, seeds: Collection[int]) -> "RaceTable":
-        """Return the races of these seeds."""
+        """Return the races with these seeds."""
         wanted = np.array([int(word) in seeds for word in self.seed.words], bool)
         return self.take(wanted[self.seed.codes])
 
@@ -194,7 +198,7 @@ class RaceTable:
             self.lead, self.winner, self.crash, self.fault, self.overtakes, self.duration, self.variants, self.path,
             self.moves.codes,
         )  # fmt: skip
-        # Plain numbers, column by column: numpy would make a scalar of its own of each, which takes longer.
+        # Plain Python numbers, column by column, since numpy scalars would be slower.
         for row in zip(*(column[rows].tolist() for column in columns), strict=True):
             preset, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
             overtakes, duration, variants, path, move_codes = row[11:]
@@ -209,7 +213,10 @@ class RaceTable:
 
 
 def series_of(races: RaceTable, heats: int) -> RaceTable:
-    """Return a race for each series of so many of a pair, by their numbers: the first, won by who won more of them."""
+    """Return one race for each series of ``heats`` consecutive races of a pair.
+
+    The result is the first race of the series; the winner is the car with more wins in the series.
+    """
     if heats == 1:
         return races
     keys = [races.track.codes, *races.agents.codes.T, races.seed.codes, races.race // heats]
@@ -220,7 +227,7 @@ def series_of(races: RaceTable, heats: int) -> RaceTable:
 
 
 def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
-    """Join the races of at least one table, in their order."""
+    """Join the races of one or more tables, in order."""
     members = list(tables)
 
     def joined(name: str) -> Any:
@@ -233,7 +240,7 @@ def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
 
 
 def closeness_text(races: RaceTable) -> str:
-    """Return how close the races without a crash were at their end; empty if there are none."""
+    """Return a text on the final gaps of races without a crash; empty without such races."""
     gaps = np.abs(races.lead[~races.crashed])
     if not len(gaps):
         return ""
@@ -244,16 +251,16 @@ def closeness_text(races: RaceTable) -> str:
 
 
 def narrow(values: NDArray[Any]) -> NDArray[Any]:
-    """Return whole numbers in the narrowest signed type that holds them, and other numbers as they are."""
+    """Return integers in the narrowest sufficient signed type, and other numbers unchanged."""
     if values.dtype.kind != "i":
         return values
-    # -1 stands for missing values, so there must always be room for it.
+    # The type must always be able to hold -1, the code of missing values.
     lowest, highest = values.min(initial=-1), values.max(initial=0)
     return values.astype(np.promote_types(np.min_scalar_type(lowest), np.min_scalar_type(-1 - highest)))
 
 
 def _concatenate(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Join arrays along the first axis; where games have different numbers of moves, -1 fills up the shorter ones."""
+    """Join arrays along the first axis; pad games with fewer moves with -1."""
     if arrays[0].ndim == 3:
         steps = max(array.shape[2] for array in arrays)
         arrays = [np.pad(array, ((0, 0), (0, 0), (0, steps - array.shape[2])), constant_values=-1) for array in arrays]

@@ -1,8 +1,8 @@
-"""Ratings of agents from the results of their races: the Bradley-Terry model, with the ties of Davidson.
+"""Ratings of agents from race results: the Bradley-Terry model with Davidson's ties.
 
-Agent i beats j, loses to it or ties with it in proportion to ``exp(r_i)``, ``exp(r_j)`` and
-``tie * exp((r_i + r_j) / 2)`` (Bradley and Terry 1952; Davidson 1970). A race without a winner that is no tie (a crash
-that pays neither car) is left out, and counted. So such crashes do not lower a rating; they lower the score.
+Agent i beats j, loses to j or ties with j in proportion to ``exp(r_i)``, ``exp(r_j)`` and
+``tie * exp((r_i + r_j) / 2)`` (Bradley and Terry 1952; Davidson 1970). No-contests (crashes without
+a winner) are left out, and counted. They do not lower a rating, only the score.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -16,7 +16,7 @@ from pcs_racing.base.errors import InputError
 
 Floats = NDArray[np.float64]
 
-BATCH = 100  # bootstrap replicates that are fitted together
+BATCH = 100  # number of bootstrap replicates fitted together
 ELO = 400.0 / np.log(10.0)
 
 
@@ -24,18 +24,20 @@ ELO = 400.0 / np.log(10.0)
 class Ratings:
     """Estimated strengths of N agents."""
 
-    names: tuple[str, ...]  #: Sorted. N agents.
-    #: shape (N,): Natural log-odds, mean 0: a difference of 1 means winning 2.7 times as often as losing.
+    names: tuple[str, ...]  #: Names of N agents, sorted.
+    #: shape (N,): Natural log-odds, mean 0; a difference of 1 means 2.7 wins per loss.
     strength: Floats
-    low: Floats  #: shape (N,): ``low``, ``high``: 95 % bootstrap interval of the strength; NaN without a generator.
+    #: shape (N,): ``low``, ``high``: 95 % bootstrap interval of the strength; NaN without a
+    #: generator.
+    low: Floats
     high: Floats
-    tie: float  #: Weight of ties: between equal agents the share of ties is ``tie / (2 + tie)``.
-    races: NDArray[np.intp]  #: shape (N,): Races that counted.
-    left_out: NDArray[np.intp]  #: shape (N,): Races that paid neither agent.
+    tie: float  #: Weight of ties; equal agents tie with probability ``tie / (2 + tie)``.
+    races: NDArray[np.intp]  #: shape (N,): Number of counted races.
+    left_out: NDArray[np.intp]  #: shape (N,): Number of no-contests.
 
     @property
     def elo(self) -> Floats:
-        """Strengths on the scale of chess ratings (400 points are odds of ten to one), mean 0, shape (N,)."""
+        """Strengths as chess ratings (400 points are odds of ten to one), mean 0, shape (N,)."""
         return self.to_elo(self.strength)
 
     @staticmethod
@@ -57,25 +59,25 @@ def rate(
 ) -> Ratings:
     """Fit the strengths of agents to their races.
 
-    The fit is the mode of the posterior under a weak normal prior on each strength: without it an agent that won every
-    race would have no finite rating. The intervals are those of a bootstrap over units: give races from the same start
-    line the same unit if all pairs raced from the same lines.
+    The fit is the posterior mode under a weak normal prior on each strength: without the prior an
+    agent without losses would have no finite rating. The intervals come from a bootstrap over
+    units: if all pairs raced from the same start lines, races from one line should have one unit.
 
     Parameters
     ----------
     result : array_like, shape (R,)
-        1 the first won, -1 the second won, 0 a tie.
+        1 for a win of the first agent, -1 for a win of the second agent, 0 for a tie.
     unpaid : array_like of bool, shape (R,), optional
-        Races that paid neither agent (a crash under the crash rule ``nobody``); their ``result`` does not count.
+        True for no-contests (crashes under the crash rule ``nobody``); their ``result`` is ignored.
     unit : array_like, shape (R,), optional
-        Labels of the units of the bootstrap; by default each race is one.
+        Labels of the bootstrap units; by default each race is a unit.
     rng : numpy.random.Generator, optional
-        Generator of the bootstrap; without it there are no intervals.
+        Generator of the bootstrap; None for no intervals.
     replicates : int
-        Bootstrap replicates, at least 100.
+        Number of bootstrap replicates, at least 100.
     prior_sd : float
-        Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races between two agents
-        it moves their strengths from 0.497 to 0.496.
+        Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races
+        between two agents it moves their strengths from 0.497 to 0.496.
     """
     if not 1e-6 <= prior_sd <= 1e6:
         raise InputError(f"prior_sd is {prior_sd!r}; it must be a number from 1e-6 to 1e6")
@@ -85,7 +87,7 @@ def rate(
         raise InputError(f"first names {len(first)} agents and second {len(second)}; every race needs one of each")
     if not len(first):
         raise InputError("there are no races; ratings need at least one")
-    # numpy sorts the names, so that a rating does not depend on who raced first.
+    # numpy sorts the names, so that ratings do not depend on the order of races.
     names, pairs = np.unique(np.array([list(first), list(second)], dtype=np.str_), return_inverse=True)
     number = len(names)
     first_agent, second_agent = pairs.reshape(2, -1)
@@ -97,10 +99,10 @@ def rate(
     winner = np.where(outcome > 0.0, first_agent, second_agent)[counted]
     loser = np.where(outcome > 0.0, second_agent, first_agent)[counted]
     tied = outcome[counted] == 0.0
-    # A race's index in the table of wins (N x N) followed by that of ties (N x N).
+    # Index of a race in the table of wins (N x N), followed by the table of ties (N x N).
     cell = winner * number + loser + tied * number**2
-    # Who won is of no matter here, only who met: the prior keeps a rating finite where somebody won everything, but
-    # between groups that never met it would be the prior alone that decides.
+    # Only meetings matter here, not results: the prior makes a rating without losses finite, but
+    # between groups without meetings it would be the only information.
     _check_connected(names, winner, loser)
 
     def fit(weights: Iterable[NDArray[Any]]) -> tuple[Floats, Floats]:
@@ -129,7 +131,7 @@ def rate(
 
 
 def _bootstrap(units: NDArray[Any], replicates: int, rng: np.random.Generator) -> Iterator[Iterator[NDArray[np.int64]]]:
-    """Return the weights of the races in each replicate, in batches: how often the race's unit was drawn."""
+    """Yield the race weights of each replicate (draw counts of the race's unit), in batches."""
     labels, codes = np.unique(units, return_inverse=True)
     if len(labels) < 2:
         raise InputError("all races have the same unit; intervals need at least 2 to draw from")
@@ -141,26 +143,29 @@ def _bootstrap(units: NDArray[Any], replicates: int, rng: np.random.Generator) -
 
 
 def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[Floats, Floats]:
-    """Fit B tables of wins (B, N, N) and ties (B, N, N; symmetric): strengths (B, N) and weights of ties (B,).
+    """Fit B tables of wins (B, N, N) and ties (B, N, N; symmetric).
 
-    Newton's method on the concave log-posterior; a step is halved until it does not lead downhill.
+    Return strengths (B, N) and weights of ties (B,). The method is Newton's on the concave
+    log-posterior; a step is halved until it does not lead downhill.
     """
     batch, number = wins.shape[:2]
     games = wins + wins.swapaxes(1, 2) + ties
     precision = 1.0 / prior_sd**2
-    # The last unknown is the logarithm of the weight of ties: it is free of bounds, and the posterior concave in it.
+    # The last unknown is the logarithm of the weight of ties: it has no bounds, and the
+    # log-posterior is concave in it.
     x = np.zeros((batch, number + 1))
     diagonal = np.arange(number)
     for _ in range(100):
         chance, tie = _chances(x, with_ties)
         other = chance.swapaxes(1, 2)
-        # wins - games * chance, without the difference of nearly equal numbers where a chance is nearly 1. So below.
+        # wins - games * chance, without cancellation for a chance close to 1; ties below likewise.
         surprise = wins * (other + tie) - (games - wins) * chance
         gradient = -precision * x
         gradient[:, :number] += 0.5 * (surprise - surprise.swapaxes(1, 2)).sum(axis=2)
         curvature = np.zeros((batch, number + 1, number + 1))
         laplacian = games * (chance * other + 0.25 * tie * (chance + other))
-        # Races tell differences alone: the mean stays at the prior's 0. The 1 stiffens that direction against rounding.
+        # Races determine only differences: the mean stays at the prior's 0. The 1 stiffens this
+        # direction against rounding errors.
         curvature[:, :number, :number] = 1.0 - laplacian
         curvature[:, diagonal, diagonal] += laplacian.sum(axis=2)
         if with_ties:
@@ -170,7 +175,8 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
             curvature[:, number, number] = 0.5 * (games * tie * (chance + other)).sum(axis=(1, 2))
         curvature[:, np.arange(number + 1), np.arange(number + 1)] += precision
         step = np.linalg.solve(curvature, gradient[..., None])[..., 0]
-        # Full steps can overshoot where an agent won nearly everything. What rounding takes away is no downhill.
+        # Full steps can overshoot if an agent won nearly all races. A decrease by rounding errors
+        # is not downhill.
         before = _log_posterior(x, wins, ties, precision, with_ties)
         for _ in range(40):
             after = _log_posterior(x + step, wins, ties, precision, with_ties)
@@ -181,12 +187,12 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
         x += step
         if np.abs(step).max() < 1e-9:
             return x[:, :number], np.exp(x[:, number]) if with_ties else np.zeros(batch)
-    raise RuntimeError("the ratings did not converge")  # the log-posterior is strictly concave: not to be expected
+    raise RuntimeError("the ratings did not converge")  # strictly concave: unexpected
 
 
 def _chances(x: Floats, with_ties: bool) -> tuple[Floats, Floats]:
-    """Return the probabilities that the row's agent beats the column's, and that they tie, both (B, N, N)."""
-    # Divided by the largest of the three, so that no exponential overflows.
+    """Return the probabilities of a win of the row's agent and of a tie, both (B, N, N)."""
+    # Divide by the maximum of the three terms to avoid an overflow.
     half = 0.5 * (x[:, :-1, None] - x[:, None, :-1])
     tie = np.broadcast_to(x[:, -1, None, None], half.shape) if with_ties else np.full_like(half, -np.inf)
     top = np.maximum(np.abs(half), tie)
@@ -197,7 +203,7 @@ def _chances(x: Floats, with_ties: bool) -> tuple[Floats, Floats]:
 
 def _log_posterior(x: Floats, wins: Floats, ties: Floats, precision: float, with_ties: bool) -> Floats:
     chance, tie = _chances(x, with_ties)
-    # A count of 0 times the logarithm of a chance of 0 is 0, whatever numpy says about it.
+    # A count of 0 times the logarithm of a chance of 0 is 0 here, but NaN in numpy.
     with np.errstate(divide="ignore", invalid="ignore"):
         log = np.where(wins > 0.0, wins * np.log(chance), 0.0) + np.where(ties > 0.0, 0.5 * ties * np.log(tie), 0.0)
     return log.sum(axis=(1, 2)) - 0.5 * precision * (x**2).sum(axis=1)
@@ -232,7 +238,7 @@ def _check_races(
 
 
 def _check_connected(names: NDArray[np.str_], winner: NDArray[np.intp], loser: NDArray[np.intp]) -> None:
-    """Raise InputError unless every two agents are connected by a chain of races; else they can't be compared."""
+    """Raise InputError unless a chain of races connects every two agents."""
     group = np.arange(len(names))
     for i, j in set(zip(winner.tolist(), loser.tolist(), strict=True)):
         group[group == group[i]] = group[j]

@@ -1,7 +1,8 @@
 """Summary of a round robin: score matrix, ratings, and the meta-game of choosing an agent.
 
-In the meta-game each player chooses an agent, and the score matrix gives the payoffs. A rating is one number and can't
-represent cycles (a beats b, b beats c, c beats a); the equilibrium of this game and alpha-rank can.
+In the meta-game each player chooses an agent, and the score matrix gives the payoffs. A rating is
+one number and can't represent cycles (a beats b, b beats c, c beats a); the equilibrium of the
+meta-game and alpha-rank can.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,8 @@ Floats = NDArray[np.float64]
 def excess(scores: ArrayLike) -> Floats:
     """Return the zero-sum payoffs of a score matrix: half of ``scores - scores.T``.
 
-    ``scores`` (array_like, shape (N, N)): score of the row's agent against the column's. The diagonal is not used.
+    ``scores`` (array_like, shape (N, N)): score of the row's agent against the column's agent. The
+    diagonal is not used.
     """
     try:
         matrix = np.array(scores, dtype=np.float64)
@@ -38,18 +40,18 @@ def excess(scores: ArrayLike) -> Floats:
 
 
 def alpha_rank(scores: ArrayLike, *, tolerance: float = 0.0) -> Floats:
-    """Return the stationary distribution over agents of alpha-rank (Omidshafiei et al. 2019), by OpenSpiel, shape (N,).
+    """Return alpha-rank's stationary distribution over agents, computed by OpenSpiel, shape (N,).
 
-    A population of one agent changes to another one that beats it, or, with a probability of 0.001, to one that it
-    beats (the limit of strong selection). Only the sign of a difference in score counts, so differences within the
-    noise should count as none.
+    A population of one agent changes to a stronger agent, or, with a probability of 0.001, to a
+    weaker agent (alpha-rank of Omidshafiei et al. 2019 in the limit of strong selection). Only the
+    sign of a score difference counts, so differences within the noise should count as zero.
 
     Parameters
     ----------
     scores : array_like, shape (N, N)
         As for :func:`excess`, N at least 2.
     tolerance : float
-        Differences in score up to this one count as none.
+        Maximum score difference that counts as zero.
     """
     gain = 2.0 * excess(scores)
     if len(gain) < 2:
@@ -64,29 +66,30 @@ def alpha_rank(scores: ArrayLike, *, tolerance: float = 0.0) -> Floats:
 
 
 FEWEST_LINES = 5
-"""Least number of start lines for a bootstrap interval."""
+"""Minimum number of start lines for a bootstrap interval."""
 
 
 @dataclass(frozen=True, eq=False)
 class RoundRobin:
     """Results of a round robin of N agents."""
 
-    names: tuple[str, ...]  #: N agents.
-    #: shape (N, N): Score of the row's agent against the column's: races won, a tie counting half; NaN where they did
-    #: not meet.
+    names: tuple[str, ...]  #: Names of N agents.
+    #: shape (N, N): Score of the row's agent against the column's agent: share of races won, a tie
+    #: counting half; NaN for pairs without races.
     scores: Floats
-    #: Noise of a difference of two agents' scores against each other: 1.96 standard errors over start lines (root mean
-    #: square over the pairs); NaN if there are too few lines.
+    #: Noise of the difference of two agents' scores against each other: 1.96 standard errors over
+    #: start lines (root mean square over the pairs); NaN with too few lines.
     noise: float
-    ratings: Ratings | None  #: None if they can't be estimated.
-    #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; if all pairs met.
+    ratings: Ratings | None  #: Ratings of the agents; None if they can't be estimated.
+    #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; None unless all
+    #: pairs met.
     equilibrium: Floats | None
-    #: shape (N,): Stationary distribution of alpha-rank; differences within the noise count as none. With OpenSpiel, if
-    #: all pairs met on several lines.
+    #: shape (N,): Stationary distribution of alpha-rank; differences within the noise count as
+    #: zero. None without OpenSpiel, or unless all pairs met on several lines.
     alpha_rank: Floats | None
 
     def rating(self, name: str) -> tuple[float, float, float]:
-        """Return an agent's rating on the scale of chess with the ends of its interval; NaN where they are unknown."""
+        """Return an agent's Elo-scale rating and both ends of its interval; NaN if unknown."""
         ratings = self.ratings
         if ratings is None or name not in ratings.names:
             return np.nan, np.nan, np.nan
@@ -97,12 +100,12 @@ class RoundRobin:
 def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> RoundRobin:
     """Summarise the races of a round robin.
 
-    ``races``: all pairs shared the start lines. A crash without a winner is no tie.
+    ``races``: races with the same start lines for all pairs. A crash without a winner is no tie.
     """
     first, second = drivers(names, races).T
-    # The winner -1, of a tie or of nobody, takes the last place.
+    # A winner of -1 (a tie or a no-contest) indexes the last element.
     won = np.array([1.0, -1.0, 0.0])[races.winner]
-    # Such races count in a score (as lost for both), but say nothing about who of the two is stronger.
+    # No-contests count in a score (as lost for both), but contain no information for ratings.
     unpaid = races.crashed & (won == 0.0)
     total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
     paid = np.where(unpaid, 0.0, 0.5)
@@ -113,7 +116,7 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
     scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
     places = races.places
     noise = _noise(np.minimum(first, second), np.maximum(first, second), np.where(first < second, won, -won), places)
-    # A game with a missing payoff has no equilibrium; a mean in its place would invent a result.
+    # A game with a missing payoff has no equilibrium; a mean as a substitute would invent a result.
     met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
@@ -126,7 +129,7 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
 
 
 def drivers(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
-    """Return the agent in each car of each race as an index in ``names``, shape (N, 2)."""
+    """Return the agent in each car of each race as an index into ``names``, shape (N, 2)."""
     words = races.agents.words
     unknown = sorted({words[code] for code in np.unique(races.agents.codes).tolist()} - set(names))
     if unknown:
@@ -140,7 +143,7 @@ def _noise(first: NDArray[np.intp], second: NDArray[np.intp], won: Floats, line:
     variances = []
     for i, j in sorted(set(zip(first.tolist(), second.tolist(), strict=True))):
         rows = (first == i) & (second == j)
-        # Races from one line, from both sides, are not independent: a line is what was drawn.
+        # Races from one line, from both sides, are not independent: the line is the drawn unit.
         codes = np.unique(line[rows], return_inverse=True)[1]
         means = np.bincount(codes, won[rows]) / np.bincount(codes)
         if len(means) > 1:
@@ -157,7 +160,7 @@ def _ratings(
     seed: int,
 ) -> Ratings | None:
     """Fit the ratings, with intervals if there are enough start lines."""
-    # A bootstrap over few lines draws much the same ones again, and its interval is too short.
+    # A bootstrap over few lines draws almost the same lines again: its interval is too short.
     several = len(np.unique(line[~unpaid])) >= FEWEST_LINES
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,))) if several else None
     try:

@@ -1,7 +1,7 @@
-"""Races of pairings and what comes of them: at once (:func:`play_games`), recorded, or as tasks of a job.
+"""Simulation of pairings: directly (:func:`play_games`), with recording, or as tasks of a job.
 
-Pairings with the same races against the same opponent are simulated together, since what their egos have in common must
-be driven only once (:mod:`pcs_racing_agents.tournament.games`).
+Pairings with the same races against the same opponent are simulated together: common parts of their
+egos' races are simulated only once (:mod:`pcs_racing_agents.tournament.games`).
 """
 
 import re
@@ -42,18 +42,18 @@ def play_games(
     starts: Starts,
     seeds: ArrayLike,
 ) -> RaceTable:
-    """Play games between two competitors, all at once and in this process; with the observations of both cars.
+    """Play games between two competitors in one batch in this process, and record observations.
 
     Parameters
     ----------
     game : RaceGame
-        Track, archive and rules. The move "stay" is added if the rules do not offer it.
+        Track, archive and rules. The move "stay" is added if the rules lack it.
     ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
-        Who drives car 0 and car 1.
+        Competitors in car 0 and car 1.
     policies : array_like of int, shape (B, 2)
-        Variant of each: the policy of the archive to start with; for a driver which of its policies.
+        Variant of each car: index of the start policy in the archive, or of a planner's policy.
     starts : Starts
-        B of them.
+        B starts.
     seeds : array_like of int, shape (B,)
         Keys of the games' noise.
     """
@@ -68,7 +68,7 @@ class Recording(NamedTuple):
 
     replay: Replay
     played: RaceTable  #: Result of the one game, with the observations of both cars.
-    game: RaceGame  #: The game as it was played, with the planners of both cars.
+    game: RaceGame  #: Played game, with the planners of both cars.
 
 
 def record_game(
@@ -81,17 +81,17 @@ def record_game(
     seed: int,
     candidates: bool = True,
 ) -> Recording:
-    """Play one game as :func:`pcs_racing_agents.tournament.play_games` does, and record its race.
+    """Play one game like :func:`pcs_racing_agents.tournament.play_games`, and record its race.
 
     Parameters
     ----------
     policies : array_like of int, shape (2,)
     start : Starts
-        Of one game.
+        Start of the game.
     seed : int
-        Key of its noise.
+        Key of the game's noise.
     candidates : bool
-        Whether to keep the candidate paths of each planner.
+        True to record the candidate paths of each planner.
     """
     variants = np.asarray(policies)
     if variants.shape != (2,):
@@ -101,7 +101,8 @@ def record_game(
     (columns,) = pairing.race([cars[0]])
     path = columns["path"][0]
     game = game_between(game, *cars)
-    # A step without a policy follows a crash; two drivers have none in any step, and drive in a single one.
+    # A step without an archive policy follows a crash. Two planners have no archive policies, and
+    # drive a single step.
     driven = int((path >= 0).any(axis=0).sum()) or 1
     theta = np.zeros((driven, 2, game.setup.theta_size))
     for car, competitor in enumerate(cars):
@@ -124,7 +125,7 @@ def record_game(
 
 
 def play_pairing(pairing: Pairing, **run: Unpack[Run]) -> RaceTable:
-    """Simulate the races of a single pairing; see :func:`play_pairings`."""
+    """Simulate the races of one pairing; see :func:`play_pairings`."""
     (races,) = play_pairings([pairing], name="-".join((pairing.game.track.name, *pairing.names)), **run)
     return races
 
@@ -138,17 +139,17 @@ def play_pairings(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> list[RaceTable]:
-    """Simulate the races of several pairings in parallel; the results of each.
+    """Simulate the races of several pairings in parallel, and return the results of each pairing.
 
     Parameters
     ----------
     observations : bool
-        Whether to keep the last observations of both cars.
+        True to record the last observations of both cars.
     progress : callable, optional
         Called as ``progress(done, total, name)``, counting races.
     """
-    # With an executor its workers share the cores; without one a game uses all of them. Pairings of one game go on
-    # sharing it, so that its track travels to a worker only once.
+    # Workers of an executor share the cores; without an executor a game uses all of them. Pairings
+    # of one game still share it, so that its track is sent to a worker only once.
     games = {id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings}
     places = _groups(pairings)
     groups = [[replace(pairings[i], game=games[id(pairings[i].game)]) for i in group] for group in places]
@@ -159,7 +160,7 @@ def play_pairings(
         if progress is not None:
             progress(round(total * done / tasks) if tasks else 0, total, label)
 
-    # A circuit or an agent may be called anything; a job's chunks may not.
+    # Names of tracks and agents are arbitrary; names of a job's chunks are not.
     chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"
     worker = partial(race_block, groups, observations)
     results = run_with_or_without(chunk_name, worker, blocks, job=job, executor=executor, progress=report)
@@ -173,7 +174,7 @@ def play_pairings(
 
 
 def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTable:
-    """Return the races of a pairing: how they were drawn, and how they went (:meth:`Pairing.race`)."""
+    """Return the race table of a pairing, from its draws and its results (:meth:`Pairing.race`)."""
     count, config = len(pairing), pairing.game.config
     return RaceTable(
         preset=Categorical.constant(config.race.name, count),
@@ -197,11 +198,14 @@ def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTab
 
 
 def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
-    """Numbers of the pairings that differ in nothing but their egos, which are no drivers; the others are alone."""
+    """Return groups of pairing indices.
+
+    Pairings of a group differ only in their egos. A pairing with a planner as ego is its own group.
+    """
     groups: dict[Any, list[int]] = {}
     for i, pairing in enumerate(pairings):
         draws = (pairing.variants, pairing.starts.s, pairing.starts.side, pairing.noise)
-        # By identity: two games that are equal but not the same would be compared map by map.
+        # By identity, since a comparison of equal games would compare their maps.
         same: Any = (id(pairing.game), id(pairing.opponent), *(array.tobytes() for array in draws))
         groups.setdefault(i if isinstance(pairing.ego, Driver) else same, []).append(i)
     return list(groups.values())
@@ -211,12 +215,12 @@ def _blocks(number: int, group: Sequence[Pairing], observations: bool, *, hashed
     pairing, game = group[0], group[0].game
     common = ""
     if hashed:
-        # Without a job nothing is looked up by its hash, and some competitors have none.
+        # Hashes serve only to look up stored results of a job; some competitors have no hash.
         hashes = [competitor_hash(car) for car in (*(each.ego for each in group), pairing.opponent)]
         calibration = {preset: calibration_values(own) for preset, own in game.track.calibration.items()}
         track = fingerprint(game.track.content_hash, calibration)
         common = fingerprint(track, game.archive.content_hash, game.config, hashes, observations)
-    # Counted over all egos, although they share what they drive: at worst they part at the first move.
+    # The size counts all egos, although they share races: in the worst case they part at move 1.
     size = max(1, BLOCK // len(group))
     for first in range(0, len(pairing), size):
         last = min(first + size, len(pairing))

@@ -1,8 +1,11 @@
-"""Statistics of paired races: scores, cluster-robust means and comparisons of two arms (agents), adjusted p-values.
+"""Statistics of paired races: scores, cluster-robust means, comparisons of two arms, p-values.
 
-A unit is one race that both arms drove: (ego start policy, opponent, start line, side). Units that share an ego policy
-or an opponent are correlated, so 4,000 races of 20 ego policies against 20 opponents hold far less information than
-4,000 independent ones. ``docs/reports/statistics.md`` measures the coverage of the estimators on such data.
+An arm is an agent in a comparison. P-values of a table are adjusted for multiple testing.
+
+A unit is one race of both arms: (ego start policy, opponent, start line, side). Units with a common
+ego policy or opponent are correlated: 4,000 races of 20 ego policies against 20 opponents hold far
+less information than 4,000 independent races. ``docs/reports/statistics.md`` measures the coverage
+of the estimators on such data.
 """
 
 import math
@@ -22,7 +25,7 @@ Ints = NDArray[np.intp]
 
 
 def score(won: ArrayLike, tied: ArrayLike) -> Floats:
-    """Return the score of races: 1 for a win, 0.5 for a tie, 0 for the rest (a crash without a winner is no tie).
+    """Return the score of races: 1 for a win, 0.5 for a tie, else 0 (also for a no-contest).
 
     Parameters
     ----------
@@ -38,9 +41,9 @@ def score(won: ArrayLike, tied: ArrayLike) -> Floats:
 
 
 def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
-    """Return the order of the units of arm b that matches those of arm a: ``units_b[order[i]] == units_a[i]``.
+    """Return the order of arm b's units that matches arm a: ``units_b[order[i]] == units_a[i]``.
 
-    A unit is the identity of a race, for instance ``(ego, opponent, start_s, side)``.
+    A unit identifies a race, for instance ``(ego, opponent, start_s, side)``.
     """
     indices: list[dict[Hashable, int]] = []
     for arm, units in (("a", units_a), ("b", units_b)):
@@ -59,7 +62,7 @@ def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Int
 
 
 def check_values(name: str, values: ArrayLike) -> Floats:
-    """Return finite numbers of shape (U,), U at least 1, or raise InputError naming the first that is none."""
+    """Return finite numbers of shape (U,), U at least 1; else raise InputError."""
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -82,7 +85,7 @@ def check_arms(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
 
 
 def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, int]:
-    """Return labels as numbers from 0, shape (U,), and how many different ones there are; InputError below 2."""
+    """Return labels as codes from 0, shape (U,), and their distinct count; InputError below 2."""
     try:
         array = np.asarray(labels)
     except ValueError:
@@ -91,7 +94,7 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
         raise InputError(f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)} races")
     if array.dtype.kind not in "biufUS" or (array.dtype.kind == "f" and not np.isfinite(array).all()):
         raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
-    # Labels are compared, never ordered or averaged: text and numbers are as good.
+    # Labels are only compared, never ordered or averaged: they may be text or numbers.
     unique, codes = np.unique(array, return_inverse=True)
     if len(unique) < 2:
         raise InputError(
@@ -101,7 +104,7 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
 
 
 def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
-    """Return checked labels of both roles as numbers from 0, equal for the same policy in both, shape (U,) each."""
+    """Return labels of both roles as common codes from 0, shape (U,) each, checked for one type."""
     first, second = np.asarray(ego), np.asarray(opponent)
     if (first.dtype.kind in "US") != (second.dtype.kind in "US"):
         raise InputError(f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one kind")
@@ -111,8 +114,8 @@ def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
 
 
 def t_interval(mean: float, se: float, df: int) -> tuple[float, float, float]:
-    """Return the ends of the 95 % interval of an estimate, and the two-sided p-value of its being 0."""
-    from scipy.special import stdtr, stdtrit  # a quarter of a second that importing this package does not pay
+    """Return both ends of an estimate's 95 % interval, and the two-sided p-value of the value 0."""
+    from scipy.special import stdtr, stdtrit  # local: the import takes 0.25 s
 
     reach = float(stdtrit(df, 0.975)) * se
     t = abs(ratio(mean, se))
@@ -121,27 +124,27 @@ def t_interval(mean: float, se: float, df: int) -> tuple[float, float, float]:
 
 
 def ratio(value: float, scale: float) -> float:
-    """Return ``value / scale``; 0 where both are 0 (identical arms), infinite where only the scale is."""
+    """Return ``value / scale``; 0 if both are 0 (identical arms), infinite if only scale is 0."""
     if scale > 0.0:
         return float(value / scale)
     return 0.0 if value == 0.0 else math.copysign(math.inf, value)
 
 
 Kind = tuple[Ints, ...]
-"""One code for each race, or two where races of a kind of cluster share it in either of two roles; shape (U,) each."""
+"""Cluster codes: one array, or two for clusters shared between two roles; shape (U,) each."""
 
 KINDS = ("ego", "opponent", "start")
 
 
 class Estimate(NamedTuple):
-    """A mean over races that are not independent."""
+    """Estimate of a mean over dependent races."""
 
     mean: float
     low: float  #: ``low``, ``high``: 95 % confidence interval.
     high: float
     se: float  #: Cluster-robust standard error.
-    df: int  #: Degrees of freedom of its t distribution: the smallest number of clusters minus 1.
-    p: float  #: Two-sided p-value of the mean being 0.
+    df: int  #: Degrees of freedom of the t distribution: minimum number of clusters minus 1.
+    p: float  #: Two-sided p-value for a mean of 0.
     units: int  #: Number of races.
     clusters: tuple[int, ...]  #: Number of clusters of each kind.
 
@@ -149,22 +152,23 @@ class Estimate(NamedTuple):
 def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = False) -> Estimate:
     """Return a mean with an interval that is robust to clusters of one or several crossed kinds.
 
-    The variance is the sum over the kinds of clusters minus what is counted twice (Cameron, Gelbach and Miller
-    2011), each term with the factor ``G / (G - 1)`` of its own ``G`` clusters. As it can come out too small, even
-    negative, where clusters matter little, it is at least the largest of its terms (MacKinnon, Nielsen and Webb 2024,
-    arXiv 2406.08880, take the largest one-way term). The t distribution has the smallest ``G`` minus 1 degrees of
-    freedom.
+    The variance is the sum over the kinds of clusters minus double counts (Cameron, Gelbach and
+    Miller 2011), each term with the factor ``G / (G - 1)`` of its ``G`` clusters. For weak clusters
+    this sum can be too small, even negative; the variance is therefore at least the maximum of its
+    terms (MacKinnon, Nielsen and Webb 2024, arXiv 2406.08880, take the maximum one-way term). The t
+    distribution has ``min(G) - 1`` degrees of freedom.
 
     Parameters
     ----------
     values : array_like, shape (U,)
         One number for each race; races may be missing from the crossed design.
     *clusters : array_like, shape (U,)
-        For each kind of cluster the labels of the races, numbers or text: ego variant, opponent.
+        Race labels (numbers or text) for each kind of cluster: ego variant, opponent.
     same_pool : bool
-        Egos and opponents, the first two kinds, were drawn from one pool of policies and have the same labels: races
-        that share a policy, in either role, then form a cluster (Aronow, Samii and Assenova 2015). The variance is the
-        larger one of the two with and without this.
+        True if egos and opponents, the first two kinds, come from one pool of policies with common
+        labels. Races with a common policy, in either role, then form a cluster (Aronow, Samii and
+        Assenova 2015). The variance is the maximum of the variances with and without these
+        clusters.
     """
     x = check_values("values", values)
     if not clusters:
@@ -179,14 +183,14 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
             raise InputError("same_pool is about the labels of ego and opponent; give both")
         variance = max(variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]]))
     se = float(np.sqrt(variance))
-    # The kind with the fewest clusters limits what is known, however many races there are.
+    # The minimum number of clusters limits the information, for any number of races.
     df = min(numbers) - 1
     low, high, p = t_interval(mean, se, df)
     return Estimate(mean, low, high, se, df, p, len(x), numbers)
 
 
 def _variance(residual: Floats, kinds: list[Kind]) -> float:
-    """Return the variance of the mean: every pair of races that share a label of some kind counts once."""
+    """Return the variance of the mean; every pair of races with a common label counts once."""
     variance, largest = 0.0, 0.0
     for number in range(1, len(kinds) + 1):
         for subset in combinations(kinds, number):
@@ -197,7 +201,7 @@ def _variance(residual: Floats, kinds: list[Kind]) -> float:
 
 
 def _joined(kind: Kind, other: Kind) -> Kind:
-    """Return the codes of races that share a label of both kinds; the second one has a single code."""
+    """Return the codes of the intersection of two kinds; the second kind has a single code."""
     (more,) = other
     codes = np.concatenate([codes * (int(more.max()) + 1) + more for codes in kind])
     _, small = np.unique(codes, return_inverse=True)
@@ -205,18 +209,18 @@ def _joined(kind: Kind, other: Kind) -> Kind:
 
 
 def _shared_variance(residual: Floats, kind: Kind) -> float:
-    """Sum over all pairs of races that share a label of this kind, divided by the number of races squared.
+    """Return the sum over all pairs of races with a common label, divided by the races squared.
 
-    With two codes for each race (the policies of a pool that drove it) a pair may share both; it counts once.
+    With two codes for each race (two policies of one pool) a pair may share both; it counts once.
     """
-    # The sum over pairs is that of squared cluster sums: linear in the races, where all pairs would be quadratic.
+    # The sum over pairs equals the sum of squared cluster sums: linear cost, not quadratic.
     size = max(int(codes.max()) for codes in kind) + 1
     first, last = kind[0], kind[-1]
     two = first != last
     sums = np.bincount(first, residual, size) + np.bincount(last[two], residual[two], size)
     number = int(np.count_nonzero(np.bincount(first, minlength=size) + np.bincount(last, minlength=size)))
     total = sums @ sums * _correction(number)
-    # Two races of the same two policies were counted with both of them.
+    # Two races with the same two policies were counted twice, once for each policy.
     if two.any():
         pairs = np.minimum(first, last)[two] * size + np.maximum(first, last)[two]
         _, pair = np.unique(pairs, return_inverse=True)
@@ -231,21 +235,23 @@ def _correction(clusters: int) -> float:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Result of a comparison of arm a with arm b over the same races."""
+    """Comparison of arm a with arm b over the same races."""
 
     mean_a: float  #: ``mean_a``, ``mean_b``: Mean scores.
     mean_b: float
     difference: float  #: ``mean_a - mean_b``.
-    #: ``low``, ``high``: Interval of the difference, robust to ego and opponent clusters; the result to quote.
+    #: ``low``, ``high``: Interval of the difference, robust to ego and opponent clusters; the
+    #: result to quote.
     low: float
     high: float
-    se: float  #: Standard error behind it.
-    df: int  #: Its degrees of freedom.
-    p_clustered: float  #: Two-sided p-value that belongs to it.
-    #: p-value of the paper's test over ego variants. It takes the opponents as given: it is about these ones only.
+    se: float  #: Standard error of this interval.
+    df: int  #: Degrees of freedom of this interval.
+    p_clustered: float  #: Two-sided p-value of this interval.
+    #: p-value of the paper's test over ego variants; it applies only to the opponents of the data.
     p_paired_t: float
     cohen_d: float  #: Difference over the standard deviation of the ego variants' differences.
-    units: int  #: ``units``, ``egos``, ``opponents``: Number of races of each arm, of ego variants and of opponents.
+    #: ``units``, ``egos``, ``opponents``: Number of races per arm, ego variants, and opponents.
+    units: int
     egos: int
     opponents: int
 
@@ -266,13 +272,14 @@ def compare(
         Scores of the arms (:func:`score`: 1 win, 0.5 tie, 0 else), race by race in the same order
         (:func:`match_units`).
     ego, opponent : array_like, shape (U,)
-        Labels of the ego start policy and of the opponent of each race. A single opponent is taken as given.
+        Labels of the ego start policy and of the opponent of each race. A single opponent is no
+        cluster: the result applies to this opponent.
     start : array_like, shape (U,), optional
-        Labels of the start lines, where all pairs shared the same few: they are then a third kind of cluster. Leave it
-        out where every pair had lines of its own.
+        Labels of the start lines, a third kind of cluster. Use it if all pairs share a few lines;
+        omit it if every pair has its own lines.
     """
     first, second = check_arms(a, b)
-    # Such as a driver with one policy: one cluster has no spread, and the interval is for this opponent.
+    # A single opponent is one cluster without spread: the interval applies to this opponent.
     single = len(np.unique(np.asarray(opponent))) == 1
     kinds = [ego, *([] if single else [opponent]), *([] if start is None else [start])]
     result = clustered_mean(first - second, *kinds)
@@ -297,10 +304,10 @@ def compare(
 def holm(p_values: ArrayLike) -> Floats:
     """Return the p-values of a table, adjusted for multiple testing by Holm's method (1979).
 
-    The family-wise error rate at 0.05 is at most 0.05, however the tests depend on each other. (scipy adjusts for the
-    false discovery rate only.)
+    The family-wise error rate at 0.05 is at most 0.05 for any dependence of the tests. (scipy only
+    adjusts for the false discovery rate.)
 
-    Both have shape (T,) and the same order.
+    Argument and result have shape (T,) and the same order.
     """
     p = check_values("p_values", p_values)
     wrong = (p < 0.0) | (p > 1.0)
@@ -309,7 +316,7 @@ def holm(p_values: ArrayLike) -> Floats:
         raise InputError(f"p_values[{at}] is {p[at]:g}; it must be from 0 to 1")
     order = np.argsort(p, kind="stable")
     adjusted = np.empty_like(p)
-    # The running maximum keeps the order of the p-values: a larger one never becomes the smaller one.
+    # The running maximum preserves the order of the p-values.
     adjusted[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)))
     return adjusted
 
@@ -317,13 +324,14 @@ def holm(p_values: ArrayLike) -> Floats:
 def _paired_t(differences: Floats, ego: ArrayLike) -> tuple[float, float]:
     """Return the p-value and Cohen's d of the paper's paired t-test over the ego variants.
 
-    Each variant's races are averaged first. The test takes the opponents as given; where an arm's advantage varies over
-    opponents it rejects a true null hypothesis about all such opponents too often.
+    Each variant's races are averaged first. The test is conditional on the opponents: if an arm's
+    advantage varies between opponents, it rejects a true null hypothesis about the population of
+    opponents too often.
     """
     codes, number = cluster_codes(ego, differences, "ego")
     means = np.bincount(codes, differences) / np.bincount(codes)
     mean, deviation = float(means.mean()), float(means.std(ddof=1))
     if deviation <= 1e-12 * float(np.abs(means).max()):
-        deviation = 0.0  # equal differences whose means differ in the last digit
+        deviation = 0.0  # equal differences with means that differ in the last digit
     _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1)
     return p, ratio(mean, deviation)

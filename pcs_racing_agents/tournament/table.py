@@ -1,4 +1,4 @@
-"""The tables of a tournament: standings of the competitors and the payoff matrix, as values, text and a picture."""
+"""Tables of a tournament: standings and payoff matrix, as values, text and a picture."""
 
 import os
 from collections.abc import Sequence
@@ -34,27 +34,27 @@ META_COLUMNS = (Column("equilibrium", format=".2f"), Column("alpha_rank", "alpha
 
 
 class Standing(NamedTuple):
-    """How one competitor did, as shares of its races; the five shares from ``win`` on sum up to 1."""
+    """Results of a competitor as shares of its races; the five shares from ``win`` on sum to 1."""
 
     name: str
     races: int
-    #: Share of races that the rules count as won, plus half of the ties. After a crash nobody wins under the crash rule
-    #: ``nobody``; under ``fault-loses`` the car that is not to blame does.
+    #: Share of races won plus half of the ties. A crash is a no-contest under the crash rule
+    #: ``nobody``, and a win of the car without fault under ``fault-loses``.
     score: float
-    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry strength on the scale of chess ratings, mean 0, and
-    #: its 95 % interval; NaN where the races do not tell.
+    #: ``rating``, ``rating_low``, ``rating_high``: Bradley-Terry strength on the scale of chess
+    #: ratings, mean 0, and its 95 % interval; NaN if it can't be estimated.
     rating: float
     win: float  #: ``win``, ``tie``, ``loss``: Races without a crash.
     tie: float
     loss: float
-    #: ``own_crash``, ``other_crash``: Races that ended in a crash by its own fault (or of both), or by the other's
-    #: fault alone.
+    #: ``own_crash``, ``other_crash``: Races with a crash by own fault (or by both cars' fault), or
+    #: only by the opponent's fault.
     own_crash: float
     other_crash: float
-    overtakes: float  #: Mean number of its overtakes in a race.
+    overtakes: float  #: Mean number of own overtakes per race.
     rating_low: float
     rating_high: float
-    #: ``equilibrium``, ``alpha_rank``: Its probabilities in
+    #: ``equilibrium``, ``alpha_rank``: Probabilities of the competitor in
     #: :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
     equilibrium: float
     alpha_rank: float
@@ -71,14 +71,14 @@ def rating_interval(low: float, high: float) -> str:
 
 
 def standings(tournament: Tournament) -> list[Standing]:
-    """Return the table of a tournament, highest score first."""
+    """Return the standings of a tournament, highest score first."""
     table = []
-    # Kept by sum_up, since text, matrix and picture need it as well and the bootstrap takes time.
+    # Cached by sum_up, since text, matrix and picture also need it and the bootstrap takes time.
     together, races = sum_up(tournament), tournament.races
     drove = drivers(tournament.plan.names, races)
     series = drivers(tournament.plan.names, tournament.series)
     scored = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])[tournament.series.winner]
-    # A crash that pays nobody is no tie.
+    # A no-contest is no tie.
     scored[tournament.series.crashed & (tournament.series.winner < 0)] = 0.0
     # Conditions on a car have shape (N, 2), conditions on a race (N, 1).
     winner, crashed = races.winner[:, None] == np.arange(2), races.crashed[:, None]
@@ -88,7 +88,7 @@ def standings(tournament: Tournament) -> list[Standing]:
         total = int(np.count_nonzero(own))
 
         def share(condition: NDArray[np.bool_], own: NDArray[np.bool_] = own, total: int = total) -> float:
-            """Return the share of its races in which a condition holds."""
+            """Return the share of the competitor's races with a true condition."""
             return np.count_nonzero(own & condition) / total
 
         rating, low, high = together.rating(name)
@@ -115,17 +115,20 @@ def standings(tournament: Tournament) -> list[Standing]:
 
 @lru_cache(maxsize=8)
 def sum_up(tournament: Tournament) -> RoundRobin:
-    """Return the summary of a tournament's races, in the plan's order."""
+    """Return the summary of a tournament's races, cached, with agents in the plan's order."""
     return round_robin(tournament.plan.names, tournament.series, seed=tournament.plan.seed)
 
 
 def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
-    """Return each competitor's score against each other one, shape (N, N), in the plan's order; NaN on the diagonal."""
+    """Return the competitors' scores against each other, shape (N, N), in the plan's order.
+
+    The diagonal is NaN.
+    """
     return sum_up(tournament).scores
 
 
 def tournament_text(tournament: Tournament) -> str:
-    """Return the table and the payoff matrix as text."""
+    """Return the standings and the payoff matrix as text."""
     table = standings(tournament)
     races = len(tournament.races)
     crashes, passed = int(tournament.races.crashed.sum()), int(tournament.races.overtakes.any(axis=1).sum())
@@ -162,7 +165,7 @@ def tournament_text(tournament: Tournament) -> str:
 
 
 def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
-    """Draw the payoff matrix; the suffix of the path is the format."""
+    """Draw the payoff matrix into a file; the suffix of the path determines the format."""
     from pcs_racing_agents.base.style import save_picture
 
     names = [standing.name for standing in standings(tournament)]
@@ -174,7 +177,8 @@ def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path
 def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     """Draw the score matrix as a heat map; purple above one half, orange below.
 
-    ``payoffs`` (array_like, shape (N, N)): score of the row's agent against the column's; NaN where they did not meet.
+    ``payoffs`` (array_like, shape (N, N)): score of the row's agent against the column's agent; NaN
+    for pairs without races.
     """
     matrix = np.asarray(payoffs, np.float64)
     if matrix.shape != (len(names), len(names)) or len(names) == 0:
@@ -189,7 +193,7 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     axes.set_yticks(range(len(names)), labels)
     for (i, j), value in np.ndenumerate(matrix):
         if not np.isnan(value):
-            # Perceived lightness of the cell (ITU-R BT.601): white digits on dark ones.
+            # Perceived lightness of the cell (ITU-R BT.601): white digits on dark cells.
             dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
             axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
     axes.tick_params(length=0)

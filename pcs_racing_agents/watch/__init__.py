@@ -1,1 +1,1 @@
-"""The race viewer: one page that lists the races of a tournament and plays them."""
+"""The race viewer: one page with a list and a player of a tournament's races."""

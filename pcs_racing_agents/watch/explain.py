@@ -1,6 +1,6 @@
-"""Explanation of one race: an agent's observation before each of its moves, its values of the moves, and its choice.
+"""Explanation of one race: an agent's observation, values of the moves, and choice at each move.
 
-The race is simulated again, to the last bit.
+The race is repeated bit by bit.
 """
 
 from dataclasses import dataclass, replace
@@ -31,31 +31,31 @@ class Unit(NamedTuple):
     """The unit of a network's values."""
 
     scale: float  #: Factor from a difference of two values to the unit.
-    text: str  #: Name of the unit, such as ``"of a win"``; ``""`` if values can only be compared.
+    text: str  #: Name of the unit, such as ``"of a win"``; ``""`` for relative values.
 
 
 class DefaultStrategy(NamedTuple):
-    """The strategy that an agent follows unless its network predicts a gain above a margin."""
+    """The strategy of an agent without a predicted gain above a margin."""
 
     name: str
-    margin: float  #: In units of the network's values.
+    margin: float  #: Margin in units of the network's values.
 
 
 class ExplainedDecision(NamedTuple):
     """A decision: the observation, values and move of the explained car."""
 
-    time: float  #: Since the start, s.
+    time: float  #: Time since the start, s.
     own: Floats  #: shape (G,): Normalised coordinates of the own policy, from the archive.
-    #: shape (G,): Normalised coordinates of the opponent as measured in the step before, which the agent observed.
+    #: shape (G,): Normalised coordinates of the opponent: the agent's measurement of the last step.
     opponent: Floats
     lead: float  #: Own lead, m.
-    move: int  #: Index of the move made.
-    policy: int  #: ``policy``, ``next_policy``: Own policy before and after it.
+    move: int  #: Index of the chosen move.
+    policy: int  #: ``policy``, ``next_policy``: Own policy before and after the move.
     next_policy: int
-    probabilities: Floats | None  #: shape (M,): Probabilities of the moves, if they are known.
-    values: Floats | None  #: shape (V,): Values of the first V moves, in units of the agent's network, if it has one.
-    default_move: int | None  #: The move of its default strategy, if it has one.
-    opponent_move: int  #: -1 for a driver.
+    probabilities: Floats | None  #: shape (M,): Probabilities of the moves, if known.
+    values: Floats | None  #: shape (V,): Values of the first V moves, in units of the network.
+    default_move: int | None  #: Move of the agent's default strategy, if any.
+    opponent_move: int  #: Index of the opponent's move; -1 for a planner.
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,19 +65,19 @@ class Explanation:
     archive: PolicyArchive
     moves: tuple[str, ...]  #: Names of the M moves.
     names: tuple[str, str]  #: Names of the competitors in car 0 and car 1.
-    car: int  #: The car whose moves are explained.
+    car: int  #: Index of the explained car.
     race: str  #: Name of the rules.
-    ends: tuple[float, ...]  #: When each step ends, s: the moves are made at all of them but the last.
-    steps: tuple[ExplainedDecision, ...]  #: One for each move that was made; fewer after a crash.
-    replay: Replay  #: The race, with the moves as events.
-    played: RaceTable  #: Result of the race; of one game.
+    ends: tuple[float, ...]  #: End of each step, s; moves take place at all ends but the last.
+    steps: tuple[ExplainedDecision, ...]  #: Decisions, one per move; fewer after a crash.
+    replay: Replay  #: Replay of the race, with the moves as events.
+    played: RaceTable  #: Result of the race (one game).
     unit: Unit | None  #: Unit of the values.
     default: DefaultStrategy | None
-    open_loop: bool  #: Whether the agent is known not to use its observations of the opponent.
+    open_loop: bool  #: True if the agent is known to ignore the opponent.
 
     @property
     def middle(self) -> Floats:
-        """Median of the archive's normalised coordinates, shape (G,): the reference of words such as "restrained"."""
+        """Median of the archive's normalised coordinates, shape (G,): reference of adjectives."""
         return np.median(self.archive.normalised, axis=0)
 
     @property
@@ -97,10 +97,10 @@ def explain_game(
     car: int = 0,
     candidates: bool = False,
 ) -> Explanation:
-    """Simulate a game again and explain the moves of one car.
+    """Repeat a game and explain the moves of one car.
 
-    ``policies``, ``start``, ``seed``, ``candidates``: as for :func:`pcs_racing_agents.tournament.runner.record_game`.
-    ``car``: the car whose moves are explained, 0 or 1.
+    ``policies``, ``start``, ``seed``, ``candidates``: as for
+    :func:`pcs_racing_agents.tournament.runner.record_game`. ``car``: the explained car, 0 or 1.
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
@@ -113,7 +113,7 @@ def explain_game(
     played, game = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = game.config, getattr(competitor, "strategy", None)
-    # A strategy may have a network of another kind, whose outputs are no values of moves.
+    # A strategy may have a network of another kind, without values of moves.
     network = getattr(strategy, "network", None)
     network = network if isinstance(network, RegretNetwork) else None
     return Explanation(
@@ -141,7 +141,7 @@ def _steps(
     strategy = getattr(competitor, "strategy", None)
     steps = []
     for k in range(int((played.moves.codes[0, car] >= 0).sum())):
-        # The last observation holds all earlier ones: cut off, it is what the agent saw before this move.
+        # The last observation holds all earlier observations: cut it at this move.
         observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):
@@ -170,15 +170,15 @@ def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Flo
 
 
 def is_open_loop(competitor: Competitor) -> bool:
-    """Return whether an agent's moves are known to depend on nothing but time and its own policy."""
+    """Return whether an agent's moves are known to depend only on time and its own policy."""
     return isinstance(getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
 
 
 def value_unit(network: RegretNetwork, utility: str) -> Unit:
     """Return the unit of a network's values.
 
-    ``network``: the fact ``worth`` of its training decides ("win": shares of races won), else its target and the
-    utility. ``utility``: one of :data:`pcs_racing.game.config.UTILITIES`.
+    ``network``: the fact ``worth`` of its training decides ("win": shares of races won), else its
+    target and the utility. ``utility``: one of :data:`pcs_racing.game.config.UTILITIES`.
     """
     if network.training.get("worth") == "win":
         return Unit(1.0, "of a win")

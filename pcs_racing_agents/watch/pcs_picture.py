@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 
 def plane(archive: PolicyArchive) -> tuple[int, int]:
-    """Return the characteristics on the horizontal and the vertical axis: as in the paper, the second and the first."""
+    """Return the characteristics of the x and y axis: second and first, as in the paper."""
     return min(1, len(archive.characteristics) - 1), 0
 
 
@@ -27,14 +27,14 @@ def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
 def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False) -> None:
     """Draw an archive's policies and all explored policies, in the characteristics' units.
 
-    ``colour_bar``: whether to add a colour bar for the policies' crash rate, if it is known. ``faint``: draw all
-    policies grey, as a background.
+    ``colour_bar``: True adds a colour bar of the policies' crash rate, if known. ``faint``: True
+    draws all policies grey, as a background.
     """
     right, up = plane(archive)
     everything, policies = archive.explored_coordinates, archive.coordinates
     if len(everything):
         axes.plot(everything[:, right], everything[:, up], ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
-    # The explored policies may be thousands, so they are pixels even in a vector picture; the archive lies above them.
+    # Thousands of explored policies are pixels even in a vector picture, below the archive.
     options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
     if faint or archive.own_crash is None:
         axes.scatter(policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options)
@@ -54,7 +54,7 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
 
 
 def _limit(axes: Any, archive: PolicyArchive) -> None:
-    """Limit the axes to the archive and most of the explored policies; a few of these may be far away."""
+    """Limit the axes to the archive and most explored policies, without far outliers."""
     right, up = plane(archive)
     for axis, setter in ((right, axes.set_xlim), (up, axes.set_ylim)):
         low, high = archive.nadir[axis], archive.ideal[axis]
@@ -79,7 +79,7 @@ def archive_picture(
 ) -> Any:
     """Draw an archive, and the moves of one of its policies.
 
-    ``epsilon``: length of a move in normalised units. ``policy``: the policy; by default the one in the middle.
+    ``epsilon``: length of a move in normalised units. ``policy``: the policy (default: the middle).
     """
     start = archive.select("middle") if policy is None else policy
     if not 0 <= start < len(archive):
@@ -93,7 +93,7 @@ def archive_picture(
     axes.plot(*point, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
     leads_to = move_table(archive, epsilon)[start]
     ineffective, ends, labels = [], [], []
-    # Several moves may lead to one policy: they share an arrow.
+    # Moves to the same policy share an arrow.
     for target in dict.fromkeys(leads_to.tolist()):
         names = [name for name, end in zip(move_names(archive, epsilon), leads_to, strict=True) if end == target]
         if target == start:
@@ -110,7 +110,7 @@ def archive_picture(
     if ineffective:
         text += f"; {', '.join(ineffective)} keep{'s' if len(ineffective) == 1 else ''} it"
     axes.text(1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5)
-    # Labels keep off the arrows as well as off the policies.
+    # Labels avoid both the arrows and the policies.
     shafts = [point + share * (end - point) for end in ends for share in (0.25, 0.5, 0.75)]
     place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])
     return figure

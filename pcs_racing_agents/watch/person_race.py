@@ -1,4 +1,4 @@
-"""A race of a person in car 0, who makes moves or steers, against an agent, a driver or a policy in car 1."""
+"""A race of a person (moves or steering) in car 0 against an agent or policy in car 1."""
 
 import re
 from dataclasses import dataclass, field, replace
@@ -24,14 +24,14 @@ from pcs_racing_agents.watch.view_page import page_of
 from pcs_racing_agents.watch.view_server import Answer, error_answer
 
 MOST_RACES = 1_000_000
-NEAREST = 4  # the person starts with one of the quarter of the policies that are nearest to the opponent's
+NEAREST = 4  # the person starts with a policy of the quarter nearest to the opponent's policy
 
 _ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
 
 
 @dataclass(frozen=True)
 class _GivenMoves:
-    """A competitor that makes given moves, and then stays."""
+    """A competitor with given moves, then "stay"."""
 
     moves: tuple[int, ...]
     stay: int
@@ -42,7 +42,7 @@ class _GivenMoves:
         self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[NDArray[np.int64], None]:
         """Return the move for each observation."""
-        # From the observation, not from a counter: the same object may be asked for any race, in any order.
+        # Stateless (from the observation): the same object serves any race, in any order.
         made = moves_made(observation, self.axes)
         padded = np.array([*self.moves, self.stay])
         return padded[np.minimum(made, len(self.moves))], None
@@ -50,16 +50,17 @@ class _GivenMoves:
 
 @dataclass(frozen=True, eq=False)
 class PersonRaces:
-    """Races of a person in car 0 against a competitor in car 1; race ``k`` has a start and policies of its own."""
+    """Races of a person in car 0 against a competitor; start and policies depend on the race."""
 
     game: RaceGame
-    opponent: Competitor  #: In car 1.
-    seed: int = 0  #: Root of the starts, of the policies that both cars start with, and of the noise.
+    opponent: Competitor  #: Competitor in car 1.
+    seed: int = 0  #: Root of the starts, of both cars' start policies, and of the noise.
 
     def answer(self, path: str) -> Answer:
-        """Answer ``/race/K/MOVES`` with :meth:`situation` as JSON, and ``/race/K/MOVES.html`` with the race so far.
+        """Answer ``/race/K/MOVES`` (:meth:`situation`, JSON) and ``/race/K/MOVES.html`` (the race).
 
-        ``MOVES`` are the indices of the person's moves with hyphens between them; none before the first move.
+        ``MOVES`` are the indices of the person's moves, separated by hyphens; empty before the
+        first move.
         """
         match = _ADDRESS.fullmatch(path)
         if match is None:
@@ -74,15 +75,15 @@ class PersonRaces:
             return error_answer(409, str(error))
 
     def replay(self, number: int, moves: tuple[int, ...]) -> Replay:
-        """Return the race up to the next move of the person, or to its end."""
+        """Return the race up to the person's next move, or to the end."""
         return self._drive(number, moves)[0]
 
     def situation(self, number: int, moves: tuple[int, ...]) -> dict[str, Any]:
-        """Return what the person may know before the next move, as plain values."""
+        """Return the person's information before the next move, as plain values."""
         replay, played, steps = self._drive(number, moves)
         game, archive = self.game, self.game.archive
         made, over = len(moves), self._over(played, len(moves))
-        # Steps after a crash have no policy (-1): then it is the last one that was driven.
+        # Steps after a crash have no policy (-1): use the last driven policy.
         policy = int([policy for policy in played.path[0, 0, : made + 1] if policy >= 0][-1])
         axes = get_characteristics(archive.characteristics)
         seen = [
@@ -114,7 +115,7 @@ class PersonRaces:
         }
 
     def _decision(self, step: ExplainedDecision, own_move: int) -> dict[str, Any]:
-        """Return what the opponent decided in a step, beside the person's move, as plain values."""
+        """Return the opponent's decision and the person's move in a step, as plain values."""
         names = self.game.competitor_moves
         return {
             "you": names[own_move],
@@ -124,15 +125,15 @@ class PersonRaces:
         }
 
     def _over(self, played: RaceTable, made: int) -> bool:
-        """Whether the race ended within the step that follows a number of moves."""
+        """Return whether the race ended within the step after a number of moves."""
         return made >= self.game.config.moves or float(played.duration[0]) < self._end(made)
 
     def _end(self, made: int) -> float:
-        """Time at which the step after a number of moves ends, s."""
+        """Return the end time of the step after a number of moves, s."""
         return self.game.config.ends[made]
 
     def _policies(self, number: int) -> NDArray[np.int64]:
-        """Draw the policies that both cars start with, alike where both are of the archive: such races are close."""
+        """Draw both cars' start policies, similar if both are from the archive (close races)."""
         archive = self.game.archive
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
         if isinstance(self.opponent, Driver):
@@ -142,7 +143,7 @@ class PersonRaces:
         return np.array([np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))], rival])
 
     def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
-        """Drive the whole race, staying after the given moves, and return it up to the next move."""
+        """Drive the whole race ("stay" after the given moves); return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
         if not 0 <= number < MOST_RACES:
             raise InputError(f"there is no race {number}; there are races 0 to {MOST_RACES - 1}")
@@ -151,7 +152,7 @@ class PersonRaces:
         for move in moves:
             if not 0 <= move < len(names):
                 raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
-        # The whole race each time: nothing is kept between two questions.
+        # The whole race each time: requests share no state.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
         race: dict[str, Any] = {
             "policies": self._policies(number),
@@ -166,19 +167,19 @@ class PersonRaces:
         else:
             explanation = explain_game(game, person, self.opponent, **race, car=1)
             replay, played, steps = explanation.replay, explanation.played, explanation.steps
-        # What would happen if the person stayed from now on must not be shown.
+        # Hide the future of the race, which assumes "stay" from now on.
         if not self._over(played, len(moves)):
             replay = first_frames(replay, self._end(len(moves)))
         return replay, played, steps[: len(moves)]
 
 
 def first_frames(replay: Replay, seconds: float) -> Replay:
-    """Return the beginning of a race: its frames, plans and events up to a time, without an outcome.
+    """Return the beginning of a race: frames, plans and events up to a time, without an outcome.
 
-    ``replay``: without candidates. ``seconds``: up to when, s.
+    ``replay``: a replay without candidates. ``seconds``: end of the beginning, s.
     """
     frames = round(seconds / replay.frame_dt) + 1
-    plans = round(seconds / replay.plan_dt)  # without the plan of that time: the next move decides about it
+    plans = round(seconds / replay.plan_dt)  # the next move decides the plan of that time
     return replace(
         replay,
         cars=replay.cars[:frames],
@@ -191,13 +192,13 @@ def first_frames(replay: Replay, seconds: float) -> Replay:
 
 
 def play_page(races: PersonRaces) -> str:
-    """Return the page on which a person makes the moves; it asks a server for everything else."""
+    """Return the page for the moves of a person; a server provides everything else."""
     title = f"You against {competitor_name(races.opponent)}"
     return page_of("play.html", title, "connect-src 'self'; frame-src 'self'", {})
 
 
 TIME_STEP = 0.02  # s
-MOST_STEPS = 25  # in an answer: half a second, after which a page that was away goes on
+MOST_STEPS = 25  # max steps per answer: half a second; a paused page continues from there
 
 _BEGIN = re.compile(r"/begin/([0-9]{1,6})")
 _DRIVE = re.compile(r"/drive/([0-9]{1,6})/([0-9]{1,6})/([0-9]{1,2})/(-?[0-9]{1,3})/([0-9]{1,3})")
@@ -205,19 +206,19 @@ _DRIVE = re.compile(r"/drive/([0-9]{1,6})/([0-9]{1,6})/([0-9]{1,2})/(-?[0-9]{1,3
 
 @dataclass(eq=False)
 class PersonDrive:
-    """The race that a page drives; race ``k`` has a start of its own. Equal commands give equal races."""
+    """Races driven from a page; the start depends on the race. Equal commands give equal races."""
 
-    env: DriveEnv  #: Of steps of :data:`TIME_STEP`, with actions in [-1, 1].
-    opponent: str  #: Its name.
-    seed: int = 0  #: Of race 0; race ``k`` has this one more ``k`` times.
-    _race: tuple[int, int] = field(init=False, default=(-1, 0))  # its number, and the steps driven
+    env: DriveEnv  #: Environment with steps of :data:`TIME_STEP` and actions in [-1, 1].
+    opponent: str  #: Name of the opponent.
+    seed: int = 0  #: Seed of race 0; race ``k`` has seed + ``k``.
+    _race: tuple[int, int] = field(init=False, default=(-1, 0))  # race number, steps driven
     _info: dict[str, Any] = field(init=False, default_factory=dict)
 
     def answer(self, path: str) -> Answer:
-        """Answer ``/begin/K``, and ``/drive/K/STEP/STEPS/STEERING/SPEED``, with the race at that moment as JSON.
+        """Answer ``/begin/K`` and ``/drive/K/STEP/STEPS/STEERING/SPEED`` with the race as JSON.
 
-        ``STEP`` says from which step on ``STEPS`` are driven, with the steering from -100 (right) to 100 (left) and the
-        speed from 0 to 100 as shares of the largest.
+        ``STEP`` is the first of ``STEPS`` driven steps. The steering from -100 (right) to 100
+        (left) and the speed from 0 to 100 are percentages of the maximum.
         """
         begin, on = _BEGIN.fullmatch(path), _DRIVE.fullmatch(path)
         try:
@@ -263,12 +264,12 @@ class PersonDrive:
 
 
 def drive_page(races: PersonDrive) -> str:
-    """Return the page on which a person steers; it asks a server for everything else."""
+    """Return the page for the steering of a person; a server provides everything else."""
     title = f"You at the wheel against {races.opponent}"
     return page_of("drive.html", title, "connect-src 'self'", {"/*step*/": str(TIME_STEP)})
 
 
 def make_person_drive(rival: Any, seed: int = 0, **arguments: Any) -> PersonDrive:
-    """Return races against a competitor; the ``arguments`` are those of :class:`pcs_racing.envs.drive.DriveEnv`."""
+    """Return races against a competitor (arguments: :class:`pcs_racing.envs.drive.DriveEnv`)."""
     env = DriveEnv(opponent=rival, time_step=TIME_STEP, look_ahead=(), **arguments)
     return PersonDrive(env, competitor_name(rival), seed)

@@ -1,4 +1,4 @@
-"""Pictures of an explained race: its path in the Policy Characteristic Space and on the track, values, and lead."""
+"""Pictures of an explained race: paths in policy space and on the track, values, and lead."""
 
 from typing import Any
 
@@ -43,7 +43,7 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
     axes.plot(measured[:, 0], measured[:, 1], color=other_colour, lw=0.9, alpha=0.6, zorder=4)
     for k, point in enumerate(measured):
         _number(axes, point, k + 1, other_colour)
-    # An arrow from a policy to itself can't be seen; such moves are listed beside the policy.
+    # An arrow from a policy to itself is invisible; such moves are listed next to the policy.
     unchanged: dict[int, list[str]] = {}
     for k, step in enumerate(steps):
         if step.next_policy == step.policy:
@@ -74,7 +74,7 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
 
 
 def draw_track(axes: Any, explanation: Explanation) -> None:
-    """Draw the paths of both cars, and their positions at each move."""
+    """Draw the paths of both cars and their positions at each move."""
     replay = explanation.replay
     for loop in join_segments(replay.walls):
         axes.plot(loop[:, 0], loop[:, 1], color="#a5afbb", lw=1.0)
@@ -110,16 +110,16 @@ def draw_track(axes: Any, explanation: Explanation) -> None:
 
 
 def draw_values(figure: Any, explanation: Explanation) -> None:
-    """Draw the values of the moves at each decision; without a network their probabilities."""
+    """Draw the values of the moves at each decision, or their probabilities without a network."""
     steps = explanation.steps
     valued = all(step.values is not None for step in steps)
-    # As many panels as the game has moves, so that races of different length can be laid beside each other.
+    # One panel per move of the game: races of different length have comparable sheets.
     panels = figure.subplots(1, len(explanation.played.moves.codes[0, 0]), sharey=True, squeeze=False)[0]
     for axes in panels[len(steps) :]:
-        axes.set_visible(False)  # no decision any more after a crash
+        axes.set_visible(False)  # no more decisions after a crash
     unit = explanation.unit
     scale = unit.scale if valued and unit is not None else 1.0
-    # Moves that lead to the same policy keep separate bars, as the network values each of them.
+    # Moves to the same policy have separate bars, as the network values each move.
     for k, (axes, step) in enumerate(zip(panels, steps, strict=False)):
         bars = scale * step.values if valued and step.values is not None else np.asarray(step.probabilities)
         places = np.arange(len(bars))
@@ -128,7 +128,7 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
         axes.axvline(0.0, color=INK, lw=0.8)
         axes.set_yticks(np.arange(len(explanation.moves)), explanation.moves)
         axes.set_ylim(len(explanation.moves) - 0.5, -0.5)
-        # A network that does not know the move "stay" has no bar for it.
+        # A network without the move "stay" has no bar for it.
         if step.move >= len(bars):
             axes.annotate("made", (0.0, step.move), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
         axes.set_title(f"{k + 1}: {step.time:g} s", fontsize=9)
@@ -152,7 +152,7 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
     axes.fill_between(time, lead, 0.0, where=lead <= 0.0, color=other_colour, alpha=0.18, lw=0.0, interpolate=True)
     axes.plot(time, lead, color=INK, lw=1.4)
     axes.axhline(0.0, color="#a5afbb", lw=0.8)
-    # At least a metre to either side: a race that stays level shall not look like a wild one.
+    # At least 1 m on either side: a level race must not look dramatic.
     low, high = min(float(lead.min()), -1.0), max(float(lead.max()), 1.0)
     reach = high - low
     axes.set_ylim(low - 0.2 * reach, high + 0.2 * reach)
@@ -193,7 +193,7 @@ def _number(axes: Any, point: Any, number: int, colour: str) -> None:
 
 
 def _include(axes: Any, points: Any) -> None:
-    """Widen a picture so that it holds some points."""
+    """Widen the limits of a picture to include some points."""
     for column, limits, setter in ((0, axes.get_xlim(), axes.set_xlim), (1, axes.get_ylim(), axes.set_ylim)):
         margin = 0.05 * (limits[1] - limits[0])
         if len(points):

@@ -1,10 +1,10 @@
-"""Selection of races of a tournament to show: spread over agents and outcomes, the closest ones first.
+"""Selection of tournament races to show: spread over agents and outcomes, closest races first.
 
-For one of its agents a race is a win by switching, another win, a loss, a crash by its own fault or the other's, or a
-tie. It is won by switching where "never-switch" loses to the same opponent, from the same start and policy. Agents and
-outcomes take turns. Within an agent and outcome, opponents and circuits take turns, and of each the races come by
-the distance between the cars at the end. What is shown is closer than what is typical, which the tournament's table
-says.
+For one of its agents a race is a win by switching, another win, a loss, a crash by its own fault or
+the other's, or a tie. A win is by switching if "never-switch" loses to the same opponent, from the
+same start and policy. Agents and outcomes alternate. Within an agent and outcome, opponents and
+tracks alternate; each group of races is sorted by the final distance between the cars. Selected
+races are closer than typical races; the tournament's table gives the typical results.
 """
 
 from collections.abc import Iterator, Sequence
@@ -30,8 +30,8 @@ OUTCOMES = (
 class SelectedRace(NamedTuple):
     """A selected race."""
 
-    race: int  #: Line of the results, from 0.
-    why: str  #: Agent and outcome, such as ``"cfr-argmax: a win by switching"``.
+    race: int  #: Line of the results, counted from 0.
+    why: str  #: Agent and outcome, e.g. ``"cfr-argmax: a win by switching"``.
 
 
 def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
@@ -45,12 +45,12 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
     switched = races.switches[:, car] > 0
     decided = won & switched & _lost_by_staying(races, car)
     cases = [crashed & own, crashed & other, decided, won & switched, won, lost & ~crashed]
-    # The first case that holds counts: a crash comes before who won it.
+    # The first true case counts: a crash comes before the winner.
     return np.select(cases, [3, 5, 0, 1, 4, 2], 6)
 
 
 def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
-    """Whether the agent that never switches lost the same race of a car, shape (N,); False where it did not race."""
+    """Return whether never-switch lost the same race of a car, shape (N,); False without a race."""
     names = races.agents.codes
     other, own = names[:, 1 - car], names[:, car]
     starts = (races.preset.codes, races.track.codes, races.seed.codes, races.race, races.variants[:, car], other)
@@ -61,10 +61,10 @@ def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
 
 
 def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
-    """Select races to show, by a deterministic rule; return them in order of selection."""
+    """Return races to show, by a deterministic rule, in order of selection."""
     agents = range(len(races.agents.words))
     by_car = np.array([outcomes(races, car) for car in range(2)])
-    # Outcomes outside, agents inside: of each outcome every agent has its turn before the next one.
+    # Outcomes outside, agents inside: each outcome goes through all agents before the next outcome.
     piles = [
         (agent, outcome, _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)))
         for outcome in range(len(OUTCOMES))
@@ -86,9 +86,9 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
 
 
 def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator[int]:
-    """Yield an agent's races of one outcome: circuits and opponents take turns, each with its closest race first.
+    """Yield an agent's races of an outcome: tracks and opponents alternate, closest races first.
 
-    ``mask`` has shape (2, N): the races, by the car that the agent drove in them.
+    ``mask``: shape (2, N), the races by the agent's car.
     """
     cars, numbers = np.nonzero(mask)
     gap = np.abs(races.lead[numbers])
@@ -98,7 +98,7 @@ def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator
     for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
         rows = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
         groups.append(numbers[rows][np.argsort(gap[rows], kind="stable")].tolist())
-    # Each agent starts with another group: else all of them would show their race against the same opponent.
+    # Each agent starts with another group: else all agents would show the same opponent.
     groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []
     for turn in range(max(map(len, groups), default=0)):
         for group in groups:

@@ -1,7 +1,8 @@
 """Replays of races for the viewer, with the moves in the Policy Characteristic Space.
 
-A replay of the viewer is a smaller form of one of :mod:`pcs_racing.race.replay`: data of the circuit is stored once for
-all races, plans are stored every 0.2 s in centimetres, and data that the page does not draw is left out.
+A replay of the viewer is a smaller form of a :mod:`pcs_racing.race.replay`: track data is stored
+once for all races, plans are stored every 0.2 s in centimetres, and data not drawn by the page is
+omitted.
 """
 
 from collections.abc import Iterator, Sequence
@@ -25,7 +26,7 @@ from pcs_racing_agents.watch.pcs_picture import in_units, plane
 from pcs_racing_agents.watch.results_folder import ResultsFolder
 
 PLACES = 4000  # resolution of positions: steps across the picture
-PLAN_SKIP = 2  # every second plan is kept
+PLAN_SKIP = 2  # every second plan is stored
 MOST_PAIRINGS = 64
 
 Floats = NDArray[np.float64]
@@ -34,19 +35,19 @@ Floats = NDArray[np.float64]
 class RepeatedRace(NamedTuple):
     """A repeated race as data for the page."""
 
-    race: int  #: Line of the results, from 0.
-    circuit: str  #: Name of its circuit.
-    values: dict[str, Any]  #: Data of the race: :func:`race_values`.
+    race: int  #: Line of the results, counted from 0.
+    circuit: str  #: Name of the track.
+    values: dict[str, Any]  #: Data of the race (:func:`race_values`).
 
 
 class RaceRepeater:
-    """Repeats races of a results folder, and stores the data that they share; not thread-safe."""
+    """A repeater of a results folder's races, with their shared data; not thread-safe."""
 
     def __init__(self, results: ResultsFolder) -> None:
         self.results = results
-        #: By name, those of the races driven so far: :func:`circuit_values`.
+        #: Tracks of the races so far, by name (:func:`circuit_values`).
         self.circuits: dict[str, dict[str, Any]] = {}
-        #: The Policy Characteristic Space: :func:`space_values`; None before the first race.
+        #: Policy Characteristic Space (:func:`space_values`); None before the first race.
         self.space: dict[str, Any] | None = None
         self._pairing = lru_cache(maxsize=MOST_PAIRINGS)(self._make_pairing)
 
@@ -54,12 +55,12 @@ class RaceRepeater:
         return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))
 
     def drive(self, number: int) -> RepeatedRace:
-        """Repeat the race of a line of the results."""
+        """Repeat the race on a line of the results."""
         row = self.results.row(number)
         pairing = self._pairing(*_pair(row))
         if row.race >= len(pairing):
             raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
-        # A folder that was edited is found out before a race is driven, and again by the lead at its end.
+        # An edited folder is detected here before the race, and by the lead after the race.
         _check_start(number, row, pairing)
         recording = record_game(
             pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
@@ -72,7 +73,7 @@ class RaceRepeater:
         self.circuits.setdefault(row.track, circuit_values(replay))
         axes = len(game.archive.characteristics)
         steps = range(step_count(played.observations[:, 0], axes))
-        # Steps after a crash are zeros in an observation; the last number of a step says whether it is over.
+        # Observed steps after a crash are zeros; the last number of a step marks it as complete.
         blocks = played.observations[0, :, :-1].reshape(2, len(steps), -1)
         observations = (played.observations[:, car] for car in range(2))
         estimates = np.array([[opponent(observation, axes, step)[0] for step in steps] for observation in observations])
@@ -87,7 +88,7 @@ class RaceRepeater:
         return RepeatedRace(number, row.track, values)
 
     def drive_all(self, numbers: Sequence[int]) -> Iterator[RepeatedRace]:
-        """Repeat the races of several lines, those of a pair together, and yield them in that order."""
+        """Repeat the races of several lines and yield them, grouped by pair."""
         rows = self.results.row
         order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
         for number in order:
@@ -99,7 +100,7 @@ def _pair(row: RaceRow) -> tuple[str, str, str, int]:
 
 
 def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
-    """Check that a line of the results describes the race, before it is simulated."""
+    """Check before a simulation that a line of the results describes the race."""
     starts, variants = pairing.starts, pairing.variants[row.race].tolist()
     drawn = (f"{starts.s[row.race]:.4f}", int(starts.side[row.race]), *variants)
     recorded = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
@@ -111,9 +112,10 @@ def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
 
 
 def race_values(replay: Replay) -> dict[str, Any]:
-    """Return the data of a replay without its circuit, as plain values for the page's JSON.
+    """Return the data of a replay without its track, as plain values for the page's JSON.
 
-    Together with :func:`circuit_values` it is a replay in the format of :mod:`pcs_racing.race.replay`.
+    Together with :func:`circuit_values` this is a replay in the format of
+    :mod:`pcs_racing.race.replay`.
     """
     # The page draws neither of the last two columns; zeros pack to nothing.
     drawn = np.concatenate([replay.cars[..., :5], np.zeros((*replay.cars.shape[:2], 2))], axis=-1)
@@ -131,7 +133,7 @@ def race_values(replay: Replay) -> dict[str, Any]:
 
 
 def circuit_values(replay: Replay) -> dict[str, Any]:
-    """Return the data of a replay's circuit, as plain values for the page's JSON."""
+    """Return the data of a replay's track, as plain values for the page's JSON."""
     values = {"walls": pack_segments(replay.walls), "line": pack(replay.line, FINE, [0, 0])}
     if replay.line_speed is not None:
         values["line_speed"] = pack(replay.line_speed, COARSE, [0])
@@ -141,7 +143,7 @@ def circuit_values(replay: Replay) -> dict[str, Any]:
 def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]:
     """Return the Policy Characteristic Space as plain values for the page's JSON.
 
-    Positions are in steps of 1/4000 of the picture, from its left and lower edge.
+    Positions are in steps of 1/4000 of the picture, from the left and lower edge.
     """
     columns = plane(archive)
     kinds = get_characteristics(archive.characteristics)
@@ -160,7 +162,7 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
 
 
 def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
-    """Return the limits of an axis: the archive, and most of the explored policies unless they are far away."""
+    """Return an axis' limits: the archive, and most explored policies unless far away."""
     low, high = float(archive.nadir[column]), float(archive.ideal[column])
     reach = max(high - low, 1e-9)
     explored = archive.explored_coordinates[:, column]
@@ -171,17 +173,17 @@ def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
 
 
 def _places(space: dict[str, Any], points: Floats) -> Any:
-    """Return points (..., 2) in units of the axes as nested lists of whole steps; null where they are NaN."""
+    """Return points (..., 2) in axis units as nested lists of whole steps; null for NaN."""
     low, high = (np.array([axis[key] for axis in space["axes"]]) for key in ("low", "high"))
     steps = PLACES * (points - low) / (high - low)
     missing = np.isnan(steps).any(axis=-1)
-    # Clipped, as an estimate can lie far outside of the picture; whole steps are short in JSON.
+    # Clipped: an estimate can lie far outside the picture; whole steps are short in JSON.
     whole = np.rint(np.clip(np.nan_to_num(steps), -1e6, 1e6)).astype(np.int64).tolist()
     return _without(whole, missing.tolist())
 
 
 def _without(values: Any, missing: Any) -> Any:
-    """Replace the innermost lists that are missing by None."""
+    """Replace missing innermost lists by None."""
     if isinstance(missing, bool):
         return None if missing else values
     return [_without(value, empty) for value, empty in zip(values, missing, strict=True)]

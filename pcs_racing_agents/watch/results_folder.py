@@ -1,7 +1,7 @@
-"""The folder of a tournament or of a study, from which its races can be repeated.
+"""The results folder of a tournament or study, for repeating its races.
 
-A folder describes the competitors, starts and noise of its races. An agent that has changed since is detected by its
-hash, and a race with another result by its lead.
+A folder describes the competitors, starts and noise of its races. The hash of an agent detects a
+changed agent, the lead of a race a changed result.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -42,7 +42,7 @@ class RacedStudy(Protocol):
         """Archive and rules of the games."""
 
     def game(self, track: str) -> RaceGame:
-        """Return the game on a circuit."""
+        """Return the game on a track."""
 
     def agent(self, name: str) -> Competitor:
         """Return an agent by name."""
@@ -50,14 +50,14 @@ class RacedStudy(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ResultsFolder:
-    """The races of a folder."""
+    """A folder of races."""
 
     folder: Path
     settings: Mapping[str, Any]  #: Settings of a tournament, from ``job.yaml``.
     races: RaceTable  #: Content of ``results.csv``.
-    study: RacedStudy | None  #: The study that they belong to, whose agents are used instead of the zoo's.
-    tournament: bool  #: Whether they are a tournament; else they are the races of a study's tables.
-    code: Sequence[str] = ()  #: Names of agents that may be code, which is run.
+    study: RacedStudy | None  #: Study of the races; its agents replace the zoo's agents.
+    tournament: bool  #: True for a tournament, False for the races of a study's tables.
+    code: Sequence[str] = ()  #: Names of agents that may be code, to be run.
 
     def row(self, number: int) -> RaceRow:
         """Return a line of the results, counted from 0."""
@@ -66,14 +66,14 @@ class ResultsFolder:
         return self.races[number]
 
     def check_raced(self, agent: str) -> None:
-        """Check that an agent is one of those of the results."""
+        """Check that the results contain an agent."""
         if agent not in self.races.agents.words:
             raise InputError(
                 f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
             )
 
     def check_lead(self, number: int, lead: float) -> None:
-        """Check that a repeated race ended with the lead that the results have, to four digits."""
+        """Check that a repeated race ended with the lead in the results, to four digits."""
         recorded = f"{self.row(number).lead:.4f}"
         if f"{lead:.4f}" != recorded:
             raise InputError(
@@ -87,19 +87,19 @@ class ResultsFolder:
         return self.races.pairs
 
     def pairing(self, row: RaceRow) -> Pairing:
-        """Return the pairing of a line, by track, pair and seed; ``row.race`` is the line's number in the pairing."""
+        """Return the pairing of a line; ``row.race`` is the line's number in the pairing."""
         try:
             if self.study is not None and not self.tournament:
                 return self._of_study(self.study, row)
             return self._of_tournament(row.track, row.ego, row.opponent)
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            # Errors of ours are ValueErrors, too, and say more than that the manifest is damaged.
+            # InputErrors are ValueErrors, too, and more specific than a damaged manifest.
             if isinstance(error, InputError):
                 raise
             raise InputError(f"{self.folder / MANIFEST} is damaged: {error!r}") from None
 
     def pairings(self, agent: str) -> Iterator[tuple[Pairing, int]]:
-        """Return all pairings of an agent, with the car that it drove in them."""
+        """Yield all pairings of an agent, with the agent's car."""
         self.check_raced(agent)
         firsts = [self.races[int(numbers[0])] for numbers in self.pairs.values()]
         rows = [row for row in firsts if agent in (row.ego, row.opponent)]
@@ -109,7 +109,7 @@ class ResultsFolder:
                     yield self.pairing(row), car
 
     def _of_study(self, study: RacedStudy, row: RaceRow) -> Pairing:
-        # The variants and the number of lines of a pairing follow from all its races together.
+        # All races of a pairing together determine its variants and number of lines.
         rows = self.pairs[row.track, row.ego, row.opponent, str(row.seed)]
         egos, opponents = (np.unique(self.races.variants[rows, car]).tolist() for car in range(2))
         lines = len(rows) // max(1, 2 * len(egos) * len(opponents))
@@ -118,7 +118,7 @@ class ResultsFolder:
 
     def _of_tournament(self, track: str, ego: str, opponent: str) -> Pairing:
         settings, study = self.settings, self.study
-        # Everything that a race depends on is compared by hash: driven with something else it would be another race.
+        # All inputs of a race are compared by hash: other inputs give another race.
         archive = load_archive(settings["archive"]) if study is None else study.archive
         _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
         circuit = load_track(track)
@@ -136,7 +136,7 @@ class ResultsFolder:
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Return the manifest of a job's folder; None if there is none."""
+    """Return the manifest of a job's folder, if any."""
     file = folder / MANIFEST
     try:
         manifest = read_job(file)
@@ -150,7 +150,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def _game_config(values: Mapping[str, Any]) -> GameConfig:
-    """Return the rules in a manifest; the move "stay" is reset, since every tournament adds it."""
+    """Return the rules in a manifest, without the move "stay": every tournament adds it."""
     return GameConfig(**{**tuples(values), "race": RaceConfig(**tuples(values["race"])), "stay": None})
 
 

@@ -1,7 +1,7 @@
-"""A race as messages of ROS 2, under the topics and frames of f1tenth_gym_ros, and as an MCAP file of them.
+"""A race as ROS 2 messages, with the topics and frames of f1tenth_gym_ros, and as an MCAP file.
 
-A message is a mapping of its fields; a field that is left out is 0 or empty. Their definitions, those of ROS 2 Humble
-and later, are in ``ros2_messages.txt``. Times are those of the race: it begins at 0.
+A message is a mapping of its fields; an omitted field is 0 or empty. The message definitions (ROS 2
+Humble and later) are in ``ros2_messages.txt``. Times are race times, from 0.
 """
 
 import os
@@ -23,20 +23,20 @@ from pcs_racing.track.track import Track
 
 Floats = NDArray[np.float64]
 CUBE, LINE_STRIP = 1, 4  # types of markers
-COLOURS = ((0.16, 0.44, 0.86), (0.93, 0.49, 0.13))  # of car 0 and of all others
+COLOURS = ((0.16, 0.44, 0.86), (0.93, 0.49, 0.13))  # colours of car 0 and of all other cars
 
 
 class RosMessage(NamedTuple):
-    """A message, and where and when it is published."""
+    """A message with the topic and time of its publication."""
 
     topic: str
-    kind: str  #: Its type, like "sensor_msgs/msg/LaserScan".
-    time: int  #: Since the start of the race, ns.
+    kind: str  #: Message type, like "sensor_msgs/msg/LaserScan".
+    time: int  #: Time since the start of the race, ns.
     fields: dict[str, Any]
 
 
 def car_topics(car: int) -> tuple[str, str, str]:
-    """Return the name of a car's frames, and its topics of scans and odometry."""
+    """Return the name of a car's frames and its topics of scans and odometry."""
     name = ("ego", "opp")[car] if car < 2 else f"opp{car}"
     return f"{name}_racecar", "/scan" if car == 0 else f"/{name}_scan", f"/{name}_racecar/odom"
 
@@ -55,7 +55,7 @@ def _point(x: float, y: float) -> dict[str, float]:
 
 
 def _turned(psi: float) -> dict[str, float]:
-    """Quaternion of a heading."""
+    """Return the quaternion of a heading."""
     sin, cos = sines_cosines(np.array([0.5 * psi]))
     return {"x": 0.0, "y": 0.0, "z": float(sin[0]), "w": float(cos[0])}
 
@@ -65,7 +65,7 @@ def _pose(x: float, y: float, psi: float = 0.0) -> dict[str, Any]:
 
 
 def map_message(track: Track) -> RosMessage:
-    """Return the circuit as ``/map``: 100 where walls are, 0 where cars can be."""
+    """Return the track as ``/map``: 100 in walls, 0 in free space."""
     arrays = track.arrays
     height, width = arrays.distance.shape
     info = {"resolution": arrays.cell, "width": width, "height": height, "map_load_time": stamp(0)}
@@ -77,7 +77,7 @@ def map_message(track: Track) -> RosMessage:
 
 
 def scan_message(lidar: Lidar, ranges: Sequence[float] | Floats, car: int, time: int) -> RosMessage:
-    """Return what the lidar of a car measured, m, shape (beams,)."""
+    """Return the message of a car's lidar ranges, m, shape (beams,)."""
     name, topic, _ = car_topics(car)
     fields = {
         "header": _header(time, f"{name}/laser"),
@@ -91,7 +91,7 @@ def scan_message(lidar: Lidar, ranges: Sequence[float] | Floats, car: int, time:
 
 
 def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
-    """Return odometry and ``/tf`` of the states of all cars, shape (N, 7)."""
+    """Return odometry and ``/tf`` for the states of all cars, shape (N, 7)."""
     messages, frames = [], []
     for car, state in enumerate(cars):
         name, _, topic = car_topics(car)
@@ -109,7 +109,7 @@ def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
 
 
 def _markers(replay: Replay, frame: int, time: int) -> RosMessage:
-    """The cars as boxes, and the plan that each follows."""
+    """Return the cars as boxes, with their plans."""
     markers: list[dict[str, Any]] = []
     plan = min(int(time / 1e9 / replay.plan_dt + 1e-6), 0 if replay.paths is None else len(replay.paths) - 1)
     for car, state in enumerate(replay.cars[frame]):
@@ -128,14 +128,14 @@ def _markers(replay: Replay, frame: int, time: int) -> RosMessage:
 
 
 def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterator[RosMessage]:
-    """Yield the messages of a race in the order of their times, 25 times a second; ``/map`` comes first."""
+    """Yield the messages of a race in order of time, 25 times a second; ``/map`` comes first."""
     yield map_message(track)
     lidar = Lidar(track, beams=beams)
     poses = replay.cars[:, :, [_vehicle.X, _vehicle.Y, _vehicle.PSI]]
     for frame, cars in enumerate(replay.cars):
         time = round(1e9 * frame * replay.frame_dt)
         for car in range(len(cars)):
-            # A lidar sees one other car: of several, the nearest thing in the way of each beam counts.
+            # A lidar scan takes one other car: of several scans, the min range of each beam counts.
             others = [poses[frame, other] for other in range(len(cars)) if other != car] or [None]
             seen = [lidar.scan(poses[frame, car], other) for other in others]
             yield scan_message(lidar, np.min(seen, axis=0), car, time)
@@ -144,11 +144,11 @@ def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterato
 
 
 def definition(kind: str) -> str:
-    """Return the definition of a type of message with those that it is made of, as files of ROS 2 hold them."""
+    """Return the definition of a message type and its component types, in ROS 2 file format."""
     text = (Path(__file__).parent / "ros2_messages.txt").read_text(encoding="utf-8")
     known = dict(part.split("\n", 1) for part in re.split(r"^MSG: ", text, flags=re.MULTILINE)[1:])
     needed = [kind]
-    for one in needed:  # grows on the way
+    for one in needed:  # grows during the loop
         parts = [f"{package}/msg/{name}" for package, name in re.findall(r"^(\w+)/(\w+)", known[one], re.MULTILINE)]
         needed += [part for part in parts if part not in needed]
     rest = [f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{known[one].strip()}\n" for one in needed[1:]]
@@ -156,7 +156,7 @@ def definition(kind: str) -> str:
 
 
 def write_bag(replay: Replay, track: Track, path: str | os.PathLike[str], *, beams: int = 1080) -> Path:
-    """Write a recorded race as an MCAP file, which Foxglove and ``ros2 bag play`` open (the extra ros)."""
+    """Write a recorded race as an MCAP file for Foxglove and ``ros2 bag play`` (extra "ros")."""
     path = Path(path)
     if path.suffix != ".mcap":
         raise InputError(f"write_bag writes .mcap files, got {path.name!r}")

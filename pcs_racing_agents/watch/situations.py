@@ -1,8 +1,8 @@
 """Statistics of an agent's moves over many races, by step, lead, and pace of the opponent.
 
-Leads and the opponent's pace are divided into thirds at each step, so that the bins are about equally full. Pace is the
-first characteristic of the archive ("aggressiveness", "pace"), as it was measured in the step before: what the agent
-observed.
+Leads and the opponent's pace are divided into thirds at each step, for bins of about equal size.
+Pace is the first characteristic of the archive ("aggressiveness", "pace"), measured in the last
+step: the agent's observation.
 """
 
 import os
@@ -34,17 +34,17 @@ class Situations:
 
     agent: str
     moves: tuple[str, ...]  #: Names of the M moves.
-    axis: str  #: Name of the characteristic that stands for pace.
-    #: shape (m, 2): ``lead_edges``, ``pace_edges``: Edges between the thirds at each of the m steps: of the lead in m,
-    #: and of the opponent's pace in normalised units.
+    axis: str  #: Name of the characteristic used as pace.
+    #: shape (m, 2): ``lead_edges``, ``pace_edges``: Edges between the thirds at each of m steps,
+    #: of the lead in m, and of the opponent's pace in normalised units.
     lead_edges: Floats
     pace_edges: Floats
-    #: shape (m, 3, 3, M): Races by step, third of the lead, third of the opponent's pace, and move made.
+    #: shape (m, 3, 3, M): Races by step, third of the lead, third of the opponent's pace, and move.
     counts: Counts
 
     @property
     def shares(self) -> Floats:
-        """Share of each move in its situation, shape (m, 3, 3, M); NaN where the situation did not occur."""
+        """Share of each move in its situation, shape (m, 3, 3, M); NaN without occurrences."""
         total = self.counts.sum(axis=-1, keepdims=True)
         return np.divide(self.counts, total, out=np.full(self.counts.shape, np.nan), where=total > 0)
 
@@ -52,17 +52,17 @@ class Situations:
 def summarise(
     observations: ArrayLike, actions: ArrayLike, archive: PolicyArchive, moves: Sequence[str], agent: str
 ) -> Situations:
-    """Count the moves that an agent made in B races.
+    """Count the moves of an agent in B races.
 
     Parameters
     ----------
     observations : array_like, shape (B, D)
-        Its last observation in each race: its column of
+        The agent's last observation in each race: its column of
         :attr:`pcs_racing_agents.tournament.races.RaceTable.observations`.
     actions : array_like of int, shape (B, m)
-        Indices of the moves that it made; -1 after a crash.
+        Indices of the agent's moves; -1 after a crash.
     archive : PolicyArchive
-        Seen along the game's axes.
+        The archive, along the game's axes.
     """
     observed, made = np.asarray(observations, np.float32), np.asarray(actions)
     axes = len(archive.characteristics)
@@ -78,7 +78,7 @@ def summarise(
     counts = np.zeros((steps, 3, 3, len(moves)), np.int64)
     edges = np.full((2, steps, 2), np.nan)
     for k in range(steps):
-        # Races that ended before this move are not situations of it, and would shift the thirds.
+        # Races that ended before this move are excluded: they would shift the thirds.
         rows = made[:, k] >= 0
         if not rows.any():
             continue
@@ -93,7 +93,7 @@ def summarise(
 
 
 def situations_text(situations: Situations) -> str:
-    """Return the most frequent moves of every situation as text."""
+    """Return the most frequent moves in every situation as text."""
     races = int(situations.counts[0].sum())
     lines = [
         f"{situations.agent}: moves by step, lead and {situations.axis} of the opponent, in {races} races "
@@ -123,7 +123,7 @@ def situations_text(situations: Situations) -> str:
 
 
 def write_situations(situations: Situations, path: str | os.PathLike[str]) -> Path:
-    """Write one line for each step, third of the lead, third of the opponent's pace, and move as CSV."""
+    """Write one CSV line per step, third of the lead, third of the opponent's pace, and move."""
     thirds = ("lead", "lead_low_m", "lead_high_m", "opponent", "pace_low", "pace_high")
     rows: list[tuple[object, ...]] = [("agent", "move_number", *thirds, "move", "races", "share")]
     shares = situations.shares
@@ -142,7 +142,7 @@ def write_situations(situations: Situations, path: str | os.PathLike[str]) -> Pa
 
 @picture
 def situations_picture(situations: Situations) -> Any:
-    """Draw the shares as a heat map: a column of panels for each step, a row for each move."""
+    """Draw the shares as a heat map: one column of panels per step, one row per move."""
     shares = situations.shares
     steps, moves = shares.shape[0], len(situations.moves)
     figure = new_figure(1.4 + 1.75 * steps, 1.2 + 1.35 * moves)

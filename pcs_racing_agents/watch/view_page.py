@@ -1,7 +1,7 @@
-"""The page that lists races and plays them: a single file that loads and sends nothing.
+"""The page with a list and a player of races: a single file that loads and sends nothing.
 
-Its parts are ``head.html`` and ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in a frame of its
-own) and ``beside.html`` (what the player shows beside the track).
+Its parts are ``head.html`` and ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the
+player, in its own frame) and ``beside.html`` (the player's panel next to the track).
 """
 
 import html
@@ -29,20 +29,21 @@ class ViewContent:
 
     title: str
     races: RaceTable
-    results: str = ""  #: Their path, as written in a command.
-    start: str = "side-by-side"  #: ``"side-by-side"``, or another kind of start, in which one car is in front.
-    picks: Sequence[SelectedRace] = ()  #: The races with replays.
-    driven: Sequence[RepeatedRace] = ()  #: Their replays.
-    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  #: Their circuits, by name.
-    space: Mapping[str, Any] | None = None  #: The Policy Characteristic Space.
-    why_not: str = ""  #: Why no race can be repeated; ``""`` if they can.
-    serve: bool = False  #: Whether a server (:mod:`pcs_racing_agents.watch.view_server`) repeats the others on request.
+    results: str = ""  #: Path of the results, as written in a command.
+    start: str = "side-by-side"  #: ``"side-by-side"``, or a kind of start with one car in front.
+    picks: Sequence[SelectedRace] = ()  #: Races with replays.
+    driven: Sequence[RepeatedRace] = ()  #: Replays of ``picks``.
+    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  #: Tracks by name.
+    space: Mapping[str, Any] | None = None  #: Policy Characteristic Space.
+    why_not: str = ""  #: Reason why races can't be repeated; ``""`` if they can.
+    serve: bool = False  #: True if :mod:`pcs_racing_agents.watch.view_server` repeats other races.
 
 
 def view_page(content: ViewContent) -> str:
     """Return the page.
 
-    A link may name filters, a race and a moment, such as ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
+    A link may name filters, a race and a time, e.g.
+    ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
     """
     player, beside = template("pcs_racing.race", "replay.html"), template("pcs_racing_agents.watch", "beside.html")
     driven = {race.race: race for race in content.driven}
@@ -61,7 +62,7 @@ def view_page(content: ViewContent) -> str:
         "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
         "space": None if content.space is None else dict(content.space),
         "serve": content.serve,
-        # A command that would be refused is not offered.
+        # Commands that would fail are not offered.
         "commands": [] if content.why_not else commands,
         "why_not": content.why_not,
     }
@@ -79,9 +80,10 @@ def view_page(content: ViewContent) -> str:
 
 
 def page_of(name: str, title: str, allowed: str, parts: Mapping[str, str]) -> str:
-    """Return a page of this package: its file, with the head that all of them have.
+    """Return a page of this package: its file with the common head.
 
-    ``allowed``: what its policy allows besides its own scripts and style. ``parts``: texts by their placeholders.
+    ``allowed``: sources allowed by its security policy in addition to its own scripts and style.
+    ``parts``: texts by placeholder.
     """
     common = {
         "<!--title-->": html.escape(title),
@@ -93,18 +95,19 @@ def page_of(name: str, title: str, allowed: str, parts: Mapping[str, str]) -> st
 
 
 def _fill(page: str, parts: Mapping[str, str]) -> str:
-    """Return a page with its placeholders replaced, in one pass: a text that spells a placeholder is not one."""
+    """Return a page with its placeholders replaced in one pass (not again within the texts)."""
     return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], page)
 
 
 def _shared(player: str) -> dict[str, str]:
-    """Return the parts of the player's page that other pages share, by name: ``colours`` and ``reading``."""
+    """Return the shared parts of the player's page by name: ``colours`` and ``reading``."""
     return {name: text.strip() for name, text in _SHARED.findall(player)}
 
 
 def packed_races(races: RaceTable) -> dict[str, Any]:
-    """Return races as plain values for the page's JSON: leads to a millimetre, other lengths and times to a hundredth,
-    the rest exactly.
+    """Return races as plain values for the page's JSON.
+
+    Leads are rounded to 1 mm, other lengths and times to 0.01; the rest is exact.
     """
     moves = _joined(races.moves)
     whole = {
@@ -121,7 +124,7 @@ def packed_races(races: RaceTable) -> dict[str, Any]:
     }
     both = {"overtakes": races.overtakes, "variants": races.variants, "switches": races.switches, "moves": moves.codes}
     whole |= {f"{name}{car}": values[:, car] for name, values in both.items() for car in range(2)}
-    # Differences make the long runs of equal values, and numbers that count up, one character each.
+    # Differences shorten runs of equal values, and numbers that count up, to a character each.
     return {
         "length": len(races),
         "agents": list(races.agents.words),
@@ -140,10 +143,10 @@ def packed_races(races: RaceTable) -> dict[str, Any]:
 
 def _joined(moves: Categorical) -> Categorical:
     """Return lists of moves as texts, shape (N, 2)."""
-    # Lists are compared as numbers, step by step; only the different ones become texts.
+    # Lists are compared as numbers, step by step; only distinct lists become texts.
     codes = np.zeros(moves.codes.shape[:2], np.int64)
     for step in range(moves.codes.shape[2]):
-        # Renumbered after every step, so that the numbers do not overflow.
+        # Renumbered after every step to avoid overflow.
         mixed = codes * (len(moves.words) + 1) + moves.codes[:, :, step] + 1
         codes = np.unique(mixed, return_inverse=True)[1].reshape(codes.shape)
     _, first = np.unique(codes, return_index=True)

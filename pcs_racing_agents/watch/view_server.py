@@ -1,9 +1,9 @@
-"""A small local server for a page that asks for races while it is open.
+"""A small local server for a page that requests races while it is open.
 
-It listens on 127.0.0.1 only. It answers ``/`` with the page, and hands every other address to a service, such as the
-one that repeats the races of a results folder. Requests that another site's page makes a browser send are refused: by
-the name of the host that they ask for (a page that has rebound its own name to 127.0.0.1 would still ask for that
-name), and by what the browser says about where they come from.
+It listens on 127.0.0.1 only. It answers ``/`` with the page, and passes every other address to a
+service, such as the repeater of a results folder's races. Requests from pages of other sites are
+refused by the requested host name (a page that rebinds its own name to 127.0.0.1 still requests
+that name) and by the origin that the browser reports.
 """
 
 import re
@@ -19,7 +19,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.watch.race_replays import RaceRepeater
 
-MOST_KEPT = 200  # answers kept in memory, some 40 kB each
+MOST_KEPT = 200  # max answers cached in memory, some 40 kB each
 LONGEST_PATH = 100
 
 _RACE = re.compile(r"/race/([0-9]{1,7})")
@@ -34,12 +34,12 @@ class Answer(NamedTuple):
 
 
 def error_answer(status: int, text: str) -> Answer:
-    """Return the answer to a request that fails: JSON with one line, ``error``."""
+    """Return the answer to a failed request: JSON with one line, ``error``."""
     return Answer(status, safe_json({"error": " ".join(text.split())}).encode())
 
 
 class RaceService:
-    """Repeats races and caches the last answers."""
+    """A service that repeats races and caches the last answers."""
 
     def __init__(self, driver: RaceRepeater, races: int) -> None:
         self.driver = driver
@@ -47,7 +47,7 @@ class RaceService:
         self._kept = lru_cache(maxsize=MOST_KEPT)(self._drive)
 
     def answer(self, path: str) -> Answer:
-        """Answer ``/race/NUMBER`` with the race, its circuit and its space as JSON, or with ``error``."""
+        """Answer ``/race/NUMBER`` with the race, its track and space as JSON, or ``error``."""
         match = _RACE.fullmatch(path)
         if match is None:
             return error_answer(404, "there is / and /race/NUMBER here")
@@ -68,25 +68,26 @@ class RaceService:
 def make_server(
     page: str, answer: Callable[[str], Answer], port: int = 0, *, method: str = "GET"
 ) -> ThreadingHTTPServer:
-    """Return a server on 127.0.0.1 that is ready to be started with ``serve_forever``.
+    """Return a server on 127.0.0.1, ready for ``serve_forever``.
 
     Parameters
     ----------
     page : str
-        What ``/`` shows.
+        Content of ``/``.
     answer : callable
-        ``answer(path) -> Answer`` for every other address of at most 100 characters, one at a time.
+        Function ``answer(path) -> Answer`` for every other address of at most 100 characters,
+        called one at a time.
     port : int
-        0 takes a free one.
+        Port; 0 takes a free port.
     method : {"GET", "POST"}
-        Method of these addresses: "POST" where an answer changes something.
+        Method of these addresses: "POST" if an answer changes something.
     """
-    check_whole("port", port, 0, 65535)  # 0 takes any free one
-    # Requests come in threads of their own, and what answers keeps what races share.
+    check_whole("port", port, 0, 65535)  # 0 takes a free port
+    # Each request has its own thread, but the service holds shared data of the races.
     content, busy = page.encode(), threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
-        """Answers a viewer."""
+        """Handler of a viewer's requests."""
 
         protocol_version = "HTTP/1.1"
         server_version = "pcs-racing"
@@ -94,15 +95,15 @@ def make_server(
         timeout = 60
 
         def do_GET(self) -> None:
-            """Send the page, or what the service answers."""
-            # A port of 0 is known only now; the host of a request names it.
+            """Send the page, or the service's answer."""
+            # The port chosen for port 0 is known only now; the host of a request includes it.
             own_port = self.connection.getsockname()[1]
             hosts = self.headers.get_all("Host", [])
             sites, origins = (self.headers.get_all(name, []) for name in ("Sec-Fetch-Site", "Origin"))
-            # A body is not read, and must not be taken for the next request.
+            # A body is not read, and must not be parsed as the next request.
             self.close_connection |= self.headers.get_all("Content-Length", ["0"]) != ["0"]
             self.close_connection |= "Transfer-Encoding" in self.headers
-            # Of two headers the first might pass and the second be meant.
+            # With two headers the first might pass and the second might count.
             if hosts not in ([f"127.0.0.1:{own_port}"], [f"localhost:{own_port}"]):
                 self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
             elif sites not in ([], ["none"], ["same-origin"]) or origins not in ([], [f"http://{hosts[0]}"]):
@@ -144,16 +145,16 @@ def make_server(
             self.wfile.write(sent.body)
 
         def log_message(self, *_: Any) -> None:
-            """Keep quiet."""
+            """Log nothing."""
 
     class Server(ThreadingHTTPServer):
-        """Ends with the command, and does not tell of viewers who went away."""
+        """Server that ends with the command and does not report disconnected viewers."""
 
         daemon_threads = True
-        request_queue_size = 128  # connections that wait to be accepted; with 5, most of 200 at once are refused
+        request_queue_size = 128  # max waiting connections; 5 refuses most of 200 at once
 
         def handle_error(self, *_: Any) -> None:
-            """A viewer that goes away in the middle of an answer is no error."""
+            """Ignore a viewer that disconnects during an answer."""
 
     try:
         return Server(("127.0.0.1", port), Handler)

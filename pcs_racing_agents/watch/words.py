@@ -6,8 +6,8 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing_agents.watch.explain import ExplainedDecision, Explanation
 
 CLEAR = 0.1
-"""Least normalised distance from the archive's middle for an adjective."""
-LEVEL = 0.3  # m of lead, about a car's length, below which cars are side by side
+"""Min normalised distance from the archive's middle for an adjective."""
+LEVEL = 0.3  # max lead of side-by-side cars, m: about a car's length
 
 ADJECTIVES = {
     "aggressiveness": ("aggressive", "restrained"),
@@ -21,9 +21,9 @@ ADJECTIVES = {
 
 
 def story(explanation: Explanation) -> str:
-    """Return the explanation as text: a head, and some lines for each move."""
+    """Return the explanation as text: a head and some lines per move."""
     me, other = explanation.names[explanation.car], explanation.names[1 - explanation.car]
-    # Names of two equal competitors end in the car's number already.
+    # Names of two equal competitors already end in the car's number.
     number = f" (car {explanation.car})"
     lines = [
         f"{me.removesuffix(number)}{number} against {other} on {explanation.replay.track_name}, "
@@ -46,7 +46,7 @@ def story(explanation: Explanation) -> str:
 
 
 def opponent_words(explanation: Explanation, step: ExplainedDecision) -> str:
-    """Describe the observed opponent: ``"opponent restrained (aggressiveness 0.21 below the middle)"``."""
+    """Describe the observed opponent, e.g. "opponent restrained (pace 0.21 below the middle)"."""
     names = [axis.name for axis in get_characteristics(explanation.archive.characteristics)]
     distances = step.opponent - explanation.middle
     adjectives, numbers = [], []
@@ -92,7 +92,7 @@ def _drawn(step: ExplainedDecision) -> str:
 
 
 def why(explanation: Explanation, step: ExplainedDecision) -> str:
-    """Describe the value of the move compared with others; empty without values."""
+    """Describe the value of the move relative to other moves; empty without values."""
     values, unit = step.values, explanation.unit
     if values is None or unit is None:
         return ""
@@ -107,7 +107,7 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     others = [i for i in range(len(values)) if i != step.move]
     if not others:
         return "there is no other move"
-    # Compared with staying where that is known, as the question is mostly whether to switch at all.
+    # Compared with "stay" where its value is known: the main question is whether to switch at all.
     stay = len(names) - 1
     second = max(others, key=lambda i: values[i])
     against = stay if stay < len(values) and step.move != stay and names[stay] == "stay" else second
@@ -121,12 +121,12 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
 
 
 def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -> str:
-    """Describe why an agent left its default strategy, or did not."""
+    """Describe why an agent left or followed its default strategy."""
     default, values, default_move = explanation.default, step.values, step.default_move
     assert default is not None
     assert values is not None
     assert default_move is not None
-    # A network without a value for the default move (to stay) tells by how much others are better.
+    # A network without a value for the default move ("stay") gives differences from it.
     usual = values[default_move] if default_move < len(values) else 0.0
     gain = _difference(explanation, values[best] - usual)
     margin = _amount(explanation, default.margin)
@@ -147,7 +147,7 @@ def _difference(explanation: Explanation, difference: float) -> str:
 
 
 def _amount(explanation: Explanation, value: float) -> str:
-    """Return a difference of two values with its unit."""
+    """Return a difference of two values, with its unit."""
     unit = explanation.unit
     assert unit is not None
     digits = {"of a win": ".3f", "": ".3g"}.get(unit.text, ".2f")
@@ -158,7 +158,7 @@ def _what_followed(explanation: Explanation, k: int) -> str:
     """Describe the change of the lead and the events of the next step."""
     step, replay = explanation.steps[k], explanation.replay
     end = explanation.ends[k + 1]
-    # A crash ends the replay before the step does.
+    # A crash ends the replay before the end of the step.
     frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)
     gained = float(explanation.lead[frame]) - step.lead
     events = [

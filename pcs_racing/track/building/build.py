@@ -1,4 +1,4 @@
-"""Build the arrays of a track for compiled kernels from a grid and a race line, after a check of both."""
+"""Builder of a track's arrays for compiled kernels from a checked grid and race line."""
 
 from typing import Any
 
@@ -17,20 +17,20 @@ from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
-LINE_SPACING = 0.1  # of the samples of the race line, m
-MAX_CURVATURE = 4.0  # 1/m: a car turns at 1.3 at most, so a sharper line has a kink
-MARGIN = 3  # cells kept around the drivable region
-SIMPLIFY = 0.027  # largest deviation of a wall from the middles of its cell faces, m, ...
-SIMPLIFY_CELLS = 0.5  # ... but at least this many cells, or every step of a slanted wall would be kept
+LINE_SPACING = 0.1  # sample spacing of the race line, m
+MAX_CURVATURE = 4.0  # 1/m; the max of a car is 1.3, so a sharper line has a kink
+MARGIN = 3  # cells around the drivable region
+SIMPLIFY = 0.027  # max deviation of a wall from the middles of its cell faces, m, ...
+SIMPLIFY_CELLS = 0.5  # ... but at least this many cells: else a slanted wall retains every step
 INSET = 0.25  # see walls.simplify
 SEEN_STRETCH = 0.8  # m
 SEEN_ACROSS = 6  # viewpoints across the track
 LOOKUP_CELL = 0.25  # m
-LEAK = 1.4  # a region larger than this many times length x mean width is more than the track
+LEAK = 1.4  # max ratio of a track's region to length x mean width
 
 
 def check_line(points: ArrayLike, label: str) -> Floats:
-    """Check the points of a closed line, shape (K, 2), and remove repeated ones."""
+    """Check the points of a closed line, shape (K, 2), and remove repeated points."""
     xy = np.array(points, dtype=np.float64)
     if xy.ndim != 2 or xy.shape[1] != 2:
         raise MapError(f"{label} must be an array of shape (K, 2), got {xy.shape}")
@@ -76,10 +76,10 @@ def check_centerline(centerline: ArrayLike, label: str) -> Floats:
 def drivable_region(
     occupied: Grid, resolution: float, origin: Floats, samples: LineSamples, center: Floats, label: str
 ) -> tuple[Grid, int, int]:
-    """Return the region that is connected with a line without crossing walls, cropped to its box and a margin.
+    """Return the region connected with a line, cropped to its bounding box and a margin.
 
-    Its outermost rows and columns are False. Row and column of the grid at which the crop begins are returned too
-    (negative if the margin is outside the grid).
+    Its outermost rows and columns are False. The first row and column of the crop in the grid are
+    returned too (negative if the margin is outside the grid).
     """
     from scipy import ndimage
 
@@ -94,8 +94,8 @@ def drivable_region(
     open_to_border = bottom == 0 or left == 0 or top == height - 1 or right == width - 1
     drivable = np.pad(reached[bottom : top + 1, left : right + 1], MARGIN)
     bottom, left = bottom - MARGIN, left - MARGIN
-    # Far more area than length times width: the walls leak into a yard or the infield.
-    # A race line in a wide track is much shorter than the track: the centre line counts if it gives more.
+    # An area far above length times width: the walls leak into a yard or the infield.
+    # A wide track's race line is much shorter than the track: the larger of both estimates counts.
     usual = 0.0
     for line in (samples, sample_closed(center[:, :2], LINE_SPACING)):
         if not ((line.xy < origin) | (line.xy >= origin + resolution * np.array(occupied.shape[::-1]))).any():
@@ -112,9 +112,11 @@ def drivable_region(
 def build_arrays(
     occupied: Grid, resolution: float, origin: Floats, raceline: Floats, center: Floats, label: str
 ) -> tuple[TrackArrays, Grid]:
-    """Build the arrays of a track for compiled kernels, and its drivable region in the shape of ``arrays.distance``.
+    """Build a track's arrays for compiled kernels, and its drivable region.
 
-    Grid and lines have been checked by `checked_grid`, `check_line` and `check_centerline`.
+    The drivable region has the shape of ``arrays.distance``.
+
+    `checked_grid`, `check_line` and `check_centerline` must have checked grid and lines.
     """
     from pcs_racing.track.building.raceline import speed_profile
 
@@ -156,7 +158,7 @@ def build_arrays(
         walls=walls,
         seen_start=seen_start,
         seen=seen,
-        # Rounded down: a search that ends at a distance must never end too early.
+        # Rounded down: a search up to a distance must never end too early.
         seen_distance=np.nextafter((seen_distance * resolution).astype(np.float32), np.float32(-1.0)),
         seen_middle=sections[1::2].mean(axis=1) * resolution + corner,
         seen_stretch=samples.length / stretches,
@@ -175,7 +177,7 @@ def _at(point: NDArray[Any]) -> str:
 def _cells(
     xy: Floats, occupied: Grid, resolution: float, origin: Floats, label: str
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows and columns of the free cells that contain the points."""
+    """Return the rows and columns of the free cells with the points."""
     cols, rows = np.floor((xy - origin) / resolution).astype(np.int64).T.copy()
     height, width = occupied.shape
     outside = (rows < 0) | (cols < 0) | (rows >= height) | (cols >= width)
@@ -199,7 +201,7 @@ def _in_cells(
 
 
 def _viewpoints(line: Floats, stretches: int) -> Floats:
-    """Return points across the track at the start and middle of each stretch, shape (2 * stretches, SEEN_ACROSS, 2)."""
+    """Return points across each stretch's start and middle, (2 * stretches, SEEN_ACROSS, 2)."""
     index = np.round(np.arange(2 * stretches) * (len(line) / (2 * stretches))).astype(int) % len(line)
     at = line[index][:, None, :]
     across = np.linspace(-0.98, 0.98, SEEN_ACROSS)
@@ -209,7 +211,7 @@ def _viewpoints(line: Floats, stretches: int) -> Floats:
 
 @compiled
 def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
-    """Return the free width in cells to the right and left of each line sample, along the line's normal."""
+    """Return the free widths (cells) to the right and left of line samples, along the normals."""
     out = np.empty((x.shape[0], 2))
     for k in range(x.shape[0]):
         c, s = tangent[k]

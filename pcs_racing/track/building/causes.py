@@ -1,4 +1,4 @@
-"""Reasons why a grid has no closed loop of track, each with its place and the remedy."""
+"""Reasons for a grid without a closed loop of track, each with its place and the remedy."""
 
 import numpy as np
 
@@ -6,15 +6,16 @@ GAPS = (1, 2, 3, 5, 8, 12, 18, 27, 40)  # half widths of gaps to search for, in 
 
 
 def at_cell(row: int, col: int, height: int, resolution: float, corner: np.ndarray) -> str:
-    """Return the words for the place of a cell of a grid with so many rows: in m, and the pixel from the top left."""
+    """Return the place of a cell as text: in m, and as the pixel from the top left."""
     x, y = corner + resolution * (np.array([col, row]) + 0.5)
     return f"({x:.2f}, {y:.2f}) m, pixel ({col}, {height - 1 - row})"
 
 
 def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np.ndarray, share: float = 1.0) -> str:
-    """Return the words for the gap through which a free region is more than a ring; empty without one.
+    """Return a text about the gap that makes a free region more than a ring; empty without a gap.
 
-    With its gaps closed by walls that grow, a leaking track becomes a ring, of at most a ``share`` of the free cells.
+    Growing walls close gaps: a leaking track becomes a ring of at most a ``share`` of the free
+    cells.
     """
     from scipy import ndimage
     from pcs_racing.track.grid import way_out  # imports numba, which names of tracks do without
@@ -45,7 +46,7 @@ def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np
 
 
 def no_loop(grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.ndarray | None) -> str:
-    """Return the message for a grid without a free ring (at the seed point, if there is one)."""
+    """Return the message for a grid without a free ring (at the seed point, if any)."""
     from scipy import ndimage
 
     from pcs_racing.track.building.centerline import fill_islands
@@ -68,7 +69,7 @@ def no_loop(grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.nd
         rows, cols = box
         _, holes, large = fill_islands(np.pad(labels[rows, cols] == k, 1), resolution)
         if len(large) > 1:
-            # The nearest place to both of the two largest: where lines cross, or beside an obstacle.
+            # The nearest place to the two largest holes: a crossing of lines, or near an obstacle.
             first, second = sorted(large, key=lambda hole: -np.count_nonzero(holes == hole))[:2]
             away = [ndimage.distance_transform_edt(holes != hole) for hole in (first, second)]
             i, j = np.unravel_index(np.argmin(np.where(holes == 0, np.maximum(*away), np.inf)), holes.shape)

@@ -13,14 +13,14 @@ from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import MAX_LENGTH, curve_length, resample, signed_area, smooth
 from pcs_racing.track.grid import distance_to_walls
 
-SPACING = 0.3  # of the result, m
+SPACING = 0.3  # point spacing of the result, m
 SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
-RIM = 3  # cells of wall around the track, so that the rim itself never counts as the nearer wall
+RIM = 3  # cells of wall around the track: the rim is never the nearer wall
 SPECK = 0.5  # holes of less area are dirt or obstacles on the track, m^2 ...
-ISLAND = 0.25  # ... as are holes of less than this share of the largest hole's extent
-ROUNDING = 1e-23  # squared turns along that stretch that may be rounding errors, rad^2
-MAX_DETOURS = 10  # rounds of detours: past one obstacle the line may meet another
-START_STRAIGHT = 8.0  # the start line lies where this stretch of line is straightest, m
+ISLAND = 0.25  # ... and also holes of less than this share of the max hole extent
+ROUNDING = 1e-23  # max rounding error of the squared turns along that stretch, rad^2
+MAX_DETOURS = 10  # rounds of detours: behind one obstacle the line may meet another
+START_STRAIGHT = 8.0  # length of the straightest stretch, with the start line, m
 
 
 def centerline_from_grid(
@@ -31,25 +31,27 @@ def centerline_from_grid(
     seed_point: Sequence[float] | np.ndarray | None = None,
     direction: str | float | None = None,
 ) -> np.ndarray:
-    """Compute the closed line midway between the inner and the outer wall of a circuit.
+    """Compute the closed line midway between the inner and the outer wall of a track.
 
-    The circuit is a free region around exactly one hole. Its centre line is the set of points that are as far from the
-    hole as from the outer wall: the contour at zero of the difference of two exact distance fields. Unlike the skeleton
-    of a region, it is always a single closed curve without branches, and more precise than a cell.
+    The track is a free region around exactly one hole. The centre line is the set of points with
+    equal distances from the hole and the outer wall: the zero contour of the difference of two
+    exact distance fields. Unlike the skeleton of a region, it is always a single closed curve
+    without branches, and more precise than a cell.
 
     Parameters
     ----------
     seed_point : array_like, shape (2,), optional
-        A point on the track, in m; the line begins beside it. Without one the track is the free region that surrounds
-        exactly one hole and does not touch the border of the map, and the line begins on its longest straight.
+        A point on the track, in m; the line begins next to it. Without a point, the track is the
+        free region that surrounds exactly one hole and does not touch the border of the map, and
+        the line begins on its longest straight.
     direction : {"counterclockwise", "clockwise"} or float, optional
         Driving direction, or the heading in rad at the beginning of the line. Default: counterclockwise.
 
     Returns
     -------
     ndarray, shape (M, 4)
-        x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m apart. A width is the
-        distance to the nearest point of the wall on that side.
+        x, y and the widths to the right and to the left wall, all in m, evenly spaced about 0.3 m
+        apart. A width is the distance to the nearest point of the wall on that side.
     """
     require("skimage")
     from scipy import ndimage
@@ -60,7 +62,7 @@ def centerline_from_grid(
     seed = None if seed_point is None else _checked_seed(seed_point, grid, resolution, corner)
     region, hole, row, col = _ring(grid, resolution, corner, seed)
     corner = corner + resolution * np.array([col, row])
-    # A line around a box is at least twice as long as its diagonal: known before the fields are made.
+    # A line around a box is at least twice as long as its diagonal: checked before the fields.
     shortest = 2.0 * resolution * math.hypot(*(size - 2 * RIM for size in region.shape))
     if shortest > MAX_LENGTH:
         raise MapError(
@@ -102,7 +104,7 @@ def _checked_seed(
 def _ring(
     grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, int, int]:
-    """The track as a free region around one hole, and that hole, both cut out with a rim; row and column of the cut."""
+    """Return the track (free region around a hole), the hole, and row and column of their cut."""
     from scipy import ndimage
 
     labels, _ = ndimage.label(~grid)
@@ -138,9 +140,10 @@ def _ring(
 
 
 def fill_islands(region: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a region with its islands (dirt, obstacles) filled, its numbered holes, and the numbers of the large ones.
+    """Return a region with filled islands (dirt, obstacles), and its holes.
 
-    The outermost rows and columns of the region are False; they belong to no hole.
+    The holes are labelled in an array; the numbers of the large holes are returned too. The
+    outermost rows and columns of the region are False; they belong to no hole.
     """
     from scipy import ndimage
 
@@ -155,9 +158,9 @@ def fill_islands(region: np.ndarray, resolution: float) -> tuple[np.ndarray, np.
 
 
 def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray) -> np.ndarray:
-    """Return a closed line, or, where obstacles stand on it, a centre line that passes each on its wider side.
+    """Return a closed line, or a centre line that passes each obstacle on it on the wider side.
 
-    Each obstacle is joined to the nearest other wall: then the ring between the walls has no island there.
+    Each obstacle is joined to the nearest other wall: then the ring has no island there.
     """
     from scipy import ndimage
 
@@ -175,7 +178,7 @@ def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner
             others = np.pad((walls > 0) & (walls != k), 1, constant_values=True)
             away, nearest = ndimage.distance_transform_edt(~others, return_indices=True)
             i, j = min(np.argwhere(np.pad(walls == k, 1)), key=lambda cell: away[tuple(cell)])
-            # Cells along the shortest bridge; two for each cell of its length, so that no step leaves a gap.
+            # Cells along the shortest bridge, two per cell of its length to avoid gaps.
             share = np.linspace(0.0, 1.0, 2 * int(away[i, j]) + 2)[:, None]
             bridge = np.round([i, j] + share * (nearest[:, i, j] - [i, j])).astype(int) - 1
             bridge = np.clip(bridge, 0, [height - 1, width - 1])
@@ -190,29 +193,29 @@ def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner
 
 
 def _zero_contour(values: np.ndarray) -> np.ndarray:
-    """Points (x, y) in cells from the grid's lower left corner where the values, taken at cell centres, change sign."""
+    """Return the sign changes (x, y) of cell-centre values, in cells from the lower left corner."""
     from skimage.measure import find_contours
 
     closed = [contour for contour in find_contours(values, 0.0) if np.array_equal(contour[0], contour[-1])]
-    # The contour is one closed curve; should rounding tear off a crumb, the curve is the longest.
+    # The contour is one closed curve; if rounding splits off a fragment, the longest curve counts.
     return max(closed, key=len)[:-1, ::-1] + 0.5
 
 
 def straightest(line: np.ndarray) -> int:
-    """Index of the point in the middle of the straightest stretch."""
+    """Return the index of the point in the middle of the straightest stretch."""
     ahead = np.roll(line, -1, axis=0) - line
     angle = headings(ahead)
     turn = np.mod(np.diff(angle, prepend=angle[-1]) + np.pi, 2.0 * np.pi) - np.pi
     half = max(int(0.5 * START_STRAIGHT * len(line) / curve_length(line)), 1)
     window = np.arange(-half, half + 1)
     blame = (turn**2)[(np.arange(len(line))[:, None] + window) % len(line)].sum(axis=1)
-    # On a long straight without a bend all points are equal up to rounding errors: then one in their middle.
+    # On a long straight all points are equal up to rounding errors: take their middle.
     best = np.flatnonzero(blame <= blame.min() + ROUNDING)
     return int(best[len(best) // 2])
 
 
 def directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:
-    """The line, reversed about its first point if it runs against the direction."""
+    """Return the line, reversed about its first point if it runs against the direction."""
     if direction is None or isinstance(direction, str):
         against = (signed_area(line) < 0.0) != (direction == "clockwise")
     else:

@@ -1,4 +1,7 @@
-"""Room between the walls of a grid: exact distances, and how far a line may move; row 0 of a grid is its bottom."""
+"""Room between the walls of a grid: exact distances and bounds of a line's moves.
+
+Row 0 of a grid is its bottom.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -9,13 +12,13 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import interpolate
 
 CLEARANCE = 0.305
-"""Least distance of a race line from the walls, in m: half the width of a car (0.155) and 0.15 m of air."""
+"""Min distance of a race line from the walls, m: half a car's width (0.155) and 0.15 m of air."""
 
 
 def checked_grid(
     occupied: ArrayLike, resolution: float, origin: ArrayLike, label: str = "the map"
 ) -> tuple[NDArray[np.bool_], float, NDArray[np.float64]]:
-    """Return occupancy grid, cell size and origin as arrays, after a check of their types, shapes and values."""
+    """Return occupancy grid, cell size and origin, with checked types, shapes and values."""
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
         raise MapError(
@@ -28,9 +31,9 @@ def checked_grid(
 
 @compiled
 def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore[no-untyped-def]
-    """Exact distance in m from points (N, 2) to the nearest wall cell, taken as the full square that it covers.
+    """Return the exact distance in m from points (N, 2) to the square of the nearest wall cell.
 
-    It is 0 in a wall, and ``reach`` (m) where it is larger; everything outside the grid is wall.
+    It is 0 in a wall, and at most ``reach`` (m); everything outside the grid is wall.
     """
     rows, cols = occupied.shape
     out = np.empty(points.shape[0])
@@ -60,7 +63,7 @@ def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore
 
 @compiled
 def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
-    """Bilinear value of a distance field at points (N, 2); 0 outside it."""
+    """Return the bilinear value of a distance field at points (N, 2); 0 outside it."""
     out = np.empty(line.shape[0])
     for k in range(line.shape[0]):
         u = (line[k, 0] - corner[0]) / resolution - 0.5
@@ -71,9 +74,9 @@ def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
 
 @compiled
 def corridor(line, normal, room, resolution, corner, need, reach):  # type: ignore[no-untyped-def]
-    """How far points may move along their normals and keep the distance ``need`` (m) from the walls.
+    """Return bounds of moves along normals at a min distance ``need`` (m) from the walls.
 
-    A point that lacks room itself must move to the nearest place that has it, on this side of the next wall.
+    A point without room must move to the nearest place with room, on this side of the next wall.
 
     Parameters
     ----------
@@ -82,12 +85,12 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
     room : ndarray, shape (H, W)
         Distance to the nearest wall at the centre of each cell, m.
     reach : float
-        Look no farther than this, m.
+        Max distance of the search, m.
 
     Returns
     -------
     low, high : ndarray, shape (N,)
-        Bounds of the move to the left in m (negative: to the right); 1 and -1 where there is no room.
+        Bounds of the move to the left in m (negative: to the right); 1 and -1 without room.
     """
     n = line.shape[0]
     low = np.empty(n)
@@ -102,7 +105,7 @@ def corridor(line, normal, room, resolution, corner, need, reach):  # type: igno
         enough = interpolate(room, u, v) >= need
         free = [True, True]  # to the left, to the right
         m = 0
-        # Step by step to both sides in turn, so that the nearer place with room is found; a side ends at a wall.
+        # Alternate steps to both sides find the nearer place with room; a side ends at a wall.
         while not enough and m * step < reach and (free[0] or free[1]):
             m += 1
             for side in range(2):

@@ -1,8 +1,8 @@
-"""Closed plane curves as arrays of points (N, 2), in m, and closed cubic splines, sampled at equal arc length.
+"""Closed plane curves (points (N, 2), m), and closed cubic splines sampled at equal arc length.
 
-The periodic cubic spline through chord-length knots is textbook material (de Boor, *A Practical Guide to Splines*,
-1978, chapter IV); its cyclic tridiagonal system is solved with the Sherman-Morrison correction of *Numerical Recipes*,
-2.7.
+The periodic cubic spline through chord-length knots is textbook material (de Boor, *A Practical
+Guide to Splines*, 1978, chapter IV). Its cyclic tridiagonal system is solved with the
+Sherman-Morrison correction of *Numerical Recipes*, 2.7.
 """
 
 from typing import NamedTuple
@@ -16,8 +16,8 @@ from pcs_racing.base.errors import MapError
 
 Floats = NDArray[np.float64]
 
-# Gauss and Legendre's rule of five points on [0, 1], to the last bit (numpy's function finds it by LAPACK): exact for
-# the arc length of anything close to a cubic.
+# Five-point Gauss-Legendre rule on [0, 1], the same bits everywhere (numpy computes it by LAPACK):
+# exact for the arc length of near-cubic curves.
 _NODES = (0.046910077030668004, 0.23076534494715845, 0.5, 0.7692346550528415, 0.953089922969332)
 _WEIGHTS = (0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.23931433524968324, 0.11846344252809454)
 
@@ -34,12 +34,12 @@ class LineSamples(NamedTuple):
 
 @compiled
 def solve_cyclic(lower, diagonal, upper, right):  # type: ignore[no-untyped-def]
-    """Solve ``lower[i] x[i-1] + diagonal[i] x[i] + upper[i] x[i+1] = right[i]``, indices modulo n, for x (n, m).
+    """Solve ``lower[i] x[i-1] + diagonal[i] x[i] + upper[i] x[i+1] = right[i]`` for x (n, m).
 
-    The matrix must be diagonally dominant, and n at least 3.
+    Indices are modulo n. The matrix must be diagonally dominant, and n at least 3.
     """
     n, m = right.shape
-    # The two corner entries become a correction of rank one, carried along as one more right-hand side.
+    # The two corner entries are a rank-one correction, solved as an additional right-hand side.
     gamma = -diagonal[0]
     main = diagonal.copy()
     main[0] -= gamma
@@ -69,17 +69,18 @@ def solve_cyclic(lower, diagonal, upper, right):  # type: ignore[no-untyped-def]
 
 
 def clean_closed(points: ArrayLike) -> Floats:
-    """Points of a closed line without repeated ones; a last point that repeats the first is dropped too."""
+    """Return the points of a closed line without repeated points (including first = last)."""
     xy = np.ascontiguousarray(points, dtype=np.float64)
     step = lengths(np.roll(xy, -1, axis=0) - xy)
     return np.ascontiguousarray(xy[step > 1e-6])
 
 
 def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
-    """Sample the periodic cubic spline through the points of a closed line at equal arc length, the first point first.
+    """Sample the periodic cubic spline through a closed line at equal arc length.
 
-    The points, shape (K, 2) in m, are four or more that differ (else a ``ValueError``); the first need not be repeated
-    at the end. Of the spacings that divide the length the one nearest to ``ds`` (m) is taken.
+    The samples begin at the first point. At least four points, shape (K, 2) in m, must differ (else
+    a ``ValueError``); the last may repeat the first. The spacing divides the length, and is as near
+    to ``ds`` (m) as possible.
     """
     xy = clean_closed(points)
     if len(xy) < 4:
@@ -90,7 +91,7 @@ def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
     slope = step / h[:, None]
     bend = solve_cyclic(before, 2.0 * (before + h), h, 6.0 * (slope - np.roll(slope, 1, axis=0)))
     bend_next = np.roll(bend, -1, axis=0)
-    # On interval k, with u in [0, 1]: position, and derivatives by chord length.
+    # On interval k, with u in [0, 1]: position and derivatives by chord length.
     c1 = slope - h[:, None] * (2.0 * bend + bend_next) / 6.0
     c2 = 0.5 * bend
     c3 = (bend_next - bend) / (6.0 * h[:, None])
@@ -111,7 +112,7 @@ def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
     s = np.arange(count) * (length / count)
     k = np.minimum(np.searchsorted(start, s, side="right") - 1, len(xy) - 1)
     t = h[k] * (s - start[k]) / (start[k + 1] - start[k])
-    # Newton's method on the arc length; chord lengths are so good a guess that four steps are enough.
+    # Newton's method on the arc length; chord lengths are a good guess, so four steps are enough.
     for _ in range(4):
         t = t - (arc(k, t) - (s - start[k])) / lengths(velocity(k, t))
     t1 = t[:, None]
@@ -128,16 +129,18 @@ def sample_closed(points: ArrayLike, ds: float) -> LineSamples:
     )
 
 
-MAX_LENGTH = 10_000.0  # m: far beyond any circuit for 1:10 cars, and it bounds the memory
+MAX_LENGTH = 10_000.0  # m: far beyond any track for 1:10 cars; it bounds the memory
 
 
 @compiled
 def transform(real, imaginary):  # type: ignore[no-untyped-def]
-    """Return ``X[k] = sum_j x[j] exp(-2 pi i j k / N)`` for any N, in N times the sum of its prime factors operations.
+    """Return ``X[k] = sum_j x[j] exp(-2 pi i j k / N)`` for any N.
 
-    It has the same bits on every processor; numpy's transform uses the sines of the C library, which selects its code
-    by the processor. This is the mixed-radix transform in Stockham's order (Van Loan 1992, *Computational Frameworks
-    for the Fast Fourier Transform*, 1.7). Real and imaginary parts go in and come out one by one.
+    The number of operations is N times the sum of its prime factors. The result has the same bits
+    on every processor; numpy's transform uses the sines of the C library, which selects its code by
+    the processor. This is the mixed-radix transform in Stockham's order (Van Loan 1992,
+    *Computational Frameworks for the Fast Fourier Transform*, 1.7). Real and imaginary parts are
+    separate arguments and results.
     """
     n = real.shape[0]
     sine = np.empty(n)
@@ -159,7 +162,7 @@ def transform(real, imaginary):  # type: ignore[no-untyped-def]
                     total_re = 0.0
                     total_im = 0.0
                     for q in range(radix):
-                        # One turn of both: the short transform's and that of its place in the long one.
+                        # Product of the twiddle factors of the short and the long transform.
                         turn = (q * r * (n // radix) + k * r * done) % n
                         a, b = re[j + done * (k + left * q)], im[j + done * (k + left * q)]
                         total_re += a * cosine[turn] - b * sine[turn]
@@ -173,7 +176,7 @@ def transform(real, imaginary):  # type: ignore[no-untyped-def]
 
 
 def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
-    """Points of a closed curve as an (N, 2) array, without repeated neighbours and without a repeated first point.
+    """Return a closed curve's points, (N, 2), without repeated neighbours or first point.
 
     Further columns are ignored.
     """
@@ -195,43 +198,44 @@ def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
 
 
 def curve_length(xy: np.ndarray) -> float:
-    """Length in m of a closed polyline, shape (N, 2)."""
+    """Return the length in m of a closed polyline, shape (N, 2)."""
     return float(lengths(np.roll(xy, -1, axis=0) - xy).sum())
 
 
 def signed_area(xy: np.ndarray) -> float:
-    """Area in m^2 inside a closed polyline, shape (N, 2); positive if it runs counterclockwise."""
+    """Return the area in m^2 inside a closed polyline, (N, 2); positive if counterclockwise."""
     x, y = xy.T
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def resample(xy: np.ndarray, step: float) -> np.ndarray:
-    """Evenly spaced points on the periodic cubic spline through a closed curve, see :func:`sample_closed`."""
+    """Return evenly spaced points on the spline through a closed curve (:func:`sample_closed`)."""
     return sample_closed(xy, step).xy
 
 
 def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
-    """Closed curve, given by evenly spaced points, without waves that are shorter than about ``wavelength`` (m).
+    """Return a closed curve, evenly spaced, without waves shorter than about ``wavelength`` (m).
 
-    The points y that minimise ``sum |y - x|^2 + c sum |y''|^2`` around the loop, which Fourier modes solve one by one:
-    a wave is multiplied by ``1 / (1 + (wavelength / its own length)^4)``.
+    The points y minimise ``sum |y - x|^2 + c sum |y''|^2`` around the loop. Fourier modes separate
+    the problem: a wave is multiplied by ``1 / (1 + (wavelength / its own length)^4)``.
     """
     n = len(xy)
     waves = np.minimum(np.arange(n), n - np.arange(n))  # around the loop
     ratio = (wavelength / curve_length(xy) * waves) ** 2
     share = 1.0 / (n * (1.0 + ratio * ratio))
     real, imaginary = transform(xy[:, 0], xy[:, 1])
-    # The inverse transform is the transform with its two parts exchanged.
+    # The inverse transform is the transform with exchanged real and imaginary parts.
     y, x = transform(imaginary * share, real * share)
     return np.column_stack([x, y])
 
 
 @compiled
 def first_crossing(xy):  # type: ignore[no-untyped-def]
-    """First pair of segments of a closed polyline that cross, those from points i and j on; (-1, -1) if it is simple.
+    """Return the first crossing segments (i, j) of a closed polyline; (-1, -1) if it is simple.
 
-    From one segment to the next the distance to a third one changes by at most the longest step. So after a pair that
-    is far apart, all segments that can't be near yet are skipped: an evenly sampled circuit takes almost linear time.
+    Segment i begins at point i. From one segment to the next the distance to a third segment
+    changes by at most the longest step. So after a distant pair, all segments too far away to cross
+    are skipped: an evenly sampled track takes almost linear time.
     """
     n = xy.shape[0]
     longest = 0.0
@@ -242,7 +246,7 @@ def first_crossing(xy):  # type: ignore[no-untyped-def]
         ax, ay = xy[i]
         bx, by = xy[i + 1]
         j = i + 2
-        # The last segment meets the first one in the first point: no crossing.
+        # The last segment meets the first in the first point: no crossing.
         last = n if i > 0 else n - 1
         while j < last:
             cx, cy = xy[j]
@@ -252,7 +256,7 @@ def first_crossing(xy):  # type: ignore[no-untyped-def]
                 continue
             dx, dy = xy[(j + 1) % n]
             j += 1
-            # On a straight the sides below are rounding errors; boxes that don't overlap settle it.
+            # On a straight the sides below are rounding errors; disjoint boxes rule out a crossing.
             if max(cx, dx) < min(ax, bx) or min(cx, dx) > max(ax, bx):
                 continue
             if max(cy, dy) < min(ay, by) or min(cy, dy) > max(ay, by):

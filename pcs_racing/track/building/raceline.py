@@ -1,4 +1,4 @@
-"""The race line of a circuit, a closed line of little curvature and length clear of the walls, and its speeds."""
+"""The race line of a track (closed, low curvature and length, clear of walls) and its speeds."""
 
 import math
 
@@ -20,21 +20,22 @@ from pcs_racing.track.building.curves import (
 )
 from pcs_racing.track.grid import distance_to_walls
 
-SPACING = 0.2  # of the points of the result, m
+SPACING = 0.2  # point spacing of the result, m
 ROUNDS = 20  # max number of quadratic programs of a pass
-STEP = 0.25  # spacing of the points that the program moves, m
-REACH = 3.0  # how far along its normal a point may see, m
-TRUST = 0.5  # how far a point may move in the first round of a pass, m: the program is linearised
-PASSES = 40  # of about 2.5 m each: enough to cross any track
-GAIN = 0.0015  # a pass that shortens the lap by less than this share ends the search
-RESERVE = 5e-4  # m
-SETTLED = 0.05  # moves below this are the walls' pixels, m
+STEP = 0.25  # spacing of the moved points, m
+REACH = 3.0  # max distance along a point's normal in the search for walls, m
+TRUST = 0.5  # max move of a point in the first round of a pass, m: the program is linearised
+PASSES = 40  # max number of passes of about 2.5 m each: enough to cross any track
+GAIN = 0.0015  # min share of the lap time saved by a pass; below it the search ends
+RESERVE = 5e-4  # additional clearance between points, m
+SETTLED = 0.05  # moves below this are due to the walls' pixels, m
 CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
-# Weight of the length, 1/m^2: bends wider than about its power of -0.5, in m, are shortened rather than rounded.
+# Weight of the length, 1/m^2: bends with a radius above about its power of -0.5, in m, are
+# shortened rather than rounded.
 LENGTH_WEIGHT = 0.08
 
-# What the speeds along a line are limited by:
-LATERAL = 5.0  # most lateral acceleration, m/s^2
+# Limits of the speeds along a line:
+LATERAL = 5.0  # max lateral acceleration, m/s^2
 BRAKING = 4.5  # m/s^2
 ACCELERATION = 3.5  # m/s^2
 TOP_SPEED = 8.0  # m/s
@@ -48,26 +49,27 @@ def minimum_curvature_raceline(
     *,
     clearance: float = CLEARANCE,
 ) -> np.ndarray:
-    """Compute the closed line of minimum squared curvature that is at least ``clearance`` away from every wall.
+    """Compute the closed line of min squared curvature with a ``clearance`` from all walls.
 
-    Iterated linearised minimum curvature (Heilmeier et al. 2020, "Minimum curvature trajectory planning and control for
-    an autonomous race car"): each point of a reference line moves along its normal by a distance that a quadratic
-    program chooses, and the result is the next reference. Unlike there, the room to both sides is measured on the grid
-    in every round, so that normals which cross in a hairpin do no harm. A small weight on the length (Braghin et al.
-    2008, "Race driver model") keeps the line from drifting to the outside of long bends, where it would be rounder but
-    slower. Passes of such rounds follow each other until a pass no longer shortens the lap.
+    Iterated linearised minimum curvature (Heilmeier et al. 2020, "Minimum curvature trajectory
+    planning and control for an autonomous race car"): each point of a reference line moves along
+    its normal by a distance from a quadratic program, and the result is the next reference. Unlike
+    in that paper, the room on both sides is measured on the grid in every round, so crossing
+    normals in a hairpin are harmless. A small weight on the length (Braghin et al. 2008, "Race
+    driver model") prevents a drift to the outside of long bends (rounder but slower). Passes of
+    such rounds are repeated until a pass no longer shortens the lap.
 
     Parameters
     ----------
     centerline : array_like, shape (M, 2) or wider
-        Any closed line around the circuit, x and y in m in its first columns, in driving direction.
+        Any closed line around the track in driving direction, with x and y in m as first columns.
     clearance : float
-        Distance in m that the line keeps from the nearest wall cell, measured to the edge of that cell.
+        Min distance of the line from the edge of the nearest wall cell, in m.
 
     Returns
     -------
     ndarray, shape (N, 2)
-        Evenly spaced points in m, in the direction of ``centerline`` and beginning beside its first point.
+        Evenly spaced points in m, in the direction of ``centerline``, from next to its first point.
     """
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
@@ -84,24 +86,25 @@ def minimum_curvature_raceline(
 
 
 def _pass(start: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray, clearance: float) -> np.ndarray:
-    """Return the line that rounds with a shrinking trust region find; a point moves by 2.5 m at most."""
+    """Return the line after rounds with a shrinking trust region; a point moves 2.5 m at most."""
     grid, corner = _crop(grid, resolution, corner, start)
     room = distance_to_walls(~grid, resolution)
 
     line = _reference(start, room, resolution, corner, clearance)
-    # Between the moved points the line loses a little clearance: the next rounds require that much more.
+    # Between the moved points the line loses a little clearance: the next rounds add the loss.
     slack, trust = 0.005, TRUST
     shortfall = math.inf
     for _ in range(ROUNDS):
         line, moved = _improve(line, room, resolution, corner, clearance + slack, trust)
         trust = max(0.8 * trust, 0.02)
-        # A line that still moves is not worth checking: the next round moves it again.
+        # A moving line needs no check: the next round moves it again.
         if moved > SETTLED:
             continue
         result = resample(line, SPACING)
         dense = resample(result, 0.25 * resolution)
         free = wall_clearance(dense, grid, resolution, corner, clearance + 0.1)
-        # Between two fine points the wall can be nearer by about (resolution / 8)^2 / (2 clearance): less than RESERVE.
+        # Between two fine points the wall can be nearer by about
+        # (resolution / 8)^2 / (2 clearance): less than RESERVE.
         shortfall = clearance + RESERVE - float(free.min())
         if shortfall <= 0.0:
             if first_crossing(result)[0] >= 0:
@@ -119,10 +122,11 @@ def _pass(start: np.ndarray, grid: np.ndarray, resolution: float, corner: np.nda
 
 
 def raceline_rows(xy: np.ndarray) -> np.ndarray:
-    """Rows of a ``NAME_raceline.csv``, shape (N + 1, 7), about 0.2 m apart.
+    """Return the rows of a ``NAME_raceline.csv``, shape (N + 1, 7), about 0.2 m apart.
 
-    Arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to the left), speed (m/s) and
-    acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats the first one, at s = length.
+    Arc length, x, y (m), heading (rad, in [-pi, pi)), curvature (1/m, positive to the left), speed
+    (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
+    the first row, at s = length.
     """
     line = sample_closed(checked_curve(xy, "race line"), SPACING)
     ds = line.length / len(line.xy)
@@ -136,7 +140,7 @@ def raceline_rows(xy: np.ndarray) -> np.ndarray:
 
 
 def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Part of the grid around a line, ``REACH`` to every side, or an error if the line leaves the grid."""
+    """Return the grid within ``REACH`` of a line's box; raise an error for a line off the grid."""
     height, width = grid.shape
     cells = np.floor((line - corner) / resolution).astype(int)  # column, row
     outside = ((cells < 0) | (cells >= (width, height))).any(axis=1)
@@ -146,7 +150,7 @@ def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndar
     more = math.ceil(REACH / resolution)
     col, row = np.maximum(cells.min(axis=0) - more, 0)
     last_col, last_row = cells.max(axis=0) + more + 1
-    # A rim of walls, one cell wide, closes the crop: outside the map there is no track.
+    # A one-cell rim of walls closes the crop: outside the map there is no track.
     crop = np.pad(grid[row:last_row, col:last_col], 1, constant_values=True)
     return crop, corner + resolution * (np.array([col, row]) - 1)
 
@@ -154,9 +158,9 @@ def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndar
 def _reference(
     start: np.ndarray, room: np.ndarray, resolution: float, corner: np.ndarray, clearance: float
 ) -> np.ndarray:
-    """Return the first reference: the centre line, as smooth as possible without coming near a wall."""
+    """Return the first reference: the centre line, as smooth as possible away from walls."""
     even = resample(start, STEP)
-    # A smooth start saves rounds, but not if it leads into a wall.
+    # A smooth start saves rounds, except into a wall.
     for wavelength in (4.0, 2.0, 1.0):
         line = smooth(even, wavelength)
         if room_at(line, room, resolution, corner).min() >= 0.5 * clearance:
@@ -171,8 +175,8 @@ def _improve(
     line = resample(line, STEP)
     ahead = np.roll(line, -1, axis=0) - line
     step = curve_length(line) / len(line)
-    # Three-point curvature: unlike a spline's it answers to a move just as the program's second differences do, so that
-    # rounds don't overshoot in the shortest waves.
+    # Three-point curvature: unlike a spline's curvature it responds to a move like the program's
+    # second differences, so rounds don't overshoot in the shortest waves.
     angle = headings(ahead)
     kappa = np.mod(angle - np.roll(angle, 1) + np.pi, 2.0 * np.pi) - np.pi
     kappa /= step
@@ -186,7 +190,7 @@ def _improve(
             f"the circuit is too narrow near ({x:.2f}, {y:.2f}): a line must have {need:.3f} m to both sides, half the "
             f"width of a car and some air, also beside an obstacle"
         )
-    # Towards the centre of its curvature a point stops short of that centre, where neighbours would meet.
+    # A point stops short of its centre of curvature, where neighbours would meet.
     limit = np.minimum(trust, 0.8 / np.maximum(np.abs(kappa), 1e-9))
     high = np.maximum(np.minimum(high, np.where(kappa > 0.0, limit, trust)), low)
     low = np.minimum(np.maximum(low, -np.where(kappa < 0.0, limit, trust)), high)
@@ -195,11 +199,11 @@ def _improve(
 
 
 def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Moves a along the left normals, low <= a <= high, that minimise a quadratic model of the line's cost.
+    """Return moves a along left normals, low <= a <= high, that minimise a quadratic cost model.
 
-    To first order a move changes the curvature to ``kappa + kappa^2 a + a''`` and the length element to ``1 - kappa a``
-    (plus ``a'^2 / 2``). The cost is the integral of kappa^2, of CHATTER times the squared change of kappa, and of
-    LENGTH_WEIGHT.
+    To first order a move changes the curvature to ``kappa + kappa^2 a + a''`` and the length
+    element to ``1 - kappa a`` (plus ``a'^2 / 2``). The cost is the integral of kappa^2, of CHATTER
+    times the squared change of kappa, and of LENGTH_WEIGHT.
     """
     import clarabel
     from scipy import sparse
@@ -215,9 +219,9 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray) ->
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_threads = 1
-    settings.direct_solve_method = "qdldl"  # no instructions beyond SSE2, whatever the processor has
+    settings.direct_solve_method = "qdldl"  # SSE2 at most on every processor
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-6
-    # Both bounds of every move as one cone: high - a and a - low are not negative.
+    # Both bounds of every move as one cone: high - a >= 0 and a - low >= 0.
     solver = clarabel.DefaultSolver(
         sparse.triu(P, format="csc"),
         q,
@@ -230,20 +234,20 @@ def _solve(kappa: np.ndarray, step: float, low: np.ndarray, high: np.ndarray) ->
 
 
 def speed_profile(kappa: np.ndarray, ds: float) -> np.ndarray:
-    """Largest periodic speeds (m/s) within the four limits, at samples of a closed line ``ds`` metres apart.
+    """Return max periodic speeds (m/s) within the four limits, for a closed line, ``ds`` m apart.
 
-    The usual forward-backward sweep (for instance Kapania, Subosits and Gerdes 2016, "A sequential two-step algorithm
-    for fast generation of vehicle racing trajectories", without its coupling of lateral and longitudinal grip): the
-    cornering speed ``sqrt(LATERAL / |kappa|)`` (curvature in 1/m) is lowered forwards where the motor can't reach it,
-    and backwards where the brakes can't come down to it.
+    The usual forward-backward sweep (e.g. Kapania, Subosits and Gerdes 2016, "A sequential two-step
+    algorithm for fast generation of vehicle racing trajectories", without its coupling of lateral
+    and longitudinal grip): the cornering speed ``sqrt(LATERAL / |kappa|)`` (curvature in 1/m) is
+    lowered forwards to the motor's limit, and backwards to the brakes' limit.
     """
-    # In squared speeds, in which constant acceleration is a straight line.
+    # In squared speeds: constant acceleration is a straight line.
     cap = np.minimum(LATERAL / np.maximum(np.abs(kappa), 1e-12), TOP_SPEED**2)
     return np.sqrt(_sweep(cap, ds))
 
 
 def lap_time(v: np.ndarray, ds: float) -> float:
-    """Time of one lap in s, at constant acceleration between samples ``ds`` metres apart with speeds ``v`` (m/s)."""
+    """Return the lap time in s, at constant acceleration between samples (``ds`` m, ``v`` m/s)."""
     return float(np.sum(2.0 * ds / (v + np.roll(v, -1))))
 
 
@@ -256,10 +260,10 @@ def _lap(xy: np.ndarray) -> float:
 
 @compiled
 def _sweep(cap, ds):  # type: ignore[no-untyped-def]
-    """Squared speeds below ``cap`` that also respect acceleration and braking.
+    """Return squared speeds below ``cap`` that also respect acceleration and braking.
 
-    The slowest sample is never lowered (all its neighbours are at least as fast), so one lap forwards and one lap
-    backwards from there are exact, and periodic.
+    The slowest sample is never lowered (all its neighbours are at least as fast), so one lap
+    forwards and one lap backwards from it are exact and periodic.
     """
     n = cap.shape[0]
     w = cap.copy()

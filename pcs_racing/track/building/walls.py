@@ -1,4 +1,4 @@
-"""Walls as polylines: simplified outlines of the drivable region, and lists of visible segments and their corners."""
+"""Walls as polylines: simplified outlines of the drivable region, and visibility lists."""
 
 from typing import NamedTuple
 
@@ -10,18 +10,18 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.grid import cast
 
 TOGETHER = 16
-"""Lists of corners have a multiple of this length, so that the processor's vectors are full."""
+"""Divisor of the lengths of corner lists, for full processor vectors."""
 
-RAYS = 120  # from each viewpoint of a stretch, before the gaps between rays ...
-DEPTH = 6  # ... that do not meet neighbouring segments are halved, this often
+RAYS = 120  # rays from each viewpoint of a stretch, before refinement
+DEPTH = 6  # max number of halvings of the gaps between rays to non-neighbouring segments
 
 
 class Outlines(NamedTuple):
-    """The faces between drivable and other cells, ordered along closed outlines."""
+    """Faces between drivable and other cells, ordered along closed outlines."""
 
     row: NDArray[np.int32]  #: shape (E,): Row of the drivable cell of each face.
-    col: NDArray[np.int32]  #: shape (E,): Its column.
-    side: NDArray[np.int8]  #: shape (E,): The face's side of that cell: 0 bottom, 1 right, 2 top, 3 left.
+    col: NDArray[np.int32]  #: shape (E,): Column of the same cell.
+    side: NDArray[np.int8]  #: shape (E,): Side of that cell: 0 bottom, 1 right, 2 top, 3 left.
     #: shape (L + 1,): Index of the first face of each outline; the drivable side is on its left.
     start: NDArray[np.int32]
 
@@ -49,7 +49,7 @@ def trace_outlines(drivable):  # type: ignore[no-untyped-def]
     k = 0
     for i0 in range(1, height - 1):
         for j0 in range(1, width - 1):
-            # Every outline has a bottom face: it is enough to start from those.
+            # Every outline has a bottom face: starts at bottom faces are enough.
             if not drivable[i0, j0] or drivable[i0 - 1, j0] or visited[i0, j0] & 1:
                 continue
             i, j, side = i0, j0, 0
@@ -59,7 +59,7 @@ def trace_outlines(drivable):  # type: ignore[no-untyped-def]
                 col[k] = j
                 sides[k] = side
                 k += 1
-                # Turn left where possible: cells that touch at a corner only are not connected.
+                # Turn left if possible: cells that touch only at a corner are not connected.
                 ahead = (side + 1) % 4
                 i1, j1 = i + down[ahead], j + right[ahead]
                 if not drivable[i1, j1]:
@@ -75,11 +75,11 @@ def trace_outlines(drivable):  # type: ignore[no-untyped-def]
 
 @compiled
 def _corners(points, tolerance):  # type: ignore[no-untyped-def]
-    """Mark the points of a closed polyline that the Douglas-Peucker algorithm keeps."""
+    """Mark the points of a closed polyline retained by the Douglas-Peucker algorithm."""
     n = points.shape[0]
     # A speck of a few cells would collapse to a line.
     keep = np.full(n, n <= 12)
-    # A closed line has no ends to begin with: the first point and the one farthest from it stand in for them.
+    # A closed line has no ends: the first point and the point farthest from it serve as ends.
     away = points - points[0]
     far = int(np.argmax(away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]))
     keep[0] = True
@@ -113,7 +113,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
 
 @compiled
 def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
-    """Return for each side of a polygon the largest distance of its faces' ends to the left of it."""
+    """Return for each side of a polygon the max distance of its faces' ends to the left."""
     m = corner.shape[0]
     n = ends.shape[0]
     out = np.zeros(m)
@@ -130,7 +130,7 @@ def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
 
 @compiled
 def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
-    """Shift each side of a closed polygon to its left by its own distance; corners move along their bisectors."""
+    """Shift each side of a closed polygon left by its own distance; corners move on bisectors."""
     n = vertex.shape[0]
     out = np.empty((n, 2))
     for k in range(n):
@@ -142,7 +142,7 @@ def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
         b = np.sqrt(bx * bx + by * by)
         nx = -ay / a - by / b
         ny = ax / a + bx / b
-        # The sum of the two unit normals, squared; bounded below so that a sharp corner doesn't leap away.
+        # Squared sum of the two unit normals, with a lower bound against jumps of sharp corners.
         scale = (shift[k - 1] + shift[k]) / max(nx * nx + ny * ny, 1.0)
         out[k, 0] = vertex[k, 0] + scale * nx
         out[k, 1] = vertex[k, 1] + scale * ny
@@ -151,18 +151,20 @@ def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
 
 @compiled
 def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
-    """Simplify outlines to straight segments through the middles of cell faces (Douglas and Peucker, 1973).
+    """Simplify outlines to segments through middles of cell faces (Douglas and Peucker, 1973).
 
-    On a slanted wall the middles lie halfway between protruding cells and the cells behind them. A slanted ray meets
-    more of the protruding cells, so each segment is then shifted by a share of the protrusion: the ``inset``. Before
-    the shift no middle is farther than ``tolerance`` cells from its segment.
+    On a slanted wall the middles lie halfway between protruding cells and the cells behind them. A
+    slanted ray meets more of the protruding cells, so each segment is then shifted by a share of
+    the protrusion (``inset``). Before the shift no middle is farther than ``tolerance`` cells from
+    its segment.
 
     Returns
     -------
     segments : ndarray, shape (S, 4)
-        x0, y0, x1, y1 in cells from the grid's lower left corner, outline after outline; the region is on their left.
+        x0, y0, x1, y1 in cells from the grid's lower left corner, outline after outline; the region
+        is on the left.
     owner : ndarray, shape (E,), int32
-        The segment that represents each face.
+        Segment of each face.
     start : ndarray, shape (L + 1,), int32
         Index of the first segment of each outline.
     """
@@ -199,7 +201,7 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
 
 @compiled
 def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
-    """Number the cells with a wall face, and list for each the outline face on each of its sides."""
+    """Number the cells with a wall face, and list the outline face on each of their sides."""
     number = np.full(shape, -1, dtype=np.int32)
     count = 0
     for k in range(outlines.row.shape[0]):
@@ -214,7 +216,7 @@ def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
 
 @compiled
 def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no-untyped-def]
-    """Return the segment that a ray meets; -1 for a viewpoint in a wall."""
+    """Return the segment hit by a ray; -1 for a viewpoint in a wall."""
     sine, cosine = sine_cosine(angle)
     _, i, j, side = cast(drivable, x, y, cosine, sine, np.inf)
     return owner[faces[number[i, j], side]] if side >= 0 else -1
@@ -222,7 +224,7 @@ def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no
 
 @compiled
 def _mark(drivable, number, faces, owner, x, y, marks):  # type: ignore[no-untyped-def]
-    """Mark the segments visible from a point by a fan of rays, denser where two rays meet different parts of a wall."""
+    """Mark the segments visible from a point by a fan of rays, denser between distant hits."""
     high = np.empty(DEPTH + 1)
     met = np.empty(DEPTH + 1, dtype=np.int64)
     step = 2.0 * np.pi / RAYS
@@ -230,7 +232,7 @@ def _mark(drivable, number, faces, owner, x, y, marks):  # type: ignore[no-untyp
     last = _segment_at(drivable, number, faces, owner, x, y, low)
     if last < 0:
         return
-    # ``high`` is a stack of rays still to be looked at: between two that meet parts far apart, one more is cast.
+    # ``high`` is a stack of pending rays: between two rays to distant parts, one more is cast.
     for r in range(RAYS):
         high[0] = (r + 1.5) * step
         met[0] = _segment_at(drivable, number, faces, owner, x, y, high[0])
@@ -261,24 +263,26 @@ def _nearest_squared(segment, x, y):  # type: ignore[no-untyped-def]
 def seen_lists(drivable, outlines, segments, owner, start, sections):  # type: ignore[no-untyped-def]
     """List for each stretch of a closed line the wall segments that are visible from it.
 
-    A fan of exact rays from several points of each cross-section marks the segments that it meets. The list of a
-    stretch contains the segments visible from the cross-sections at its ends and in its middle, and both neighbours of
-    each such segment. The neighbours cover segments that are visible only between two viewpoints.
+    A fan of exact rays from several points of each cross-section marks the segments hit. The list
+    of a stretch contains the segments visible from the cross-sections at its ends and in its
+    middle, and both neighbours of each such segment. The neighbours cover segments visible only
+    between two viewpoints.
 
     Parameters
     ----------
     segments, owner, start
         Results of `simplify`.
     sections : ndarray, shape (2 * M, V, 2)
-        Viewpoints in cells: cross-section ``2 * m`` is at the start of stretch m, ``2 * m + 1`` in its middle.
+        Viewpoints in cells: cross-section ``2 * m`` is at the start of stretch m, ``2 * m + 1`` in
+        its middle.
 
     Returns
     -------
     seen_start : ndarray, shape (M + 1,), int32
     seen : ndarray, int32
-        Segments of stretch m: ``seen[seen_start[m]:seen_start[m + 1]]``, those near its middle first.
+        Segments of stretch m: ``seen[seen_start[m]:seen_start[m + 1]]``, nearest to middle first.
     distance : ndarray, shape of ``seen``
-        Distance in cells of each of them from the mean of the viewpoints in the middle of its stretch.
+        Distance of each segment from the mean viewpoint in the middle of its stretch, in cells.
     """
     number, faces = _cell_faces(outlines, drivable.shape)
     count = segments.shape[0]
@@ -292,7 +296,7 @@ def seen_lists(drivable, outlines, segments, owner, start, sections):  # type: i
     for v in range(sections.shape[1]):
         _mark(drivable, number, faces, owner, sections[0, v, 0], sections[0, v, 1], marks[2])
     for m in range(stretches):
-        # The section at the end of the last stretch begins this one.
+        # The section at the end of the last stretch is the start of this stretch.
         marks[0] = marks[2]
         marks[1:] = False
         for section in range(1, 3):
@@ -327,14 +331,14 @@ def seen_lists(drivable, outlines, segments, owner, start, sections):  # type: i
 def corner_lists(
     walls: NDArray[np.float64], seen_start: NDArray[np.int32], seen: NDArray[np.int32]
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """List for each stretch the corners of the wall segments that can be seen from it, along the walls.
+    """List for each stretch the corners of the visible wall segments, along the walls.
 
-    ``walls`` are segments x0, y0, x1, y1, shape (S, 4), in which those of one outline follow each other; those seen
-    from stretch m are ``seen[seen_start[m]:seen_start[m + 1]]``.
+    ``walls`` are segments x0, y0, x1, y1, shape (S, 4), in the order of the outlines. The segments
+    visible from stretch m are ``seen[seen_start[m]:seen_start[m + 1]]``.
 
-    Returns ``start``, shape (M + 1,), and ``corners``, shape (2, C): x and y of the corners of stretch m are
-    ``corners[:, start[m]:start[m + 1]]``, with NaN between two corners that no segment joins, and at the end of each
-    list.
+    Returns ``start``, shape (M + 1,), and ``corners``, shape (2, C): x and y of the corners of
+    stretch m are ``corners[:, start[m]:start[m + 1]]``, with NaN between two corners without a
+    joining segment, and at the end of each list.
     """
     stretches = range(len(seen_start) - 1)
     lists = [corners_along(walls[np.sort(seen[seen_start[m] : seen_start[m + 1]])]) for m in stretches]
@@ -343,9 +347,10 @@ def corner_lists(
 
 
 def corners_along(segments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners of segments, shape (K, 4), in their order: one between two that meet, else two and NaN.
+    """Return the corners of segments, shape (K, 4), in order, with NaN between separate segments.
 
-    The shape is (C, 2); at the end there is NaN, and more of it until C is a multiple of :data:`TOGETHER`.
+    The shape is (C, 2); meeting segments share a corner. NaN at the end pads C to a multiple of
+    :data:`TOGETHER`.
     """
     meets = (segments[:-1, 2:] == segments[1:, :2]).all(axis=1)
     ends = np.flatnonzero(~np.append(meets, False))

@@ -1,4 +1,4 @@
-"""Offline tools for maps: complete map folders, and random circuits.
+"""Offline map tools: completion of map folders, and random circuits.
 
 They need ``pip install "pcs-racing[mapping]"``.
 """

@@ -1,4 +1,4 @@
-"""Random circuits with a grid and a race line, and complete map folders, of them or of a picture of the walls."""
+"""Random circuits with grid and race line; map folders of circuits or pictures of walls."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,21 +19,21 @@ from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Track, build_track
 
 WALL = 0.1  # thickness of the drawn walls, m
-RADIUS_RATIO = 1.2  # least radius of the centre line in half widths: below 1 the inner wall would fold
-STRAIGHT = 8.0  # a circuit needs one straight of this length, m
-HAIRPIN_STRAIGHT = 15.0  # circuits of style hairpin need two of this length, m
-ZONES = 3  # and this many places to brake
-EASING = 2.5  # waves of this length are halved in the rounded outline, so that curvature comes gradually, m
+RADIUS_RATIO = 1.2  # min radius of the centre line in half widths: below 1 the inner wall folds
+STRAIGHT = 8.0  # min length of a circuit's longest straight, m
+HAIRPIN_STRAIGHT = 15.0  # min length of two straights, for circuits of style hairpin, m
+ZONES = 3  # min number of braking zones
+EASING = 2.5  # waves of this length are halved in the rounded outline, for gradual curvature, m
 
 
 @dataclass(frozen=True, eq=False)
 class Circuit:
     """A generated circuit: the content of a map folder."""
 
-    #: shape (M, 4): x, y, width to the right and to the left (m), evenly spaced about 0.3 m apart.
+    #: shape (M, 4): x, y, width to the right and to the left (m), evenly spaced, about 0.3 m apart.
     centerline: np.ndarray
-    raceline: np.ndarray  #: shape (N, 2): Points of the race line, m, evenly spaced about 0.2 m apart.
-    occupied: np.ndarray  #: shape (H, W), bool: True where a wall is; row 0 is the bottom.
+    raceline: np.ndarray  #: shape (N, 2): Race line points, m, evenly spaced, about 0.2 m apart.
+    occupied: np.ndarray  #: shape (H, W), bool: True in walls; row 0 is the bottom.
     resolution: float  #: Side of a cell in m.
     origin: np.ndarray  #: shape (2,): Lower left corner of cell [0, 0], m.
 
@@ -55,26 +55,27 @@ def generate_circuit(
 ) -> Circuit:
     """Generate the first acceptable circuit of a seed.
 
-    A draft is accepted if its centre line is simple and nowhere tighter than 1.2 half widths, if two stretches of track
-    never share a wall, if it holds a straight of at least 8 m (style hairpin: two of at least 15 m), and if its race
-    line has at least three braking zones. It begins in the origin, on its straightest stretch.
+    A draft is accepted if its centre line is simple and nowhere tighter than 1.2 half widths, if
+    two stretches of track never share a wall, if it has a straight of at least 8 m (style hairpin:
+    two of at least 15 m), and if its race line has at least three braking zones. It begins at the
+    origin, on its straightest stretch.
 
     Parameters
     ----------
     seed : int
-        At least 0. Attempt k draws from ``SeedSequence(seed, spawn_key=(style, k))``.
+        Seed, at least 0. Attempt k draws from ``SeedSequence(seed, spawn_key=(style, k))``.
     style : {"hull", "voronoi", "hairpin"}
         Flowing; angular with the most braking zones; long straights into hairpins.
     width : float
         Width of the track in m, from 1.2 to 10.
     length_range : tuple of float
-        Shortest and longest centre line in m.
+        Min and max length of the centre line in m.
     direction : {"counterclockwise", "clockwise"}
         Driving direction.
     resolution : float
         Side of a cell of the grid in m, from 0.02 to 0.2.
     attempts : int
-        Maximum number of drafts.
+        Max number of drafts.
     """
     require("clarabel")
     if style not in STYLES:
@@ -95,7 +96,7 @@ def generate_circuit(
         rng = np.random.default_rng(np.random.SeedSequence(int(seed), spawn_key=key))
         line, refusal = _draft(rng, style, width, shortest, longest)
         if line is not None:
-            # The start line lies in the origin, as in f1tenth_racetracks.
+            # The start line is at the origin, as in f1tenth_racetracks.
             line = directed(np.roll(line, -straightest(line), axis=0), direction)
             line = line - line[0]
             grid, origin = walls_to_grid(line, width, resolution)
@@ -114,9 +115,9 @@ def generate_circuit(
 
 
 def straights(line: np.ndarray) -> np.ndarray:
-    """Lengths (m) of the straights of a closed line, longest first.
+    """Return the lengths (m) of the straights of a closed line, longest first.
 
-    What bends less than a circle of 25 m radius counts as straight.
+    A stretch with less curvature than a circle of 25 m radius is straight.
     """
     samples = sample_closed(line, 0.2)
     straight = np.abs(samples.kappa) < 1.0 / 25.0
@@ -129,7 +130,7 @@ def straights(line: np.ndarray) -> np.ndarray:
 
 
 def braking_zones(v: np.ndarray) -> int:
-    """Number of stretches of a closed line on which the speed ``v`` (m/s) falls by at least 1 m/s."""
+    """Return the number of stretches of a closed line with a drop of ``v`` of at least 1 m/s."""
     v = np.roll(v, -int(np.argmax(v)))
     falling = np.diff(v, append=v[0]) < 0.0
     edges = np.flatnonzero(np.diff(falling.astype(int), prepend=0, append=0))
@@ -137,7 +138,7 @@ def braking_zones(v: np.ndarray) -> int:
 
 
 def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:
-    """Grid with two thin walls along a closed centre line ``width`` metres apart, as in the maps of real circuits.
+    """Return a grid with two thin walls, ``width`` m apart, along a centre line (as in real maps).
 
     Returns ``occupied`` and its lower left corner in m, a multiple of the resolution.
     """
@@ -145,7 +146,7 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
     border = 0.5 * width + WALL + 0.5
     low = np.floor((dense.min(axis=0) - border) / resolution)
     cols, rows = (np.ceil((dense.max(axis=0) + border) / resolution) - low).astype(int)
-    # At least two cells, else a car could slip between the corners of two.
+    # At least two cells: else a car could pass between the corners of two cells.
     wall = max(WALL, 2.0 * resolution)
     distance = _distance_to_points(dense / resolution - low, int(rows), int(cols), (0.5 * width + wall) / resolution)
     return (distance >= 0.5 * width / resolution) & np.isfinite(distance), low * resolution
@@ -153,7 +154,7 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
 
 @compiled
 def _distance_to_points(points, rows, cols, reach):  # type: ignore[no-untyped-def]
-    """Distance in cells from each cell's centre to the nearest point; infinite beyond ``reach``."""
+    """Return the distance (cells) of cell centres to the nearest point; inf beyond ``reach``."""
     best = np.full((rows, cols), np.inf)
     for k in range(points.shape[0]):
         x, y = points[k]
@@ -188,7 +189,7 @@ def _draft(
     samples = sample_closed(line, 0.3)
     if not shortest <= samples.length <= longest:
         return None, "of the wrong length"
-    # Judged as a reader sees it, who knows only the points.
+    # Checked from a reader's view, with the points only.
     if np.abs(sample_closed(samples.xy, 0.02).kappa).max() > 1.0 / least:
         return None, "too tight"
     if not _apart(samples.xy, samples.length / len(samples.xy), width + 2.0 * WALL + 0.2):
@@ -201,9 +202,9 @@ def _draft(
 
 @compiled
 def _apart(line, step, distance):  # type: ignore[no-untyped-def]
-    """Whether points of a closed line that are no neighbours along it keep a distance.
+    """Return whether non-neighbouring points of a closed line are a min distance apart.
 
-    Neighbours are those within a half circle of that diameter: a legal hairpin brings them that near and no nearer.
+    Neighbours are points within a half circle of that diameter: the limit of a legal hairpin.
     """
     n = line.shape[0]
     near = int(0.5 * np.pi * distance / step) + 1
@@ -226,9 +227,9 @@ def generate_map(
     length_range: tuple[float, float] = (60.0, 180.0),
     resolution: float = 0.05,
 ) -> Track:
-    """Generate a circuit and write its map folder: grid, lines, and how it was made.
+    """Generate a circuit and write its map folder: grid, lines, and settings of the generation.
 
-    The name is that of the folder unless another one is given; see ``generate_circuit`` for the rest.
+    The default name is the folder's name; see ``generate_circuit`` for the other parameters.
     """
     settings: dict[str, Any] = {
         "seed": seed,
@@ -255,9 +256,9 @@ def import_map(
 ) -> Track:
     """Complete a map folder: centre line from the grid, race line from the centre line.
 
-    Of the source, ``NAME_map.yaml`` and the picture named there are enough; the destination, another folder, gives the
-    default of ``name``. ``seed_point`` and ``direction`` are as for ``centerline_from_grid``; by default those of the
-    source's own centre line, if it has one.
+    The source needs only ``NAME_map.yaml`` and its picture; the destination, another folder, gives
+    the default of ``name``. ``seed_point`` and ``direction`` are as for ``centerline_from_grid``,
+    with defaults from the source's centre line, if any.
     """
     target = Path(destination)
     if target.resolve() == Path(source).resolve():
@@ -284,7 +285,7 @@ def _save(
 ) -> Track:
     name = folder.name if name is None else name
     rows = raceline_rows(race)
-    # Nothing is written unless the result can be raced on.
+    # Nothing is written unless the result is a valid track.
     track = build_track(name, *grid, center, rows[:-1, 1:3], folder=folder)
     write_map(MapFolder(name, folder, *grid, center, rows, info))
     return track

@@ -1,6 +1,7 @@
-"""Random outlines of circuits: polygons in three styles, and a function that rounds their corners.
+"""Random outlines of circuits: polygons in three styles, and a function to round their corners.
 
-The polygons, shape (K, 2), run counterclockwise and are about one unit wide; ``circuits`` scales and checks them.
+The polygons, shape (K, 2), run counterclockwise and are about one unit wide; ``circuits`` scales
+and checks them.
 """
 
 import math
@@ -12,9 +13,9 @@ from pcs_racing.base.elementary import headings, lengths, sine_cosine, sines_cos
 
 
 def hull_polygon(rng: np.random.Generator) -> np.ndarray:
-    """Convex hull of random points with its long sides bent in or out in the middle: natural, flowing circuits.
+    """Return a convex hull of random points with bent long sides: natural, flowing circuits.
 
-    It may cross itself.
+    The long sides are bent in or out in the middle. The polygon may cross itself.
     """
     points = rng.uniform(-0.5, 0.5, size=(int(rng.integers(9, 16)), 2)) * (1.0, rng.uniform(0.5, 0.9))
     hull = _convex_hull(points)
@@ -31,9 +32,9 @@ def hull_polygon(rng: np.random.Generator) -> np.ndarray:
 
 
 def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
-    """Outline of a few neighbouring Voronoi cells of random points: angular circuits with the most braking zones.
+    """Return the outline of a few Voronoi cells: angular circuits with the most braking zones.
 
-    It may be empty where the cells surround a hole.
+    The cells are neighbours, from random points. The outline may be empty if they surround a hole.
     """
     from scipy.spatial import Voronoi
 
@@ -49,12 +50,12 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
             neighbours[b].add(a)
     selected = [int(rng.choice(sorted(inner)))]
     for _ in range(int(rng.integers(4, 9))):
-        # Cells that touch few chosen ones make long, winding unions.
+        # Cells that touch few chosen cells make long, winding unions.
         around = {k: len(neighbours[k] & set(selected)) for c in selected for k in neighbours[c] if k not in selected}
         names = sorted(around)
         weights = np.array([math.prod([0.3] * around[k]) for k in names])
         selected.append(int(rng.choice(names, p=weights / weights.sum())))
-    # A side of the union belongs to one chosen cell; it runs with that cell on its left.
+    # A side of the union belongs to one chosen cell, with the cell on the left.
     after: dict[int, int] = {}
     for (a, b), (p, q) in zip(diagram.ridge_points.tolist(), diagram.ridge_vertices, strict=True):
         if (a in selected) == (b in selected):
@@ -74,7 +75,7 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
 
 
 def hairpin_polygon(rng: np.random.Generator) -> np.ndarray:
-    """Star of two to four slim arms with blunt tips: long straights into hairpins."""
+    """Return a star of two to four slim arms with blunt tips: long straights into hairpins."""
     arms = int(rng.integers(2, 5))
     angles = 2.0 * np.pi * (np.arange(arms) + rng.uniform(-0.22, 0.22, size=arms)) / arms
     lengths = rng.uniform(0.55, 1.0, size=arms)
@@ -98,13 +99,13 @@ STYLES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "voronoi": voronoi_polygon,
     "hairpin": hairpin_polygon,
 }
-"""Name of each style and the function that draws its polygon."""
+"""Name of each style, and the function to draw its polygon."""
 
 
 def rounded(corners: np.ndarray, radii: np.ndarray, step: float) -> np.ndarray:
-    """Polygon (K, 2) with an arc in place of every corner, as points ``step`` metres apart.
+    """Return a polygon (K, 2) with an arc at every corner, as points ``step`` metres apart.
 
-    A radius (m), one for each corner, shrinks where the arc would need more than half of a side.
+    A radius (m), one per corner, shrinks if the arc would need more than half of a side.
     """
     before = corners - np.roll(corners, 1, axis=0)
     after = np.roll(corners, -1, axis=0) - corners
@@ -141,22 +142,22 @@ def rounded(corners: np.ndarray, radii: np.ndarray, step: float) -> np.ndarray:
 
 
 def _direction(angle: float) -> np.ndarray:
-    """Unit vector of an angle in rad."""
+    """Return the unit vector of an angle in rad."""
     sine, cosine = sine_cosine(angle)
     return np.array([cosine, sine])
 
 
 def _convex_hull(points: np.ndarray) -> np.ndarray:
-    """Counterclockwise convex hull, its leftmost corner first."""
+    """Return the counterclockwise convex hull, leftmost corner first."""
     from scipy.spatial import ConvexHull
 
     hull = points[ConvexHull(points).vertices]
-    # A circuit's bits depend on the order of the corners, and scipy leaves open which one comes first.
+    # A circuit's bits depend on the order of the corners; scipy does not define the first corner.
     return np.roll(hull, -np.lexsort((hull[:, 1], hull[:, 0]))[0], axis=0)
 
 
 def _without_short_sides(corners: np.ndarray, shortest: float) -> np.ndarray:
-    """Polygon whose sides below a length are replaced by their middle, shortest first."""
+    """Return a polygon with sides below a length replaced by their middle, shortest first."""
     while len(corners) > 4:
         sides = lengths(np.roll(corners, -1, axis=0) - corners)
         k = int(np.argmin(sides))

@@ -1,1 +1,1 @@
-"""PPO baselines, trained with Stable-Baselines3 from committed settings, at the levels of strategy and of control."""
+"""PPO baselines at the strategy level and at the control level, trained with Stable-Baselines3."""

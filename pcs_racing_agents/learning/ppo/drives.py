@@ -1,8 +1,9 @@
-"""The task at the control level: batches of races with the inputs and outputs of a network planner.
+"""Control-level task: batches of races with the inputs and outputs of a network planner.
 
-The observation is :data:`pcs_racing.planners.network.INPUTS`, computed by the code of the planner itself. An action is
-the output of the network's last layer before its ``tanh``, which gives a steering angle and a speed here and in the
-planner. The mean of a Gaussian policy with tanh layers therefore *is* a network planner.
+The observation is :data:`pcs_racing.planners.network.INPUTS`, computed by the planner's own code.
+An action is the output of the network's last layer before its ``tanh``; the ``tanh`` gives a
+steering angle and a speed here and in the planner. The mean of a Gaussian policy with tanh layers
+therefore *is* a network planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -40,13 +41,13 @@ from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, sco
 from pcs_racing_agents.learning.ppo.learner import split_envs
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 
-ACTION_LIMIT = 10.0  # tanh of it is 1 but for 4e-9
-EVALUATION_SEED = 1_000_003  # root of the races of evaluations
+ACTION_LIMIT = 10.0  # tanh(ACTION_LIMIT) is 1 - 4e-9
+EVALUATION_SEED = 1_000_003  # root seed of the evaluation races
 
 
 @kernel
 def _observe(track, state, vehicles, settings, rows, view, inputs, out):  # type: ignore[no-untyped-def]
-    """Write the inputs of a network in car 0 of the races ``rows`` into their rows of ``out``."""
+    """Write the network inputs of car 0 of the races ``rows`` into the same rows of ``out``."""
     for race in rows:
         fill_view(track, state, race, 0, vehicles[race], settings, view)
         network_inputs(track, view, inputs)
@@ -56,13 +57,13 @@ def _observe(track, state, vehicles, settings, rows, view, inputs, out):  # type
 
 @dataclass(frozen=True, eq=False)
 class LearnerOptions(DriveOptions):
-    """Arguments of the races that a learner drives in."""
+    """Arguments of a learner's races."""
 
     leading: Annotated[float, Interval(ge=0.0, le=1e6), "Reward for a second in front, m."] = 0.0
 
 
 class LearnerBatch(DriveBatch):
-    """Races of which the learner observes what a network planner observes, and acts before the planner's ``tanh``."""
+    """Batch of races with network-planner inputs as observations and pre-``tanh`` actions."""
 
     def __init__(self, episodes: int, *, leading: float, **arguments: Any) -> None:
         super().__init__(episodes, **arguments)
@@ -72,26 +73,26 @@ class LearnerBatch(DriveBatch):
         self._view_buffers = np.empty(VIEW_SIZE), np.empty(len(INPUTS))
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """Return steering and speed in [-1, 1] for what a network's last layer puts out."""
+        """Return steering and speed in [-1, 1] from the outputs of a network's last layer."""
         return np.tanh(super().check_actions(actions, shape))
 
     def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
-        """Drive every race one step on."""
+        """Advance every race by one step."""
         _, rewards, terminated, truncated = super().step(actions, generators)
-        # Whoever leads at the end of a step counts as leading throughout it.
+        # The leading car at the end of a step counts as leading during the whole step.
         rewards += self._leading * (self.state.lead > 0.0)
         observations = np.empty((self.episodes, len(INPUTS)), np.float32)
         self.observe(self._rows, observations)
         return BatchStep(observations, rewards, terminated, truncated)
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
-        """Write the inputs of the network in some races into their rows of ``out``."""
+        """Write the network inputs of some races into the same rows of ``out``."""
         settings = self.setup.settings
         _observe(self.track.arrays, self.state, self.vehicles, settings, rows, *self._view_buffers, out)
 
 
 class LearnerEnv(BatchVectorEnv):
-    """The control-level environment with the inputs and outputs of a network planner; car 0 is the learner's."""
+    """Control-level environment with network-planner inputs and outputs; car 0 is the learner."""
 
     batch_type = LearnerBatch
     batch: LearnerBatch
@@ -100,12 +101,12 @@ class LearnerEnv(BatchVectorEnv):
 
 @dataclass(frozen=True, eq=False)
 class DriveTask:
-    """The learning task at the control level; :func:`make_drive_task` makes it."""
+    """Learning task at the control level, made by :func:`make_drive_task`."""
 
     settings: DriveSettings
     tracks: tuple[Track, ...]
     rules: tuple[RaceConfig, ...]
-    policies: tuple[Policy, ...]  #: The opponents, in the order of the settings.
+    policies: tuple[Policy, ...]  #: Opponents, in the order of the settings.
 
     activation = "tanh"
     limit = WEIGHT_LIMIT
@@ -115,13 +116,13 @@ class DriveTask:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the results depend on beside the settings."""
+        """Inputs of the results in addition to the settings: content hashes of the tracks."""
         return {"tracks_sha256": {track.name: track.content_hash for track in self.tracks}}
 
     def env_groups(self) -> list[LearnerEnv]:
-        """Make the training environments: a group for each circuit, rules and planner of opponents."""
+        """Make the training environments: a group for each track, rules and opponent planner."""
         settings = self.settings
-        # One compiled planner drives car 1 of a batch: opponents with different planners need batches of their own.
+        # A batch has one compiled planner in car 1: each opponent planner needs its own batch.
         by_planner: dict[str, list[Policy]] = {}
         for policy, weight in zip(self.policies, settings.opponents.values(), strict=True):
             by_planner.setdefault(policy.planner.name, []).extend([policy] * weight)
@@ -145,7 +146,7 @@ class DriveTask:
         ]
 
     def learning_rules(self, track: Track, config: RaceConfig) -> RaceConfig:
-        """Return the rules with the duration and the slow opponents of the training."""
+        """Return the rules with the duration and the slow opponents used in training."""
         changes: dict[str, Any] = {"duration": self.settings.duration}
         if self.settings.slowest > 0.0:
             high = RaceSetup(track, config, (_learner_planner((), 2),) * 2).speed_range[1]
@@ -153,10 +154,10 @@ class DriveTask:
         return replace(config, **changes)
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
-        """Race with the planner of a policy, without exploration noise, under the unchanged rules."""
+        """Race a policy as a planner, without exploration noise, under the unchanged rules."""
         policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
         names = list(self.settings.opponents)
-        # An even number: every start line is raced from both sides.
+        # An even number, since every start line is raced from both sides.
         races = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
         opponents = [opponent for opponent in self.policies for _ in range(races)]
         scores = {}
@@ -173,18 +174,18 @@ class DriveTask:
         return scores
 
     def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
-        """Write a policy as a driver."""
+        """Write a policy as the files of a network planner."""
         return save_driver(folder, layers, name=name, hold=self.settings.hold, training=about)
 
 
 @cache
 def _learner_planner(hidden: tuple[int, ...], hold: int) -> Planner:
-    """Return the planner of a network in training: its weights are parameters, so that it is compiled once."""
+    """Return the planner of a network in training; weights are parameters, so it compiles once."""
     return network_planner("learner", hidden, hold=hold)
 
 
 def make_drive_task(settings: DriveSettings) -> DriveTask:
-    """Load circuits, rules and opponents, and check that they fit together."""
+    """Load tracks, rules and opponents, and check their consistency."""
     tracks = tuple(load_track(name) for name in settings.tracks)
     rules = tuple(load_race_config(race) for race in settings.races)
     if len({config.name for config in rules}) < len(rules):

@@ -1,4 +1,4 @@
-"""The task at the strategy level: games of moves against a mixture of opponents."""
+"""Strategy-level task: games of moves against a mixture of opponents."""
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -34,16 +34,17 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class DuelTask:
-    """The learning task at the strategy level; :func:`make_duel_task` makes it."""
+    """Learning task at the strategy level, made by :func:`make_duel_task`."""
 
     settings: DuelSettings
     archive: PolicyArchive
     tracks: tuple[Track, ...]
-    game: RaceGame  #: On the first circuit; archive, moves and observations are the same on all.
-    mixtures: tuple[tuple[tuple[int, str], ...], ...]  #: The opponents, in a mixture for each planner.
+    game: RaceGame  #: Game on the first track; archive, moves and observations are always the same.
+    #: Opponents as pairs of weight and name, with one mixture for each planner.
+    mixtures: tuple[tuple[tuple[int, str], ...], ...]
     batches: Mapping[Matchup, GameBatch] = field(repr=False)  #: Games of the evaluation.
-    overrides: Mapping[str, Any]  #: Rules in place of those of the settings, as plain values by name.
-    threads: int  #: Threads that drive the games of training. They do not change the results.
+    overrides: Mapping[str, Any]  #: Rules that replace the settings' rules; plain values by name.
+    threads: int  #: Threads that simulate the training games; no effect on the results.
 
     activation = "relu"
     limit = 1e6
@@ -51,7 +52,7 @@ class DuelTask:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What the results depend on beside the settings."""
+        """Inputs of the results in addition to the settings: content hashes and replaced rules."""
         tracks = {track.name: track.content_hash for track in self.tracks}
         return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.overrides}
 
@@ -74,7 +75,7 @@ class DuelTask:
         ]
 
     def network(self, layers: DenseLayers, name: str, about: Mapping[str, Any] | None = None) -> RegretNetwork:
-        """Return a policy as a network whose values are the logits of the moves."""
+        """Return a policy as a network with the logits of the moves as values."""
         size = len(self.game.observation_elements)
         return RegretNetwork(
             name=name,
@@ -88,7 +89,7 @@ class DuelTask:
         )
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
-        """Play the games of the evaluation with the most probable moves."""
+        """Play the evaluation games with the most probable moves, and return their scores."""
         network = self.network(layers, "learner")
         seeds = group_seeds(0, len(self.batches), 1)
         with ThreadPoolExecutor(self.threads) as pool:
@@ -101,30 +102,30 @@ class DuelTask:
 
     @property
     def default_name(self) -> str:
-        """The name under which the agent ``ppo`` looks for a shipped network."""
+        """Default name of the policy, also the name of the shipped network of agent ``ppo``."""
         return f"{self.archive.name}-{self.game.config.race.name}-ppo"
 
 
 def make_duel_task(
     settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None, threads: int
 ) -> DuelTask:
-    """Load circuits, archive, rules and opponents, and check that they fit together.
+    """Load tracks, archive, rules and opponents, and check their consistency.
 
     Parameters
     ----------
     archive : PolicyArchive, optional
-        In place of the one that the settings name.
+        Archive that replaces the settings' archive.
     rules : GameConfig, optional
-        In place of the race and the size of moves that the settings name.
+        Rules that replace the race and the size of moves of the settings.
     threads : int
-        Threads that drive the games. They do not change the results.
+        Threads that simulate the games; no effect on the results.
     """
     overrides = {} if rules is None else {"game": asdict(rules)}
     archive = load_archive(settings.archive) if archive is None else archive
     tracks = tuple(load_track(name) for name in settings.tracks)
     rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
     games = [make_game(track, archive, rules) for track in tracks]
-    # One compiled planner drives car 1 of a batch: opponents with different planners need batches of their own.
+    # A batch has one compiled planner in car 1: each opponent planner needs its own batch.
     by_planner: dict[str, list[tuple[int, str]]] = {}
     for name, weight in settings.opponents.items():
         planner = parse_opponents(name, games[0])[0].planner or archive.family()
@@ -142,8 +143,9 @@ def make_duel_task(
 
 
 def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupScore:
-    """Play a batch of games, which is overwritten, with a network's most probable moves, and return the score."""
-    # The same seed gives every network the same starts, policies and noise: evaluations can be compared.
+    """Play a batch of games in place with a network's most probable moves, and return the score."""
+    # With equal seeds, starts, policies and noise are equal for all networks: evaluations are
+    # comparable.
     rngs = [seeding.np_random(seed + i)[0] for i in range(batch.episodes)]
     batch.restart(np.arange(batch.episodes), rngs)
     payoffs = np.zeros(batch.episodes)

@@ -1,4 +1,4 @@
-"""Evaluations of a learner: scores of races, their means, and the curve of all evaluations as a CSV file."""
+"""Evaluations of a learner: race scores, their means, and the learning curve as a CSV file."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,30 +14,36 @@ from pcs_racing_agents.base.tables import aligned, read_csv, write_csv
 
 
 class Matchup(NamedTuple):
-    """The races of an evaluation that share circuit, rules and opponent."""
+    """Races of an evaluation with the same track, rules and opponent."""
 
-    track: str  #: ``track``, ``race``, ``opponent``: Names of the circuit, the rules and the opponent.
+    track: str  #: ``track``, ``race``, ``opponent``: Names of track, rules and opponent.
     race: str
     opponent: str
 
 
 class MatchupScore(NamedTuple):
-    """Result of the races of a matchup; the shares add up to 1 with ties and crashes that neither car wins."""
+    """Result of the races of a matchup.
+
+    The shares add up to 1 together with ties and crashes without a winner.
+    """
 
     races: int
-    #: Mean payoff: in duels the utility of a game; in drives 1 for a win, -1 for a loss or a crash
-    #: by own fault.
+    #: Mean payoff. In duels: the utility of a game. In drives: 1 for a win, -1 for a loss or a
+    #: crash by own fault.
     worth: float  # the name in the files of shipped networks
     error: float  #: Standard error of ``worth``.
     won: float  #: ``won``, ``lost``: Shares of the races.
     lost: float
-    crashed: float  #: Share that ended in a crash by any fault.
-    fault: float  #: Share that ended in a crash by the learner's fault.
+    crashed: float  #: Share of races with a crash.
+    fault: float  #: Share of races with a crash caused by the learner.
     lead: float  #: Mean lead at the end, m.
 
 
 def score_races(payoffs: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
-    """Return the score of races from their payoffs and their winner (0 for the learner), shapes (B,), and ends."""
+    """Return the score of races.
+
+    ``payoffs``, ``winner``: shape (B,), winner 0 is the learner. ``race``: final states.
+    """
     count = len(payoffs)
     return MatchupScore(
         races=count,
@@ -52,18 +58,18 @@ def score_races(payoffs: NDArray[np.float64], winner: NDArray[np.int8], race: Ra
 
 
 def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int]) -> MatchupScore:
-    """Return the mean over matchups, weighted by how often each opponent is met."""
+    """Return the mean over matchups, weighted by the frequency of each opponent."""
     shares = np.array([weights[matchup.opponent] for matchup in scores], np.float64)
     shares /= shares.sum()
     rows = np.array([score[1:] for score in scores.values()])
     means = dict(zip(MatchupScore._fields[1:], (shares @ rows).tolist(), strict=True))
-    # The races of different matchups are independent: their variances add.
+    # Races of different matchups are independent: their variances add up.
     means["error"] = float(np.sqrt(np.sum((shares * rows[:, MatchupScore._fields.index("error") - 1]) ** 2)))
     return MatchupScore(sum(score.races for score in scores.values()), **means)
 
 
 def score_table(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int]) -> str:
-    """Return a text table: a line for each circuit and rules (mean over opponents), and one for all."""
+    """Return a text table: a line for each track and rules (mean over opponents), and a total."""
     table = [["", "payoff", "+-", "won", "lost", "crashed", "at fault", "lead"]]
     groups = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
     for group in [*groups, None]:
@@ -83,15 +89,15 @@ EVALUATION_COLUMNS = ("seed", "steps", *Matchup._fields, *MatchupScore._fields)
 
 
 class EvaluationCurve(NamedTuple):
-    """All evaluations of a learner with one seed."""
+    """Learning curve: all evaluations of a learner with one seed."""
 
     seed: int
-    steps: tuple[int, ...]  #: Steps learned before each evaluation.
-    scores: tuple[Mapping[Matchup, MatchupScore], ...]  #: Its result.
+    steps: tuple[int, ...]  #: Training steps before each evaluation.
+    scores: tuple[Mapping[Matchup, MatchupScore], ...]  #: Result of each evaluation.
 
 
 def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
-    """Write a line for each seed, moment, circuit, rules and opponent."""
+    """Write a line for each seed, evaluation, track, rules and opponent."""
     rows: list[tuple[object, ...]] = [EVALUATION_COLUMNS]
     for curve in curves:
         for steps, scores in zip(curve.steps, curve.scores, strict=True):
@@ -102,7 +108,7 @@ def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
 
 
 def read_evaluations(file: Path) -> list[EvaluationCurve]:
-    """Read what :func:`write_evaluations` wrote."""
+    """Read a file written by :func:`write_evaluations`."""
     curves: dict[int, dict[int, dict[Matchup, MatchupScore]]] = {}
     table = read_csv(file)
     if table.columns != EVALUATION_COLUMNS:
@@ -118,7 +124,7 @@ def read_evaluations(file: Path) -> list[EvaluationCurve]:
 
 
 def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, int]) -> dict[str, list[Curve]]:
-    """Return payoffs, wins and faults over millions of steps, as panels of a picture with a line for each seed."""
+    """Return panels of payoffs, wins and own crashes over millions of steps, one line per seed."""
     panels: dict[str, list[Curve]] = {}
     for key, title in (("worth", "payoff of a race"), ("won", "races won"), ("fault", "crashes by own fault")):
         for curve in curves:

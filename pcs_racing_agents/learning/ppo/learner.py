@@ -1,7 +1,7 @@
 """A PPO model of Stable-Baselines3, built from settings and trained one update at a time.
 
-Stable-Baselines3 uses the global random generators of the process. :func:`own_randomness` restores their states after a
-model has used them.
+Stable-Baselines3 uses the global random generators of the process. :func:`own_randomness` restores
+their states afterwards.
 """
 
 import random
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
 FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
-"""Recorded figures of every update, by the names of Stable-Baselines3."""
+"""Recorded figures of every update, with the names of Stable-Baselines3."""
 
 
 def check_packages() -> None:
@@ -37,7 +37,7 @@ def check_packages() -> None:
 
 @contextmanager
 def own_randomness() -> Iterator[None]:
-    """Restore the process's random generators at the end; until then one thread alone may use them and torch."""
+    """Restore the process's random generators at exit; reserve them and torch for one thread."""
     with torch_alone() as torch:
         states = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
         try:
@@ -48,18 +48,21 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(states[2])
 
 
-# Groups of environments: the races of a group share a circuit, rules and a mixture of opponents.
+# Groups of environments: the races of a group share a track, rules and a mixture of opponents.
 
 
 def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
-    """Return seeds so far apart that no two groups, seeds or purposes (0 to learn, 1 to evaluate) share a generator."""
+    """Return the seeds of groups of environments.
+
+    No two groups, seeds or purposes (0 to learn, 1 to evaluate) share a random generator.
+    """
     sequences = [np.random.SeedSequence(seed, spawn_key=(purpose, group)) for group in range(groups)]
-    # Environment i of a group is seeded with its seed + i: two bits are left so that the sums do not overflow.
+    # Environment i of a group has the seed of the group plus i: two free bits avoid an overflow.
     return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]
 
 
 def split_envs(envs: int, weights: Sequence[int]) -> list[int]:
-    """Return numbers of environments in proportion to weights, at least one for each.
+    """Return numbers of environments in proportion to weights, at least 1 for each weight.
 
     Examples
     --------
@@ -78,8 +81,8 @@ def make_model(
 ) -> "PPO":
     """Make an untrained model.
 
-    ``activation``: activation between the layers. ``threads``: groups that are stepped at the same time; the result
-    does not depend on it.
+    ``activation``: activation between the layers. ``threads``: number of groups stepped at the same
+    time; no effect on the result.
     """
     from stable_baselines3 import PPO
     from stable_baselines3.common.logger import Logger
@@ -97,13 +100,13 @@ def make_model(
     if isinstance(settings, DriveSettings):
         noise = settings.noise
         if settings.noise_steps:
-            # One deviation for each neuron of the last hidden layer, whose outputs are about a half in size.
+            # One deviation for each neuron of the last hidden layer; typical outputs are near 0.5.
             noise /= 0.5 * np.sqrt(settings.hidden[-1] if settings.hidden else len(INPUTS))
             exploration = {"use_sde": True, "sde_sample_freq": settings.noise_steps}
         policy["log_std_init"] = float(np.log(noise))
     steps = settings.rollout * envs.num_envs
     batches = -(-steps // settings.batch_size)
-    with warnings.catch_warnings():  # of batches of unequal size: the last is hardly smaller
+    with warnings.catch_warnings():  # warning about a slightly smaller last batch
         warnings.simplefilter("ignore", UserWarning)
         model = PPO(
             "MlpPolicy",
@@ -128,13 +131,14 @@ def make_model(
 
 
 def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, float]:
-    """Collect the steps of one update, and make it; return :data:`FIGURES` and the mean reward of a step.
+    """Collect steps, make one update, and return :data:`FIGURES` and the mean reward of a step.
 
-    ``limit``: largest weight that the policy may have.
+    ``limit``: maximum absolute weight of the policy.
     """
     import torch
 
-    # Stable-Baselines3's own schedule would begin anew with every call of `learn`, so each has a constant rate.
+    # Stable-Baselines3's own schedule would restart with every call of `learn`: each call has a
+    # constant rate.
     share = min(model.num_timesteps / settings.steps, 1.0)
     rate = settings.learning_rate + share * (settings.final_learning_rate - settings.learning_rate)
     model.lr_schedule = lambda _: rate
@@ -145,7 +149,7 @@ def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, f
         if isinstance(error, InputError):
             raise
         is_nan = True
-    # A planner's parameters have bounds, and the network is to be a planner: the limit holds while it learns, too.
+    # The network will be a planner with bounded parameters: the limit also holds during training.
     with torch.no_grad():
         for parameter in _actor(model):
             parameter.clamp_(-limit, limit)
@@ -167,6 +171,6 @@ def actor_layers(model: "PPO") -> DenseLayers:
 
 
 def _actor(model: "PPO") -> list[Any]:
-    """Weights and biases of the policy in turn, from the first layer to the last."""
+    """Return weights and biases of the policy, alternating, from the first layer to the last."""
     policy: Any = model.policy
     return [*policy.mlp_extractor.policy_net.parameters(), *policy.action_net.parameters()]

@@ -1,4 +1,4 @@
-"""Declared settings of training by PPO, at the strategy level and at the control level."""
+"""Settings of PPO training at the strategy level and at the control level."""
 
 import os
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ _REWARD_SCALE = "What rewards are multiplied by before they are learned from."
 
 @dataclass(frozen=True, kw_only=True)
 class PPOSettings(Settings):
-    """Settings that both levels share; the names of PPO's hyperparameters are those of Schulman et al. 2017."""
+    """Settings of both levels; hyperparameters of PPO are named as in Schulman et al. 2017."""
 
     tracks: Annotated[Names, "Circuits of the training."] = TRAINING_TRACKS
     opponents: Annotated[
@@ -73,7 +73,7 @@ class PPOSettings(Settings):
 
 @dataclass(frozen=True, kw_only=True)
 class DuelSettings(PPOSettings):
-    """Settings of training at the strategy level: a step is a move."""
+    """Settings of training at the strategy level; a step is a move."""
 
     level: Annotated[str, OneOf(("duel",)), "Level of the training."] = "duel"
     archive: Annotated[Text, "Name or folder of the archive of policies."] = "default"
@@ -90,7 +90,7 @@ class DuelSettings(PPOSettings):
 
 @dataclass(frozen=True, kw_only=True)
 class DriveSettings(PPOSettings):
-    """Settings of training at the control level: a step is a steering angle and a speed."""
+    """Settings of training at the control level; an action is a steering angle and a speed."""
 
     level: Annotated[str, OneOf(("drive",)), "Level of the training."] = "drive"
     races: Annotated[
@@ -157,9 +157,10 @@ LEVELS: dict[str, PPOSettings] = {"duel": DuelSettings(), "drive": DriveSettings
 
 
 def load_ppo_settings(source: str | Path | PPOSettings, **changes: Any) -> PPOSettings:
-    """Return settings from a shipped configuration's name, a YAML file or settings, with some fields changed.
+    """Return settings from a shipped config's name, a YAML file or settings, with changed fields.
 
-    A file names its ``level`` ("duel" or "drive") beside the fields of :class:`DuelSettings` or :class:`DriveSettings`.
+    A file contains its ``level`` ("duel" or "drive") and fields of :class:`DuelSettings` or
+    :class:`DriveSettings`.
     """
     if isinstance(source, PPOSettings):
         return load_settings("ppo", source, None, **changes)

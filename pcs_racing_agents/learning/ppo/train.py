@@ -1,8 +1,9 @@
 """Training by PPO: from settings to weights and learning curves, in a folder.
 
-A seed is a task of a job: it depends on nothing but the settings and itself, and trains in whatever process there is.
-A training that was stopped keeps the seeds that were finished, and begins the others anew; its weights are those of an
-undisturbed one, to the bit (on the same machine and versions; torch guarantees no more).
+Each seed is a task of a job: its result depends only on the settings and the seed, and any process
+can train it. A stopped run resumes with its finished seeds and restarts the others. The weights are
+bit-identical to the weights of an uninterrupted run (on the same machine and versions; torch
+guarantees no more).
 """
 
 import time
@@ -50,39 +51,39 @@ LearningTask = DuelTask | DriveTask
 
 @dataclass
 class SeedRecord:
-    """Evaluations and updates of a training so far, and its best policy."""
+    """Evaluations, updates and best policy of a training run."""
 
     seed: int
-    weights: Mapping[str, int]  #: How often each opponent is met.
-    steps: list[int] = field(default_factory=list)  #: Steps learned before each evaluation.
-    scores: list[dict[Matchup, MatchupScore]] = field(default_factory=list)  #: The evaluations.
-    updates: list[tuple[float, ...]] = field(default_factory=list)  #: Steps, and the figures of every update.
-    best: DenseLayers | None = None  #: The policy of the best evaluation; None before the first one.
-    seconds: float = 0.0  #: Time spent.
+    weights: Mapping[str, int]  #: Relative frequency of each opponent.
+    steps: list[int] = field(default_factory=list)  #: Training steps before each evaluation.
+    scores: list[dict[Matchup, MatchupScore]] = field(default_factory=list)  #: Evaluations.
+    updates: list[tuple[float, ...]] = field(default_factory=list)  #: Steps and figures per update.
+    best: DenseLayers | None = None  #: Policy of the best evaluation; None before any evaluation.
+    seconds: float = 0.0  #: Training time, s.
 
     @property
     def curve(self) -> EvaluationCurve:
-        """Every evaluation so far."""
+        """Learning curve of all evaluations so far."""
         return EvaluationCurve(self.seed, tuple(self.steps), tuple(self.scores))
 
     def payoff(self, evaluation: int) -> float:
-        """Return the mean payoff in an evaluation."""
+        """Return the mean payoff of an evaluation."""
         return mean_score(self.scores[evaluation], self.weights).worth
 
     @property
     def best_at(self) -> int:
-        """Index of the best evaluation, of equals the first."""
+        """Index of the best evaluation; the first one in case of a tie."""
         return max(range(len(self.scores)), key=self.payoff)
 
     def add(self, steps: int, scores: dict[Matchup, MatchupScore], layers: DenseLayers) -> None:
-        """Add an evaluation, and keep the weights if none was better."""
+        """Add an evaluation, and store the weights if the evaluation is the best so far."""
         self.steps.append(steps)
         self.scores.append(scores)
         if self.best_at == len(self.scores) - 1:
             self.best = layers
 
     def arrays(self) -> Arrays:
-        """Return the record of a finished training as arrays."""
+        """Return the record of a finished training run as arrays."""
         assert self.best is not None
         return {
             "steps": np.array(self.steps, np.int64),
@@ -95,7 +96,7 @@ class SeedRecord:
 
     @classmethod
     def from_arrays(cls, seed: int, task: LearningTask, arrays: Arrays) -> "SeedRecord":
-        """Return the record from its arrays."""
+        """Return the record with the contents of such arrays."""
         matchups = [Matchup(*row) for row in arrays["matchups"].tolist()]
         scores = [[MatchupScore(int(row[0]), *row[1:]) for row in rows] for rows in arrays["scores"].tolist()]
         hidden = list(task.settings.hidden)
@@ -116,14 +117,14 @@ class PPOResult:
 
     settings: PPOSettings
     task: LearningTask
-    curves: tuple[EvaluationCurve, ...]  #: Of each seed.
-    layers: DenseLayers  #: The policy: of all evaluations of all seeds the one of highest payoff.
-    seed: int  #: That it is from.
-    steps: int  #: After which it was evaluated.
-    #: That evaluation. It is biased upwards: the best of many, in the same races every time.
+    curves: tuple[EvaluationCurve, ...]  #: Learning curve of each seed.
+    layers: DenseLayers  #: Policy with the highest payoff in all evaluations of all seeds.
+    seed: int  #: Seed of the policy.
+    steps: int  #: Training steps of the policy.
+    #: Scores of the policy, biased upwards: the maximum of many evaluations in the same races.
     scores: Mapping[Matchup, MatchupScore]
-    seconds: float  #: Time of the training with all seeds, without interruptions.
-    folder: Path  #: Holds the weights, what describes them, and the curves.
+    seconds: float  #: Training time of all seeds, without interruptions, s.
+    folder: Path  #: Folder of the weights, their manifest, and the curves.
 
 
 def train_ppo(
@@ -137,39 +138,41 @@ def train_ppo(
     rules: GameConfig | None = None,
     **changes: Any,
 ) -> PPOResult:
-    """Train by PPO, or resume a training that was stopped.
+    """Train by PPO, or resume a stopped training run.
 
     Parameters
     ----------
     config : str, Path or PPOSettings
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
-        A new or empty folder, or that of the same training. It gets ``policy/`` (the weights, what describes them, and
-        every evaluation as ``curve.csv``), ``updates.csv`` (figures of every update) and the result of each finished
-        seed in ``chunks/``.
+        New or empty folder, or the folder of the same training run. Output: ``policy/`` (weights,
+        manifest, and every evaluation in ``curve.csv``), ``updates.csv`` (figures of every update)
+        and the result of each finished seed in ``chunks/``.
     name : str, optional
-        Of the policy; by default the one under which the agent ``ppo`` or the driver ``ppo-drive`` looks for it.
+        Name of the policy; by default the name used by the agent ``ppo`` or the planner
+        ``ppo-drive``.
     executor : Executor, optional
-        Where to train: processes and workers of a cluster train with several seeds side by side. Threads are not used,
-        since torch's random generator belongs to the process. It has no influence on the result.
+        Executor of the training; no effect on the result. Processes and cluster workers train
+        several seeds in parallel. Threads are not used, since torch's random generator belongs to
+        the process.
     progress : callable, optional
-        Called as ``progress(steps, total of all seeds, label)`` after every update, or after every seed that another
-        process has trained with.
+        Called as ``progress(steps, total of all seeds, label)`` after every update, or after every
+        seed trained in another process.
     policies : PolicyArchive, optional
-        Archive in place of that of the settings of a duel.
+        Archive that replaces the archive of a duel's settings.
     rules : GameConfig, optional
-        Rules in place of the race and the size of moves in the settings of a duel.
+        Rules that replace the race and the size of moves of a duel's settings.
     """
     settings = load_ppo_settings(config, **changes)
     if isinstance(settings, DuelSettings):
         settings = _named(settings, policies, rules)
     check_packages()
     elsewhere = in_other_processes(executor)
-    # Trainings side by side share the cores; a single one, or one after the other, may use all of them.
+    # Parallel runs share the cores; a single run, or sequential runs, may use all of them.
     threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else default_threads()
     task = make_task(settings, archive=policies, rules=rules, threads=threads)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
-    steps_of_seeds = 0  # that are finished
+    steps_of_seeds = 0  # steps of finished seeds
 
     def seeds_done(done: int, seeds: int, _: str) -> None:
         nonlocal steps_of_seeds
@@ -189,7 +192,7 @@ def train_ppo(
         runs = [
             SeedRecord.from_arrays(seed, task, result) for seed, result in zip(settings.seeds, results, strict=True)
         ]
-        run = max(runs, key=lambda run: run.payoff(run.best_at))  # of equals the first
+        run = max(runs, key=lambda run: run.payoff(run.best_at))  # the first one in case of a tie
         curves = tuple(run.curve for run in runs)
         _write_updates(runs, job.folder / "updates.csv")
         assert run.best is not None  # there is an evaluation before the first update
@@ -210,7 +213,7 @@ def train_ppo(
 
 
 def train_seed(task: LearningTask, on_update: Callable[[SeedRecord], None] | None, seed: int) -> Arrays:
-    """Train with a seed until the steps of the settings are made, or their patience is at its end.
+    """Train with a seed until the settings' number of steps or the end of their patience.
 
     Parameters
     ----------
@@ -220,7 +223,7 @@ def train_seed(task: LearningTask, on_update: Callable[[SeedRecord], None] | Non
     Returns
     -------
     dict of ndarray
-        :meth:`SeedRecord.arrays`. But for the time spent it depends on the task and the seed alone.
+        Arrays of :meth:`SeedRecord.arrays`. All but the time depend only on task and seed.
     """
     settings = task.settings
     record = SeedRecord(seed, settings.opponents)
@@ -229,8 +232,8 @@ def train_seed(task: LearningTask, on_update: Callable[[SeedRecord], None] | Non
         model = make_model(settings, task.env_groups(), seed, task.activation, task.threads)
         steps, since_best = 0, 0
         while True:
-            # An evaluation is due before the first update, where a multiple of the interval was crossed, and at the
-            # end. Updates make whole rollouts, so few of them end at a multiple.
+            # Evaluate before the first update, after each multiple of the interval, and at the end.
+            # Updates consist of whole rollouts, so few of them end at a multiple.
             crossed = not record.steps or steps // settings.evaluate_every > record.steps[-1] // settings.evaluate_every
             if crossed or steps >= settings.steps:
                 layers = actor_layers(model)
@@ -253,7 +256,10 @@ def make_task(
     rules: GameConfig | None = None,
     threads: int = 1,
 ) -> LearningTask:
-    """Load circuits, archive and opponents, and check that they fit together; arguments as for a duel's task."""
+    """Load a level's tracks and opponents, and check their consistency.
+
+    Arguments as for :func:`pcs_racing_agents.learning.ppo.duels.make_duel_task`.
+    """
     if isinstance(settings, DuelSettings):
         return make_duel_task(settings, archive, rules, threads)
     if archive is not None or rules is not None:
@@ -263,7 +269,7 @@ def make_task(
 
 
 def _named(settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None) -> DuelSettings:
-    """Return the settings with the names of the archive and the rules that replace theirs, for the stored settings."""
+    """Return the settings, to be stored, with the names of the replacing archive and rules."""
     if archive is not None:
         settings = replace(settings, archive=archive.name)
     if rules is not None:
@@ -283,7 +289,7 @@ def _write_updates(runs: Sequence[SeedRecord], file: Path) -> None:
 
 
 def _about(trained: PPOResult) -> dict[str, str | int | float | bool]:
-    """Return facts about the training for the policy's manifest: texts and numbers by name."""
+    """Return facts about the training run for the policy's manifest: texts and numbers by name."""
     import stable_baselines3
     import torch
 

@@ -1,4 +1,7 @@
-"""Tuned settings of PPO of Stable-Baselines3 by environment, from a file that train.py of rl_zoo3 reads as well."""
+"""Tuned settings of Stable-Baselines3's PPO by environment, from a file in the format of rl_zoo3.
+
+The file also works with rl_zoo3's ``train.py``.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,33 +19,35 @@ if TYPE_CHECKING:
 
 
 TUNED_FILE = shipped_configs("sb3")["ppo"]
-"""The file with the settings of all environments, in the format of rl_zoo3."""
+"""File with the settings of all environments, in the format of rl_zoo3."""
 
 UNEQUAL_CARS = "pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars"
-"""The wrapper that a ``vec_env_wrapper`` of the file may name."""
+"""Wrapper supported as ``vec_env_wrapper`` in the file."""
 
 LINEAR = "lin_"
-"""What precedes a learning rate that falls linearly to 0, in the format of rl_zoo3."""
+"""Prefix of a learning rate that falls linearly to 0, in the format of rl_zoo3."""
 
 
 @dataclass(frozen=True)
 class TunedPPO:
-    """A task of an environment and the settings with which PPO learns it."""
+    """Task of an environment, with tuned settings of PPO."""
 
     environment: str  #: Id of the environment.
-    arguments: Mapping[str, Any]  #: Arguments of the environment: the task.
-    num_envs: int  #: Environments that are stepped together.
-    steps: int  #: Steps of the training, over all environments.
-    normalize: bool = False  #: Whether observations and rewards are normalised by ``VecNormalize``.
-    #: Arguments of :class:`pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars`, if the environments are in it.
+    arguments: Mapping[str, Any]  #: Arguments of the environment, defining the task.
+    num_envs: int  #: Number of parallel environments.
+    steps: int  #: Training steps, over all environments.
+    normalize: bool = False  #: True to normalise observations and rewards by ``VecNormalize``.
+    #: Arguments of :class:`pcs_racing_agents.learning.ppo.unequal_cars.UnequalCars`; None for no
+    #: such wrapper.
     unequal_cars: Mapping[str, Any] | None = None
-    #: Arguments of ``PPO``; the learning rate as a number, or as text such as "lin_1e-3": it falls linearly to 0.
+    #: Arguments of ``PPO``. The learning rate is a number, or text such as "lin_1e-3" for a linear
+    #: decrease to 0.
     settings: Mapping[str, Any] = field(default_factory=dict)
 
     def make_envs(self, num_envs: int | None = None) -> "VecEnv":
-        """Return compiled environments of the task for Stable-Baselines3, as they are before they are wrapped.
+        """Return compiled, unwrapped environments of the task for Stable-Baselines3.
 
-        ``num_envs``: in place of the tuned number.
+        ``num_envs``: number of environments; by default the tuned number.
         """
         check_packages()
         from pcs_racing.envs.sb3 import make_sb3_vec_env
@@ -50,7 +55,7 @@ class TunedPPO:
         return make_sb3_vec_env(self.environment, num_envs or self.num_envs, **self.arguments)
 
     def make_model(self, seed: int = 0) -> "PPO":
-        """Return an untrained model with its environments; ``model.learn(tuned.steps)`` trains it.
+        """Return an untrained model with its environments; train by ``model.learn(tuned.steps)``.
 
         ``seed``: seed of the networks, the environments and the exploration.
         """
@@ -80,7 +85,7 @@ def tuned_ppo(environment: str) -> TunedPPO:
     Parameters
     ----------
     environment : str
-        Its id, for instance ``"pcs_racing/Match-v0"``.
+        Id of the environment, for instance ``"pcs_racing/Match-v0"``.
 
     Examples
     --------
@@ -103,7 +108,7 @@ def tuned_ppo(environment: str) -> TunedPPO:
 
 
 def learning_rate(value: float | str) -> Any:
-    """Return a learning rate as PPO takes it: a number, or a function of the share of the training that is left."""
+    """Return a learning rate for PPO: a number, or a function of the remaining training share."""
     if not isinstance(value, str):
         return float(value)
     try:

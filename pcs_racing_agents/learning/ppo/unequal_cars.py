@@ -1,7 +1,8 @@
-"""Self-play of steering and speed between unequal cars, so that one policy learns both to pass and to be passed.
+"""Control-level self-play between unequal cars; one policy learns to pass and to be passed.
 
-Against nobody but its equal, a policy forgets how to pass: no car is slower, and the other one always makes room. So in
-every race one of the two cars has less speed at its command, and in half of the races that car does not see the other.
+Against only its equal, a policy forgets how to pass: no car is slower, and the other car always
+makes room. In every race one of the two cars therefore has a reduced speed, and in half of the
+races this car does not see the other car.
 """
 
 from typing import Any
@@ -18,17 +19,17 @@ except ImportError as error:
 
 
 class UnequalCars(VecEnvWrapper):
-    """Self-play in which one car of each race is slower, and in half of the races blind; drawn anew for each race.
+    """Self-play with one slower car per race, blind in half of the races; redrawn for each race.
 
     Parameters
     ----------
     venv : VecEnv
-        Races of two cars (``make_sb3_vec_env("drive-self-play", ...)``): environments ``2 i`` and ``2 i + 1`` are the
-        cars of race ``i``.
+        Races of two cars (``make_sb3_vec_env("drive-self-play", ...)``): environments ``2 i`` and
+        ``2 i + 1`` are the cars of race ``i``.
     slowest : float
-        Least share of its speed that the slower car of a race has, in (0, 1].
+        Minimum speed share of the slower car of a race, in (0, 1].
     seed : int
-        Of what is drawn.
+        Seed of the random draws.
     """
 
     def __init__(self, venv: VecEnv, slowest: float = 0.5, seed: int = 0) -> None:
@@ -40,18 +41,18 @@ class UnequalCars(VecEnvWrapper):
         self.speed, self.blind = np.ones(venv.num_envs), np.zeros(venv.num_envs, np.bool_)
 
     def reset(self) -> NDArray[np.float32]:
-        """Begin new races, each with its own slower car."""
+        """Begin new races, and draw the slower car of each."""
         self._draw(np.arange(self.num_envs // 2))
         return self._hide(self.venv.reset())  # type: ignore[arg-type]
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Hand on the actions, each car's speed multiplied by its share."""
-        # An action of -1 is a standstill: the share is one of the speed, not of the action.
+        """Forward the actions, with each car's speed multiplied by its share."""
+        # An action of -1 is a standstill: the share applies to the speed, not to the action.
         speed = self.speed * (1.0 + np.clip(actions[:, 1], -1.0, 1.0)) - 1.0
         self.venv.step_async(np.stack([actions[:, 0], speed], axis=1))
 
     def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Make the step; where a race has ended, another car may be the slower one."""
+        """Complete the step; after the end of a race, draw its slower car again."""
         observations, rewards, done, infos = self.venv.step_wait()
         for i in np.flatnonzero(done & self.blind):
             infos[i]["terminal_observation"] = np.where(self.about_opponent, 0.0, infos[i]["terminal_observation"])
@@ -59,7 +60,7 @@ class UnequalCars(VecEnvWrapper):
         return self._hide(observations), rewards, done, infos  # type: ignore[arg-type]
 
     def _draw(self, races: NDArray[np.int64]) -> None:
-        """Draw which car of each race is slower, by how much, and whether it is blind."""
+        """Draw the slower car of each race, its speed share, and its blindness."""
         slow = 2 * races + self.rng.integers(2, size=len(races))
         both = np.concatenate([2 * races, 2 * races + 1])
         self.speed[both], self.blind[both] = 1.0, False
@@ -67,5 +68,5 @@ class UnequalCars(VecEnvWrapper):
         self.blind[slow] = self.rng.random(len(races)) < 0.5
 
     def _hide(self, observations: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Set the numbers about the opponent to 0 where a car is blind."""
+        """Set the opponent elements of blind cars' observations to 0."""
         return np.where(self.blind[:, None] & self.about_opponent, np.float32(0.0), observations)

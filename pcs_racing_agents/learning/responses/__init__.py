@@ -1,4 +1,4 @@
-"""Learned responses: networks trained on branched races, in which every move is tried with the same noise."""
+"""Learned responses: networks trained on branched races, with equal noise for every move."""
 
 from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply
 from pcs_racing_agents.learning.responses.branches import Branches, branch_games

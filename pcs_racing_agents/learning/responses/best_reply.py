@@ -1,8 +1,8 @@
-"""Loss to a learned best reply: how much an opponent wins that was trained against one agent alone.
+"""Loss to a learned best response: the result of an opponent trained against a single agent.
 
-It is an approximate best response (Timbers et al. 2020): a response is learned from nothing against the agent, and then
-races it from start lines and with noise that it did not learn from. What it wins is a lower bound of what a perfect
-opponent would: a loss is always stated together with the learner's budget.
+This is the approximate best response of Timbers et al. (2020): a response is learned from scratch
+against the agent, and then races the agent with test start lines and test noise. Its result is a
+lower bound of a perfect opponent's result: a loss is always reported with the learner's budget.
 """
 
 import math
@@ -29,20 +29,20 @@ from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 LINES = 5
-"""Start lines of each pair of variants, each driven from both sides."""
+"""Start lines of each pair of variants, each raced from both sides."""
 FEWEST = 2 * 2 * 2 * LINES
-"""Fewest races on a circuit: two variants of each car, all lines, both sides."""
+"""Minimum number of races on a track: two variants of each car, all lines, both sides."""
 RACE_SEED = 9_000_000
-"""Added to the settings' seed: other start policies, lines and noise than in training."""
+"""Offset of the settings' seed, so that start policies, lines and noise differ from training."""
 
 
 class BestReply(NamedTuple):
-    """A learned best reply to an agent, and how it raced."""
+    """Learned best response to an agent, with its races."""
 
-    network: RegretNetwork  #: The reply: values of its moves.
-    races: RaceTable  #: Of the reply (the ego) against the agent (the opponent).
-    #: The agent's loss in races won: half of the reply's wins minus its own, from -0.5 to 0.5. Where every race has a
-    #: winner, it is the share of the races that the reply won, minus one half.
+    network: RegretNetwork  #: Network of the response, predicting the values of its moves.
+    races: RaceTable  #: Races of the response (ego) against the agent (opponent).
+    #: Loss of the agent in races won: half of (response's wins minus agent's wins), from -0.5 to
+    #: 0.5. If every race has a winner, it is the response's share of wins minus one half.
     loss: Estimate
 
 
@@ -57,21 +57,21 @@ def best_reply(
     part: str = "",
     **workers: Unpack[Workers],
 ) -> BestReply:
-    """Learn a best reply to an agent and estimate what the agent loses to it on fresh races.
+    """Learn a best response to an agent, and estimate the agent's loss in test races.
 
     Parameters
     ----------
     games : sequence of RaceGame
-        One on each circuit, all of one archive and one set of rules. The reply is one network for all of them.
+        Games with equal archive and rules, one on each track. The response is one network for all.
     settings : ResponseSettings
-        The learner's budget and seed.
+        Budget and seed of the learner.
     job : Job
-        Stores branches, networks and races. Its settings must identify the agent
+        Job that stores branches, networks and races. Its settings must identify the agent
         (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
     races : int
-        About how many on all circuits together; at least 40 on each.
+        Approximate number of races on all tracks together; at least 40 on each.
     part : str
-        Beginning of the names of this work in the job.
+        Prefix of the names of this work in the job.
     """
     check_whole("races", races, FEWEST * len(games))
     reply = learn_response(games, [agent], spec, settings, job, name="best-reply", part=f"{part}reply-", **workers)
@@ -91,12 +91,13 @@ def race_on_circuits(
     name: str,
     **workers: Unpack[Workers],
 ) -> RaceTable:
-    """Race two competitors on several circuits: about so many races in all, in the crossed design of the tables."""
-    # Crossed: every start policy of one car meets every one of the other, from all lines and both sides.
+    """Race two competitors on several tracks: crossed design, about ``races`` races in total."""
+    # Crossed: every start policy of one car meets every start policy of the other car, from all
+    # lines and both sides.
     each = check_whole("races", races, FEWEST * len(games)) / len(games)
     count = max(2, round(math.sqrt(each / (2 * LINES))))
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
-    # The same start policies for both, so that an agent against itself wins as often as it loses.
+    # Both cars have the same start policies: an agent against itself wins as often as it loses.
     policies = np.sort(rng.permutation(len(games[0].archive))[:count]).tolist()
     variants: list[int | list[int]] = [count if isinstance(car, Driver) else policies for car in (ego, opponent)]
     pairings = [
@@ -109,9 +110,10 @@ def race_on_circuits(
 
 
 def excess_estimate(races: RaceTable) -> Estimate:
-    """Return half of the ego's wins minus the opponent's, as a share of the races, with a clustered interval.
+    """Return half of (ego's wins minus opponent's wins) as a share of the races.
 
-    Races that share a start policy, a driver's policy or the start line form clusters.
+    The interval is cluster-robust. Races with a common start policy, planner policy or start line
+    form clusters.
     """
     if len(races) == 0:
         raise InputError("there are no races; an estimate needs some")
@@ -119,9 +121,9 @@ def excess_estimate(races: RaceTable) -> Estimate:
     place = np.stack([races.track.codes.astype(np.float64), races.start_s.round(4)], axis=1)
     line = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
     excess = 0.5 * ((races.winner == 0).astype(np.float64) - (races.winner == 1))
-    if len(np.unique(opponent)) == 1:  # a driver with a single policy
+    if len(np.unique(opponent)) == 1:  # a planner with a single policy
         return clustered_mean(excess, ego, line)
-    one_pool = bool((races.path[:, :, 0] >= 0).all())  # both start with policies of the archive
+    one_pool = bool((races.path[:, :, 0] >= 0).all())  # both cars start with archive policies
     if one_pool:
         excess = _without_policies(excess, races.track.codes.astype(np.int64), ego, opponent)
     return clustered_mean(excess, ego, opponent, line, same_pool=one_pool)
@@ -130,11 +132,12 @@ def excess_estimate(races: RaceTable) -> Estimate:
 def _without_policies(
     excess: NDArray[np.float64], track: NDArray[np.int64], ego: NDArray[np.int64], opponent: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Return the excess of races without what the two start policies bring.
+    """Return the excess of races without the effect of the two start policies.
 
-    Where policy i as ego met policy j as opponent and the other way round, half of the difference of the two means is
-    what the stronger policy wins, for whoever has it. It is the same with opposite signs in both directions: taking it
-    off leaves the mean as it is, and takes away variance that the design has balanced.
+    If policy i as ego met policy j as opponent and vice versa, half of the difference of the two
+    means is the advantage of the stronger policy, for either car. It has opposite signs in the two
+    directions: its subtraction leaves the mean unchanged and removes variance balanced by the
+    design.
     """
     size = int(max(ego.max(), opponent.max())) + 1
     cells = (track * size + ego) * size + opponent
@@ -154,7 +157,7 @@ COLUMNS = ("agent", "track", "loss", "low", "high", "se", "df", "races", "reply_
 
 
 def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> str:
-    """Return the table of the losses of several agents, with the learner's budget."""
+    """Return the table of losses of several agents, with the learner's budget."""
     budget = (
         f"learner: {settings.starts} games branched at every step and on each circuit, {settings.rounds} rounds, "
         f"{settings.members} networks"
@@ -163,7 +166,7 @@ def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> 
 
 
 def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
-    """Return the lines of the table: each agent on each circuit, and on all if there are several."""
+    """Return the table rows: each agent on each track, and on all tracks if there are several."""
     return [
         (
             agent,
@@ -179,7 +182,7 @@ def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
 
 
 def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
-    """Write a line for each agent and circuit as CSV, and one for all circuits if there are several."""
+    """Write a CSV line for each agent and track, and a total over tracks if there are several."""
     lines: list[tuple[object, ...]] = [COLUMNS]
     for agent, track, loss, shares in _lines(replies):
         numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
@@ -188,7 +191,7 @@ def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
 
 
 def _lines(replies: Mapping[str, BestReply]) -> Iterator[tuple[str, str, Estimate, list[float]]]:
-    """Agent, circuit, loss, and the shares of races that the reply won, the agent won, and the agent crashed."""
+    """Yield agent, track, loss, and the shares of response wins, agent wins and agent crashes."""
     for agent, reply in replies.items():
         words, codes = reply.races.track
         parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]

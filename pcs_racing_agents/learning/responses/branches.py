@@ -1,6 +1,6 @@
-"""Branched games: at one step every move is tried, against the same opponent and with the same noise.
+"""Branched games: at one step every move is tried, against the same opponent with the same noise.
 
-With these common random numbers, the noise of a difference between two moves is small, so that far fewer games are
+With common random numbers the noise of a difference between two moves is small: far fewer games are
 needed than with separate games for each move.
 """
 
@@ -22,19 +22,19 @@ from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.networks import Rows
 
 PAYOFFS = ("win", "utility")
-"""Payoffs of a game: 1 for a race won, 0.5 for a tie and 0 otherwise ("win"), or the game's utility."""
+"""Payoffs of a game: 1 for a win, 0.5 for a tie and 0 otherwise ("win"), or the utility."""
 
 BLOCK = 256
-"""Games branched in one task: about a second of work."""
+"""Number of branched games in one task, about a second of work."""
 
 
 class GameBlock(NamedTuple):
-    """The games that one task branches, and all that is drawn in them."""
+    """Branched games of one task, with all random draws."""
 
-    place: tuple[int, ...]  #: What tells games of other circuits, opponents, steps and rounds from these.
-    first: int  #: ``first``, ``last``: Numbers of the games, from the first on and up to before the last.
+    place: tuple[int, ...]  #: Indices of track, opponent, step and round of the games.
+    first: int  #: ``first``, ``last``: Half-open range of game numbers, without ``last``.
     last: int
-    root: int  #: Seed of all games of this place.
+    root: int  #: Seed of all games of the place.
 
     @property
     def keys(self) -> NDArray[np.uint64]:
@@ -43,7 +43,7 @@ class GameBlock(NamedTuple):
 
 
 def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock]:
-    """Return so many games in blocks; a game depends on the seed, the place and its number alone."""
+    """Return ``count`` games in blocks; a game depends only on seed, place and its number."""
     spawn = np.random.SeedSequence(seed, spawn_key=place)
     root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
     return [GameBlock(place, first, min(first + BLOCK, count), root) for first in range(0, count, BLOCK)]
@@ -52,36 +52,36 @@ def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock
 def block_rows(arrays: Arrays, block: GameBlock, place: int, step: int, weight: float = 1.0) -> Rows:
     """Return training rows of ``observations`` and ``advantages`` in the games ``game`` of a block.
 
-    ``place``: a number of its own for each place.
+    ``place``: unique number of the place.
     """
     count = len(arrays["game"])
     return Rows(
         observations=arrays["observations"],
         targets=arrays["advantages"].astype(np.float32),
         weights=np.full(count, weight),
-        # A number of its own for each game: its row is either learned from or validated on.
+        # Unique number of each game: its row belongs to training or to validation.
         pair=place * 1_000_000 + block.first + arrays["game"],
         step=np.full(count, step),
     )
 
 
 def random_player(game: RaceGame, spec: GameSpec, seed: int) -> Agent:
-    """Return an agent that draws each move among those of a game, which may lack the spec's move "stay"."""
+    """Return an agent with uniformly random moves of a game, which may lack the spec's "stay"."""
     offered = len(game.move_names)
     probabilities = (np.arange(len(spec.moves)) < offered) / offered
     return Agent("random-moves", ConstantStrategy(probabilities), spec, seed)
 
 
 class Branches(NamedTuple):
-    """Outcomes of every move in R games that were not over at the step of the branching."""
+    """Outcomes of every move in R games that were running at the branching step."""
 
     observations: NDArray[np.float32]  #: shape (R, D): Observations of car 0.
-    outcomes: NDArray[np.float64]  #: shape (R, A): Value of the game's result for car 0 after each move.
-    game: NDArray[np.int64]  #: shape (R,): Index of the game; games that were over before are absent.
+    outcomes: NDArray[np.float64]  #: shape (R, A): Payoff of the game for car 0 after each move.
+    game: NDArray[np.int64]  #: shape (R,): Index of the game; games that ended earlier are absent.
 
 
 def outcome(game: RaceGame, state: GameState, payoff: str = "win") -> NDArray[np.float64]:
-    """Return the value of games that are over for car 0, shape (B,)."""
+    """Return the payoff of finished games for car 0, shape (B,)."""
     if payoff not in PAYOFFS:
         raise InputError(f"payoff is {payoff!r}; it must be one of {', '.join(PAYOFFS)}")
     if payoff == "utility":
@@ -106,26 +106,27 @@ def branch_games(
     Parameters
     ----------
     opponent : Competitor
-        Competitor in car 1. Of a driver, the game's key selects the policy.
+        Competitor in car 1. For a planner, the game's key selects the policy.
     keys : array of int, shape (B,)
-        Keys of the games (:func:`pcs_racing.base.seeds.race_seeds`): they determine starts, policies and noise.
+        Keys of the games (:func:`pcs_racing.base.seeds.race_seeds`), determining starts, policies
+        and noise.
     step : int
-        Moves made before the branching, 0 to ``moves - 1``.
+        Number of moves before the branching, 0 to ``moves - 1``.
     behaviours : sequence of Competitor
-        Competitors in car 0 before the branching; they take turns, game by game.
+        Competitors in car 0 before the branching, assigned to the games cyclically.
     continuation : Competitor
-        Competitor in car 0 afterwards.
+        Competitor in car 0 after the branching.
     payoff : {"win", "utility"}
-        What a game counts.
+        Payoff of a game.
     count : int, optional
-        Number of moves to try, from the first on; by default all.
+        Number of moves to try, starting with the first; by default all.
     """
     if not 0 <= step < game.config.moves:
         raise InputError(f"step is {step}; it must lie in 0 to {game.config.moves - 1}")
     numbers = np.asarray(keys, np.uint64)
     policies = None
     if isinstance(opponent, Driver):
-        # By the key, not by the number of the game: a block must not depend on what else is in the batch.
+        # By key, not by game number: a block must not depend on the rest of the batch.
         policies = [opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers]
     state = game.reset(numbers, opponents=policies)
     behaviour_of = np.arange(state.games) % len(behaviours)
@@ -139,7 +140,7 @@ def branch_games(
     count = len(game.move_names) if count is None else count
     state = take_games(state, running)
     observations = game.observation(state)[:, 0]
-    # The opponent moves at the same moment, without knowing the branch: it is asked once for all of them.
+    # The opponent moves simultaneously, without knowing the branch: one query serves all branches.
     opponent_moves = ask_moves(opponent, game, state, 1)
     rows, moves, branch = _different_branches(game, state, count)
     state = take_games(state, rows)
@@ -153,20 +154,18 @@ def branch_games(
 def _different_branches(
     game: RaceGame, state: GameState, count: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the branches to drive: of several moves of car 0 that lead to the same policy only the first one.
+    """Return the branches to simulate: the first of all moves of car 0 to the same policy.
 
-    The others would be the same race to the last bit: a game goes on from where the cars are and from their policies,
-    and keeps no record of the moves.
+    The other branches would be bit-identical races: a game continues from the state of the cars and
+    their policies, without a record of the moves.
 
     Returns
     -------
     rows, moves : ndarray, shape (N,)
         Game and move of each branch.
     branch : ndarray, shape (R, count)
-        Index of the branch in which each game goes on after each move.
+        Index of the branch of each game after each move.
     """
-    # The others would be the same race to the last bit: a game goes on from where the cars are and from their policies,
-    # and keeps no record of the moves.
     after = game.next_policy(state.policy[:, :1], np.arange(count))
     first = np.argmax(after[:, :, None] == after[:, None, :], axis=2)
     driven = first == np.arange(count)

@@ -1,4 +1,4 @@
-"""Networks that are trained as tasks of a job, and kept in its folder: a run that resumes does not train them again.
+"""Networks trained as tasks of a job and cached in its folder: a resumed run does not retrain them.
 
 The mean of several networks is a wider network with block-diagonal layers.
 """
@@ -25,7 +25,7 @@ from pcs_racing_agents.networks.settings import TrainSettings
 
 
 def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
-    """Return a network whose output is the mean of the outputs of several networks."""
+    """Return a network that outputs the mean of the outputs of several networks."""
     from scipy.linalg import block_diag
 
     if len(networks) == 0:
@@ -42,7 +42,7 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
     weights, biases = [], []
     last = len(first.layers.weights) - 1
     for layer in range(last + 1):
-        # Each member scales its inputs in its own way; the merged network has the scaling of the first.
+        # Members have different input scalings; the merged network has the first member's scaling.
         blocks, shifts = zip(*(_layer(network, layer, first) for network in networks), strict=True)
         if layer == last:
             share = np.float64(1.0 / len(networks))
@@ -65,16 +65,16 @@ def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDA
     weight, bias = network.layers.weights[layer].astype(np.float64), network.layers.biases[layer].astype(np.float64)
     if layer > 0:
         return weight, bias
-    # (x - mean) / scale of this network, written in the scaled inputs of the first one.
+    # (x - mean) / scale of this network, in terms of the scaled inputs of the first network.
     ratio = like.scale.astype(np.float64) / network.scale
     shift = (like.mean.astype(np.float64) - network.mean) / network.scale
     return weight * ratio, bias + (weight * shift).sum(axis=1)
 
 
 class _NetworkTask(NamedTuple):
-    """One network to train, by what it depends on."""
+    """One network to train, identified by its inputs."""
 
-    rows: str  #: Digest of the rows that it learns from.
+    rows: str  #: Digest of the training rows.
     settings: TrainSettings
 
 
@@ -87,11 +87,12 @@ def train_kept(
     name: str,
     executor: Executor | None = None,
 ) -> list[RegretNetwork]:
-    """Return a network of advantages for each of several settings, all trained on the same rows.
+    """Return an advantage network for each of several settings, all trained on the same rows.
 
-    ``job``: keeps the networks. ``executor``: where they are trained, if its tasks run in other processes.
+    ``job``: cache of the networks. ``executor``: executor of the training, if its tasks run in
+    other processes.
     """
-    # Rows are large and the same for all members: a task names them by a digest, and they travel with the function.
+    # Rows are large and common to all members: a task holds their digest, the function holds them.
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
     tasks = [_NetworkTask(digest, one) for one in settings]
     kept = job.run(part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor))
@@ -118,5 +119,5 @@ def _unpacked(arrays: Arrays, identity: GameIdentity, name: str) -> RegretNetwor
         layers=DenseLayers(weights, biases),
         mean=arrays["mean"],
         scale=arrays["scale"],
-        training=json.loads(str(arrays["training"])),  # its losses may be NaN
+        training=json.loads(str(arrays["training"])),  # losses may be NaN
     )

@@ -1,9 +1,10 @@
-"""Learned responses: approximate best responses to a pool of opponents, by backward induction on branched games.
+"""Learned responses: approximate best responses to a pool, by backward induction on branched games.
 
-At the last step every move is tried in games against the pool, and a network learns the advantage of each move from
-the observation. Then the same at the step before, where that network makes the later moves, and so on. It is fitted
-Q-iteration (Ernst et al. 2005) over a finite horizon with one pass per round, on advantages whose variance is reduced
-by common random numbers. An observation holds nothing about the circuit, so the network can be used on any.
+At the last step every move is tried in games against the pool, and a network learns the advantage
+of each move from the observation. The step before follows in the same way; there this network makes
+the later moves. The induction ends at the first step. This is fitted Q-iteration (Ernst et al.
+2005) over a finite horizon with one pass per round, on advantages with a variance reduced by common
+random numbers. Observations contain nothing about the track, so the network works on any track.
 """
 
 from collections.abc import Sequence
@@ -44,7 +45,7 @@ ROWS_PER_EPOCH = 50_000
 
 @dataclass(frozen=True)
 class LearnerSettings(Settings):
-    """What is learned from branched games, and how networks are fitted to it."""
+    """Settings of the payoff of branched games and of network training."""
 
     # The name of this option is in the files of shipped networks.
     worth: Annotated[str, OneOf(PAYOFFS), "Payoff of a game: a race won, or the game's utility."] = "win"
@@ -60,7 +61,7 @@ class LearnerSettings(Settings):
     ] = 12
 
     def fit_settings(self, seed: int) -> TrainSettings:
-        """Return the settings of the training of a network."""
+        """Return the settings of one network's training."""
         return TrainSettings(
             hidden=self.hidden,
             learning_rate=self.learning_rate,
@@ -75,7 +76,7 @@ class LearnerSettings(Settings):
 
 @dataclass(frozen=True)
 class ResponseSettings(LearnerSettings):
-    """Settings of the training of a response."""
+    """Settings of response training."""
 
     starts: Annotated[
         int,
@@ -93,12 +94,12 @@ class ResponseSettings(LearnerSettings):
     seed: Annotated[int, Interval(ge=0, le=2**57 - 1), "Seed of the games and of the networks."] = 0
 
     def train_settings(self, member: int) -> TrainSettings:
-        """Return the settings of one of the networks."""
+        """Return the training settings of a member of the ensemble."""
         return self.fit_settings(self.seed * 64 + member)
 
 
 def load_response_settings(source: str | Path | ResponseSettings | None = None, **changes: Any) -> ResponseSettings:
-    """Return settings from a name, a YAML file or settings, with some fields changed; see :func:`load_config`."""
+    """Return settings from a name, a YAML file or settings, with changes (:func:`load_config`)."""
     return load_config("response", ResponseSettings(), source, **changes)
 
 
@@ -119,17 +120,18 @@ def learn_response(
     Parameters
     ----------
     games : sequence of RaceGame
-        One on each circuit, all of one archive and one set of rules.
+        Games with equal archive and rules, one on each track.
     shares : sequence of float, optional
-        How often each opponent is met, in any unit. By default each is met ``settings.starts`` times; with shares,
-        all together are.
+        Relative frequency of each opponent, in any unit. By default each opponent is met
+        ``settings.starts`` times; with shares, ``settings.starts`` is the total.
     part : str
-        Beginning of the names of this work in the job, where the job learns several networks.
+        Prefix of the names of this work in the job, for jobs that learn several networks.
 
     Returns
     -------
     RegretNetwork
-        Its values are advantages over the mean of all moves, in shares of races won (or in units of utility).
+        Network that predicts advantages over the mean of all moves, in shares of races won (or in
+        units of utility).
     """
     if len(games) == 0 or len(pool) == 0:
         raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
@@ -153,7 +155,8 @@ def learn_response(
     for round_ in range(settings.rounds):
         behaviours = [random_moves] if network is None else [random_moves, network_agent(network, spec)]
         for step in reversed(range(games[0].config.moves)):
-            # In the first pass the branches of the last step have no later moves, so any continuation does.
+            # In the first pass, branches of the last step have no later moves: the continuation is
+            # irrelevant.
             continuation = random_moves if network is None else network_agent(network, spec)
             blocks = [
                 block
@@ -165,10 +168,10 @@ def learn_response(
             part_name = f"{part}round-{round_}-step-{step}"
             branched = job.run(part_name, work, blocks, **workers)
             for arrays, block in zip(branched, blocks, strict=True):
-                if len(arrays["game"]):  # not all of its games were over before
+                if len(arrays["game"]):  # some of its games were still running
                     i, j, _, _ = block.place
                     rows.append(block_rows(arrays, block, (round_ * 100 + step) * 1000 + i * 50 + j, step))
-            # Networks in between only continue branches; their mean over many members would change little.
+            # Intermediate networks only continue branches; more members would change little.
             last = round_ == settings.rounds - 1 and step == 0
             network = fit(settings.members if last else min(settings.members, 2), part_name)
     assert network is not None
@@ -197,6 +200,6 @@ def _branch(
 ) -> Arrays:
     i, j, step, _ = block.place
     branches = branch_games(played[i][j], pool[j], block.keys, step, behaviours, continuation, payoff, count)
-    # The mean of all moves is that of the situation, which tells nothing about which move to make.
+    # The mean over all moves is the value of the situation, irrelevant for the choice of a move.
     advantages = branches.outcomes - branches.outcomes.mean(axis=1, keepdims=True)
     return {"observations": branches.observations, "advantages": advantages, "game": branches.game}
