@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageFont
 from recorded_races import race_on_a_circle, race_on_a_straight
 from refusal import refused
 
@@ -229,6 +229,30 @@ def test_paths_are_painted_where_they_are_in_their_colours():
     check(painted(painting.paint_plan, camera, BLUE, paths[4]), [])
     stops, found = [(0, 100), (40, 0), (100, 100)], [(0, 100), (0, 100), (20, 50), (70, 50), (100, 100), (100, 100)]
     assert [painting._between(stops, share) for share in (-1.0, 0.0, 0.25, 0.75, 1.0, 2.0)] == found
+
+
+@pytest.mark.parametrize(("scale", "gap"), [(10.0, 4.0 + 1.7 * 11.0), (120.0, 4.0 + 1.85 * 30.0)])
+def test_a_name_ends_a_gap_before_its_car_and_in_the_frame(scale, gap):
+    """A small car is an arrow of 11 pixels, a large one has its arrow at 1.85 half lengths."""
+
+    def box(cars, car):
+        image = Image.new("RGB", (600, 400), "white")
+        camera = Camera(0.0, 0.0, scale * painting.FINER, 600 * painting.FINER, 400 * painting.FINER)
+        names = [*[""] * car, "driver"]
+        cars, font = np.array(cars) / scale, ImageFont.load_default(16)
+        painting.paint_names(image, camera, cars, np.array([[0.25, 0.1]]), names, font, 30.0)
+        rows, columns = np.nonzero((np.asarray(image) != 255).any(axis=2))
+        return columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
+
+    left, top, right, bottom = box([(0.0, 0.0), (90.0, 0.0), (-80.0, 0.0)], 0)
+    assert (left, (top + bottom) / 2) == pytest.approx((300 + gap, 200), abs=2.0)
+    assert box([(0.0, 0.0), (80.0, 0.0)], 0)[2] == pytest.approx(300 - gap, abs=2.0)
+    left, _, right, bottom = box([(0.0, 0.0)], 0)
+    assert ((left + right) / 2, bottom) == pytest.approx((300, 200 - gap), abs=2.0)
+    assert box([(0.0, 0.0), (0.5, 0.0)], 1)[1] == pytest.approx(200 + gap, abs=2.0)
+    assert box([(295.0, 195.0), (0.0, 0.0)], 0)[1:3] == pytest.approx((30, 600), abs=2.0)
+    left, _, _, bottom = box([(-295.0, -195.0), (0.0, 0.0)], 0)
+    assert (left, bottom) == pytest.approx((0, 400), abs=2.0)
 
 
 @pytest.mark.parametrize(("scale", "arrow"), [(53.4, False), (53.3, True)])
