@@ -163,7 +163,7 @@ def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -
     """Refuse numbers of a state outside a range, both ends included."""
     wrong = (values < low) | (values > high)
     if wrong.any():
-        most = float(np.max(high))
+        most = float(np.broadcast_to(high, values.shape)[wrong][0])
         raise InputError(f"{name} holds {values[wrong][0]}; it must be from {low:g} to {most:g}")
 
 

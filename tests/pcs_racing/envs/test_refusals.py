@@ -9,6 +9,7 @@ from refusal import refused
 
 from pcs_racing import InputError
 from pcs_racing.base.errors import UnknownArgumentError
+from pcs_racing.envs.batch import check_within
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
 from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
@@ -247,6 +248,15 @@ def test_an_impossible_state_is_one_error_and_changes_nothing(kinds, harm, messa
         refused(message, env.set_state, harm(before))
         twin.set_state(before)
         assert flat(env.step(act(env))) == flat(twin.step(act(twin)))
+
+
+def test_a_number_out_of_range_is_named_with_the_end_of_its_own_circuit():
+    lengths = np.array([[40.0], [20.0]])
+    check_within("s", np.array([[0.0, 40.0], [0.0, 20.0]]), 0.0, lengths)
+    for wrong in (20.5, -0.5):
+        refused(
+            f"s holds {wrong}; it must be from 0 to 20", check_within, "s", np.array([[5.0], [wrong]]), 0.0, lengths
+        )
 
 
 def leaves(part, path=()):
