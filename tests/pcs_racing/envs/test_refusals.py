@@ -247,6 +247,7 @@ def test_an_impossible_state_is_one_error_and_changes_nothing(kinds, harm, messa
         before = env.get_state()
         refused(message, env.set_state, harm(before))
         twin.set_state(before)
+        assert np.array_equal(twin.batch.both_views(), env.batch.both_views())
         assert flat(env.step(act(env))) == flat(twin.step(act(twin)))
 
 
