@@ -104,6 +104,8 @@ def test_normalised_observations_run_from_minus_one_to_one_between_the_bounds(co
     for _ in range(3):
         seen, scaled_seen = (env.step(action(0.2, 5.0))[0] for env in (plain, scaled))
     low, high = (np.array([getattr(element, name) for element in plain.elements]) for name in ("low", "high"))
+    steered = ["speed" not in element.name for element in plain.elements]
+    assert ((low == 0.0) | (low == -high))[steered].all()  # as far to the left as to the right
     np.testing.assert_allclose(scaled_seen, 2.0 * (seen - low) / (high - low) - 1.0, atol=1e-6)
     np.testing.assert_allclose([scaled.observation_space.low[0], scaled.observation_space.high[0]], [-1.0, 1.0])
     np.testing.assert_allclose(plain.observation_space.low, low, rtol=1e-6)
