@@ -46,17 +46,12 @@ def test_a_frame_shows_both_cars_where_they_are_and_the_track_between_its_walls(
         assert tuple(pixel) == colour
 
 
-def test_both_cars_stay_in_sight_and_names_stand_on_the_side_away_from_the_other(race):
+def test_both_cars_stay_in_sight(race):
     renderer = Renderer(race, 300, 300, view="both")
     for apart in (0.5, 4.0, 14.0):
         frame = renderer.render(np.array([state(2.0, 0.6, 0.0), state(2.0 + apart, 0.6, 0.0)]))
         assert near(frame, BLUE).sum() > 20
         assert near(frame, AMBER).sum() > 20
-    cars = np.array([state(6.0, 1.0, 0.0), state(9.0, 1.0, 0.0)])
-    frame = Renderer(race, 600, 400, view="both").render(cars, names=("you", "opponent"))
-    columns = [np.nonzero(near(frame, colour, 9))[1] for colour in (NAME_BLUE, NAME_AMBER, BLUE, AMBER)]
-    you, opponent, blue, amber = (np.median(found) for found in columns)
-    assert you < blue < amber < opponent
 
 
 @pytest.mark.parametrize("view", views(2))
