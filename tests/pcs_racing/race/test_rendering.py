@@ -95,6 +95,7 @@ def test_a_track_is_a_scene_whose_names_can_be_read(oval):
 
 
 def test_impossible_wishes_are_named(race, tmp_path):
+    assert views(3) == (*views(2), "car_2") == (*views(1), "car_2") == ("track", "both", "car_0", "car_1", "car_2")
     for name, value in [("mode", "ansi"), ("view", "car_2"), ("width", 10), ("height", 2.5)]:
         refused(name, Renderer, race, **{name: value})
     refused("scene", Renderer, "Spielberg")
