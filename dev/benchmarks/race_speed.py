@@ -2,7 +2,7 @@
 
     python dev/benchmarks/race_speed.py                    # on a shipped circuit
     python dev/benchmarks/race_speed.py --track DIR --json # ends with one JSON line holding ms_per_race_per_core
-    python dev/benchmarks/race_speed.py --against PATH     # beside the package in another checkout: how many times as fast
+    python dev/benchmarks/race_speed.py --against PATH     # times as fast as the package in another checkout
 
 Processor time, the best of several repeats, scaled to 40 s (races end early in a crash). With ``--against`` the two
 packages take turns, each in a process of its own.

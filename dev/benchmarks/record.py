@@ -2,7 +2,7 @@
 
     python dev/benchmarks/record.py            measure
     python dev/benchmarks/record.py --add      measure, and add a line to dev/benchmarks/history.csv
-    python dev/benchmarks/record.py --check    measure, and compare with the history; exit code 1 if something got slower
+    python dev/benchmarks/record.py --check    measure, and compare with the history; exit code 1 if slower
     python dev/benchmarks/record.py --show     print the history
 
 Every time is divided by that of a fixed piece of compiled arithmetic (the reference), measured in turn with it: the

@@ -38,7 +38,7 @@ CONSTANT = f"{ALWAYS}MOVE"
 
 STRENGTH = """## Strength and cost
 
-`python dev/benchmarks/zoo.py --write` measures all agents and drivers that race with their defaults, and the lattice, the
+`python dev/benchmarks/zoo.py --write` measures all agents and planners with their defaults, and the lattice, the
 planner of the archives' policies, with its defaults and with two parameters set by hand:
 
 - **score**: share of races won, where a tie counts half; the mean over six opponents (without the agent itself),

@@ -98,7 +98,7 @@ def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
 
 
 @kernel
-def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
+def dense_forward(flat, sizes, x, y, tanh):
     """Pass ``x[:sizes[0]]`` through all layers with numbers ``flat`` (:meth:`DenseLayers.flat`).
 
     ``x`` and ``y``, each of length ``max(sizes)``, are overwritten. The outputs are in ``y`` if the
@@ -140,7 +140,7 @@ def dense_forward(flat, sizes, x, y, tanh):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def dense_rows(rows, flat, sizes, scratch, out):  # type: ignore[no-untyped-def]
+def dense_rows(rows, flat, sizes, scratch, out):
     """Compute ``out = W_L relu(... relu(W_1 x + b_1) ...) + b_L`` for each row.
 
     Return whether all inputs are finite. ``rows`` has shape (R, D), ``out`` (R, A) and ``scratch``

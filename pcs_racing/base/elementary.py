@@ -22,7 +22,7 @@ _ROUNDER = 6755399441055744.0  # 1.5 * 2**52: added to a number it leaves the ne
 
 
 @kernel(forceinline=True)
-def sine_cosine(angle):  # type: ignore[no-untyped-def]
+def sine_cosine(angle):
     """Return the sine and cosine of an angle in rad, |angle| < 1000, with an error below 1.5e-16.
 
     There is no branch and no table, so that loops over many angles use vector instructions.
@@ -51,7 +51,7 @@ def sine_cosine(angle):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def tangent(angle):  # type: ignore[no-untyped-def]
+def tangent(angle):
     """Return the tangent of an angle in rad, |angle| < 1000.
 
     The error is at most 3 ulp, away from zeros and poles beyond the first.
@@ -61,7 +61,7 @@ def tangent(angle):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def arctangent(x):  # type: ignore[no-untyped-def]
+def arctangent(x):
     """Return the angle in [-pi/2, pi/2] with the tangent x, in rad, to 1 ulp."""
     # Large arguments are turned by a quarter or an eighth of a circle, into the range of sufficient
     # accuracy of the fraction below; ``rest`` is the rounding error of that turn.
@@ -83,7 +83,7 @@ def arctangent(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def arctangent2(y, x):  # type: ignore[no-untyped-def]
+def arctangent2(y, x):
     """Return the angle in [-pi, pi] of the direction (x, y), in rad, to 2 ulp; 0 at the origin."""
     if x == 0.0 and y == 0.0:
         return 0.0
@@ -98,19 +98,19 @@ def arctangent2(y, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def arcsine(x):  # type: ignore[no-untyped-def]
+def arcsine(x):
     """Return the angle in [-pi/2, pi/2] with the sine x in [-1, 1], in rad, to 3 ulp."""
     return arctangent2(x, np.sqrt((1.0 - x) * (1.0 + x)))
 
 
 @inner_kernel(forceinline=True)
-def _power_of_two(n):  # type: ignore[no-untyped-def]
+def _power_of_two(n):
     """Return 2.0**n for whole n in [-1022, 1023]."""
     return np.int64((n + 1023) << 52).view(np.float64)
 
 
 @kernel
-def exponential(x):  # type: ignore[no-untyped-def]
+def exponential(x):
     """Return e**x to 2 ulp; 0 below -745.2 and infinity above 709.8."""
     if not -746.0 < x < 710.0:
         return x + np.inf if not x <= -746.0 else 0.0
@@ -126,7 +126,7 @@ def exponential(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
+def hyperbolic_tangent(x):
     """Return the hyperbolic tangent, to 2 ulp."""
     a = abs(x)
     # Near 0 the exponentials would cancel; a fraction replaces them there.
@@ -140,7 +140,7 @@ def hyperbolic_tangent(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def sines_cosines(angles):  # type: ignore[no-untyped-def]
+def sines_cosines(angles):
     """Return the sines and cosines of many angles, shape (N,), in rad, each within 1000 of 0."""
     sines = np.empty(angles.shape[0])
     cosines = np.empty(angles.shape[0])
@@ -150,7 +150,7 @@ def sines_cosines(angles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def headings(vectors):  # type: ignore[no-untyped-def]
+def headings(vectors):
     """Return the angles in [-pi, pi] of plane vectors, shape (N, 2), in rad."""
     out = np.empty(vectors.shape[0])
     for k in range(vectors.shape[0]):

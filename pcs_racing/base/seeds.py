@@ -22,7 +22,7 @@ def race_seeds(seed: int, races: int) -> NDArray[np.uint64]:
     return np.array([race_seed(seed, index) for index in range(races)], np.uint64)
 
 
-def scramble(bits):  # type: ignore[no-untyped-def]
+def scramble(bits):
     """Scramble 64 bits, or each number of an array: splitmix64's finaliser (Steele et al. 2014)."""
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

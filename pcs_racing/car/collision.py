@@ -37,7 +37,7 @@ class Rectangle(NamedTuple):
 
 
 @kernel
-def rectangles_overlap(a, b):  # type: ignore[no-untyped-def]
+def rectangles_overlap(a, b):
     """Return whether two rectangles share a positive area, by their four separating axes."""
     # Most cars are far apart: decided without a sine.
     dx = b.x - a.x
@@ -60,7 +60,7 @@ def rectangles_overlap(a, b):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ignore[no-untyped-def]
+def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):
     """Return whether a segment, in a rectangle's own frame, passes through its inside."""
     if max(ax, bx) <= -half_length or min(ax, bx) >= half_length:
         return False
@@ -73,7 +73,7 @@ def _segment_in_rectangle(ax, ay, bx, by, half_length, half_width):  # type: ign
 
 
 @kernel
-def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
+def inside_wall(track, x, y):
     """Return whether a point lies in a wall cell, off the track or outside the map."""
     row = np.floor((y - track.origin_y) / track.cell)
     column = np.floor((x - track.origin_x) / track.cell)
@@ -84,7 +84,7 @@ def inside_wall(track, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _wall_in_rectangle(near, stretch, body):  # type: ignore[no-untyped-def]
+def _wall_in_rectangle(near, stretch, body):
     """Return whether a wall visible from a stretch passes through the inside of a rectangle."""
     s, c = sine_cosine(body.psi)
     dx = body.x - near.seen_middle[stretch, 0]
@@ -108,7 +108,7 @@ def _wall_in_rectangle(near, stretch, body):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def hits_wall(near, s, body):  # type: ignore[no-untyped-def]
+def hits_wall(near, s, body):
     """Compute `car_hits_wall` for :class:`WallArrays`, a :class:`Rectangle` and an arc length in [0, length)."""
     half_length, half_width = body.half_length, body.half_width
     per_cell = 1.0 / near.cell
@@ -142,7 +142,7 @@ def hits_wall(near, s, body):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore[no-untyped-def]
+def car_hits_wall(track, x, y, psi, half_length, half_width, s):
     """Return whether the rectangle of a car at arc length ``s`` (m) reaches into a wall.
 
     Everything outside the map is wall. The distance field settles the clear cases. Otherwise the
@@ -156,7 +156,7 @@ def car_hits_wall(track, x, y, psi, half_length, half_width, s):  # type: ignore
 
 
 @compiled
-def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
+def _clip(polygon, count, a, b, limit, out):
     """Clip a convex polygon to a x + b y <= limit; return its size (Sutherland, Hodgman 1974)."""
     kept = 0
     for i in range(count):
@@ -179,7 +179,7 @@ def _clip(polygon, count, a, b, limit, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _middle_of_overlap(a, b):  # type: ignore[no-untyped-def]
+def _middle_of_overlap(a, b):
     """Return the centroid of the shared area of two rectangles, relative to the first's centre.
 
     Without a shared area, return the point half way to the second's centre.
@@ -214,7 +214,7 @@ def _middle_of_overlap(a, b):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
+def _axis(dx, dy, psi, reach):
     """Return the axis of direction psi, oriented along (dx, dy), and the penetration along it.
 
     ``reach`` is the sum of the two shapes' half extents on the axis.
@@ -227,7 +227,7 @@ def _axis(dx, dy, psi, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def contact_fault(state0, state1, a, b):  # type: ignore[no-untyped-def]
+def contact_fault(state0, state1, a, b):
     """Decide which car is at fault for a contact, from two vehicle states and rectangles.
 
     At least one car is at fault. The contact direction is the axis of minimum penetration of the

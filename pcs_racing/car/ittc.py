@@ -22,7 +22,7 @@ _OUTSIDE = 1e-8
 
 
 @kernel(forceinline=True)
-def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untyped-def]
+def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):
     """Return the smaller of ``best`` and the minimum time to collision (s) with the points of a segment.
 
     The ends a and b (m) and the velocity (m/s) are relative to the lidar. ``speed``, the norm of
@@ -63,7 +63,7 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):  # type: ignore[no-untype
 
 
 @inner_kernel(forceinline=True)
-def _outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-def]
+def _outside_circle(ax, ay, bx, by, cx, cy, square):
     """Return whether the segment from a to b lies outside the circle about c.
 
     ``square`` is the square of the radius.
@@ -81,7 +81,7 @@ def _outside_circle(ax, ay, bx, by, cx, cy, square):  # type: ignore[no-untyped-
 
 
 @inner_kernel(forceinline=True)
-def walls_ittc(near, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-def]
+def walls_ittc(near, stretch, x, y, vx, vy, best):
     """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
     speed = np.sqrt(vx * vx + vy * vy)
     if speed == 0.0:
@@ -114,7 +114,7 @@ def walls_ittc(near, stretch, x, y, vx, vy, best):  # type: ignore[no-untyped-de
 
 
 @inner_kernel
-def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: ignore[no-untyped-def]
+def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):
     """Return the smaller of ``best`` and the minimum time to collision with a rectangle at (x, y) from the lidar."""
     speed = np.sqrt(vx * vx + vy * vy)
     nearest = np.sqrt(x * x + y * y) - half_length - half_width  # lower bound
@@ -132,7 +132,7 @@ def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):  # type: i
 
 
 @kernel
-def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):  # type: ignore[no-untyped-def]
+def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):
     """Return the minimum instantaneous time to collision of a lidar with the walls and, optionally, the opponent.
 
     Walls hidden by the opponent count too. Rotation of either car is ignored: the direction of a

@@ -23,7 +23,7 @@ LANES_SIZE = _HANDLING + LANES * len(Handling._fields)
 
 
 @kernel
-def load_car(lanes, lane, state, p):  # type: ignore[no-untyped-def]
+def load_car(lanes, lane, state, p):
     """Put a car with a row of parameters into a lane."""
     for k in range(_vehicle.STATE_SIZE):
         lanes[_STATE + LANES * k + lane] = state[k]
@@ -33,21 +33,21 @@ def load_car(lanes, lane, state, p):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def store_car(lanes, lane, state):  # type: ignore[no-untyped-def]
+def store_car(lanes, lane, state):
     """Read the state of the car in a lane."""
     for k in range(_vehicle.STATE_SIZE):
         state[k] = lanes[_STATE + LANES * k + lane]
 
 
 @inner_kernel(forceinline=True)
-def set_target(lanes, lane, steer, speed):  # type: ignore[no-untyped-def]
+def set_target(lanes, lane, steer, speed):
     """Set the target steering angle (rad) and speed (m/s) of the car in a lane."""
     lanes[_STEER + lane] = steer
     lanes[_SPEED + lane] = speed
 
 
 @inner_kernel(forceinline=True)
-def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
+def step_slow_car(lanes, lane, state, p, dt):
     """Advance ``state`` alone and return True if the lane's car is too slow for `step_lanes`."""
     if lanes[LANES * _vehicle.V + lane] >= _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt:
         return False
@@ -57,7 +57,7 @@ def step_slow_car(lanes, lane, state, p, dt):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def step_lanes(lanes, cars, dt):  # type: ignore[no-untyped-def]
+def step_lanes(lanes, cars, dt):
     """Advance the cars in the first ``cars`` lanes by one step of ``dt`` seconds towards their targets.
 
     ``VECTOR`` lanes are computed at a time. The lanes beyond the cars, up to the next multiple, are

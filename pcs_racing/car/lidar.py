@@ -21,7 +21,7 @@ MOST_BEAMS = 100_000
 
 
 @compiled
-def _scan_all(track, beams, poses, has_opponent, opponents, half_length, half_width, out):  # type: ignore[no-untyped-def]
+def _scan_all(track, beams, poses, has_opponent, opponents, half_length, half_width, out):
     work = np.empty(WORK_SHAPE)
     for k in range(poses.shape[0]):
         x, y, psi = poses[k]

@@ -51,7 +51,7 @@ class Beams(NamedTuple):
 
 
 @inner_kernel(forceinline=True)
-def _angle(x, y):  # type: ignore[no-untyped-def]
+def _angle(x, y):
     """Return the direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49).
 
     There is no branch, for vectorisation.
@@ -69,7 +69,7 @@ def _angle(x, y):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
+def _faces_lidar(ax, ay, bx, by):
     """Return whether a segment has the lidar on its left and spans more than 3e-7 rad.
 
     This angle is well above the error of `_angle`.
@@ -80,7 +80,7 @@ def _faces_lidar(ax, ay, bx, by):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-untyped-def]
+def _find_angles(beams, x, y, cos, sin, px, py, angles):
     """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2 pi].
 
     Vectorisable, like `_choose`: no branch, no lookup.
@@ -94,7 +94,7 @@ def _find_angles(beams, x, y, cos, sin, px, py, angles):  # type: ignore[no-unty
 
 
 @inner_kernel(forceinline=True)
-def _span(beams, begin, end):  # type: ignore[no-untyped-def]
+def _span(beams, begin, end):
     """Return the span of a segment between two angles, in beams from the first beam.
 
     The begin is below 0 if the segment crosses the first direction.
@@ -106,7 +106,7 @@ def _span(beams, begin, end):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyped-def]
+def _choose(beams, x, y, px, py, angles, last, chosen):
     """Mark, by its first corner, each segment that faces the lidar and is met by a beam.
 
     Half of all segments face away or fall between two beams, unpredictably. A pair of corners with
@@ -121,7 +121,7 @@ def _choose(beams, x, y, px, py, angles, last, chosen):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
+def _fill(cos, sin, p, q, first, last, out):
     """Draw an inverse range into a run of beams; the larger wins."""
     # Unsigned: a possibly negative index (counted from the end, in Python) prevents vectorisation.
     for k in range(np.uint64(first), np.uint64(last + 1)):
@@ -131,7 +131,7 @@ def _fill(cos, sin, p, q, first, last, out):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-def]
+def _draw(beams, x, y, cos, sin, px, py, work, out):
     """Draw the segments between successive corners into a buffer of inverse ranges.
 
     A beam in the direction (c, s) of the car's frame meets a segment at the inverse range ``p c + q s``.
@@ -173,7 +173,7 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):  # type: ignore[no-untyped-
 
 
 @inner_kernel
-def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):  # type: ignore[no-untyped-def]
+def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):
     """Draw a list of corners, in parts that fit into the working memory."""
     for begin in range(first, end - 1, work.shape[1] - 1):
         stop = min(begin + work.shape[1], end)
@@ -181,7 +181,7 @@ def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):  # type: 
 
 
 @inner_kernel
-def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-untyped-def]
+def _draw_walls(track, beams, x, y, cos, sin, s, work, out):
     """Draw the walls and obstacles visible from arc length s into a buffer of inverse ranges."""
     corners, start = track.corners, track.corners_start
     lists = start.shape[0] - 1
@@ -191,7 +191,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):  # type: ignore[no-
 
 
 @inner_kernel
-def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):  # type: ignore[no-untyped-def]
+def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):
     """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
     px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
@@ -208,7 +208,7 @@ def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, ou
 
 
 @inner_kernel
-def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-def]
+def _follow(track, beams, x, y, cos, sin, k, reach):
     """Follow beam k through the cells of the grid; return its range in m, at most ``reach``."""
     c = cos * beams.cos[k] - sin * beams.sin[k]
     s = sin * beams.cos[k] + cos * beams.sin[k]
@@ -219,7 +219,7 @@ def _follow(track, beams, x, y, cos, sin, k, reach):  # type: ignore[no-untyped-
 
 
 @inner_kernel(forceinline=True)
-def _stands_out(out, k):  # type: ignore[no-untyped-def]
+def _stands_out(out, k):
     """Return whether the jump behind beam k is more than a slope.
 
     Along a wall at a grazing angle, ranges grow steadily.
@@ -230,7 +230,7 @@ def _stands_out(out, k):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _jumps(out, k):  # type: ignore[no-untyped-def]
+def _jumps(out, k):
     """Return whether there is a jump behind beam k."""
     before = np.uint64(k)  # as in `_fill`
     after = before + np.uint64(1)
@@ -240,7 +240,7 @@ def _jumps(out, k):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _smooth(out, first, last):  # type: ignore[no-untyped-def]
+def _smooth(out, first, last):
     """Return whether a run of beams has no jump; vectorisable."""
     jumps = 0
     for k in range(np.uint64(first), np.uint64(last)):
@@ -249,7 +249,7 @@ def _smooth(out, first, last):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _settle_jump(track, beams, x, y, cos, sin, k, out):  # type: ignore[no-untyped-def]
+def _settle_jump(track, beams, x, y, cos, sin, k, out):
     """Follow the beams on both sides of the jump behind beam k; return the last settled beam.
 
     A beam that passes the nearer object agrees: its range beyond that object was not in doubt.
@@ -274,7 +274,7 @@ def _settle_jump(track, beams, x, y, cos, sin, k, out):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped-def]
+def _settle_edges(track, beams, x, y, cos, sin, out):
     """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer."""
     last = out.shape[0] - 1
     k = 0
@@ -289,7 +289,7 @@ def _settle_edges(track, beams, x, y, cos, sin, out):  # type: ignore[no-untyped
 
 
 @kernel
-def scan_walls(track, beams, x, y, psi, s, work, out):  # type: ignore[no-untyped-def]
+def scan_walls(track, beams, x, y, psi, s, work, out):
     """Begin a scan: write the inverse ranges of the walls, 1/m; return False for a lidar in a wall.
 
     `scan_car` adds cars; inverting the buffer then gives the ranges. In a wall all ranges are 0
@@ -318,7 +318,7 @@ def scan_walls(track, beams, x, y, psi, s, work, out):  # type: ignore[no-untype
 
 
 @kernel
-def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
+def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out):
     """Add a car's rectangle around (ox, oy, opsi), in m and rad, to the inverse ranges of a scan."""
     # Cars come last: their edges are exact and need not be settled on the grid.
     dx, dy, reach = ox - x, oy - y, beams.max_range + half_length + half_width
@@ -328,7 +328,7 @@ def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
 
 
 @kernel
-def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):  # type: ignore[no-untyped-def]
+def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):
     """Write one scan without allocation into ``out``, shape (beams,): ranges in [0, max_range], m.
 
     A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each

@@ -169,7 +169,7 @@ class Handling(NamedTuple):
 
 
 @inner_kernel(forceinline=True)
-def handling(p):  # type: ignore[no-untyped-def]
+def handling(p):
     """Compute :class:`Handling` from a row of parameters."""
     slip_gain = p[MU] / (p[LF] + p[LR])
     return Handling(
@@ -191,7 +191,7 @@ def handling(p):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _limited_rate(delta, rate, car):  # type: ignore[no-untyped-def]
+def _limited_rate(delta, rate, car):
     limit = car.steer_max
     least = -car.steer_rate_max if delta > -limit else 0.0
     most = car.steer_rate_max if delta < limit else 0.0
@@ -199,14 +199,14 @@ def _limited_rate(delta, rate, car):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _limited_acceleration(v, a, car):  # type: ignore[no-untyped-def]
+def _limited_acceleration(v, a, car):
     least = -car.a_max if v > car.v_min else 0.0
     most = car.a_max * (car.v_switch / v if v > car.v_switch else 1.0)
     return min(max(a, least), most if v < car.v_max else 0.0)
 
 
 @inner_kernel
-def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type: ignore[no-untyped-def]
+def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):
     """Return the right-hand side of the model at low speed, with tyres rolling without slip."""
     sin_delta, cos_delta = sine_cosine(delta)
     tan_delta = sin_delta / cos_delta
@@ -223,7 +223,7 @@ def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):  # type:
 
 
 @inner_kernel(forceinline=True)
-def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # type: ignore[no-untyped-def]
+def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):
     """Return the right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
     rate = _limited_rate(delta, rate, car)
     a = _limited_acceleration(v, acceleration, car)
@@ -247,7 +247,7 @@ def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):  # 
 
 
 @kernel(forceinline=True)
-def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):  # type: ignore[no-untyped-def]
+def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):
     """Return a car's state after a classic Runge-Kutta step of ``dt`` s with constant inputs.
 
     Steering rate (rad/s) and longitudinal acceleration (m/s^2) are limited inside the derivative,
@@ -280,7 +280,7 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
 
 
 @kernel
-def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
+def step(state, rate, acceleration, p, dt):
     """Advance one vehicle with parameter row ``p`` in place by one step (`runge_kutta`).
 
     The inputs are constant within the step.
@@ -302,7 +302,7 @@ def step(state, rate, acceleration, p, dt):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-def]
+def target_inputs(delta, v, steer, speed, car, dt):
     """Return inputs that reach a target steering angle and speed without chatter or overshoot.
 
     The steering moves at its full rate and arrives exactly; the speed error decays with a time
@@ -315,7 +315,7 @@ def target_inputs(delta, v, steer, speed, car, dt):  # type: ignore[no-untyped-d
 
 
 @inner_kernel
-def step_to_target(state, steer, speed, p, dt):  # type: ignore[no-untyped-def]
+def step_to_target(state, steer, speed, p, dt):
     """Advance one vehicle in place by one step towards a target steering angle (rad) and speed (m/s)."""
     rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)
     step(state, rate, acceleration, p, dt)
@@ -325,7 +325,7 @@ _MODES: dict[str, int] = {"rates": 0, "target": 1}
 
 
 @compiled
-def _simulate(states, controls, mode, dt, params):  # type: ignore[no-untyped-def]
+def _simulate(states, controls, mode, dt, params):
     for b in range(states.shape[0]):
         p = params[b]
         for k in range(controls.shape[1]):

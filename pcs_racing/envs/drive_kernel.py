@@ -71,7 +71,7 @@ class StepResults(NamedTuple):
 
 
 @inner_kernel
-def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore[no-untyped-def]
+def _see_own(line, ds, cars, frenet, memory, race, car, row, k):
     """Write the numbers about the own car from ``row[k]`` on; arguments are arrays, for speed."""
     s = frenet[race, car, 0]
     here = min(int(s / ds), line.shape[0] - 1)
@@ -88,7 +88,7 @@ def _see_own(line, ds, cars, frenet, memory, race, car, row, k):  # type: ignore
 
 
 @inner_kernel
-def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
+def _see_line(line, ds, s, ahead, row, k):
     """Write the numbers about the race line from ``row[k]`` on."""
     n = line.shape[0]
     here = min(int(s / ds), n - 1)
@@ -104,7 +104,7 @@ def _see_line(line, ds, s, ahead, row, k):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k):  # type: ignore[no-untyped-def]
+def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k):
     """Write the numbers about an opponent from ``row[k]`` on.
 
     ``sn`` and ``c`` are the sine and cosine of the own heading.
@@ -125,7 +125,7 @@ def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k)
 
 
 @inner_kernel
-def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-def]
+def _in_sight(track, cars, race, car, other, reach):
     """Return whether the cars are at most ``reach`` m apart and no wall separates their centres."""
     x = cars[race, car, _vehicle.X]
     y = cars[race, car, _vehicle.Y]
@@ -142,7 +142,7 @@ def _in_sight(track, cars, race, car, other, reach):  # type: ignore[no-untyped-
 
 
 @inner_kernel
-def _sort_opponents(length, frenet, race, car, seen):  # type: ignore[no-untyped-def]
+def _sort_opponents(length, frenet, race, car, seen):
     """Write the gaps to the other cars, and the order of observation: the nearest car first."""
     count = 0
     for other in range(frenet.shape[1]):
@@ -158,7 +158,7 @@ def _sort_opponents(length, frenet, race, car, seen):  # type: ignore[no-untyped
 
 
 @inner_kernel(forceinline=True)
-def _observe(track, state, vehicles, sight, race, car, row, seen, work):  # type: ignore[no-untyped-def]
+def _observe(track, state, vehicles, sight, race, car, row, seen, work):
     """Write the observation of a car, in the units of the elements."""
     cars, frenet = state.cars, state.frenet
     number = cars.shape[1]
@@ -215,7 +215,7 @@ def _observe(track, state, vehicles, sight, race, car, row, seen, work):  # type
 
 
 @inner_kernel
-def _write(row, sight, out):  # type: ignore[no-untyped-def]
+def _write(row, sight, out):
     """Clip an observation to its bounds, scale it if asked, and round it to float32."""
     low, high, gain, shift = sight.low, sight.high, sight.gain, sight.shift
     count = row.shape[0]
@@ -230,7 +230,7 @@ def _write(row, sight, out):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
+def _noisy(scan, seed, car, tick, noise, most):
     """Add noise to each range, a function of the race's seed, the car, the time and the beam."""
     beams = scan.shape[0]
     for k in range(beams):
@@ -240,7 +240,7 @@ def _noisy(scan, seed, car, tick, noise, most):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _see_velocities(cars, race, seen):  # type: ignore[no-untyped-def]
+def _see_velocities(cars, race, seen):
     for car in range(cars.shape[1]):
         sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
         seen[_VX, car] = cars[race, car, _vehicle.V] * cosine
@@ -248,7 +248,7 @@ def _see_velocities(cars, race, seen):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, work, out):  # type: ignore[no-untyped-def]
+def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, work, out):
     """Write the observations of the players of the races ``rows[first:last]`` to ``out``.
 
     Each player has its own row of ``out``. The scratch arrays ``row`` (shape (n,)), ``seen``
@@ -263,7 +263,7 @@ def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, w
 
 
 @kernel
-def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):  # type: ignore[no-untyped-def]
+def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):
     """Write the observation of one car of the races ``rows`` to successive rows of ``out``.
 
     The car is observed as if a player drove it.
@@ -275,7 +275,7 @@ def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):
 
 
 @kernel
-def set_commands(actions, limits, state, vehicles, first, last):  # type: ignore[no-untyped-def]
+def set_commands(actions, limits, state, vehicles, first, last):
     """Convert actions in [-1, 1] to target steering angles and speeds in the planners' memory.
 
     ``actions`` has the shape (B, players, 2). ``limits`` are the max steering angle (rad), and the
@@ -298,7 +298,7 @@ def set_commands(actions, limits, state, vehicles, first, last):  # type: ignore
 
 
 @compiled
-def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
+def restart(state, grid, rows, places, seeds):
     """Reset the races ``rows`` to the start places ``places`` of ``grid``, a batch of new races."""
     for i in range(rows.shape[0]):
         race = rows[i]
@@ -323,7 +323,7 @@ def restart(state, grid, rows, places, seeds):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _beats(state, race, one, two, crashed, fault_loses):  # type: ignore[no-untyped-def]
+def _beats(state, race, one, two, crashed, fault_loses):
     """Return whether a car beats another car.
 
     This is the compiled rule of :func:`pcs_racing.race.races.pair_scores`.
@@ -338,7 +338,7 @@ def _beats(state, race, one, two, crashed, fault_loses):  # type: ignore[no-unty
 
 
 @inner_kernel
-def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def]
+def _won(state, race, car, crashed, fault_loses):
     """Return 1.0 if a car beats all others, -1.0 if another car does, else 0.0."""
     number = state.progress.shape[1]
     for one in range(number):
@@ -351,7 +351,7 @@ def _won(state, race, car, crashed, fault_loses):  # type: ignore[no-untyped-def
 
 
 @inner_kernel
-def _end_step(state, end_tick, weights, sight, results, first, last):  # type: ignore[no-untyped-def]
+def _end_step(state, end_tick, weights, sight, results, first, last):
     """Write rewards and ends of a step, from the progress before it and the state after it."""
     per_metre, rivalry, penalty, win, fault_loses, goal = weights
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
@@ -382,7 +382,7 @@ def _end_step(state, end_tick, weights, sight, results, first, last):  # type: i
 
 
 @kernel
-def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # type: ignore[no-untyped-def]  # fmt: skip  # noqa: E501
+def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # fmt: skip  # noqa: E501
     """Step races ``first`` to ``last - 1``: drive for ``ticks`` ticks, then reward and observe.
 
     - ``actions``, shape (B, players, 2): steering and speed, clipped to [-1, 1];

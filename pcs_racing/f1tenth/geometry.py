@@ -6,7 +6,7 @@ from pcs_racing.base.compilation import compiled
 
 
 @compiled
-def get_vertices(pose, length, width):  # type: ignore[no-untyped-def]
+def get_vertices(pose, length, width):
     """Return the corners of a car at x, y, heading, shape (4, 2).
 
     The order is rear left, rear right, front right, front left.
@@ -22,7 +22,7 @@ def get_vertices(pose, length, width):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def collision(vertices1, vertices2):  # type: ignore[no-untyped-def]
+def collision(vertices1, vertices2):
     """Return whether the convex hulls of two sets of points, shape (N, 2) each, overlap.
 
     They overlap if no line through two points of one set separates them.
@@ -40,7 +40,7 @@ def collision(vertices1, vertices2):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def collision_multiple(vertices):  # type: ignore[no-untyped-def]
+def collision_multiple(vertices):
     """Return the overlap (1 or 0) of each of N bodies, shape (N, 4, 2), with any other body.
 
     Also return the last overlapping body of each; -1 for none.
@@ -56,7 +56,7 @@ def collision_multiple(vertices):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def get_range(pose, beam_theta, va, vb):  # type: ignore[no-untyped-def]
+def get_range(pose, beam_theta, va, vb):
     """Return a beam's range to the segment between two points, m; infinity for a miss.
 
     The beam's direction is in the world frame.
@@ -72,7 +72,7 @@ def get_range(pose, beam_theta, va, vb):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def ray_cast(pose, scan, scan_angles, vertices):  # type: ignore[no-untyped-def]
+def ray_cast(pose, scan, scan_angles, vertices):
     """Shorten the ranges of a scan, in place, by a car with these corners; return the scan."""
     for i in range(scan.shape[0]):
         for j in range(4):
@@ -82,7 +82,7 @@ def ray_cast(pose, scan, scan_angles, vertices):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def check_ttc_jit(scan, vel, scan_angles, cosines, side_distances, ttc_thresh):  # type: ignore[no-untyped-def]
+def check_ttc_jit(scan, vel, scan_angles, cosines, side_distances, ttc_thresh):
     """Return whether a scan predicts a wall hit within a time (s) at a speed (m/s)."""
     for i in range(scan.shape[0]):
         if vel != 0.0 and 0.0 <= (scan[i] - side_distances[i]) / (vel * cosines[i]) < ttc_thresh:

@@ -76,7 +76,7 @@ class World(NamedTuple):
 
 
 @inner_kernel
-def write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore[no-untyped-def]
+def write_rates(state, rate, acceleration, p, car, model, out):
     """Write the time derivative of a car's state."""
     delta, v, psi = state[DELTA], state[V], state[PSI]
     least = p[SV_MIN] if delta > p[S_MIN] else 0.0
@@ -98,7 +98,7 @@ def write_rates(state, rate, acceleration, p, car, model, out):  # type: ignore[
 
 
 @inner_kernel
-def handling(p):  # type: ignore[no-untyped-def]
+def handling(p):
     """Return the handling of a car with these parameters.
 
     Steering is limited elsewhere: its limits may differ by side.
@@ -112,21 +112,21 @@ def handling(p):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def pid_steer(steer, current_steer, max_sv):  # type: ignore[no-untyped-def]
+def pid_steer(steer, current_steer, max_sv):
     """Return the steering rate towards a steering angle, rad/s."""
     error = steer - current_steer
     return np.sign(error) * max_sv if abs(error) > 1e-4 else 0.0
 
 
 @kernel
-def pid_accl(speed, current_speed, max_a, max_v, min_v):  # type: ignore[no-untyped-def]
+def pid_accl(speed, current_speed, max_a, max_v, min_v):
     """Return the acceleration towards a speed, m/s^2."""
     difference = speed - current_speed
     return (10.0 if current_speed > 0.0 else 2.0) * max_a / (max_v if difference > 0.0 else -min_v) * difference
 
 
 @inner_kernel
-def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyped-def]
+def _drive(state, steer, longitudinal, p, setup, work):
     """Advance one car in place by the gym's controllers and one step of its integrator."""
     rate = steer
     if not setup.steering_rate:
@@ -159,7 +159,7 @@ def _drive(state, steer, longitudinal, p, setup, work):  # type: ignore[no-untyp
 
 
 @inner_kernel
-def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
+def _march(grid, x, y, sine, cosine, reach):
     """Return a beam's range by the gym's ray march, m; outside the map it reads the last cell."""
     rows, columns = grid.distance.shape
     near = total = 0.0
@@ -177,7 +177,7 @@ def _march(grid, x, y, sine, cosine, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):  # type: ignore[no-untyped-def]
+def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):
     """Write the exact ranges to the walls, m, shape (beams,)."""
     reach = beams.max_range
     if on_circuit and not inside_wall(track, x, y):
@@ -198,7 +198,7 @@ def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):  # type: ign
 
 
 @inner_kernel
-def _stops(world, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
+def _stops(world, x, y, psi, v, noise, scan):
     """Return whether the gym detects a wall hit: time to collision of a beam below STOP_TIME.
 
     The time is measured from the car's side. Only walls near the car matter, so only their beams
@@ -230,7 +230,7 @@ def _stops(world, x, y, psi, v, noise, scan):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
+def _touches_wall(grid, body):
     """Return whether a rectangle covers a part of a wall cell or reaches out of the map."""
     rows, columns = grid.free.shape
     reach = body.half_length + body.half_width
@@ -250,13 +250,13 @@ def _touches_wall(grid, body):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _body(cars, params, i):  # type: ignore[no-untyped-def]
+def _body(cars, params, i):
     """Return the outline of a car at its pose before a wall stopped it."""
     return Rectangle(cars[i, AT_X], cars[i, AT_Y], cars[i, AT_PSI], 0.5 * params[i, LENGTH], 0.5 * params[i, WIDTH])
 
 
 @inner_kernel
-def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-untyped-def]
+def _measure(world, cars, i, noise, inverse, work, scan):
     """Write the ranges of a car's lidar, and stop the car if it has hit a wall."""
     setup, car = world.setup, cars[i]
     body = _body(cars, world.params, i)
@@ -291,7 +291,7 @@ def _measure(world, cars, i, noise, inverse, work, scan):  # type: ignore[no-unt
 
 
 @inner_kernel
-def _count_lap(world, cars, i):  # type: ignore[no-untyped-def]
+def _count_lap(world, cars, i):
     """Count laps as the gym does: one lap for every two crossings of the box around a car's start.
 
     The box lies across the heading of the ego's start. Without the gym's faults, laps count the
@@ -317,7 +317,7 @@ def _count_lap(world, cars, i):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def advance(world, cars, actions, noise, now, scans, inverse, work):  # type: ignore[no-untyped-def]
+def advance(world, cars, actions, noise, now, scans, inverse, work):
     """Advance all cars in place by one step, and write their scans.
 
     Return whether the episode ends.

@@ -34,7 +34,7 @@ MOST_CARS = 64
 
 
 @compiled
-def _rates(model, x, u, params):  # type: ignore[no-untyped-def]
+def _rates(model, x, u, params):
     p, state, out = np.empty(len(params)), np.zeros(7), np.empty(7)
     for i, value in enumerate(params):
         p[i] = value
@@ -44,7 +44,7 @@ def _rates(model, x, u, params):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def vehicle_dynamics_ks(x, u_init, *params):  # type: ignore[no-untyped-def]
+def vehicle_dynamics_ks(x, u_init, *params):
     """Return the time derivative of a kinematic state, shape (5,).
 
     Inputs are a steering rate and an acceleration.
@@ -53,7 +53,7 @@ def vehicle_dynamics_ks(x, u_init, *params):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def vehicle_dynamics_st(x, u_init, *params):  # type: ignore[no-untyped-def]
+def vehicle_dynamics_st(x, u_init, *params):
     """Return the time derivative of a single-track state, shape (7,), as in v1.0.0.
 
     Parameters are in the gym's order, mu to v_max.
@@ -62,13 +62,13 @@ def vehicle_dynamics_st(x, u_init, *params):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def old_dynamics_st(x, u_init, *params):  # type: ignore[no-untyped-def]
+def old_dynamics_st(x, u_init, *params):
     """Return the time derivative as in 0.2.1, different from v1.0.0 below 0.5 m/s."""
     return _rates(OLD_ST, x, u_init, params)
 
 
 @compiled
-def pid(speed, steer, current_speed, current_steer, max_sv, max_a, max_v, min_v):  # type: ignore[no-untyped-def]
+def pid(speed, steer, current_speed, current_steer, max_sv, max_a, max_v, min_v):
     """Return acceleration (m/s^2) and steering rate (rad/s) towards a speed and an angle."""
     return pid_accl(speed, current_speed, max_a, max_v, min_v), pid_steer(steer, current_steer, max_sv)
 

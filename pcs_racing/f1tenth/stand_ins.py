@@ -158,10 +158,10 @@ def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> Non
         return function(*[v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in values])
 
     # In compiled code, ``math.sin`` is the real function.
-    def one(x):  # type: ignore[no-untyped-def]
+    def one(x):
         return lambda x: function(x)
 
-    def two(x, y):  # type: ignore[no-untyped-def]
+    def two(x, y):
         return lambda x, y: function(x, y)
 
     call.__name__, call.__module__ = name, "math"

@@ -36,7 +36,7 @@ def reward(config: GameConfig, races: RaceState, moves: ArrayLike) -> NDArray[np
 
 
 @inner_kernel
-def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
+def step_reward(own, opponent, fault, weights):
     """Return the reward of one step of driving.
 
     It is the progress, minus a share of the opponent's progress, minus a penalty for a crash by own
@@ -48,7 +48,7 @@ def step_reward(own, opponent, fault, weights):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def win_sign(lead, crashed, fault, opponent_fault, fault_loses):  # type: ignore[no-untyped-def]
+def win_sign(lead, crashed, fault, opponent_fault, fault_loses):
     """Return 1.0 for a won race, -1.0 for a lost race, else 0.0.
 
     This is the rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a

@@ -125,7 +125,7 @@ def _call(wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]) -> tupl
     if given != wanted:
         raise TypingError(f"a planner's function takes {wanted}, not {given}")
 
-    def generate(context, builder, signature, values):  # type: ignore[no-untyped-def]
+    def generate(context, builder, signature, values):
         function = context.call_conv.get_function_type(types.none, wanted)
         callee = builder.inttoptr(values[0], function.as_pointer())
         status, _ = context.call_conv.call_function(builder, callee, types.none, wanted, values[1:])
@@ -138,22 +138,22 @@ def _call(wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]) -> tupl
 
 if getattr(config, "DISABLE_JIT", 0):
 
-    def call_plan(function, track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    def call_plan(function, track, theta, view, memory, scratch, path):
         """Call a planner's ``plan``."""
         function(track, theta, view, memory, scratch, path)
 
-    def call_control(function, track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+    def call_control(function, track, theta, view, memory, scratch, path, command):
         """Call a planner's ``control``."""
         function(track, theta, view, memory, scratch, path, command)
 
 else:
 
     @intrinsic
-    def call_plan(typing, address, track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    def call_plan(typing, address, track, theta, view, memory, scratch, path):
         """Call a planner's ``plan`` at an address."""
         return _call(_PLAN, (track, theta, view, memory, scratch, path))
 
     @intrinsic
-    def call_control(typing, address, track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+    def call_control(typing, address, track, theta, view, memory, scratch, path, command):
         """Call a planner's ``control`` at an address."""
         return _call(_CONTROL, (track, theta, view, memory, scratch, path, command))

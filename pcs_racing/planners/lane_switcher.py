@@ -85,7 +85,7 @@ MEMORY = 7
 
 
 @compiled
-def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
+def lane_offset(track, s, side):
     """Return the distance (m) of the overtaking lane from the race line at an arc length.
 
     The lane lies on one ``side`` (-1 right, 1 left). Where there is room, the lane keeps
@@ -103,7 +103,7 @@ def lane_offset(track, s, side):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _room(track, s, side, reach):  # type: ignore[no-untyped-def]
+def _room(track, s, side, reach):
     """Return the min offset (m) of the overtaking lane within ``reach`` metres ahead."""
     least = MOST_OFFSET
     for k in range(reach + 1):
@@ -112,13 +112,13 @@ def _room(track, s, side, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _in_zone(track, s, reach):  # type: ignore[no-untyped-def]
+def _in_zone(track, s, reach):
     """Return whether the race line is free of corners for ``reach`` metres."""
     return sharpest_bend(track, s, reach, 0.25) <= CORNER
 
 
 @compiled
-def _lane_d(track, memory, lane, s):  # type: ignore[no-untyped-def]
+def _lane_d(track, memory, lane, s):
     """Return the distance (m) of a lane from the race line at an arc length."""
     if lane == OVERTAKING:
         return memory[_SIDE] * lane_offset(track, s, memory[_SIDE])
@@ -126,7 +126,7 @@ def _lane_d(track, memory, lane, s):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _blocked(track, theta, view, memory, lane):  # type: ignore[no-untyped-def]
+def _blocked(track, theta, view, memory, lane):
     """Return whether a corner of the opponent's box lies near a lane."""
     n, c = sine_cosine(view[_view.OPP_PSI])
     for k in range(4):
@@ -141,7 +141,7 @@ def _blocked(track, theta, view, memory, lane):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _choose_lane(track, theta, view, memory):  # type: ignore[no-untyped-def]
+def _choose_lane(track, theta, view, memory):
     """Return the lane to drive on, and update the count, the side and the speed limit in the memory."""
     s = view[_view.OWN_S]
     gap = gap_ahead(track, view)
@@ -177,20 +177,20 @@ def _choose_lane(track, theta, view, memory):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def _lookahead(theta, v):  # type: ignore[no-untyped-def]
+def _lookahead(theta, v):
     share = min(max(v / FAST, 0.0), 1.0)
     return theta[LOOKAHEAD_SLOW] + share * (theta[LOOKAHEAD_FAST] - theta[LOOKAHEAD_SLOW])
 
 
 @compiled(forceinline=True)
-def _speed(track, theta, view, memory, s):  # type: ignore[no-untyped-def]
+def _speed(track, theta, view, memory, s):
     factor = theta[OTHER_LANE_FACTOR] if memory[_LANE] == OVERTAKING else 1.0
     speed = factor * theta[SPEED_SHARE] * view[_view.SPEED_HIGH] * track.line[line_index(track, s), _frenet.SPEED]
     return min(speed, memory[_MOST_SPEED]) if memory[_MOST_SPEED] >= 0.0 else speed
 
 
 @compiled
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Choose the lane, and write its next piece for replays."""
     s0 = view[_view.OWN_S]
     if memory[_BEGUN] == 0.0:
@@ -208,7 +208,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 
 @compiled
-def control(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+def control(track, theta, view, memory, scratch, path, command):
     """Steer for a point on the lane, and remember the error for the derivative part."""
     v = view[_view.OWN_V]
     s0 = view[_view.OWN_S]

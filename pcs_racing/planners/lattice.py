@@ -166,19 +166,19 @@ SCRATCH = _OPP_V + HORIZON_STEPS
 
 
 @inner_kernel(forceinline=True)
-def _near(v):  # type: ignore[no-untyped-def]
+def _near(v):
     """Return the distance (m) of the near goals; the far goals are ``FAR`` times as far."""
     return NEAR + NEAR_TIME * v
 
 
 @inner_kernel(forceinline=True)
-def _return_length(v):  # type: ignore[no-untyped-def]
+def _return_length(v):
     """Return the distance (m) for leading a car back onto its plan, also the length of the path."""
     return 1.5 + 0.2 * v
 
 
 @inner_kernel(forceinline=True)
-def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
+def _sample_at(line, per_ds, s):
     """Return the index of the line's sample at an arc length above -length, or some laps on."""
     n = line.shape[0]
     i = int(s * per_ds + n) - n
@@ -190,7 +190,7 @@ def _sample_at(line, per_ds, s):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _lay_profiles(line, per_ds, s0, metres, attack, scratch):  # type: ignore[no-untyped-def]
+def _lay_profiles(line, per_ds, s0, metres, attack, scratch):
     """Lay the profiles of all predictions: squared speeds at all scales, and the track's edges.
 
     Rows are a metre apart, laid from far to near: a car brakes for each bend as hard as it may, and
@@ -221,7 +221,7 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):  # type: ignore[no
 
 
 @inner_kernel(forceinline=True)
-def _metre_at(driven):  # type: ignore[no-untyped-def]
+def _metre_at(driven):
     """Return the profiles' row ``driven`` m from the car, and the share of the way to the next."""
     at = min(max(driven + 1.0, 0.0), METRES - 1.001)
     k = int(at)
@@ -229,14 +229,14 @@ def _metre_at(driven):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _speed_ahead(scratch, f, k, share):  # type: ignore[no-untyped-def]
+def _speed_ahead(scratch, f, k, share):
     """Return the speed of the profile ``f`` at a row and share: linear in its square."""
     square = scratch[_SQUARE + k * PROFILES + f]
     return np.sqrt(square + share * (scratch[_SQUARE + (k + 1) * PROFILES + f] - square))
 
 
 @inner_kernel(forceinline=True)
-def _power_of_ten(x):  # type: ignore[no-untyped-def]
+def _power_of_ten(x):
     """Return 10**x for x in [-2, 2] to a relative 1e-7, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
     t = 1.0 + t * (1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040))))))
@@ -247,7 +247,7 @@ def _power_of_ten(x):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _lateral(u, goal, a, b):  # type: ignore[no-untyped-def]
+def _lateral(u, goal, a, b):
     """Return a move's distance from the race line at the share ``u`` of the move.
 
     From u = 1 on it is the goal.
@@ -258,7 +258,7 @@ def _lateral(u, goal, a, b):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _lateral_slope(u, a, b):  # type: ignore[no-untyped-def]
+def _lateral_slope(u, a, b):
     """Return the derivative of `_lateral` by ``u``."""
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
@@ -266,13 +266,13 @@ def _lateral_slope(u, a, b):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _lateral_bend(u, a, b):  # type: ignore[no-untyped-def]
+def _lateral_bend(u, a, b):
     """Return the second derivative of `_lateral` by ``u``; 0 from u = 1 on."""
     return 2.0 * (a + u * b) - 4.0 * (1.0 - u) * b if u < 1.0 else 0.0
 
 
 @inner_kernel(forceinline=True)
-def _fade_out(u, d, slope):  # type: ignore[no-untyped-def]
+def _fade_out(u, d, slope):
     """Return a cubic from d, with a slope (per unit of u), to 0 at u = 1; 0 from there on."""
     u = min(max(u, 0.0), 1.0)
     q = 1.0 - u
@@ -280,7 +280,7 @@ def _fade_out(u, d, slope):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
+def _pace_now(pace, pace_behind, gap):
     """Return the pace at a gap: ``pace`` in front, ``pace + pace_behind`` behind.
 
     Level cars take the mean of the two. The ramp reaches half a metre to either side, about a car's
@@ -291,7 +291,7 @@ def _pace_now(pace, pace_behind, gap):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _following_speed(scratch, s, first):  # type: ignore[no-untyped-def]
+def _following_speed(scratch, s, first):
     """Return the max speed at ``s`` from which uniform braking keeps `FOLLOW_GAP` to the opponent.
 
     The predicted opponent counts from step ``first`` on. So a car begins to fall back before the
@@ -305,7 +305,7 @@ def _following_speed(scratch, s, first):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _plan_by_now(memory, s0, length, d0, slope0):  # type: ignore[no-untyped-def]
+def _plan_by_now(memory, s0, length, d0, slope0):
     """Return the last plan's present distance from the line (m), slope, and change of slope (1/m).
 
     A car that lost its plan, or has no plan, begins a new plan at its position.
@@ -324,7 +324,7 @@ def _plan_by_now(memory, s0, length, d0, slope0):  # type: ignore[no-untyped-def
 
 
 @inner_kernel
-def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside_slope, scratch):  # type: ignore[no-untyped-def]
+def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside_slope, scratch):
     """Lay the goals, join each goal to the plan by a move, and measure the moves.
 
     The points lie on the driven path: on the move, and on the way back onto it from ``aside``.
@@ -414,7 +414,7 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
 
 
 @inner_kernel
-def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
+def _measure_track(track, scratch, half_width):
     """Measure the air around each move's points, from the distance field."""
     distance = track.distance
     height, width = distance.shape
@@ -442,7 +442,7 @@ def _measure_track(track, scratch, half_width):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _predict(s, v, follows, keep, steps, scratch):  # type: ignore[no-untyped-def]
+def _predict(s, v, follows, keep, steps, scratch):
     """Drive along the race line from (s, v) towards the profiles, at every speed.
 
     The results are arc lengths (unwrapped), speeds, and the car's limits on the track to the right
@@ -472,7 +472,7 @@ def _predict(s, v, follows, keep, steps, scratch):  # type: ignore[no-untyped-de
 
 
 @inner_kernel
-def _predict_opponent(view, s, gap, gives_way, beside, scratch):  # type: ignore[no-untyped-def]
+def _predict_opponent(view, s, gap, gives_way, beside, scratch):
     """Predict the opponent along the track from ``s + gap``, with its share of the profile."""
     v = view[_view.OPP_V]
     # A narrowing track pushes the other car sideways; a car with the right of way leaves it air.
@@ -497,7 +497,7 @@ def _predict_opponent(view, s, gap, gives_way, beside, scratch):  # type: ignore
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body, rejects, wrong, later, w_near, most):  # type: ignore[no-untyped-def]
+def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body, rejects, wrong, later, w_near, most):
     """Return the cost of the predicted opponent for the move ``g`` at the speed ``f``.
 
     Overlaps cost, and nearness costs. ``gap`` and ``side`` are the present distances along and
@@ -551,7 +551,7 @@ def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body
 
 
 @inner_kernel
-def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):  # type: ignore[no-untyped-def]
+def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
     """Sum up each move's speed-independent costs, with rejections by walls, in the base row."""
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
     w_max = _power_of_ten(theta[MAX_CURVATURE])
@@ -587,7 +587,7 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 
 
 @inner_kernel
-def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path):  # type: ignore[no-untyped-def]
+def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path):
     """Write the beginning of the move ``g`` and the way back onto it, at the speed ``f``.
 
     Bends limit the speed.
@@ -638,7 +638,7 @@ def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside
 
 
 @inner_kernel
-def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[no-untyped-def]
+def _search(track, theta, view, memory, scratch, path, slack):
     """Choose a candidate and write its path.
 
     Candidates within ``slack`` of the best get a full cost.
@@ -779,13 +779,13 @@ def _search(track, theta, view, memory, scratch, path, slack):  # type: ignore[n
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Choose a candidate and write its path."""
     _search(track, theta, view, memory, scratch, path, 0.0)
 
 
 @kernel
-def _weigh_all(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def _weigh_all(track, theta, view, memory, scratch, path):
     """Choose as ``plan`` does, with the full cost of every candidate in the scratch."""
     _search(track, theta, view, memory, scratch, path, np.inf)
 

@@ -57,13 +57,13 @@ COMFORT = 4.5  # m/s^2, braking down to the speed of a bend
 
 
 @kernel(forceinline=True)
-def speed_scale(view, pace):  # type: ignore[no-untyped-def]
+def speed_scale(view, pace):
     """Return the factor of the track's speed profile at a pace."""
     return view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
 
 
 @kernel(forceinline=True)
-def trailing_speed(theta, view, gap):  # type: ignore[no-untyped-def]
+def trailing_speed(theta, view, gap):
     """Return the speed (m/s) that keeps the distance to a car ahead.
 
     ``theta`` begins with the parameters `TRAILING`.
@@ -73,19 +73,19 @@ def trailing_speed(theta, view, gap):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def _reach(view):  # type: ignore[no-untyped-def]
+def _reach(view):
     """Return the distance (m) for easing onto the lane, which is also the length of the path."""
     return 1.5 + 0.2 * view[_view.OWN_V]
 
 
 @kernel(forceinline=True)
-def lane_step(view):  # type: ignore[no-untyped-def]
+def lane_step(view):
     """Return the distance (m) along the race line between two points of a lane."""
     return _reach(view) / (PATH_POINTS - 1)
 
 
 @kernel
-def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untyped-def]
+def follow_line(track, theta, view, gap, sight, lane):
     """Lay the lane of a planner that does not overtake, and return the trailing speed (m/s).
 
     The lane is the race line. Next to a car that is nearer to the race line, and close behind such
@@ -103,7 +103,7 @@ def follow_line(track, theta, view, gap, sight, lane):  # type: ignore[no-untype
 
 
 @kernel
-def sharpest_bend(track, s, reach, step):  # type: ignore[no-untyped-def]
+def sharpest_bend(track, s, reach, step):
     """Return the max curvature (1/m) of the race line within a reach after an arc length.
 
     The curvature is read at places a step apart; all distances are in m.
@@ -115,7 +115,7 @@ def sharpest_bend(track, s, reach, step):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lane_fits(track, view, keep, lane):  # type: ignore[no-untyped-def]
+def lane_fits(track, view, keep, lane):
     """Return whether a lane leaves ``keep`` (m) to the walls wherever it is off the race line."""
     step = lane_step(view)
     for j in range(LANE_POINTS):
@@ -128,7 +128,7 @@ def lane_fits(track, view, keep, lane):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
+def hold_off(track, view, keep, lane):
     """Move a lane so that it leaves ``keep`` (m) to the walls, or as much as the race line does."""
     step = lane_step(view)
     for j in range(LANE_POINTS):
@@ -136,7 +136,7 @@ def hold_off(track, view, keep, lane):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def lay_lane(view, d, along, across, lane):  # type: ignore[no-untyped-def]
+def lay_lane(view, d, along, across, lane):
     """Lay a lane of cubics from the distance ``d`` (m) through all places of a plan.
 
     ``along`` holds the places' distances from the car along the race line, increasing; ``across``
@@ -163,7 +163,7 @@ def lay_lane(view, d, along, across, lane):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def keep_lane(view, lane, memory):  # type: ignore[no-untyped-def]
+def keep_lane(view, lane, memory):
     """Save a lane in the first `KEPT_LANE` numbers of the memory."""
     memory[0], memory[1], memory[2] = 1.0, view[_view.OWN_S], lane_step(view)
     for j in range(LANE_POINTS):
@@ -171,7 +171,7 @@ def keep_lane(view, lane, memory):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
+def kept_lane(track, memory, s):
     """Return the distance from the race line (m) and slope of the saved lane at an arc length.
 
     Both are 0 without a saved lane.
@@ -187,7 +187,7 @@ def kept_lane(track, memory, s):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def last_lane(track, view, memory):  # type: ignore[no-untyped-def]
+def last_lane(track, view, memory):
     """Return `kept_lane` at the own car, and whether the lane may go on.
 
     It may not if there is no saved lane, or if the car lost it.
@@ -197,20 +197,20 @@ def last_lane(track, view, memory):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def course_off_line(track, view):  # type: ignore[no-untyped-def]
+def course_off_line(track, view):
     """Return the angle (rad) of the own course to the race line at the car."""
     here = track.line[line_index(track, view[_view.OWN_S])]
     return angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
 
 
 @kernel(forceinline=True)
-def _stray(x):  # type: ignore[no-untyped-def]
+def _stray(x):
     """Return a deviation from the lane, less the part that the path forgives."""
     return x - min(max(FORGIVEN * x, -MOST_FORGIVEN), MOST_FORGIVEN)
 
 
 @inner_kernel
-def _keep_off_walls(track, s0, step, lane):  # type: ignore[no-untyped-def]
+def _keep_off_walls(track, s0, step, lane):
     """Move a lane off walls near the race line, by a quadratic B-spline along the track."""
     first = np.floor(s0 / ANCHOR_STEP - 1.0)
     for k in range(ANCHORS):
@@ -230,7 +230,7 @@ def _keep_off_walls(track, s0, step, lane):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-def]
+def ease_onto(track, view, scale, cap, lane, path):
     """Write a path that eases from the car onto a lane.
 
     ``scale`` is a factor of the speed profile; ``cap`` is the max speed (m/s). The lane, shape
@@ -272,7 +272,7 @@ def ease_onto(track, view, scale, cap, lane, path):  # type: ignore[no-untyped-d
 
 
 @kernel
-def hold_back(track, view, scale, along, step, path):  # type: ignore[no-untyped-def]
+def hold_back(track, view, scale, along, step, path):
     """Take a path's speeds from a plan where the plan is held up.
 
     ``along`` (m) holds the plan's places, every ``step`` s.

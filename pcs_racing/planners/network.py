@@ -54,7 +54,7 @@ MOST_WEIGHTS = 100_000
 
 
 @compiled
-def network_inputs(track, view, out):  # type: ignore[no-untyped-def]
+def network_inputs(track, view, out):
     """Write the network's inputs (:data:`INPUTS`) for a view into ``out``, shape (16,)."""
     v = view[_view.OWN_V]
     s = view[_view.OWN_S]
@@ -97,7 +97,7 @@ def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
     every_call = hold == CALL_STEPS
 
     @compiled
-    def control(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+    def control(track, theta, view, memory, scratch, path, command):
         if every_call or int(view[_view.TIME] * 100.0 + 0.5) % hold == 0:
             x = scratch[:widest]
             y = scratch[widest : 2 * widest]

@@ -16,19 +16,19 @@ BRAKING = 5.5
 
 
 @kernel
-def leave_path(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def leave_path(track, theta, view, memory, scratch, path):
     """Plan nothing: for planners that decide everything in ``control``."""
 
 
 @kernel
-def hold_command(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+def hold_command(track, theta, view, memory, scratch, path, command):
     """Copy the command from the first two numbers of the memory, for external commands."""
     command[0] = memory[0]
     command[1] = memory[1]
 
 
 @kernel(forceinline=True)
-def steady_course(view, kappa):  # type: ignore[no-untyped-def]
+def steady_course(view, kappa):
     """Return the direction of motion (rad) in a steady bend ``kappa`` (1/m): heading plus slip.
 
     The momentary slip says less, because it lags the steering. A planner that steers by it weaves,
@@ -40,7 +40,7 @@ def steady_course(view, kappa):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def pursuit_arc(view, x, y, kappa):  # type: ignore[no-untyped-def]
+def pursuit_arc(view, x, y, kappa):
     """Return the curvature (1/m) of the arc to a point (m).
 
     The arc starts along `steady_course` in a bend ``kappa`` (1/m).
@@ -52,7 +52,7 @@ def pursuit_arc(view, x, y, kappa):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untyped-def]
+def pursuit_steering(view, x, y, kappa, acceleration):
     """Return the steering angle (rad) of pure pursuit towards a point (m).
 
     At the point the path has the curvature ``kappa`` (1/m). The car's understeer makes up for the
@@ -67,7 +67,7 @@ def pursuit_steering(view, x, y, kappa, acceleration):  # type: ignore[no-untype
 
 
 @kernel(forceinline=True)
-def calm_speed(v, speed):  # type: ignore[no-untyped-def]
+def calm_speed(v, speed):
     """Return the target speed, limited to stable braking, and the acceleration that it commands.
 
     The controller brakes by 10 times the speed error. Beyond about 6 m/s^2 the unloaded rear axle
@@ -78,7 +78,7 @@ def calm_speed(v, speed):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
+def _share_of_gap(before, after, distance):
     """Return the share in [0, 1] of the way between two points at a distance from the car.
 
     ``before`` and ``after`` are the squares of the points' distances from the car.
@@ -88,7 +88,7 @@ def _share_of_gap(before, after, distance):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def follow_path(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+def follow_path(track, theta, view, memory, scratch, path, command):
     """Follow the planned path by pure pursuit (the default ``control``).
 
     The look-ahead grows from 0.3 m by 0.1 m per m/s. The speed is the path's speed at the point

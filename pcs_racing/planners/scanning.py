@@ -37,7 +37,7 @@ SCAN_SIZE = WORK + BEAMS
 
 
 @compiled
-def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-untyped-def]
+def scan_beams(track, beams, view, heading, work, ranges):
     """Scan from the own car with any beams, turned by ``heading`` (rad).
 
     ``work`` holds `WORK` numbers.
@@ -50,7 +50,7 @@ def scan_beams(track, beams, view, heading, work, ranges):  # type: ignore[no-un
 
 
 @compiled
-def scan(track, view, scratch):  # type: ignore[no-untyped-def]
+def scan(track, view, scratch):
     """Scan from the own car along its heading.
 
     The ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``.
@@ -60,13 +60,13 @@ def scan(track, view, scratch):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def beam_at(angle):  # type: ignore[no-untyped-def]
+def beam_at(angle):
     """Return the index of the beam nearest to a direction in rad."""
     return min(max(int((angle + 0.5 * FIELD_OF_VIEW) / STEP + 0.5), 0), BEAMS - 1)
 
 
 @kernel
-def farthest(ranges, angles, first, end):  # type: ignore[no-untyped-def]
+def farthest(ranges, angles, first, end):
     """Return the beam with the max range, from the beam ``first`` to the beam before ``end``.
 
     Of equal ranges (at the lidar's limit), the beam nearest to straight ahead counts.
@@ -80,7 +80,7 @@ def farthest(ranges, angles, first, end):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def write_arc(view, course, kappa, length, speed, path):  # type: ignore[no-untyped-def]
+def write_arc(view, course, kappa, length, speed, path):
     """Write an arc by its first course (rad), curvature (1/m), length (m) and speed (m/s)."""
     for j in range(PATH_POINTS):
         s = length * j / (PATH_POINTS - 1)
@@ -95,7 +95,7 @@ def write_arc(view, course, kappa, length, speed, path):  # type: ignore[no-unty
 
 
 @kernel
-def steer_for(view, steering, speed, lateral, path):  # type: ignore[no-untyped-def]
+def steer_for(view, steering, speed, lateral, path):
     """Write the arc of a steering angle (rad), at a speed (m/s).
 
     The speed is limited by a lateral acceleration (m/s^2).

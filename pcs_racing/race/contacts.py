@@ -19,7 +19,7 @@ MOST_FAULTS = 127
 
 
 @inner_kernel
-def _overlapped(before, car, other):  # type: ignore[no-untyped-def]
+def _overlapped(before, car, other):
     """Return whether two cars already overlapped before the control period."""
     a, b = before[VIEW_SIZE * car :], before[VIEW_SIZE * other :]
     return rectangles_overlap(
@@ -29,7 +29,7 @@ def _overlapped(before, car, other):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):  # type: ignore[no-untyped-def]
+def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):
     """Put a car at rest on the race line, at s or in free space behind s; return its arc length."""
     for _ in range(TRIES):
         i = int(np.floor(s / ds)) % line.shape[0]
@@ -47,7 +47,7 @@ def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):  # type: ignor
 
 
 @inner_kernel
-def _set_back(near, track, state, race, car, s, vehicles, mode, before):  # type: ignore[no-untyped-def]
+def _set_back(near, track, state, race, car, s, vehicles, mode, before):
     """Stop a car at its pose before the control period, or put it on the race line at s."""
     cars, view, d = state.cars, before[VIEW_SIZE * car :], 0.0
     if mode == STOP:
@@ -61,7 +61,7 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):  # type
 
 
 @inner_kernel
-def _note(fault, contact, race, car, kind, blamed):  # type: ignore[no-untyped-def]
+def _note(fault, contact, race, car, kind, blamed):
     """Record the kind of a car's contact; count its fault unless the last contact goes on."""
     if blamed and contact[race, car] == _state.NO_CRASH:
         fault[race, car] = min(fault[race, car] + 1, MOST_FAULTS)
@@ -69,7 +69,7 @@ def _note(fault, contact, race, car, kind, blamed):  # type: ignore[no-untyped-d
 
 
 @kernel
-def settle_contacts(track, state, race, vehicles, mode, before):  # type: ignore[no-untyped-def]
+def settle_contacts(track, state, race, vehicles, mode, before):
     """Set back cars that hit a wall or, by their own fault, a car; return whether there are any.
 
     ``before`` holds the views of the cars before the control period, one after the other. If both

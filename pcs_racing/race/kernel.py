@@ -56,7 +56,7 @@ class KernelSettings(NamedTuple):
 
 
 @inner_kernel
-def _fill_fixed(own, settings, view):  # type: ignore[no-untyped-def]
+def _fill_fixed(own, settings, view):
     """Write the constants of a race into a view: the car's parameters and the range of speeds."""
     view[_view.OWN_LENGTH] = own[_vehicle.LENGTH]
     view[_view.OWN_WIDTH] = own[_vehicle.WIDTH]
@@ -76,7 +76,7 @@ def _fill_fixed(own, settings, view):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
+def _part_at(s, size, parts):
     """Return the index of the part of the line (equal parts) at an arc length in [0, length)."""
     i = int(s / size)
     # Rounding can give an index beyond the last part, and a state from elsewhere any index; a
@@ -85,7 +85,7 @@ def _part_at(s, size, parts):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _fill_nobody(length, own, view):  # type: ignore[no-untyped-def]
+def _fill_nobody(length, own, view):
     """Write an opponent that no car can meet: at rest, far off the track, half a lap away."""
     view[_view.OPP_LENGTH] = own[_vehicle.LENGTH]
     view[_view.OPP_WIDTH] = own[_vehicle.WIDTH]
@@ -102,7 +102,7 @@ def _fill_nobody(length, own, view):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _fill_own(tick, cars, frenet, race, car, view):  # type: ignore[no-untyped-def]
+def _fill_own(tick, cars, frenet, race, car, view):
     """Write the changing values of the own car into a view."""
     view[_view.TIME] = tick * DT
     view[_view.OWN_X] = cars[race, car, _vehicle.X]
@@ -117,7 +117,7 @@ def _fill_own(tick, cars, frenet, race, car, view):  # type: ignore[no-untyped-d
 
 
 @inner_kernel
-def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles, view):  # type: ignore[no-untyped-def]
+def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles, view):
     """Write the car ``other`` as the opponent into a view."""
     view[_view.OPP_LENGTH] = vehicles[other, _vehicle.LENGTH]
     view[_view.OPP_WIDTH] = vehicles[other, _vehicle.WIDTH]
@@ -135,7 +135,7 @@ def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles,
 
 
 @inner_kernel(forceinline=True)
-def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles, view):  # type: ignore[no-untyped-def]
+def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles, view):
     """Write the visible opponent into a view: the other of two cars, else the nearest car."""
     if number == 1:
         _fill_nobody(length, vehicles[car], view)
@@ -145,7 +145,7 @@ def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, veh
 
 
 @kernel
-def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignore[no-untyped-def]
+def fill_view(track, state, race, car, vehicles, settings, view):
     """Write the view of ``car`` (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
     cars, frenet, number = state.cars, state.frenet, state.cars.shape[1]
     _fill_fixed(vehicles[car], settings, view)
@@ -154,7 +154,7 @@ def fill_view(track, state, race, car, vehicles, settings, view):  # type: ignor
 
 
 @inner_kernel(forceinline=True)
-def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number):  # type: ignore[no-untyped-def]
+def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number):
     """Count an overtake once the car that was behind leads by more than a car's length."""
     for one in range(number):
         for two in range(one + 1, number):
@@ -174,7 +174,7 @@ def _count_overtakes(progress, leader, overtakes, ahead, race, vehicles, number)
 
 
 @kernel(forceinline=True)
-def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number):  # type: ignore[no-untyped-def]
+def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number):
     """Sample the minimum time to collision of ``number`` cars."""
     # All velocities are computed once, before the loop: each car also needs the velocities of the
     # other cars.
@@ -203,9 +203,7 @@ def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number
 
 
 @inner_kernel(forceinline=True)
-def _measure_driving(  # type: ignore[no-untyped-def]
-    line, ds, speed_high, cars, frenet, progress, sums, race, vehicles, before, number
-):
+def _measure_driving(line, ds, speed_high, cars, frenet, progress, sums, race, vehicles, before, number):
     """Add the contribution of one control period to the running sums.
 
     ``before`` begins with the steering angles of the cars before the period, followed by their
@@ -238,9 +236,7 @@ def _measure_driving(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def advance_races(  # type: ignore[no-untyped-def]
-    track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
-):
+def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
     A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups

@@ -11,7 +11,7 @@ from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, lo
 
 
 @kernel
-def end_lap(laps, race, car, time):  # type: ignore[no-untyped-def]
+def end_lap(laps, race, car, time):
     """Count a lap that ended at a time, and record its duration."""
     lap = time - laps[race, car, _state.ENDED_AT]
     best = laps[race, car, _state.BEST_LAP]
@@ -22,7 +22,7 @@ def end_lap(laps, race, car, time):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: ignore[no-untyped-def]
+def move_along(length, frenet, progress, laps, tick, race, car, s, d):
     """Move a car to arc length ``s`` and offset ``d``, and update its progress and laps."""
     # No car drives half a lap in a control period: a larger change of s is a crossing of s = 0.
     half = 0.5 * length
@@ -41,7 +41,7 @@ def move_along(length, frenet, progress, laps, tick, race, car, s, d):  # type: 
 
 
 @kernel(forceinline=True)
-def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car):  # type: ignore[no-untyped-def]
+def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car):
     """Project a car onto the race line and update its progress.
 
     The arguments are single arrays: the reference counts of whole named tuples cost more than the
@@ -52,14 +52,14 @@ def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, 
 
 
 @inner_kernel(forceinline=True)
-def gap_to(length, frenet, race, car, other):  # type: ignore[no-untyped-def]
+def gap_to(length, frenet, race, car, other):
     """Return the lead of ``other`` over ``car`` along the race line, the shorter way round, m."""
     gap = frenet[race, other, 0] - frenet[race, car, 0]
     return gap - length * np.floor(gap / length + 0.5)
 
 
 @inner_kernel
-def nearest_car(length, frenet, race, car):  # type: ignore[no-untyped-def]
+def nearest_car(length, frenet, race, car):
     """Return the nearest car along the track, the first of two equally near, or itself if alone."""
     nearest, least = car, np.inf
     for other in range(frenet.shape[1]):
@@ -70,14 +70,14 @@ def nearest_car(length, frenet, race, car):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def body(state, vehicle):  # type: ignore[no-untyped-def]
+def body(state, vehicle):
     """Return the rectangle of a car."""
     half_length, half_width = 0.5 * vehicle[_vehicle.LENGTH], 0.5 * vehicle[_vehicle.WIDTH]
     return Rectangle(state[_vehicle.X], state[_vehicle.Y], state[_vehicle.PSI], half_length, half_width)
 
 
 @inner_kernel
-def _latch(cars, crash, fault, race, vehicles, walls):  # type: ignore[no-untyped-def]
+def _latch(cars, crash, fault, race, vehicles, walls):
     """Latch crashes and faults; a car in a wall (bit in ``walls``) hit the wall before any car."""
     for first in range(cars.shape[1]):
         if walls >> first & 1:
@@ -98,13 +98,13 @@ def _latch(cars, crash, fault, race, vehicles, walls):  # type: ignore[no-untype
 
 
 @inner_kernel
-def overlap(cars, race, one, other, vehicles):  # type: ignore[no-untyped-def]
+def overlap(cars, race, one, other, vehicles):
     """Return whether two cars of a race overlap."""
     return rectangles_overlap(body(cars[race, one], vehicles[one]), body(cars[race, other], vehicles[other]))
 
 
 @inner_kernel(forceinline=True)
-def collide(near, cars, frenet, crash, fault, race, vehicles, number):  # type: ignore[no-untyped-def]
+def collide(near, cars, frenet, crash, fault, race, vehicles, number):
     """Latch crashes of ``number`` cars and their faults; return whether there is a crash."""
     walls = 0
     for car in range(number):
@@ -120,7 +120,7 @@ def collide(near, cars, frenet, crash, fault, race, vehicles, number):  # type: 
 
 
 @kernel
-def place_cars(track, state, vehicles):  # type: ignore[no-untyped-def]
+def place_cars(track, state, vehicles):
     """Set the Frenet coordinates of new cars; mark cars in a wall or in another car as crashed."""
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     for race in range(state.tick.shape[0]):

@@ -9,7 +9,7 @@ from pcs_racing.race.config import CONTROL_EVERY
 
 
 @kernel
-def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
+def steering_noise(seed, car, tick):
     """Draw nearly normal noise, mean 0 and variance 1, as a pure function of the arguments.
 
     It is the sum of four 16-bit uniform numbers: bounded by 3.5 standard deviations, excess
@@ -32,14 +32,14 @@ def steering_noise(seed, car, tick):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def steering_sd(settings, vehicle):  # type: ignore[no-untyped-def]
+def steering_sd(settings, vehicle):
     """Return the standard deviation of a car's steering disturbance: its own, else the rules'."""
     own = vehicle[_vehicle.STEER_NOISE]
     return settings.noise_sd if own < 0.0 else own
 
 
 @inner_kernel
-def delayed(memory, delay, tick, steering):  # type: ignore[no-untyped-def]
+def delayed(memory, delay, tick, steering):
     """Queue a steering command at the end of a car's memory; return the command that is due."""
     length = int(delay)
     place = memory.shape[0] - length + (tick // CONTROL_EVERY) % length

@@ -83,7 +83,7 @@ WALLS_END = WALLS_BEGIN + len(WallArrays._fields)
 
 
 @inner_kernel
-def _wrap(length, s):  # type: ignore[no-untyped-def]
+def _wrap(length, s):
     if 0.0 <= s < length:
         return s
     s = s - np.floor(s / length) * length
@@ -92,20 +92,20 @@ def _wrap(length, s):  # type: ignore[no-untyped-def]
 
 
 @kernel(forceinline=True)
-def wrap_s(track, s):  # type: ignore[no-untyped-def]
+def wrap_s(track, s):
     """Wrap an arc length into [0, length)."""
     return _wrap(track.length, s)
 
 
 @kernel(forceinline=True)
-def angle_between(a, b):  # type: ignore[no-untyped-def]
+def angle_between(a, b):
     """Return the difference a - b of two angles, wrapped into [-pi, pi)."""
     d = a - b
     return d - 2.0 * np.pi * np.floor((d + np.pi) / (2.0 * np.pi))
 
 
 @inner_kernel(forceinline=True)
-def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
+def _cubic(line, ds, i):
     """Return the coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
 
     The cubic Hermite polynomial ``p + u (q + u (a + u b))`` has the samples' points and headings at its ends.
@@ -121,7 +121,7 @@ def _cubic(line, ds, i):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
+def foot(line, ds, length, x, y, hint):
     """Compute `project` on single arrays."""
     n = line.shape[0]
     i = int(_wrap(length, hint) / ds + 0.5)
@@ -182,7 +182,7 @@ def foot(line, ds, length, x, y, hint):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def project(track, x, y, hint):  # type: ignore[no-untyped-def]
+def project(track, x, y, hint):
     """Return the Frenet coordinates (s, d) in m of a point (m), by a walk along the line.
 
     The walk starts at the arc length ``hint`` (any real number; it is wrapped) and ends at the
@@ -196,7 +196,7 @@ def project(track, x, y, hint):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
+def offset(line, ds, length, s, d):
     """Compute `to_cartesian` on single arrays."""
     at = _wrap(length, s) / ds
     i = min(int(at), line.shape[0] - 1)
@@ -214,13 +214,13 @@ def offset(line, ds, length, s, d):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def to_cartesian(track, s, d):  # type: ignore[no-untyped-def]
+def to_cartesian(track, s, d):
     """Return the point (x, y) in m at Frenet coordinates (s, d), and the line's heading (rad)."""
     return offset(track.line, track.ds, track.length, s, d)
 
 
 @inner_kernel
-def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
+def _in_sight(distance, u0, v0, u1, v1):
     """Return whether no wall is between two points, in cells from the corner of the grid."""
     rows, cols = distance.shape
     # Checked before the conversion to integers, which may overflow.
@@ -236,7 +236,7 @@ def _in_sight(distance, u0, v0, u1, v1):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # type: ignore[no-untyped-def]
+def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):
     """Compute `locate` for (x, y) in m and (u, v) in cells; ``coarse``: cells per look-up cell."""
     rows, cols = lookup.shape
     row = int(min(max(np.floor(v / coarse - 0.5), -1.0), rows + 0.0))
@@ -259,7 +259,7 @@ def _locate(line, ds, length, distance, lookup, coarse, u, v, x, y, cell):  # ty
 
 
 @inner_kernel
-def locate(track, x, y):  # type: ignore[no-untyped-def]
+def locate(track, x, y):
     """Return the Frenet coordinates of a point anywhere near the track, without a hint.
 
     The walk starts from the four cells of the look-up grid around the point. If they lead to
@@ -282,7 +282,7 @@ def locate(track, x, y):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
+def interpolate(distance, u, v):
     """Compute `wall_distance` for a point in cells from the centre of cell [0, 0]."""
     rows, cols = distance.shape
     # In this form NaN counts as outside, too.
@@ -298,7 +298,7 @@ def interpolate(distance, u, v):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def wall_distance(track, x, y):  # type: ignore[no-untyped-def]
+def wall_distance(track, x, y):
     """Return the interpolated distance in m from a point to the nearest wall; 0 outside the map.
 
     Walls count as 0 up to their cells' centres, so a point on a straight wall's face has a quarter

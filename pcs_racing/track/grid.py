@@ -14,7 +14,7 @@ from pcs_racing.base.compilation import compiled
 
 
 @compiled
-def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
+def distance_to_walls(drivable, cell):
     """Return the exact distance from each drivable cell's centre to the nearest other cell.
 
     In m for cells with the side ``cell``, float32; to the nearest point of the other cell's square,
@@ -68,7 +68,7 @@ def distance_to_walls(drivable, cell):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
+def cast(drivable, x, y, cos, sin, reach):
     """Follow a ray by cells to the first face of a non-drivable cell (Amanatides and Woo, 1987).
 
     Returns the distance in cells, at most ``reach``; row and column of the last drivable cell (the
@@ -105,7 +105,7 @@ def cast(drivable, x, y, cos, sin, reach):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped-def]
+def _push_neighbours(queue, mask, label, x, y, i, j):
     height, width = mask.shape
     k = np.int64(label[i, j])
     for side in range(4):
@@ -117,7 +117,7 @@ def _push_neighbours(queue, mask, label, x, y, i, j):  # type: ignore[no-untyped
 
 
 @compiled
-def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
+def spread_labels(mask, label, x, y):
     """Label every cell of the region ``mask`` in place with the number of a near point.
 
     A label (int32; -1 is none) spreads from a labelled cell to its four neighbours in the region,
@@ -142,7 +142,7 @@ def spread_labels(mask, label, x, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
+def lookup_grid(drivable, x, y, block):
     """Return the number of each block's nearest point, measured without crossing walls.
 
     The points, all on drivable cells, have numbers from 0. A block has ``block`` cells along its
@@ -171,7 +171,7 @@ def lookup_grid(drivable, x, y, block):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def way_out(occupied, rows, cols):  # type: ignore[no-untyped-def]
+def way_out(occupied, rows, cols):
     """Return the shortest path over free cells from seeds to the grid's border or farthest cell.
 
     Seeds are free cells (rows[k], cols[k]). The path goes to the farthest cell if the border is

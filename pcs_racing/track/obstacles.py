@@ -109,7 +109,7 @@ def _closed(corners: Floats) -> Floats:
 
 
 @compiled
-def _list_sides(start, seen, far, middle, sides, first):  # type: ignore[no-untyped-def]
+def _list_sides(start, seen, far, middle, sides, first):
     """Insert every side into the list of every stretch by distance; walls hide invisible sides."""
     count = sides.shape[0]
     stretches = middle.shape[0]

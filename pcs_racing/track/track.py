@@ -209,18 +209,18 @@ def _read_only(values: Floats) -> Floats:
 
 
 @compiled
-def _to_frenet(track, points, out):  # type: ignore[no-untyped-def]
+def _to_frenet(track, points, out):
     for k in range(points.shape[0]):
         out[k, 0], out[k, 1] = frenet.locate(track, points[k, 0], points[k, 1])
 
 
 @compiled
-def _to_cartesian(track, sd, out):  # type: ignore[no-untyped-def]
+def _to_cartesian(track, sd, out):
     for k in range(sd.shape[0]):
         out[k, 0], out[k, 1], out[k, 2] = frenet.to_cartesian(track, sd[k, 0], sd[k, 1])
 
 
 @compiled
-def _wall_distance(track, points, out):  # type: ignore[no-untyped-def]
+def _wall_distance(track, points, out):
     for k in range(points.shape[0]):
         out[k, 0] = frenet.wall_distance(track, points[k, 0], points[k, 1])

@@ -29,7 +29,7 @@ from pcs_racing_agents.base.fingerprint import fingerprint
 
 
 @kernel
-def _hash(words, seed, out):  # type: ignore[no-untyped-def]
+def _hash(words, seed, out):
     first = scramble_one((seed + np.uint64(1)) * GOLDEN)
     for row in range(words.shape[0]):
         state = first

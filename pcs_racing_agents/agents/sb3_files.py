@@ -41,7 +41,7 @@ _ACTORS = (
 
 
 @kernel
-def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):  # type: ignore[no-untyped-def]
+def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):
     """Pass each row through the layers; the last layer begins at ``flat[at]``.
 
     The result of a row depends on this row alone.

@@ -37,7 +37,7 @@ FACTOR, SAMPLES, FIRST = 0, 1, 2
 
 
 @inner_kernel
-def _sample(track, theta, s, column):  # type: ignore[no-untyped-def]
+def _sample(track, theta, s, column):
     """Return the own line's distance from the race line (column 0, m) or speed (1, m/s) at s."""
     number = int(theta[SAMPLES])
     u = wrap_s(track, s) / track.length * number
@@ -48,7 +48,7 @@ def _sample(track, theta, s, column):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _clear(view, gap, v, d, reach):  # type: ignore[no-untyped-def]
+def _clear(view, gap, v, d, reach):
     """Return whether a candidate avoids the other car, assumed to hold its speed and place."""
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + CAR_AIR
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + CAR_AIR
@@ -65,7 +65,7 @@ def _clear(view, gap, v, d, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Choose a place across the track and a share of the speed, and follow the shifted line."""
     s0, gap, step = view[_view.OWN_S], gap_ahead(track, view), _line.lane_step(view)
     reach = (PATH_POINTS - 1) * step

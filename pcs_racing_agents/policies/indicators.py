@@ -172,7 +172,7 @@ def _hypervolume(points: Floats, reference: Floats) -> float:
     return float(_moocore().hypervolume(points, ref=reference, maximise=True)) if len(points) else 0.0
 
 
-def _moocore():  # type: ignore[no-untyped-def]
+def _moocore():
     require("moocore", extra="synthesis")
     import moocore
 

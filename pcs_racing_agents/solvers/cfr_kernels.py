@@ -113,7 +113,7 @@ def initial_state(tree: GameTree, layout: Layout) -> State:
 
 
 @compiled
-def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):  # type: ignore[no-untyped-def]
+def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):
     """Run iterations ``begin`` (from 1) to ``end - 1``, from strategies of the current regrets."""
     widest = max(layout.moves.max(), 1)
     work = np.empty((widest + 1) * BLOCK)
@@ -140,7 +140,7 @@ def iterate(layout, state, begin, end, alternating, alpha, beta, gamma):  # type
 
 
 @kernel
-def _discount_factor(t, exponent):  # type: ignore[no-untyped-def]
+def _discount_factor(t, exponent):
     """Return t^e / (t^e + 1): 1 for an infinite exponent, 0 for minus infinity."""
     if exponent == np.inf:
         return 1.0
@@ -151,7 +151,7 @@ def _discount_factor(t, exponent):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _match_regrets(layout, state, player, work, table):  # type: ignore[no-untyped-def]
+def _match_regrets(layout, state, player, work, table):
     """Write strategies in proportion to positive regrets, then copy them to every node.
 
     Strategies are uniform if no regret is positive.
@@ -187,7 +187,7 @@ def _match_regrets(layout, state, player, work, table):  # type: ignore[no-untyp
 
 
 @kernel
-def _push_reach(layout, state, player):  # type: ignore[no-untyped-def]
+def _push_reach(layout, state, player):
     """Write the probability of a player's own moves, from the root down."""
     for k in range(layout.nodes.size - 1):
         nodes, first, second = layout.nodes[k], layout.moves[0, k], layout.moves[1, k]
@@ -204,7 +204,7 @@ def _push_reach(layout, state, player):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
+def _add_regrets(layout, state, player, work):
     """Write the values of all nodes, from the last level up, and add a player's regrets."""
     other = 1 - player
     sign = 1.0 if player == 0 else -1.0
@@ -264,7 +264,7 @@ def _add_regrets(layout, state, player, work):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def]
+def _add_strategy(layout, state, player, weight):
     """Sum the current strategies, weighted by the probability of the player's own moves."""
     for k in range(layout.nodes.size):
         moves, rows, nodes = layout.moves[player, k], layout.rows[player, k], layout.nodes[k]
@@ -287,7 +287,7 @@ def _add_strategy(layout, state, player, weight):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _discount(layout, state, player, keep_gains, keep_losses):  # type: ignore[no-untyped-def]
+def _discount(layout, state, player, keep_gains, keep_losses):
     """Shrink positive and negative cumulative regrets."""
     # Vanilla CFR discounts nothing; a multiplication with 1 would cost a pass over all regrets.
     if keep_gains == 1.0 and keep_losses == 1.0:

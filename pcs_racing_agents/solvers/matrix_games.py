@@ -76,7 +76,7 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
 
 
 @compiled
-def _solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped-def]
+def _solve_games(games, values, rows, columns, gaps):
     """Solve games of shape (B, A, C) into the arrays of a :class:`MatrixSolution`."""
     count, a, c = games.shape
     table = np.empty((a + 1, c + 1))
@@ -92,7 +92,7 @@ def _solve_games(games, values, rows, columns, gaps):  # type: ignore[no-untyped
 
 
 @kernel
-def _saddle_point(game, row, column):  # type: ignore[no-untyped-def]
+def _saddle_point(game, row, column):
     """Return whether a pure equilibrium exists; write the first one into ``row`` and ``column``."""
     a, c = game.shape
     best, best_row = -np.inf, 0
@@ -121,7 +121,7 @@ def _saddle_point(game, row, column):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def bounds(game):  # type: ignore[no-untyped-def]
+def bounds(game):
     """Return min and max payoff."""
     low, high = game[0, 0], game[0, 0]
     for i in range(game.shape[0]):
@@ -131,7 +131,7 @@ def bounds(game):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _expected(game, low, row, column):  # type: ignore[no-untyped-def]
+def _expected(game, low, row, column):
     """Return the expected payoff to the row player.
 
     It is summed above the min payoff: a large common offset costs no digits.
@@ -144,7 +144,7 @@ def _expected(game, low, row, column):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
+def _duality_gap(game, low, row, column):
     """Return the max payoff against the column player minus the min payoff against the row player.
 
     Each is the payoff of a best response.
@@ -164,7 +164,7 @@ def _duality_gap(game, low, row, column):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _simplex(game, low, high, table, labels, row, column):  # type: ignore[no-untyped-def]
+def _simplex(game, low, high, table, labels, row, column):
     """Solve a game that has no saddle point by the simplex method on a condensed tableau.
 
     ``labels`` holds the variable of each row of the tableau, then the variable of each column: 0 to
@@ -198,7 +198,7 @@ def _simplex(game, low, high, table, labels, row, column):  # type: ignore[no-un
 
 
 @kernel
-def _begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
+def _begin(game, low, high, table, labels):
     """Write the tableau of the basis of slacks, with payoffs scaled into [1, 2]."""
     a, c = game.shape
     scale = 1.0 / (high - low)
@@ -214,7 +214,7 @@ def _begin(game, low, high, table, labels):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
+def _entering(table, labels, a, c, bland):
     """Return the column of the variable to enter, or -1 at the optimum."""
     column = -1
     for j in range(c):
@@ -230,7 +230,7 @@ def _entering(table, labels, a, c, bland):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
+def _leaving(table, labels, a, c, enter, bland):
     """Return the row of the variable that reaches 0 first.
 
     Among equals it takes the max pivot, or by Bland the min label.
@@ -253,7 +253,7 @@ def _leaving(table, labels, a, c, enter, bland):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
+def _pivot(table, labels, a, c, leave, enter):
     """Exchange the variables of a row and a column."""
     inverse = 1.0 / table[leave, enter]
     for j in range(c + 1):
@@ -272,7 +272,7 @@ def _pivot(table, labels, a, c, leave, enter):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _normalise(weights):  # type: ignore[no-untyped-def]
+def _normalise(weights):
     """Divide weights by their sum."""
     total = 0.0
     for i in range(weights.size):

@@ -1,4 +1,4 @@
-"""Races and episodes whose results belong to a version: `dev/tools/make_goldens.py` keeps them, `test_goldens.py` compares.
+"""Races and episodes whose results belong to a version: saved by `dev/tools/make_goldens.py`.
 
 Whatever they depend on beside the code is made here (policies, actions, seeds) or named by its hash (the circuit).
 """

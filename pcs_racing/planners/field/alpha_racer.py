@@ -84,7 +84,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def _draw(theta, clear, passes, samples):  # type: ignore[no-untyped-def]
+def _draw(theta, clear, passes, samples):
     """Write the five parameters of all samples of a car.
 
     ``clear`` is the min passing distance, m. A car that is passed does not make way: it goes on,
@@ -101,14 +101,14 @@ def _draw(theta, clear, passes, samples):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _near(distance, reach):  # type: ignore[no-untyped-def]
+def _near(distance, reach):
     """Return 1 at distance 0, falling smoothly to 0 at the reach."""
     q = max(1.0 - (distance / reach) ** 2, 0.0)
     return q * q
 
 
 @inner_kernel
-def _lay_table(track, view, keep, table):  # type: ignore[no-untyped-def]
+def _lay_table(track, view, keep, table):
     """Write speed, curvature and eased free widths (m), from `BACK` m behind the car on."""
     for k in range(PLACES):
         sample, row = track.line[line_index(track, view[_view.OWN_S] + k * SPACE - BACK)], table[4 * k :]
@@ -122,13 +122,13 @@ def _lay_table(track, view, keep, table):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _row(table, s):  # type: ignore[no-untyped-def]
+def _row(table, s):
     """Return the index of the table row for an arc length (m) from the car on."""
     return 4 * min(max(int((s + BACK) / SPACE), 0), PLACES - 1)
 
 
 @inner_kernel(forceinline=True)
-def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, rate, other_s, other_v, other_d):  # type: ignore[no-untyped-def]
+def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, rate, other_s, other_v, other_d):
     """Advance a car by ``dt``; return arc length, speed, distance from the line, its rate, cost."""
     here, time, gap = table[_row(table, s) :], five[_T], other_s - s
     soon = table[_row(table, s + 2.0 * v * time) :]  # the spring lags
@@ -154,7 +154,7 @@ def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, r
 
 
 @inner_kernel
-def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):  # type: ignore[no-untyped-def]
+def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
     """Simulate both cars with one sample each; write the own plan, return both payoffs (m)."""
     table, grip = scratch[_TABLE:_LANE], 1.3 * _line.GRIP * max(scale * scale, 1.0)
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
@@ -186,7 +186,7 @@ def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
 
 
 @kernel
-def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-def]
+def best_of_potential(own, opponent, means, last):
     """Return the pair of samples with the max potential of the nearest potential game.
 
     Parameters
@@ -219,7 +219,7 @@ def best_of_potential(own, opponent, means, last):  # type: ignore[no-untyped-de
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Play the game if the opponent is near, and drive the own part of the best pair."""
     gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[_PACE]), scratch[_LANE:SCRATCH]
     if abs(gap) > SIGHT:

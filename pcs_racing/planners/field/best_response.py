@@ -67,7 +67,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):  # type: ignore[no-untyped-def]
+def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):
     """Write the arc lengths of a plan: as fast as the profile allows, and behind a blocking car.
 
     Returns the last arc length.
@@ -86,7 +86,7 @@ def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):  # type: 
 
 
 @inner_kernel
-def _solve(main, following, after, right):  # type: ignore[no-untyped-def]
+def _solve(main, following, after, right):
     """Solve a symmetric system with two bands next to the diagonal in place, by LDL' factors."""
     n = STEPS
     for k in range(n):
@@ -110,7 +110,7 @@ def _solve(main, following, after, right):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
+def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
     """Write distances from the line and multipliers of a plan.
 
     The plan passes the other car on ``side`` (0: no pass). ``pull`` (1/m) are the opponent's
@@ -162,7 +162,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):  # 
 
 
 @inner_kernel
-def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, other, scratch):  # type: ignore[no-untyped-def]
+def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, other, scratch):
     """Replace a plan by the best response to the other plan; return its passing side."""
     s0 = view[_view.OWN_S]
     trial = scratch[_TRIAL : _TRIAL + _PLAN]
@@ -203,7 +203,7 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Improve both plans alternately, and drive the own plan."""
     s0 = view[_view.OWN_S]
     scale = _line.speed_scale(view, theta[_PACE])

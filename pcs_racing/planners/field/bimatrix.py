@@ -59,7 +59,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, follow, scratch):  # type: ignore[no-untyped-def]
+def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, follow, scratch):
     """Write the trajectories of a car ``begin`` m ahead of the own car; it prefers ``home`` (m)."""
     s0, reach = view[_view.OWN_S], max(3.0, 1.2 * v)
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
@@ -86,7 +86,7 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
 
 
 @inner_kernel
-def _collision(view, air, own, opponent, scratch):  # type: ignore[no-untyped-def]
+def _collision(view, air, own, opponent, scratch):
     """Return the cost (m) of a collision of two trajectories: higher if sooner, 0 if none."""
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
@@ -100,7 +100,7 @@ def _collision(view, air, own, opponent, scratch):  # type: ignore[no-untyped-de
 
 
 @inner_kernel
-def _payoffs(theta, view, leads, last, scratch):  # type: ignore[no-untyped-def]
+def _payoffs(theta, view, leads, last, scratch):
     """Write the payoffs of both cars for every pair of trajectories."""
     for i in range(MOVES):
         for j in range(MOVES):
@@ -117,7 +117,7 @@ def _payoffs(theta, view, leads, last, scratch):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
+def solve(own, opponent, leads):
     """Return the own move in the Stackelberg equilibrium.
 
     Payoffs have shape (MOVES * MOVES,); own moves are rows.
@@ -133,7 +133,7 @@ def solve(own, opponent, leads):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Play the game if the opponent is near, and drive the own trajectory."""
     gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[0]), scratch[_LANE:SCRATCH]
     if abs(gap) > SIGHT:

@@ -38,7 +38,7 @@ SCRATCH = SCAN_SIZE + BEAMS
 
 
 @compiled
-def extend_disparities(ranges, disparity, half_width, extended):  # type: ignore[no-untyped-def]
+def extend_disparities(ranges, disparity, half_width, extended):
     """Write the ranges (m), with every edge extended by half a car, into ``extended``."""
     for k in range(BEAMS):
         extended[k] = ranges[k]
@@ -54,7 +54,7 @@ def extend_disparities(ranges, disparity, half_width, extended):  # type: ignore
 
 
 @compiled
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Scan, extend the disparities, and steer for the farthest point."""
     scan(track, view, scratch)
     ranges, extended = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], scratch[SCAN_SIZE:SCRATCH]

@@ -43,7 +43,7 @@ SCRATCH = _CHOICE + BEAMS
 
 
 @compiled
-def smooth(ranges, longest, angle, out):  # type: ignore[no-untyped-def]
+def smooth(ranges, longest, angle, out):
     """Write means of the ranges (m), capped at ``longest``, over +-``angle`` (rad) into ``out``."""
     reach = int(angle / STEP)
     total = 0.0
@@ -59,7 +59,7 @@ def smooth(ranges, longest, angle, out):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def longest_gap(ranges):  # type: ignore[no-untyped-def]
+def longest_gap(ranges):
     """Return the first beam of the longest run of ranges above 0, and the beam after its last."""
     best, best_end, begin = 0, 0, 0
     for k in range(BEAMS + 1):
@@ -71,7 +71,7 @@ def longest_gap(ranges):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Scan, clear the bubble, and steer for the farthest point of the longest gap."""
     scan(track, view, scratch)
     ranges, choice = scratch[_SMOOTH:_CHOICE], scratch[_CHOICE:SCRATCH]

@@ -67,7 +67,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def quintic(d, d_dot, d_bend, end, end_rate, duration, out):  # type: ignore[no-untyped-def]
+def quintic(d, d_dot, d_bend, end, end_rate, duration, out):
     """Write the quintic from a state to a value and rate; return its integral of jerk^2."""
     per = 1.0 / duration
     rest = end - d - duration * (d_dot + 0.5 * duration * d_bend)
@@ -82,7 +82,7 @@ def quintic(d, d_dot, d_bend, end, end_rate, duration, out):  # type: ignore[no-
 
 
 @inner_kernel
-def _quartic(v, a, end, duration, out):  # type: ignore[no-untyped-def]
+def _quartic(v, a, end, duration, out):
     """Write the quartic from speed and acceleration to a speed; return its integral of jerk^2."""
     third = ((end - v) / duration - 2.0 / 3.0 * a) / duration
     fourth = -(a + 6.0 * third * duration) / (12.0 * duration * duration)
@@ -92,25 +92,25 @@ def _quartic(v, a, end, duration, out):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel(forceinline=True)
-def _at(c, t):  # type: ignore[no-untyped-def]
+def _at(c, t):
     """Return the value of a quintic."""
     return c[0] + t * (c[1] + t * (c[2] + t * (c[3] + t * (c[4] + t * c[5]))))
 
 
 @inner_kernel(forceinline=True)
-def _rate(c, t):  # type: ignore[no-untyped-def]
+def _rate(c, t):
     """Return the first derivative of a quintic."""
     return c[1] + t * (2.0 * c[2] + t * (3.0 * c[3] + t * (4.0 * c[4] + t * 5.0 * c[5])))
 
 
 @inner_kernel(forceinline=True)
-def _bend(c, t):  # type: ignore[no-untyped-def]
+def _bend(c, t):
     """Return the second derivative of a quintic."""
     return 2.0 * c[2] + t * (6.0 * c[3] + t * (12.0 * c[4] + t * 20.0 * c[5]))
 
 
 @inner_kernel
-def _present(track, view, memory):  # type: ignore[no-untyped-def]
+def _present(track, view, memory):
     """Return the lateral start state of the plan: distance, first and second derivative."""
     t = view[_view.TIME] - memory[_BEGUN]
     if memory[_VALID] > 0.0 and t < 0.5:
@@ -124,7 +124,7 @@ def _present(track, view, memory):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _along(theta, v, a, profile, duration, k, opp_s, opp_v, out):  # type: ignore[no-untyped-def]
+def _along(theta, v, a, profile, duration, k, opp_s, opp_v, out):
     """Write the polynomial along the track to the k-th kind of end state.
 
     The end state has a share of the profile's speed, or is behind the opponent. Returns the
@@ -137,7 +137,7 @@ def _along(theta, v, a, profile, duration, k, opp_s, opp_v, out):  # type: ignor
 
 
 @inner_kernel
-def _possible(track, theta, view, duration, number, seen, scratch):  # type: ignore[no-untyped-def]
+def _possible(track, theta, view, duration, number, seen, scratch):
     """Return whether a trajectory keeps off walls and opponent, and within acceleration limits."""
     c, along = scratch[_D:_S], scratch[_S:_OPP]
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
@@ -166,7 +166,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):  # type: ign
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Sample the trajectories, and drive the cheapest feasible trajectory."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 1.0)
     scale = _line.speed_scale(view, theta[0])

@@ -50,7 +50,7 @@ SCRATCH = _FREE + BEAMS
 
 
 @compiled
-def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
+def free_distances(ranges, bubble, free):
     """Write the free distance (m) of the car's middle along each beam, up to the first bubble."""
     for k in range(BEAMS):
         free[k] = ranges[k]
@@ -67,7 +67,7 @@ def free_distances(ranges, bubble, free):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def widest_gap(free, depth):  # type: ignore[no-untyped-def]
+def widest_gap(free, depth):
     """Return the middle (rad) of the gap around the longest free distance, and this distance, m."""
     best = farthest(free, _ANGLES, 0, BEAMS)
     enough = depth * free[best]
@@ -81,7 +81,7 @@ def widest_gap(free, depth):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lean(ranges, side_air):  # type: ignore[no-untyped-def]
+def lean(ranges, side_air):
     """Return the turn (rad, positive to the left) away from obstacles next to the car."""
     right = side_air
     left = side_air
@@ -92,7 +92,7 @@ def lean(ranges, side_air):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Scan, choose a direction and write the arc that turns into it."""
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     ranges = scratch[WORK:_FREE]

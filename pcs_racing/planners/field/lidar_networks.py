@@ -50,7 +50,7 @@ from pcs_racing.planners.view import PATH_POINTS
 
 
 @kernel
-def convolve(flat, sizes, step, x, y):  # type: ignore[no-untyped-def]
+def convolve(flat, sizes, step, x, y):
     """Pass windows of ``x`` through a dense layer and a ReLU, one after the other into ``y``.
 
     Parameters
@@ -75,7 +75,7 @@ def convolve(flat, sizes, step, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def recur(flat, inputs, units, x, state, work):  # type: ignore[no-untyped-def]
+def recur(flat, inputs, units, x, state, work):
     """Advance the state of gated recurrent units (``units``,) by the inputs ``x``.
 
     ``flat`` holds the layer from the inputs to the reset, update and new gates, then the layer from
@@ -133,7 +133,7 @@ LIDAR_FORMAT = ArtifactFormat(
 
 
 @compiled
-def observe(track, view, pace, work, seen):  # type: ignore[no-untyped-def]
+def observe(track, view, pace, work, seen):
     """Write the inputs of the network, all of order one, into ``seen``, shape (SEEN,)."""
     beams = Beams(_ANGLES[0], _STEP, MAX_RANGE, _COS, _SIN)
     scan_beams(track, beams, view, view[_view.OWN_PSI], work, seen[:BEAMS])
@@ -147,7 +147,7 @@ def observe(track, view, pace, work, seen):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def answer_cnn(flat, seen, state, work):  # type: ignore[no-untyped-def]
+def answer_cnn(flat, seen, state, work):
     """Evaluate the convolutional network; the outputs are at the beginning of ``work``."""
     features, first, second = work[:148], work[148:492], work[492:732]
     convolve(flat, (7, 8), 3, seen, first)
@@ -159,7 +159,7 @@ def answer_cnn(flat, seen, state, work):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def answer_gru(flat, seen, state, work):  # type: ignore[no-untyped-def]
+def answer_gru(flat, seen, state, work):
     """Advance the recurrent network; the outputs are at the beginning of ``work``."""
     recur(flat, SEEN, UNITS, seen, state, work)
     last = 3 * UNITS * (SEEN + UNITS + 2)
@@ -170,7 +170,7 @@ ANSWERS = {"cnn": answer_cnn, "gru": answer_gru}
 
 
 @compiled
-def lay_path(view, outputs, share, path):  # type: ignore[no-untyped-def]
+def lay_path(view, outputs, share, path):
     """Write the path and the speeds of the network's outputs."""
     sine, cosine = sine_cosine(view[_view.OWN_PSI])
     slope, bend = 0.1 * outputs[0], 0.1 * outputs[1]
@@ -191,7 +191,7 @@ def _plan(network: str, frozen: bytes) -> Any:
     answer, constant = ANSWERS[network], np.frombuffer(frozen, np.float64)
 
     @compiled
-    def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    def plan(track, theta, view, memory, scratch, path):
         seen, work = scratch[WORK : WORK + SEEN], scratch[WORK + SEEN :]
         observe(track, view, theta[0], scratch[:WORK], seen)
         answer(constant, seen, memory, work)

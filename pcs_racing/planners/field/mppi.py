@@ -91,14 +91,14 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel(forceinline=True)
-def _place(time, step, which):  # type: ignore[no-untyped-def]
+def _place(time, step, which):
     """Return the table index of the noise of a plan step at a race time in s (splitmix64)."""
     key = scramble_one(np.uint64(int(time * 100.0 + 0.5) * 64 + 2 * step + which + 1) * GOLDEN)
     return np.int64((key >> np.uint64(33)) % np.uint64(_TABLE - SAMPLES))
 
 
 @inner_kernel(forceinline=True)
-def _advance(s, d, e, v, kappa, a, line_kappa):  # type: ignore[no-untyped-def]
+def _advance(s, d, e, v, kappa, a, line_kappa):
     """Return arc length, distance from the line, course and speed one step of the model later."""
     e2 = e * e
     sine = e * (1.0 - e2 / 6.0)
@@ -109,7 +109,7 @@ def _advance(s, d, e, v, kappa, a, line_kappa):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a0, scratch):  # type: ignore[no-untyped-def]
+def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a0, scratch):
     """Drive all copies by one step of the plan, and add its cost (code for vectorisation)."""
     kappas, accelerations = NOISE[_place(view[0], k // HELD, 0) :], NOISE[_place(view[0], k // HELD, 1) :]
     s_, d_, e_, v_ = scratch[_S:_D], scratch[_D:_E], scratch[_E:_V], scratch[_V:_K]
@@ -151,7 +151,7 @@ def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a
 
 
 @inner_kernel
-def _average(theta, time, sd_kappa, memory, scratch):  # type: ignore[no-untyped-def]
+def _average(theta, time, sd_kappa, memory, scratch):
     """Replace the plan by the weighted mean of the copies."""
     cost = scratch[_COST:_LINE_KAPPA]
     least = np.inf
@@ -172,7 +172,7 @@ def _average(theta, time, sd_kappa, memory, scratch):  # type: ignore[no-untyped
 
 
 @inner_kernel
-def _drive_plan(track, view, d, e, memory, along, across, speeds):  # type: ignore[no-untyped-def]
+def _drive_plan(track, view, d, e, memory, along, across, speeds):
     """Simulate the plan; write arc length, distance from the line and speed after each step."""
     s, v = 0.0, max(view[_view.OWN_V], 0.1)
     for k in range(STEPS):
@@ -184,7 +184,7 @@ def _drive_plan(track, view, d, e, memory, along, across, speeds):  # type: igno
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Shift the plan, disturb it, and average the copies."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 0.1)
     scale = _line.speed_scale(view, theta[_PACE])

@@ -42,7 +42,7 @@ NO_LIMIT = 1e6  # lateral acceleration, m/s^2: the command has its own limit
 
 
 @compiled
-def field_command(theta, view, ranges):  # type: ignore[no-untyped-def]
+def field_command(theta, view, ranges):
     """Return the steering angle (rad) and speed (m/s) requested by the field of the ranges (m)."""
     first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
     pull_x = pull_y = push_x = push_y = 0.0
@@ -64,7 +64,7 @@ def field_command(theta, view, ranges):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Scan, and steer along the field."""
     scan(track, view, scratch)
     steering, speed = field_command(theta, view, scratch[SCAN_SIZE - BEAMS : SCAN_SIZE])

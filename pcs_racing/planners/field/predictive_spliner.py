@@ -64,7 +64,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def remember(memory, at, d, share):  # type: ignore[no-untyped-def]
+def remember(memory, at, d, share):
     """Store the opponent's driving in the bin ``at``.
 
     ``d`` is its distance from the race line (m), ``share`` its share of the profile's speed.
@@ -79,7 +79,7 @@ def remember(memory, at, d, share):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):  # type: ignore[no-untyped-def]
+def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):
     """Write posterior means of a process with exponential kernel.
 
     The means are in `AHEAD` bins from the opponent's bin on.
@@ -118,7 +118,7 @@ def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):  #
 
 
 @inner_kernel(forceinline=True)
-def _ahead(means, per_bin, along):  # type: ignore[no-untyped-def]
+def _ahead(means, per_bin, along):
     """Return a mean at a distance (m) beyond the opponent, interpolated between the bins."""
     u = min(max(along * per_bin, 0.0), AHEAD - 1.001)
     k = int(u)
@@ -126,7 +126,7 @@ def _ahead(means, per_bin, along):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def _region(track, theta, view, scale, gap, per_bin, shares):  # type: ignore[no-untyped-def]
+def _region(track, theta, view, scale, gap, per_bin, shares):
     """Return begin and end of the region of collision, m from the car; end 0: no region."""
     s0 = view[_view.OWN_S]
     own, opponent, v, t = 0.0, gap, view[_view.OWN_V], 0.0
@@ -145,21 +145,21 @@ def _region(track, theta, view, scale, gap, per_bin, shares):  # type: ignore[no
 
 
 @inner_kernel(forceinline=True)
-def _ramp(u):  # type: ignore[no-untyped-def]
+def _ramp(u):
     """Return a cubic from 0 at u <= 0 to 1 at u >= 1."""
     u = min(max(u, 0.0), 1.0)
     return u * u * (3.0 - 2.0 * u)
 
 
 @inner_kernel(forceinline=True)
-def _evasion(theta, offsets, per_bin, gap, side, begins, ends, x):  # type: ignore[no-untyped-def]
+def _evasion(theta, offsets, per_bin, gap, side, begins, ends, x):
     """Return the offset of an evasion to one side from the race line, ``x`` m ahead of the car."""
     share = _ramp((x - begins) / theta[RAMP] + 1.0) * (1.0 - _ramp((x - ends) / theta[RAMP]))
     return share * (_ahead(offsets, per_bin, x - gap) + side * theta[EVASION])
 
 
 @inner_kernel
-def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends):  # type: ignore[no-untyped-def]
+def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends):
     """Return the min room (m) of an evasion to the walls, over its whole length."""
     keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
     least = np.inf
@@ -174,7 +174,7 @@ def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends): 
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Record the opponent, predict it, and pass or trail."""
     gap = gap_ahead(track, view)
     scale = _line.speed_scale(view, theta[0])

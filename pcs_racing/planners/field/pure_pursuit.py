@@ -35,26 +35,26 @@ WALL_MARGIN = 0.38  # distance of the car's middle to the wall next to an oppone
 
 
 @compiled(forceinline=True)
-def line_index(track, s):  # type: ignore[no-untyped-def]
+def line_index(track, s):
     """Return the index of the last line sample at or before an arc length (any real number)."""
     return int(wrap_s(track, s) / track.ds) % track.line.shape[0]
 
 
 @compiled(forceinline=True)
-def gap_ahead(track, view):  # type: ignore[no-untyped-def]
+def gap_ahead(track, view):
     """Return the distance to the opponent ahead, modulo laps, in [-length / 2, length / 2), m."""
     gap = view[_view.GAP]
     return gap - np.floor(gap / track.length + 0.5) * track.length
 
 
 @compiled(forceinline=True)
-def side_air(view):  # type: ignore[no-untyped-def]
+def side_air(view):
     """Return the lateral clearance of both cars, m; negative if one would hit the other's rear."""
     return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
 
 
 @compiled(forceinline=True)
-def gives_way(view, gap):  # type: ignore[no-untyped-def]
+def gives_way(view, gap):
     """Return whether the car gives way to the opponent.
 
     It does if the opponent is alongside and nearer to the race line: then the line belongs to the
@@ -66,14 +66,14 @@ def gives_way(view, gap):  # type: ignore[no-untyped-def]
 
 
 @compiled(forceinline=True)
-def within_walls(track, s, d, keep):  # type: ignore[no-untyped-def]
+def within_walls(track, s, d, keep):
     """Return the offset (m) nearest to ``d`` that leaves ``keep`` to walls where the line does."""
     line = track.line[line_index(track, s)]
     return min(max(d, min(keep - line[_frenet.RIGHT], 0.0)), max(line[_frenet.LEFT] - keep, 0.0))
 
 
 @compiled
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Write a path back to the race line: a cubic that starts along the car's course."""
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]

@@ -44,7 +44,7 @@ _FIELD, _SIZES = POTENTIAL_FIELD.default, np.array((SEEN, WIDTH, WIDTH, 2))
 
 
 @compiled
-def observe(track, view, scratch, seen):  # type: ignore[no-untyped-def]
+def observe(track, view, scratch, seen):
     """Scan, write the inputs of the network into ``seen`` (SEEN,), and return the field's command.
 
     All inputs are of order one.
@@ -64,7 +64,7 @@ def observe(track, view, scratch, seen):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def lay_corrected(view, steering, speed, turn, faster, share, path):  # type: ignore[no-untyped-def]
+def lay_corrected(view, steering, speed, turn, faster, share, path):
     """Write the path of a command with corrections ``turn`` and ``faster``, both from -1 to 1."""
     speed = share * max(speed + SPEED * faster, SLOWEST)
     steer_for(view, steering + STEERING * turn, speed, NO_LIMIT, path)
@@ -76,7 +76,7 @@ def residual_plan(frozen: bytes) -> Any:
     constant = np.frombuffer(frozen, np.float64)
 
     @compiled
-    def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+    def plan(track, theta, view, memory, scratch, path):
         x, y = scratch[SCAN_SIZE : SCAN_SIZE + WIDTH], scratch[SCAN_SIZE + WIDTH : SCRATCH]
         steering, speed = observe(track, view, scratch, x)
         dense_forward(constant, _SIZES, x, y, True)

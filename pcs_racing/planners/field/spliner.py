@@ -56,7 +56,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 
 
 @inner_kernel
-def lay_spline(theta, stretch, scratch):  # type: ignore[no-untyped-def]
+def lay_spline(theta, stretch, scratch):
     """Write the natural cubic spline that is 1 at the apex and 0 at the other points.
 
     The output is its points and second derivatives.
@@ -79,7 +79,7 @@ def lay_spline(theta, stretch, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def spline_at(x, scratch):  # type: ignore[no-untyped-def]
+def spline_at(x, scratch):
     """Return the spline of `lay_spline` at a distance (m) from its apex.
 
     The value is clipped to [0, 1], because a spline must not change sides.
@@ -98,7 +98,7 @@ def spline_at(x, scratch):  # type: ignore[no-untyped-def]
 
 
 @inner_kernel
-def fits(track, view, keep, s, apex, gap, scratch):  # type: ignore[no-untyped-def]
+def fits(track, view, keep, s, apex, gap, scratch):
     """Return whether the rest of a spline, apex at ``s + gap``, leaves ``keep`` (m) to walls."""
     x = max(scratch[_AT], -gap)
     while x < scratch[_AT + KNOTS - 1]:
@@ -111,7 +111,7 @@ def fits(track, view, keep, s, apex, gap, scratch):  # type: ignore[no-untyped-d
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Follow the race line, pass, or trail."""
     s0 = view[_view.OWN_S]
     opp_d = view[_view.OPP_D]

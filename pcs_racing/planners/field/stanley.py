@@ -45,7 +45,7 @@ MEMORY = _line.KEPT_LANE + 1
 
 
 @kernel
-def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-def]
+def plan(track, theta, view, memory, scratch, path):
     """Write the lane: the race line, or the own position across the track next to another car."""
     cap = _line.follow_line(track, theta, view, gap_ahead(track, view), SIGHT, scratch)
     _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, scratch, path)
@@ -53,7 +53,7 @@ def plan(track, theta, view, memory, scratch, path):  # type: ignore[no-untyped-
 
 
 @kernel
-def control(track, theta, view, memory, scratch, path, command):  # type: ignore[no-untyped-def]
+def control(track, theta, view, memory, scratch, path, command):
     """Steer by the errors of the front axle."""
     v = view[_view.OWN_V]
     s = view[_view.OWN_S] + view[_view.WHEELBASE] - view[_view.REAR_AXLE]

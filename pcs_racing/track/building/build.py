@@ -210,7 +210,7 @@ def _viewpoints(line: Floats, stretches: int) -> Floats:
 
 
 @compiled
-def _free_widths(drivable, x, y, tangent):  # type: ignore[no-untyped-def]
+def _free_widths(drivable, x, y, tangent):
     """Return the free widths (cells) to the right and left of line samples, along the normals."""
     out = np.empty((x.shape[0], 2))
     for k in range(x.shape[0]):

@@ -18,9 +18,9 @@ def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np
     cells.
     """
     from scipy import ndimage
-    from pcs_racing.track.grid import way_out  # imports numba, which names of tracks do without
 
     from pcs_racing.track.building.centerline import fill_islands
+    from pcs_racing.track.grid import way_out  # imports numba, which names of tracks do without
 
     room = ndimage.distance_transform_edt(~grid)
     for half in GAPS:

@@ -30,7 +30,7 @@ def checked_grid(
 
 
 @compiled
-def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore[no-untyped-def]
+def wall_clearance(points, occupied, resolution, origin, reach):
     """Return the exact distance in m from points (N, 2) to the square of the nearest wall cell.
 
     It is 0 in a wall, and at most ``reach`` (m); everything outside the grid is wall.
@@ -62,7 +62,7 @@ def wall_clearance(points, occupied, resolution, origin, reach):  # type: ignore
 
 
 @compiled
-def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
+def room_at(line, room, resolution, corner):
     """Return the bilinear value of a distance field at points (N, 2); 0 outside it."""
     out = np.empty(line.shape[0])
     for k in range(line.shape[0]):
@@ -73,7 +73,7 @@ def room_at(line, room, resolution, corner):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def corridor(line, normal, room, resolution, corner, need, reach):  # type: ignore[no-untyped-def]
+def corridor(line, normal, room, resolution, corner, need, reach):
     """Return bounds of moves along normals at a min distance ``need`` (m) from the walls.
 
     A point without room must move to the nearest place with room, on this side of the next wall.

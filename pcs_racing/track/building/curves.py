@@ -33,7 +33,7 @@ class LineSamples(NamedTuple):
 
 
 @compiled
-def solve_cyclic(lower, diagonal, upper, right):  # type: ignore[no-untyped-def]
+def solve_cyclic(lower, diagonal, upper, right):
     """Solve ``lower[i] x[i-1] + diagonal[i] x[i] + upper[i] x[i+1] = right[i]`` for x (n, m).
 
     Indices are modulo n. The matrix must be diagonally dominant, and n at least 3.
@@ -133,7 +133,7 @@ MAX_LENGTH = 10_000.0  # m: far beyond any track for 1:10 cars; it bounds the me
 
 
 @compiled
-def transform(real, imaginary):  # type: ignore[no-untyped-def]
+def transform(real, imaginary):
     """Return ``X[k] = sum_j x[j] exp(-2 pi i j k / N)`` for any N.
 
     The number of operations is N times the sum of its prime factors. The result has the same bits
@@ -230,7 +230,7 @@ def smooth(xy: np.ndarray, wavelength: float) -> np.ndarray:
 
 
 @compiled
-def first_crossing(xy):  # type: ignore[no-untyped-def]
+def first_crossing(xy):
     """Return the first crossing segments (i, j) of a closed polyline; (-1, -1) if it is simple.
 
     Segment i begins at point i. From one segment to the next the distance to a third segment

@@ -259,7 +259,7 @@ def _lap(xy: np.ndarray) -> float:
 
 
 @compiled
-def _sweep(cap, ds):  # type: ignore[no-untyped-def]
+def _sweep(cap, ds):
     """Return squared speeds below ``cap`` that also respect acceleration and braking.
 
     The slowest sample is never lowered (all its neighbours are at least as fast), so one lap

@@ -27,7 +27,7 @@ class Outlines(NamedTuple):
 
 
 @compiled
-def trace_outlines(drivable):  # type: ignore[no-untyped-def]
+def trace_outlines(drivable):
     """Trace the closed outlines of a region along its cell faces, the region on the left.
 
     The region is connected by sides of cells; its outermost rows and columns must be False.
@@ -74,7 +74,7 @@ def trace_outlines(drivable):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _corners(points, tolerance):  # type: ignore[no-untyped-def]
+def _corners(points, tolerance):
     """Mark the points of a closed polyline retained by the Douglas-Peucker algorithm."""
     n = points.shape[0]
     # A speck of a few cells would collapse to a line.
@@ -112,7 +112,7 @@ def _corners(points, tolerance):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
+def _protrusion(vertex, corner, ends):
     """Return for each side of a polygon the max distance of its faces' ends to the left."""
     m = corner.shape[0]
     n = ends.shape[0]
@@ -129,7 +129,7 @@ def _protrusion(vertex, corner, ends):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
+def _shift_left(vertex, shift):
     """Shift each side of a closed polygon left by its own distance; corners move on bisectors."""
     n = vertex.shape[0]
     out = np.empty((n, 2))
@@ -150,7 +150,7 @@ def _shift_left(vertex, shift):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
+def simplify(outlines, tolerance, inset):
     """Simplify outlines to segments through middles of cell faces (Douglas and Peucker, 1973).
 
     On a slanted wall the middles lie halfway between protruding cells and the cells behind them. A
@@ -200,7 +200,7 @@ def simplify(outlines, tolerance, inset):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
+def _cell_faces(outlines, shape):
     """Number the cells with a wall face, and list the outline face on each of their sides."""
     number = np.full(shape, -1, dtype=np.int32)
     count = 0
@@ -215,7 +215,7 @@ def _cell_faces(outlines, shape):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no-untyped-def]
+def _segment_at(drivable, number, faces, owner, x, y, angle):
     """Return the segment hit by a ray; -1 for a viewpoint in a wall."""
     sine, cosine = sine_cosine(angle)
     _, i, j, side = cast(drivable, x, y, cosine, sine, np.inf)
@@ -223,7 +223,7 @@ def _segment_at(drivable, number, faces, owner, x, y, angle):  # type: ignore[no
 
 
 @compiled
-def _mark(drivable, number, faces, owner, x, y, marks):  # type: ignore[no-untyped-def]
+def _mark(drivable, number, faces, owner, x, y, marks):
     """Mark the segments visible from a point by a fan of rays, denser between distant hits."""
     high = np.empty(DEPTH + 1)
     met = np.empty(DEPTH + 1, dtype=np.int64)
@@ -250,7 +250,7 @@ def _mark(drivable, number, faces, owner, x, y, marks):  # type: ignore[no-untyp
 
 
 @compiled
-def _nearest_squared(segment, x, y):  # type: ignore[no-untyped-def]
+def _nearest_squared(segment, x, y):
     dx = segment[2] - segment[0]
     dy = segment[3] - segment[1]
     length2 = dx * dx + dy * dy
@@ -260,7 +260,7 @@ def _nearest_squared(segment, x, y):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def seen_lists(drivable, outlines, segments, owner, start, sections):  # type: ignore[no-untyped-def]
+def seen_lists(drivable, outlines, segments, owner, start, sections):
     """List for each stretch of a closed line the wall segments that are visible from it.
 
     A fan of exact rays from several points of each cross-section marks the segments hit. The list

@@ -153,7 +153,7 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
 
 
 @compiled
-def _distance_to_points(points, rows, cols, reach):  # type: ignore[no-untyped-def]
+def _distance_to_points(points, rows, cols, reach):
     """Return the distance (cells) of cell centres to the nearest point; inf beyond ``reach``."""
     best = np.full((rows, cols), np.inf)
     for k in range(points.shape[0]):
@@ -201,7 +201,7 @@ def _draft(
 
 
 @compiled
-def _apart(line, step, distance):  # type: ignore[no-untyped-def]
+def _apart(line, step, distance):
     """Return whether non-neighbouring points of a closed line are a min distance apart.
 
     Neighbours are points within a half circle of that diameter: the limit of a legal hairpin.

@@ -46,7 +46,7 @@ EVALUATION_SEED = 1_000_003  # root seed of the evaluation races
 
 
 @kernel
-def _observe(track, state, vehicles, settings, rows, view, inputs, out):  # type: ignore[no-untyped-def]
+def _observe(track, state, vehicles, settings, rows, view, inputs, out):
     """Write the network inputs of car 0 of the races ``rows`` into the same rows of ``out``."""
     for race in rows:
         fill_view(track, state, race, 0, vehicles[race], settings, view)
