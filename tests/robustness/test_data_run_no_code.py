@@ -117,7 +117,7 @@ def made(folder: Path) -> Path:
 
 def study_agents(study: Study) -> None:
     """Use every name of a study's configuration."""
-    for name in sorted({*study.config.every_arm, *study.config.opponents, *study.config.rated, *study.config.replies,
+    for name in sorted({*study.config.arms, *study.config.further_arms, *study.config.opponents, *study.config.rated,
                         *study.config.further_opponents, *study.config.response_pool, *study.config.fitting_opponents,
                         study.config.best}):  # fmt: skip
         with suppress(InputError):
@@ -204,7 +204,7 @@ KINDS = {
     "results of a tournament": Kind(
         lambda folder: tournament(folder) / "results.csv",
         lambda file: raced(file.parent),
-        "_manifest read_job read_csv",
+        "read_manifest read_job read_csv",
     ),
     "job of a tournament": Kind(
         lambda folder: tournament(folder) / "job.yaml", lambda file: raced(file.parent), "is_unchanged _check_same"
@@ -225,21 +225,23 @@ KINDS = {
     "protocol": config(load_protocol, ProtocolConfig(**PROTOCOL)),
     "score card": Kind(card, lambda file: board_page(read_cards([file])), "read_card"),
     "archive": Kind(
-        shipped("archives", "default/manifest.yaml"),
+        shipped("pcs_racing/data/archives", "default/manifest.yaml"),
         lambda file: load_archive(file.parent).family(),
         "read _content load_archive",
     ),
     "network": Kind(
-        shipped("networks", "default-paper-regret/manifest.yaml"),
+        shipped("pcs_racing_agents/data/networks", "default-paper-regret/manifest.yaml"),
         lambda file: parse_agent(f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")),
     ),
     "set of networks": Kind(
-        shipped("networks", "contest-contest-psro/set.yaml"),
+        shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
         lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
     ),
-    "driver": Kind(shipped("drivers", "ppo-drive/manifest.yaml"), lambda file: load_driver(file.parent)),
+    "driver": Kind(
+        shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"), lambda file: load_driver(file.parent)
+    ),
     "fit": Kind(
-        shipped("pcs_racing_agents/agents/fits", "default-paper-best-fixed.yaml"),
+        shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
         lambda file: make("best-fixed", archive="default", race="paper", fit=file),
     ),
     "replay": Kind(replay, lambda file: replay_page(read_replay(file)), "read_replay"),
@@ -269,7 +271,7 @@ KINDS = {
 }
 NAMELESS = {
     "load_settings", "read_settings", "parse_yaml", "load_config",  # the readers that the others call
-    "_cached", "load_cached", "_restore", "read_chunk",  # numbers alone
+    "_cached", "load_cached", "_restore", "read_chunk", "parse_waypoints",  # numbers alone
     "read_defaults",  # the text of a copy of the gym beside a program that is run anyway: literals alone
     "tuned_environments", "tuned_ppo",  # a shipped file
     "parse_agent",  # a text, in which an option's value is no name of code

@@ -166,7 +166,7 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path
 def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(printed):
     out = printed("agents")
     assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
-    assert "- Option target, by default None. The policy's index." in printed("agents", "best-fixed")
+    assert "- Option target, by default None. Index of the policy." in printed("agents", "best-fixed")
     assert set(registry.SHIPPED) <= set(printed("policies").splitlines())
     lattice, switcher = (printed("policies", name) for name in ("lattice", "lane-switcher"))
     for one in registry.get_planner("lattice").parameters:
