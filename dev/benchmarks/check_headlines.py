@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import t as student
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 STUDIES = {"0": ("table-0", "table-10", "table-20"), **{name: (f"table-{name}",) for name in "1234"}}
 HELD_OUT = ("gap-follower", "stanley", "predictive-spliner", "frenet-sampling", "ppo-drive")
 TRACKS = ("Brackwater", "Pipkin", "Tarnfjord", "Monza", "Spielberg")
@@ -37,7 +37,7 @@ def looking(opponents: tuple[str, ...], arm: str = "response-contest", base: str
     for studies in STUDIES.values():
         gains = []
         for study in studies:
-            table = rows(ROOT / "research" / "five_archives" / study / "table.csv")
+            table = rows(ROOT / "studies" / "five_archives" / study / "table.csv")
             chosen = base or next(row["base"] for row in table if row["kind"] == "adaptivity gain")
             score = {(row["track"], row["opponent"], row["base"]): float(row["score_base"]) for row in table}
             score |= {(row["track"], row["opponent"], row["arm"]): float(row["score"]) for row in table}
@@ -50,7 +50,7 @@ def looking(opponents: tuple[str, ...], arm: str = "response-contest", base: str
 
 def table_of(name: str) -> dict[str, tuple[float, float, float]]:
     """Return rating (Bradley-Terry, ties of Davidson), score and share of own crashes by entrant of a kept table."""
-    races = [row for row in rows(ROOT / "benchmarks" / "kept_races.csv") if row["table"] == name]
+    races = [row for row in rows(Path(__file__).with_name("kept_races.csv")) if row["table"] == name]
     names = sorted({row[key] for row in races for key in ("first", "second")})
     first, second = (np.array([names.index(row[key]) for row in races]) for key in ("first", "second"))
     met, won, lost, tied, crash, crash_of_second = (

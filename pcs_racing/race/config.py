@@ -130,7 +130,7 @@ class RaceConfig(Settings):
 
 
 PAPER = RaceConfig()
-"""The race of the paper: deterministic, side by side, a crash pays nobody."""
+"""The race of the paper: deterministic, side by side, a crash is a no-contest."""
 
 CONTEST = RaceConfig.known(
     name="contest",

@@ -256,6 +256,6 @@ def competitor_hash(competitor: Competitor) -> str:
     if isinstance(behaviour, Driver) or is_dataclass(behaviour) or has_hash:
         return model.content_hash if isinstance(model, Agent) else fingerprint(behaviour)
     raise InputError(
-        f"results of agent {getattr(competitor, 'name', '')!r} can't be kept in a folder: nothing tells it from "
-        "another one of that name; make it a dataclass, or give it a content_hash"
+        f"results of agent {getattr(competitor, 'name', '')!r} cannot be cached: "
+        "it has no content hash; make it a dataclass, or give it a content_hash"
     )

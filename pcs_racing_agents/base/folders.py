@@ -26,7 +26,7 @@ from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 FORMAT = "pcs-racing job"
 VERSION = 1
 DIGEST = ".job.sha256"  # file with the manifest's digest
-GO_ON = "what is done is kept: mend that and start the same again to go on"
+GO_ON = "completed work is saved; fix this and rerun the same command to resume"
 _MAX_BYTES = 10_000_000
 _HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
 

@@ -307,7 +307,9 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.base.jobs.write_chunk", full)
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
-        pytest.raises(JobError, match=r"can't write .*square-00002.npz: No space left on device; what is done is kept"),
+        pytest.raises(
+            JobError, match=r"can't write .*square-00002.npz: No space left on device; completed work is sept"
+        ),
     ):
         job.run("square", square, range(5))
     monkeypatch.undo()
