@@ -25,7 +25,7 @@ ELSEWHERE = {
     ),
     "pcs_racing_agents/cli": ("tests/pcs_racing_agents/**/test_*command*.py",),
     "pcs_racing_agents/cli/learn.py": (
-        "tests/pcs_racing_agents/learning/test_robust.py",
+        "tests/pcs_racing_agents/learning/test_learn.py",
         "tests/pcs_racing_agents/learning/responses/test_best_reply.py",
     ),
     "pcs_racing_agents/cli/benchmark.py": ("tests/pcs_racing_agents/benchmark/test_benchmark.py",),

@@ -13,8 +13,8 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
 from pcs_racing.track import frenet
 from pcs_racing.track.building.build import build_arrays, check_centerline, check_line
-from pcs_racing.track.building.centerline import fill_islands
 from pcs_racing.track.building.clearance import checked_grid
+from pcs_racing.track.building.islands import fill_islands
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 from pcs_racing.track.grid import distance_to_walls
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from pcs_racing.track.building.islands import fill_islands
+
 GAPS = (1, 2, 3, 5, 8, 12, 18, 27, 40)  # half widths of gaps to search for, in cells
 
 
@@ -19,7 +21,6 @@ def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np
     """
     from scipy import ndimage
 
-    from pcs_racing.track.building.centerline import fill_islands
     from pcs_racing.track.grid import way_out  # imports numba, which names of tracks do without
 
     room = ndimage.distance_transform_edt(~grid)
@@ -48,8 +49,6 @@ def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np
 def no_loop(grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.ndarray | None) -> str:
     """Return the message for a grid without a free ring (at the seed point, if any)."""
     from scipy import ndimage
-
-    from pcs_racing.track.building.centerline import fill_islands
 
     if grid.all() or not grid.any():
         return f"no closed loop found: the picture has no {'free cell' if grid.all() else 'wall'}; check its thresholds"

@@ -11,13 +11,12 @@ from pcs_racing.base.errors import MapError, require
 from pcs_racing.track.building.causes import no_loop
 from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.curves import MAX_LENGTH, curve_length, resample, signed_area, smooth
+from pcs_racing.track.building.islands import ISLAND, fill_islands
 from pcs_racing.track.grid import distance_to_walls
 
 SPACING = 0.3  # point spacing of the result, m
 SMOOTHING = 1.0  # waves of this length are halved, m: far above a cell, below the tightest hairpin
 RIM = 3  # cells of wall around the track: the rim is never the nearer wall
-SPECK = 0.5  # holes of less area are dirt or obstacles on the track, m^2 ...
-ISLAND = 0.25  # ... and also holes of less than this share of the max hole extent
 ROUNDING = 1e-23  # max rounding error of the squared turns along that stretch, rad^2
 MAX_DETOURS = 10  # rounds of detours: behind one obstacle the line may meet another
 START_STRAIGHT = 8.0  # length of the straightest stretch, with the start line, m
@@ -137,24 +136,6 @@ def _ring(
         raise MapError(f"{len(rings)} regions could be the track: choose one by a seed point, as {' or '.join(points)}")
     _, region, hole, row, col = rings[0]
     return region, hole, row, col
-
-
-def fill_islands(region: np.ndarray, resolution: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a region with filled islands (dirt, obstacles), and its holes.
-
-    The holes are labelled in an array; the numbers of the large holes are returned too. The
-    outermost rows and columns of the region are False; they belong to no hole.
-    """
-    from scipy import ndimage
-
-    # The region is connected by sides, so its surroundings are connected by corners too.
-    holes, count = ndimage.label(~region, structure=np.ones((3, 3)))
-    sizes = np.bincount(holes.ravel(), minlength=count + 1) * resolution**2
-    extent = np.array([0, *(max(part.stop - part.start for part in box) for box in ndimage.find_objects(holes))])
-    outside = int(holes[0, 0])
-    sizes[[0, outside]] = extent[[0, outside]] = 0
-    large = np.flatnonzero((sizes >= SPECK) & (extent >= ISLAND * extent.max()))
-    return region | ((holes != outside) & ~np.isin(holes, large)), holes, large
 
 
 def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray) -> np.ndarray:
