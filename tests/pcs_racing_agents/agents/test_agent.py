@@ -92,7 +92,7 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
     function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), spec)
     for unknown in (Model(), as_competitor(Model(), "named"), function):
-        refused("of that name", competitor_hash, as_competitor(unknown))
+        refused("it has no content hash", competitor_hash, as_competitor(unknown))
     known = Model()
     known.content_hash = "abc"
     assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))

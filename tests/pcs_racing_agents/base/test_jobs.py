@@ -308,7 +308,7 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
         pytest.raises(
-            JobError, match=r"can't write .*square-00002.npz: No space left on device; completed work is sept"
+            JobError, match=r"can't write .*square-00002.npz: No space left on device; completed work is saved"
         ),
     ):
         job.run("square", square, range(5))
