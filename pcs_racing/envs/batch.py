@@ -35,6 +35,8 @@ MOST_EPISODES = 100_000
 
 MAX_STEPS = 2**62
 
+MAX_RATE = 1e4  # max speed, yaw rate and angles of a car in a state
+
 FREE: Any = object()
 """Part of a state's template that matches any value."""
 
@@ -179,6 +181,9 @@ def check_races(name: str, races: RaceState, config: RaceConfig, lengths: NDArra
     ):
         check_within(f"{name}.{part}", getattr(races, part), low, high)
     check_within(f"{name}.frenet", races.frenet[..., 0], 0.0, lengths[:, None])
+    # A car that moves by more than the grid in a step would be looked up outside of it.
+    for column in (_vehicle.DELTA, _vehicle.V, _vehicle.PSI_DOT, _vehicle.BETA):
+        check_within(f"{name}.cars", races.cars[..., column], -MAX_RATE, MAX_RATE)
 
 
 def generator_of(name: str, state: Any) -> np.random.Generator:

@@ -10,8 +10,16 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import ANYTHING, Checked, Settings, load_settings, number_range
-from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, MOST_DELAYED, VehicleParams, load_vehicle, load_vehicles
-from pcs_racing.envs.batch import FREE, Generators, Rows, check_part
+from pcs_racing.car.vehicle import (
+    COMMAND_PERIOD,
+    F1TENTH,
+    MOST_DELAYED,
+    STEER_DELAY,
+    VehicleParams,
+    load_vehicle,
+    load_vehicles,
+)
+from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_within
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
@@ -250,7 +258,8 @@ class EpisodeRandomization:
         Return the track of each episode, with its obstacles.
         """
         check_part("the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes))
-        circuits, _, _, boxes = state
+        circuits, vehicles, _, boxes = state
+        check_within("the state's steering delays", vehicles[..., STEER_DELAY], 0, MOST_DELAYED)
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):

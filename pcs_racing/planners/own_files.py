@@ -10,6 +10,7 @@ the race time.
 import argparse
 import builtins
 import importlib
+import os
 import random
 import sys
 import time
@@ -102,6 +103,7 @@ class Run:
         """
         with _lock, one_line(what, ()):
             argv, self._known_path, self._active = sys.argv, sys.path[:], True
+            folder, streams = os.getcwd(), (sys.stdout, sys.stderr)
             sys.argv = [str(self.path)]
             if self._draws:
                 self._seed_generators()
@@ -109,6 +111,8 @@ class Run:
                 yield
             finally:
                 self._note_folders()
+                os.chdir(folder)
+                sys.stdout, sys.stderr = streams
                 sys.argv, sys.path[:], self._active = argv, self._known_path, False
                 if self._outside is not None:
                     self._generators, self._outside = _swap(self._outside), None

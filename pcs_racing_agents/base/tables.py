@@ -79,7 +79,7 @@ def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[s
 
 def markdown(rows: Iterable[Sequence[str]]) -> list[str]:
     """Return rows as lines of a table in Markdown; the first row is its head."""
-    head, *others = ([cell.replace("|", "\\|") for cell in row] for row in rows)
+    head, *others = ([re.sub(r"<(?=[A-Za-z/!])", "&lt;", cell.replace("|", "\\|")) for cell in row] for row in rows)
     return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *others)]
 
 

@@ -324,3 +324,18 @@ def test_unknown_agents_and_states_of_another_number_are_refused():
         more.reset(seed=0)
         for wrong in (more.get_state(), "yesterday"):
             refused("use what get_state returned|it must be what get_state returned", envs.set_state, wrong)
+
+
+@pytest.mark.parametrize(("place", "value"), [("speed", 1e7), ("speed", 1e308), ("delay", 1e9), ("delay", -1e3)])
+def test_a_state_that_would_end_the_process_is_refused(place, value):
+    """A car beyond the grid within a step, and a command from outside of those kept."""
+    env = DriveEnv("Pipkin", None)
+    env.reset(seed=1)
+    state = env.get_state()
+    if place == "speed":
+        state.batch[0].cars[0, 0, 3] = value
+    else:
+        state.batch[4][1][..., 16] = value
+    before = flat(env.get_state())
+    refused("must be from", env.set_state, state)
+    assert flat(env.get_state()) == before

@@ -16,6 +16,7 @@ from pcs_racing import (
     RaceConfig,
     Starts,
     drivers_from,
+    load_race_config,
     load_track,
     parse_policy,
     register_planner,
@@ -363,3 +364,16 @@ def test_own_code_that_is_no_agent_is_one_line(file):
         refused(words, own_code, f"{file.parent}/agents.py:{name}")
     refused("gives None", own_code, "builtins:print")
     refused("int: ValueError: no signature found", own_code, "builtins:int")
+
+
+def test_a_file_changes_neither_the_working_folder_nor_the_output(tmp_path, monkeypatch):
+    (tmp_path / "team").mkdir()
+    (tmp_path / "team" / "driver.py").write_text(
+        "import os, sys\nos.chdir(os.path.dirname(os.path.abspath(__file__)))\nsys.stdout = None\n"
+        "class Moves:\n    def process_lidar(self, ranges):\n        os.chdir('..')\n        return 1.0, 0.0\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    track, stdout = load_track("Pipkin"), sys.stdout
+    (driver,) = drivers_from("team/driver.py").values()
+    run_races(track, [driver], parse_policy("pure-pursuit"), load_race_config("paper", duration=0.2), seed=1)
+    assert (Path.cwd(), sys.stdout) == (tmp_path, stdout)

@@ -56,3 +56,8 @@ def test_words_begin_and_numbers_end_below_each_other():
     assert aligned(rows) == ["agent  races  note", "a          5  x|y", "bcd       12"]
     assert aligned(rows, left=3)[1:] == ["a      5      x|y", "bcd    12"]
     assert markdown(rows) == ["| agent | races | note |", "| --- | --- | --- |", r"| a | 5 | x\|y |", "| bcd | 12 |  |"]
+
+
+def test_markdown_shows_tags_as_text():
+    """Names come from files of strangers; numbers such as "< 0.001" stay as they are."""
+    assert markdown([("agent",), ("<img src=x> | b",), ("< 0.001",)])[2:] == ["| &lt;img src=x> \\| b |", "| < 0.001 |"]
