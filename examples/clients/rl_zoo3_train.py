@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["rl_zoo3==2.9.2"]
 # ///
-"""rl_zoo3: its ``train.py`` trains PPO on the match with the tuned settings of the package (docs/reports/tuned_ppo.md).
+"""rl_zoo3: its ``train.py`` trains PPO on the match with the tuned settings of the package.
 
 python examples/clients/rl_zoo3_train.py
 python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \

@@ -119,7 +119,6 @@ def _ring(
         rows, cols = boxes[k - 1]
         if min(rows.stop - rows.start, cols.stop - cols.start) * resolution < 1.0:
             continue
-        region = np.pad(labels[rows, cols] == k, RIM)
         region, holes, large = fill_islands(np.pad(labels[rows, cols] == k, RIM), resolution)
         if len(large) == 1:
             size = float(np.count_nonzero(holes == large[0]))
