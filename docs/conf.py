@@ -13,7 +13,8 @@ sys.path[:0] = [str(HERE), str(HERE.parent)]
 # Circuits are built here, compiled, and kept in the cache: below it would take a minute for each.
 BUILD = "import pcs_racing; [pcs_racing.load_track(name) for name in pcs_racing.list_tracks()]"
 subprocess.run([sys.executable, "-c", BUILD], cwd=HERE.parent, check=True)
-# Compiled functions are then functions, with their signatures. Notebooks run in processes of their own, compiled.
+# Compiled functions are then functions, with their signatures. Notebooks run in processes of their
+# own, compiled.
 numba.config.DISABLE_JIT = True
 
 import site_pages  # noqa: E402
@@ -21,7 +22,9 @@ import site_pages  # noqa: E402
 project = "pcs-racing"
 author = "the founders of pcs-racing"
 copyright = f"2026, {author}"  # noqa: A001
-release = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+release = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"][
+    "version"
+]
 version = release
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
@@ -30,7 +33,8 @@ myst_heading_anchors = 3
 myst_enable_extensions = ["colon_fence", "deflist"]
 suppress_warnings = ["myst.header"]  # a page's only heading may be any level
 
-# The notebooks hold no outputs: they are run when the site is built, and again when a notebook has changed.
+# The notebooks hold no outputs: they are run when the site is built, and again when a notebook has
+# changed.
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(HERE.parent / "out" / "notebooks")
 nb_execution_in_temp = True
@@ -62,5 +66,6 @@ site_pages.write(HERE)
 def setup(app):
     """Join what Sphinx does while it reads pages and docstrings."""
     app.connect("source-read", site_pages.mend_page)
-    app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)  # napoleon: 500
+    # napoleon: 500
+    app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)
     app.connect("autodoc-process-signature", site_pages.shorten_signature)

@@ -36,16 +36,20 @@ ROADS = {
     "a parameter vector": ["policies/", "base/", "race/", "planners/"],
     "a move": ["agents/", "envs/", "game/", "race/"],
 }
-"""Floors that each road passes, from the search or the agent to the kernel; ``docs/design.md`` names the functions."""
+"""Floors that each road passes, from the search or the agent to the kernel; ``docs/design.md``
+names the functions.
+"""
 
 TOP, STEP, HEIGHT, LEFT, WIDTH = 70, 42, 36, 40, 760
 ROAD_X = (880, 1020)
 
 
-def text(x: float, y: float, words: str, size: int = 15, anchor: str = "start", weight: str = "normal") -> str:
+def text(
+    x: float, y: float, words: str, size: int = 15, anchor: str = "start", weight: str = "normal"
+) -> str:
     return (
-        f'<text x="{x:g}" y="{y:g}" font-size="{size}" text-anchor="{anchor}" font-weight="{weight}" '
-        f'fill="{INK}">{escape(words)}</text>'
+        f'<text x="{x:g}" y="{y:g}" font-size="{size}" text-anchor="{anchor}"'
+        f' font-weight="{weight}" fill="{INK}">{escape(words)}</text>'
     )
 
 
@@ -57,16 +61,23 @@ def drawing() -> str:
     """Return the picture as SVG."""
     height = TOP + STEP * len(FLOORS) + 30
     parts = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1140 {height}" '
-        'font-family="system-ui, sans-serif" role="img">',
+        (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 1140 {height}" '
+            'font-family="system-ui, sans-serif" role="img">'
+        ),
         f'<rect width="1140" height="{height}" fill="{PAPER}"/>',
-        text(LEFT, 40, "Floors: a file imports from its own floor and from those below", weight="bold"),
+        text(
+            LEFT,
+            40,
+            "Floors: a file imports from its own floor and from those below",
+            weight="bold",
+        ),
     ]
     for row, (package, name, words) in enumerate(FLOORS):
         y = floor_y(row)
         parts.append(
-            f'<rect x="{LEFT}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="4" fill="{FILL[package]}" '
-            f'stroke="{EDGE[package]}"/>'
+            f'<rect x="{LEFT}" y="{y}" width="{WIDTH}" height="{HEIGHT}" rx="4"'
+            f' fill="{FILL[package]}" stroke="{EDGE[package]}"/>'
         )
         parts.append(text(LEFT + 14, y + 24, name, weight="bold"))
         parts.append(text(LEFT + 260, y + 24, words))
@@ -76,10 +87,15 @@ def drawing() -> str:
     for x, (road, floors) in zip(ROAD_X, ROADS.items(), strict=True):
         ys = [floor_y(rows[name]) + HEIGHT / 2 for name in floors]
         parts.append(text(x, 40, road, 15, "middle", "bold"))
-        parts.append(f'<path d="M{x} {ys[0]} V{ys[-1]}" stroke="{LINE}" stroke-width="2" fill="none"/>')
+        parts.append(
+            f'<path d="M{x} {ys[0]} V{ys[-1]}" stroke="{LINE}" stroke-width="2" fill="none"/>'
+        )
         parts.extend(f'<circle cx="{x}" cy="{y}" r="6" fill="{LINE}"/>' for y in ys)
         for y in ys:
-            parts.append(f'<path d="M{LEFT + WIDTH} {y} H{x}" stroke="{LINE}" stroke-dasharray="2 5" fill="none"/>')
+            parts.append(
+                f'<path d="M{LEFT + WIDTH} {y} H{x}" stroke="{LINE}" stroke-dasharray="2 5"'
+                ' fill="none"/>'
+            )
     parts.append("</svg>")
     return "\n".join(parts) + "\n"
 

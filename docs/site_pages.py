@@ -1,9 +1,9 @@
 """Pages of the documentation that are made from something else, so that nothing is said twice.
 
-The environments' pages are the docstrings of their classes; changelog, contribution guide, archives, drivers and
-networks are files that live elsewhere in the repository; the reference is made of all public modules; circuits,
-gallery, zoo and leaderboard are made of data files. All of them are written to ``docs/generated``, which git ignores,
-whenever the site is built.
+The environments' pages are the docstrings of their classes; changelog, contribution guide,
+archives, drivers and networks are files that live elsewhere in the repository; the reference is
+made of all public modules; circuits, gallery, zoo and leaderboard are made of data files. All of
+them are written to ``docs/generated``, which git ignores, whenever the site is built.
 """
 
 import ast
@@ -30,8 +30,12 @@ ENVIRONMENTS = {
 }
 NAMES = {
     "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
-    "head_to_head_match": '`pettingzoo.make("parallel", "pcs_racing/head_to_head_match-v0")`, or `"aec"`',
-    "drive_head_to_head": '`pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0")`, or `"aec"`',
+    "head_to_head_match": (
+        '`pettingzoo.make("parallel", "pcs_racing/head_to_head_match-v0")`, or `"aec"`'
+    ),
+    "drive_head_to_head": (
+        '`pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0")`, or `"aec"`'
+    ),
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
     "match": '`gym.make("pcs_racing/Match-v0")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',
@@ -72,7 +76,8 @@ REFERENCE = {
     "pcs_racing_agents.benchmark": "The benchmark",
     "pcs_racing_agents.watch": "Explanations and the race viewer",
 }
-"""Packages with a page of the reference each: their own modules, not those of packages inside them."""
+"""Packages with a page of the reference each: their own modules, not those of packages inside them.
+"""
 
 
 def made_pages() -> dict[str, str]:
@@ -148,13 +153,17 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
 
 
 def pages_of_data() -> dict[str, str]:
-    """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page with bars."""
+    """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page
+    with bars.
+    """
     from pcs_racing_agents.base.tables import markdown
     from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
 
     if str(REPOSITORY / "dev" / "tools") not in sys.path:
         sys.path.append(str(REPOSITORY / "dev" / "tools"))
-    circuits, gallery, zoo = (importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page"))
+    circuits, gallery, zoo = (
+        importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page")
+    )
     cards = read_cards([REPOSITORY / "dev" / "benchmarks" / "bench_v2"])
     return {
         "circuits.md": circuits.circuits_page(),
@@ -169,7 +178,9 @@ def pages_of_data() -> dict[str, str]:
 
 
 def copied_page(source: str) -> str:
-    """Return a Markdown file of the repository, its links turned so that they hold in docs/generated."""
+    """Return a Markdown file of the repository, its links turned so that they hold in
+    docs/generated.
+    """
     file = REPOSITORY / source
     own_page = {REPOSITORY / path: f"{name}.md" for name, path in COPIES.items()}
 
@@ -190,7 +201,11 @@ def copied_page(source: str) -> str:
 
 def packages() -> list[str]:
     """Names of the packages that have a page."""
-    found = [_dotted(file.parent) for root in ("pcs_racing", "pcs_racing_agents") for file in _initials(root)]
+    found = [
+        _dotted(file.parent)
+        for root in ("pcs_racing", "pcs_racing_agents")
+        for file in _initials(root)
+    ]
     return [name for name in found if name in REFERENCE]
 
 
@@ -209,14 +224,21 @@ def public_modules(package: str) -> list[str]:
 
 
 def public_names(file: Path) -> list[str]:
-    """Names that a module defines without a leading underscore; those that ``__all__`` lists, if there is one."""
+    """Names that a module defines without a leading underscore; those that ``__all__`` lists, if
+    there is one.
+    """
     names: list[str] = []
     for node in ast.parse(file.read_text(encoding="utf-8")).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.append(node.name)
         elif isinstance(node, ast.Assign | ast.AnnAssign):
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-            parts = [part for target in targets for part in ast.walk(target) if isinstance(part, ast.Name)]
+            parts = [
+                part
+                for target in targets
+                for part in ast.walk(target)
+                if isinstance(part, ast.Name)
+            ]
             assigned = [part.id for part in parts if isinstance(part.ctx, ast.Store)]
             if assigned == ["__all__"]:
                 return list(ast.literal_eval(node.value))
@@ -226,13 +248,18 @@ def public_names(file: Path) -> list[str]:
 
 def reference_page(package: str) -> str:
     """Return the page of a package, as reStructuredText."""
-    title = package if REFERENCE[package] == "The package itself" else f"{REFERENCE[package]}: {package}"
+    title = (
+        package
+        if REFERENCE[package] == "The package itself"
+        else f"{REFERENCE[package]}: {package}"
+    )
     text = [title, "=" * len(title), ""]
     for module in public_modules(package):
         name = module.removeprefix(f"{package}.")
         text += [name, "-" * len(name), "", f".. automodule:: {module}", "   :members:"]
         if package == "pcs_racing.f1tenth":
-            text.append("   :no-index:")  # its names are the gym's, some of them ours: Track means ours in a signature
+            # its names are the gym's, some of them ours: Track means ours in a signature
+            text.append("   :no-index:")
         if again := _names_from_elsewhere(module):
             text.append(f"   :exclude-members: {', '.join(again)}")
         text.append("")
@@ -258,16 +285,23 @@ def names_page() -> str:
     lines = ["# What `pcs_racing` offers\n", "| name | what it is | defined in |", "|---|---|---|"]
     for name in pcs_racing.__all__:
         thing = getattr(pcs_racing, name)
-        explained = callable(thing) and str(getattr(thing, "__module__", "")).startswith("pcs_racing")
+        explained = callable(thing) and str(getattr(thing, "__module__", "")).startswith(
+            "pcs_racing"
+        )
         module = thing.__module__ if explained else _where(name)
         meaning = (inspect.getdoc(thing) or "").partition("\n\n")[0] if explained else "A value."
-        lines.append(f"| {{py:obj}}`~{module}.{name}` | {_to_markdown(' '.join(meaning.split()))} | `{module}` |")
+        lines.append(
+            f"| {{py:obj}}`~{module}.{name}` | {_to_markdown(' '.join(meaning.split()))} |"
+            f" `{module}` |"
+        )
     return "\n".join(lines) + "\n"
 
 
 def _where(name: str) -> str:
     files = sorted((REPOSITORY / "pcs_racing").rglob("*.py"))
-    return next(_dotted(file) for file in files if file.stem != "__init__" and name in public_names(file))
+    return next(
+        _dotted(file) for file in files if file.stem != "__init__" and name in public_names(file)
+    )
 
 
 # The list of pages
@@ -282,7 +316,9 @@ def unlisted(folder: Path) -> list[str]:
 
 
 def mend_page(app, name, source) -> None:
-    """Turn links to copied pages to the copies; add to the index what it does not list, so that no page is lost."""
+    """Turn links to copied pages to the copies; add to the index what it does not list, so that no
+    page is lost.
+    """
     if "/" not in name:
         for copy, original in {**COPIES, "../index": "README.md"}.items():
             source[0] = source[0].replace(f"](../{original}", f"](generated/{copy}.md")
@@ -295,21 +331,27 @@ def mend_page(app, name, source) -> None:
 
 SOURCE = re.compile(r"^\.\. (\[\d+\])")
 CITED = re.compile(r"(\[\d+\])_")
-ARRAY = re.compile(r"~?[\w.]*ndarray\[tuple\[~?[\w.]*Any, \.\.\.\], ~?[\w.]*dtype\[[^\[\]]*(\[[^\[\]]*\])?\]\]")
-ARRAY_LIKE = re.compile(r"~?[\w.]*_Buffer \| .*?\| ~?[\w.]*_NestedSequence\[complex \| bytes \| str\]")
+ARRAY = re.compile(
+    r"~?[\w.]*ndarray\[tuple\[~?[\w.]*Any, \.\.\.\], ~?[\w.]*dtype\[[^\[\]]*(\[[^\[\]]*\])?\]\]"
+)
+ARRAY_LIKE = re.compile(
+    r"~?[\w.]*_Buffer \| .*?\| ~?[\w.]*_NestedSequence\[complex \| bytes \| str\]"
+)
 
 
 def mend_docstring(app, what, name, thing, options, lines) -> None:
     """Make a docstring good for Sphinx, before napoleon reads it.
 
-    The environments' descriptions are Markdown, and pages of their own: the reference only links them. Bars stand for
-    absolute values, not for substitutions; the numbers of sources count within their module, not on the whole page.
+    The environments' descriptions are Markdown, and pages of their own: the reference only links
+    them. Bars stand for absolute values, not for substitutions; the numbers of sources count within
+    their module, not on the whole page.
     """
     del app, thing, options
     if lines and lines[0].startswith("Alias for field number"):
         lines.clear()  # a field of a named tuple without a comment of ours
     if what in ("data", "attribute", "property") and lines:
-        lines[:0] = ["..", ""]  # or napoleon takes what stands before a colon for its type, and Sphinx links its words
+        # or napoleon takes what stands before a colon for its type, and Sphinx links its words
+        lines[:0] = ["..", ""]
     for page, (module, class_name, _) in ENVIRONMENTS.items():
         if name == f"{module}.{class_name}":
             lines[:] = [lines[0], "", f"Its page is :doc:`/generated/{page}`.", ""]
@@ -320,10 +362,17 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
                     break
                 lines[after] = lines[after].strip()
         literals = re.split(r"(``.*?``)", CITED.sub(r"\1", SOURCE.sub(r"\1", line)))
-        lines[number] = "".join(part if part.startswith("``") else part.replace("|", r"\|") for part in literals)
+        lines[number] = "".join(
+            part if part.startswith("``") else part.replace("|", r"\|") for part in literals
+        )
 
 
 def shorten_signature(app, what, name, thing, options, signature, returned):
-    """Say ``ndarray`` and ``ArrayLike`` in signatures, not what these types are made of; docstrings give the shapes."""
+    """Say ``ndarray`` and ``ArrayLike`` in signatures, not what these types are made of; docstrings
+    give the shapes.
+    """
     del app, what, name, thing, options
-    return tuple(part and ARRAY_LIKE.sub("ArrayLike", ARRAY.sub("ndarray", part)) for part in (signature, returned))
+    return tuple(
+        part and ARRAY_LIKE.sub("ArrayLike", ARRAY.sub("ndarray", part))
+        for part in (signature, returned)
+    )

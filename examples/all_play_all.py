@@ -1,9 +1,11 @@
-"""All against all between agents of the zoo: table, payoff matrix, ratings, and the equilibrium of choosing an agent.
+"""All against all between agents of the zoo: table, payoff matrix, ratings, and the equilibrium of
+choosing an agent.
 
     python examples/all_play_all.py
     python examples/all_play_all.py --track Saltmere --rules paper --races 200 --agents never-switch random-moves
 
-Every pair drives the same races from both seats of the grid. Stop it and start it again: it goes on where it was.
+Every pair drives the same races from both seats of the grid. Stop it and start it again: it goes on
+where it was.
 """
 
 import argparse
@@ -27,7 +29,8 @@ from pcs_racing_agents.tournament import (
 from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.round_robin import excess
 
-# Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what they need.
+# Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what
+# they need.
 AGENTS = [
     "never-switch",
     "random-moves",
@@ -39,14 +42,26 @@ AGENTS = [
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+    )
+    parser.add_argument(
+        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+    )
     parser.add_argument("--archive", default="default", help="archive that the agents move in")
-    parser.add_argument("--agents", nargs="+", default=AGENTS, help="names, or name:option=value,...")
+    parser.add_argument(
+        "--agents", nargs="+", default=AGENTS, help="names, or name:option=value,..."
+    )
     parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
-    parser.add_argument("--seed", type=int, default=0, help="root of start lines, start policies and noise")
-    parser.add_argument("--out", type=Path, default=Path("out/all_play_all"), help="folder for the results")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="root of start lines, start policies and noise"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/all_play_all"), help="folder for the results"
+    )
     arguments = parser.parse_args()
 
     # 1. Everything is checked before a race is driven.
@@ -60,7 +75,10 @@ def main() -> None:
     )
 
     # 2. The races. The folder keeps what has been driven, and refuses results of other settings.
-    with open_job(arguments.out, "tournament", tournament_settings(plan)) as job, make_executor("threads") as executor:
+    with (
+        open_job(arguments.out, "tournament", tournament_settings(plan)) as job,
+        make_executor("threads") as executor,
+    ):
         tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
     print(tournament_text(tournament))
     print("results:", write_results(tournament.races, arguments.out / "results.csv"))
@@ -70,15 +88,24 @@ def main() -> None:
     result = [{"ego": 1, "opponent": -1, "": 0}[row.winner] for row in rows]
     lines = [row.race // 2 for row in rows]
     rng = np.random.default_rng(arguments.seed)
-    ratings = rate([row.ego for row in rows], [row.opponent for row in rows], result, unit=lines, rng=rng)
+    ratings = rate(
+        [row.ego for row in rows], [row.opponent for row in rows], result, unit=lines, rng=rng
+    )
     print("\nlog-odds of winning, with 95 % intervals")
     for i in np.argsort(-ratings.strength):
-        print(f"  {ratings.names[i]:24s} {ratings.strength[i]:+.2f}  [{ratings.low[i]:+.2f}, {ratings.high[i]:+.2f}]")
+        print(
+            f"  {ratings.names[i]:24s} {ratings.strength[i]:+.2f}  [{ratings.low[i]:+.2f},"
+            f" {ratings.high[i]:+.2f}]"
+        )
 
-    # 4. How often to send whom, if the other side chooses its agent as cleverly: an equilibrium of that game.
+    # 4. How often to send whom, if the other side chooses its agent as cleverly: an equilibrium of
+    # that game.
     weights = solve_matrix_games(excess(payoff_matrix(tournament))).rows[0]
     shares = zip(weights, plan.names, strict=True)
-    print("\nequilibrium: " + ", ".join(f"{weight:.2f} {name}" for weight, name in shares if weight > 0.005))
+    print(
+        "\nequilibrium: "
+        + ", ".join(f"{weight:.2f} {name}" for weight, name in shares if weight > 0.005)
+    )
 
 
 if __name__ == "__main__":

@@ -1,10 +1,12 @@
-"""Learn to steer in one file, in the manner of CleanRL: PPO's loop over the vector environment, nothing hidden.
+"""Learn to steer in one file, in the manner of CleanRL: PPO's loop over the vector environment,
+nothing hidden.
 
     python examples/cleanrl_loop.py
     python examples/cleanrl_loop.py --steps 3000000 --opponent lattice:pace=0.3
 
-The car learns to drive alone (default), or against a planner. It prints a line for every tenth of the training, then
-drives ten episodes with the policy's mean. Run with gymnasium 1.4.0 and torch 2.13.0.
+The car learns to drive alone (default), or against a planner. It prints a line for every tenth of
+the training, then drives ten episodes with the policy's mean. Run with gymnasium 1.4.0 and torch
+2.13.0.
 """
 
 import argparse
@@ -84,12 +86,18 @@ def main() -> None:
     torch.manual_seed(a.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     opponent = None if a.opponent == "none" else a.opponent
-    given = {"track": a.track, "opponent": opponent, "normalize": True, "autoreset_mode": "SAME_STEP"}
+    given = {
+        "track": a.track,
+        "opponent": opponent,
+        "normalize": True,
+        "autoreset_mode": "SAME_STEP",
+    }
     envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=a.envs, **given)
     size, actions = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     agent = Agent(size, actions)
     optimiser = torch.optim.Adam(agent.parameters(), lr=a.learning_rate, eps=1e-5)
-    # The bounds are wide: most elements move in a small part of [-1, 1]. A running scale spreads them.
+    # The bounds are wide: most elements move in a small part of [-1, 1]. A running scale spreads
+    # them.
     scale = RunningScale(size)
     seen = torch.as_tensor(envs.reset(seed=a.seed)[0])
     updates = max(1, a.steps // (a.envs * a.rollout))
@@ -98,7 +106,11 @@ def main() -> None:
         optimiser.param_groups[0]["lr"] = a.learning_rate * (1.0 - update / updates)
         rows = (a.rollout, a.envs)
         states, moves = torch.zeros((*rows, size)), torch.zeros((*rows, actions))
-        log_probs, rewards, values = torch.zeros(rows), torch.zeros(rows), torch.zeros((a.rollout + 1, a.envs))
+        log_probs, rewards, values = (
+            torch.zeros(rows),
+            torch.zeros(rows),
+            torch.zeros((a.rollout + 1, a.envs)),
+        )
         dones, beyond = torch.zeros(rows), torch.zeros(rows)
         for t in range(a.rollout):
             with torch.no_grad():
@@ -108,7 +120,10 @@ def main() -> None:
                 log_probs[t] = action.log_prob(moves[t]).sum(-1)
                 values[t] = agent.value(states[t]).squeeze(-1)
             observation, reward, terminated, truncated, info = envs.step(moves[t].numpy())
-            seen, rewards[t] = torch.as_tensor(observation), torch.as_tensor(reward, dtype=torch.float32)
+            seen, rewards[t] = (
+                torch.as_tensor(observation),
+                torch.as_tensor(reward, dtype=torch.float32),
+            )
             done = terminated | truncated
             dones[t] = torch.as_tensor(done, dtype=torch.float32)
             for i in np.flatnonzero(done):
@@ -125,14 +140,19 @@ def main() -> None:
             last = error + a.gamma * a.gae_lambda * going * last
             advantages[t] = last
         returns = advantages + values[:-1]
-        flat = [x.reshape(a.rollout * a.envs, -1).squeeze(-1) for x in (states, moves, log_probs, advantages, returns)]
+        flat = [
+            x.reshape(a.rollout * a.envs, -1).squeeze(-1)
+            for x in (states, moves, log_probs, advantages, returns)
+        ]
         for _ in range(a.epochs):
             for part in torch.randperm(a.rollout * a.envs).chunk(a.minibatches):
                 s, m, old, advantage, target = (x[part] for x in flat)
                 action = agent.action(s)
                 ratio = (action.log_prob(m).sum(-1) - old).exp()
                 advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                gain = torch.min(ratio * advantage, ratio.clamp(1 - a.clip, 1 + a.clip) * advantage).mean()
+                gain = torch.min(
+                    ratio * advantage, ratio.clamp(1 - a.clip, 1 + a.clip) * advantage
+                ).mean()
                 value_loss = (agent.value(s).squeeze(-1) - target).pow(2).mean()
                 loss = -gain + 0.5 * value_loss - a.entropy * action.entropy().sum(-1).mean()
                 optimiser.zero_grad()
@@ -142,7 +162,10 @@ def main() -> None:
         if (update + 1) % max(1, updates // 10) == 0 and ended:
             progress, crashes = np.mean(ended, axis=0)
             steps = (update + 1) * a.envs * a.rollout
-            print(f"{steps:9d} steps: {progress:6.1f} m an episode, {crashes:5.1%} end in a crash", flush=True)
+            print(
+                f"{steps:9d} steps: {progress:6.1f} m an episode, {crashes:5.1%} end in a crash",
+                flush=True,
+            )
             ended.clear()
     drive(agent, scale, a, opponent)
 
@@ -159,7 +182,9 @@ def drive(agent: Agent, scale: "RunningScale", a: Arguments, opponent: str | Non
             seen, _, terminated, truncated, info = env.step(np.clip(move, -1.0, 1.0))
             over = terminated or truncated
         crash = env.unwrapped.outcome()["crash"]
-        print(f"episode {episode}: {info['progress']:6.1f} m in {info['time']:4.1f} s, crash: {crash}")
+        print(
+            f"episode {episode}: {info['progress']:6.1f} m in {info['time']:4.1f} s, crash: {crash}"
+        )
 
 
 class RunningScale:
@@ -174,16 +199,22 @@ class RunningScale:
             count, total = len(seen), self.count + len(seen)
             shift = seen.mean(0) - self.mean
             between = shift**2 * self.count * count / total
-            self.variance = (self.variance * self.count + seen.var(0, correction=0) * count + between) / total
+            self.variance = (
+                self.variance * self.count + seen.var(0, correction=0) * count + between
+            ) / total
             self.mean, self.count = self.mean + shift * count / total, total
         return ((seen - self.mean) / (self.variance + 1e-8).sqrt()).clamp(-10.0, 10.0)
 
 
 def parse(kind: type[Arguments]) -> Arguments:
     """Command-line options from the fields of a dataclass."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for field in fields(kind):
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default)
+        parser.add_argument(
+            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
+        )
     return kind(**vars(parser.parse_args()))
 
 

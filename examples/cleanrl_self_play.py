@@ -1,10 +1,11 @@
-"""Self-play PPO in one file, in the manner of CleanRL, on what the benchmark lets agents train on; and its entry.
+"""Self-play PPO in one file, in the manner of CleanRL, on what the benchmark lets agents train on;
+and its entry.
 
     python examples/cleanrl_self_play.py
     pcs-racing benchmark examples.cleanrl_self_play:make_agent --weights out/cleanrl/actor.safetensors --out out/card
 
-One network moves both cars of every game and learns from both sides. The second command is typed in the folder that
-holds ``examples``. Run with torch 2.13.0.
+One network moves both cars of every game and learns from both sides. The second command is typed in
+the folder that holds ``examples``. Run with torch 2.13.0.
 """
 
 import argparse
@@ -45,19 +46,28 @@ def make_agent(spec, weights):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from, those of both cars counted")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--steps", type=int, default=60_000, help="moves to learn from, those of both cars counted"
+    )
     parser.add_argument("--seed", type=int, default=0, help="root of everything random")
-    parser.add_argument("--out", type=Path, default=Path("out/cleanrl"), help="folder for actor.safetensors")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/cleanrl"), help="folder for actor.safetensors"
+    )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(given.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-    game = {"track": ["Brackwater", "Pipkin"], "archive": "contest", "race": "contest"}  # of the benchmark
+    # of the benchmark
+    game = {"track": ["Brackwater", "Pipkin"], "archive": "contest", "race": "contest"}
     envs = SelfPlayVectorEnv(ENVS, autoreset_mode="SAME_STEP", **game)
     size, moves = envs.single_observation_space.shape[0], int(envs.single_action_space.n)
     actor, critic = network(size, moves, 0.01), network(size, 1, 1.0)
-    optimiser = torch.optim.Adam([*actor.parameters(), *critic.parameters()], lr=LEARNING_RATE, eps=1e-5)
+    optimiser = torch.optim.Adam(
+        [*actor.parameters(), *critic.parameters()], lr=LEARNING_RATE, eps=1e-5
+    )
     seen = torch.as_tensor(envs.reset(seed=given.seed)[0])
     updates = max(1, given.steps // (ENVS * ROLLOUT))
     for update in range(updates):
@@ -74,7 +84,9 @@ def main() -> None:
                 log_probs[t] = choice.log_prob(actions[t])
             observation, reward, terminated, _, _ = envs.step(actions[t].numpy())
             seen = torch.as_tensor(observation)
-            rewards[t], dones[t] = (torch.as_tensor(x, dtype=torch.float32) for x in (reward, terminated))
+            rewards[t], dones[t] = (
+                torch.as_tensor(x, dtype=torch.float32) for x in (reward, terminated)
+            )
         with torch.no_grad():
             values[-1] = critic(seen).squeeze(-1)
         advantages, last = torch.zeros(rows), torch.zeros(ENVS)
@@ -83,14 +95,19 @@ def main() -> None:
             last = rewards[t] + going * values[t + 1] - values[t] + GAE_LAMBDA * going * last
             advantages[t] = last
         returns = advantages + values[:-1]
-        flat = [x.reshape(ENVS * ROLLOUT, -1).squeeze(-1) for x in (states, actions, log_probs, advantages, returns)]
+        flat = [
+            x.reshape(ENVS * ROLLOUT, -1).squeeze(-1)
+            for x in (states, actions, log_probs, advantages, returns)
+        ]
         for _ in range(EPOCHS):
             for part in torch.randperm(ENVS * ROLLOUT).split(MINIBATCH):
                 s, a, old, advantage, target = (x[part] for x in flat)
                 choice = Categorical(logits=actor(s))
                 ratio = (choice.log_prob(a) - old).exp()
                 advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-                gain = torch.min(ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage).mean()
+                gain = torch.min(
+                    ratio * advantage, ratio.clamp(1 - CLIP, 1 + CLIP) * advantage
+                ).mean()
                 value_loss = (critic(s).squeeze(-1) - target).pow(2).mean()
                 loss = -gain + 0.5 * value_loss - ENTROPY * choice.entropy().mean()
                 optimiser.zero_grad()

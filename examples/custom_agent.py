@@ -1,10 +1,11 @@
-"""An agent of your own in a tournament: it looks at the lead and at how the opponent drives, and decides.
+"""An agent of your own in a tournament: it looks at the lead and at how the opponent drives, and
+decides.
 
     python examples/custom_agent.py
     python examples/custom_agent.py --track Saltmere --races 200
 
-Three ways to bring one: a function from observations to chances of the moves, any object with ``predict`` as models of
-Stable-Baselines3 have it, and an agent registered under a name.
+Three ways to bring one: a function from observations to chances of the moves, any object with
+``predict`` as models of Stable-Baselines3 have it, and an agent registered under a name.
 """
 
 import argparse
@@ -18,7 +19,8 @@ from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.tournament import game_rules, play_tournament, tournament_text
 
 
-# 1. A strategy: chances of the moves (B, M) for observations (B, D). A dataclass can be sent to other processes.
+# 1. A strategy: chances of the moves (B, M) for observations (B, D). A dataclass can be sent to
+# other processes.
 @dataclass(frozen=True)
 class CatchUp:
     """Bold behind a restrained opponent, careful in front, and else as it is."""
@@ -29,7 +31,8 @@ class CatchUp:
         """Chances of the moves."""
         step = observing.moves_made(observation, axes=2)
         lead = observation[np.arange(len(observation)), 6 * step + 4]  # the element lead_k, in 20 m
-        opponent = observing.opponent(observation, axes=2)  # its aggressiveness and restraint, measured on 8 s
+        # its aggressiveness and restraint, measured on 8 s
+        opponent = observing.opponent(observation, axes=2)
         wanted = np.full(len(observation), self.moves.index("stay"))
         wanted[(lead < 0.0) & (opponent[:, 1] > 0.5)] = self.moves.index("aggressiveness +")
         wanted[lead > 0.25] = self.moves.index("restraint +")
@@ -41,7 +44,8 @@ def catch_up(spec: GameSpec, *, name: str = "catch-up", seed: int = 0) -> Agent:
     return Agent(name, CatchUp(spec.moves), spec, seed)
 
 
-# 2. Any object with predict, as a model of Stable-Baselines3 has it. It may remember: it is handed its own state again.
+# 2. Any object with predict, as a model of Stable-Baselines3 has it. It may remember: it is handed
+# its own state again.
 class Stubborn:
     """Repeats the move that it made first, which depends on the lead after the first step."""
 
@@ -55,11 +59,19 @@ class Stubborn:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+    )
+    parser.add_argument(
+        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+    )
     parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
-    parser.add_argument("--seed", type=int, default=0, help="root of start lines, start policies and noise")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="root of start lines, start policies and noise"
+    )
     arguments = parser.parse_args()
 
     rules = game_rules(arguments.rules)

@@ -1,18 +1,28 @@
-"""A planner of your own: compiled, with two parameters, raced against the lattice planner and in a tournament.
+"""A planner of your own: compiled, with two parameters, raced against the lattice planner and in a
+tournament.
 
     python examples/custom_planner.py
     python examples/custom_planner.py --track Saltmere --races 100 --pace 0.3
 
-The driver below keeps to a line between the race line and the middle of the track: near the race line it is fast, in
-the middle it has more air. A table shows what that does to its races; then three of its drivers enter a tournament
-with agents of the zoo. Read the file from top to bottom; docs/planners.md explains every part.
+The driver below keeps to a line between the race line and the middle of the track: near the race
+line it is fast, in the middle it has more air. A table shows what that does to its races; then
+three of its drivers enter a tournament with agents of the zoo. Read the file from top to bottom;
+docs/planners.md explains every part.
 """
 
 import argparse
 
 import numpy as np
 
-from pcs_racing import Parameter, Planner, get_planner, load_race_config, load_track, register_planner, run_races
+from pcs_racing import (
+    Parameter,
+    Planner,
+    get_planner,
+    load_race_config,
+    load_track,
+    register_planner,
+    run_races,
+)
 from pcs_racing.base.compilation import compiled
 from pcs_racing.planners import view as view_of  # the names of the numbers in `view`
 from pcs_racing.planners.view import PATH_KAPPA, PATH_POINTS, PATH_SPEED, PATH_X, PATH_Y
@@ -20,30 +30,48 @@ from pcs_racing.race.state import ITTC, ITTC_SAMPLES
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, to_cartesian
 from pcs_racing_agents.tournament import play_tournament, tournament_text
 
-# 1. The parameters: what `theta` holds, with bounds and a default. Synthesis searches between the bounds.
+# 1. The parameters: what `theta` holds, with bounds and a default. Synthesis searches between the
+# bounds.
 PARAMETERS = (
-    Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("caution", 0.0, 1.0, 0.3, "where to drive, from the race line (0) to the middle of the track (1)"),
+    Parameter(
+        "pace",
+        0.0,
+        1.0,
+        0.5,
+        "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+    ),
+    Parameter(
+        "caution",
+        0.0,
+        1.0,
+        0.3,
+        "where to drive, from the race line (0) to the middle of the track (1)",
+    ),
 )
 PACE, CAUTION = range(2)
 
 
-# 2. The plan, ten times a second. It is compiled: plain numbers and loops, no Python objects, no exceptions.
+# 2. The plan, ten times a second. It is compiled: plain numbers and loops, no Python objects, no
+# exceptions.
 @compiled
 def plan(track, theta, view, memory, scratch, path):
     line = track.line
     s, d, v = view[view_of.OWN_S], view[view_of.OWN_D], view[view_of.OWN_V]
 
-    # Speed: the profile at the scale that the pace stands for, but no faster than keeps 1.5 m to a car in front.
-    scale = view[view_of.SPEED_LOW] + theta[PACE] * (view[view_of.SPEED_HIGH] - view[view_of.SPEED_LOW])
+    # Speed: the profile at the scale that the pace stands for, but no faster than keeps 1.5 m to a
+    # car in front.
+    scale = view[view_of.SPEED_LOW] + theta[PACE] * (
+        view[view_of.SPEED_HIGH] - view[view_of.SPEED_LOW]
+    )
     gap = view[view_of.GAP]
     gap -= np.floor(gap / track.length + 0.5) * track.length  # laps do not matter, places do
     most = np.inf
     if gap > 0.0 and abs(view[view_of.OPP_D] - d) < 0.45:
         most = max(view[view_of.OPP_V] + 1.2 * (gap - 1.5), 0.0)
 
-    # Twelve points for the default `control` to follow by pure pursuit. Their distance from the race line is a cubic
-    # that starts along the car's course, `rise` metres sideways over its length, and ends where the driver wants to be.
+    # Twelve points for the default `control` to follow by pure pursuit. Their distance from the
+    # race line is a cubic that starts along the car's course, `rise` metres sideways over its
+    # length, and ends where the driver wants to be.
     length = 1.5 + 0.2 * v
     course = view[view_of.OWN_PSI] + view[view_of.OWN_BETA]
     here = line[int(s / track.ds)]
@@ -58,15 +86,24 @@ def plan(track, theta, view, memory, scratch, path):
         path[j, PATH_KAPPA] = there[KAPPA]
 
 
-# 3. The planner is a value. Registered, it has a name: `parse_policy("cautious:pace=0.8")` makes one of its policies.
+# 3. The planner is a value. Registered, it has a name: `parse_policy("cautious:pace=0.8")` makes
+# one of its policies.
 CAUTIOUS = Planner("cautious", PARAMETERS, plan=plan)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Larkmoor", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
-    parser.add_argument("--pace", type=float, default=0.6, help="pace of both planners, from 0 to 1")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Larkmoor", help="name of a shipped circuit or a map folder"
+    )
+    parser.add_argument(
+        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+    )
+    parser.add_argument(
+        "--pace", type=float, default=0.6, help="pace of both planners, from 0 to 1"
+    )
     parser.add_argument("--races", type=int, default=40, help="races for each row of the table")
     parser.add_argument("--seed", type=int, default=0, help="root of the start lines and the noise")
     arguments = parser.parse_args()
@@ -76,9 +113,12 @@ def main() -> None:
     config = load_race_config(arguments.rules)
     opponent = get_planner("lattice").policy({"pace": arguments.pace})
     print(
-        f"{track.name}, {config.name}: {arguments.races} races against the lattice planner at pace {arguments.pace:g}"
+        f"{track.name}, {config.name}: {arguments.races} races against the lattice planner at pace"
+        f" {arguments.pace:g}"
     )
-    print(f"{'caution':>10}{'won':>8}{'lost':>8}{'own crash':>12}{'lead at the end':>18}{'mean iTTC':>12}")
+    print(
+        f"{'caution':>10}{'won':>8}{'lost':>8}{'own crash':>12}{'lead at the end':>18}{'mean iTTC':>12}"
+    )
     for caution in (0.0, 0.25, 0.5, 0.75, 1.0):
         ego = get_planner("cautious").policy({"pace": arguments.pace, "caution": caution})
         result = run_races(track, [ego] * arguments.races, opponent, config, seed=arguments.seed)
@@ -88,10 +128,21 @@ def main() -> None:
             f"{result.own_crash[:, 0].mean():12.0%}{result.lead.mean():+16.1f} m{ittc:10.2f} s"
         )
 
-    # 4. A tournament: a policy may stand wherever an agent may. Here every pair meets in the same races.
-    mine = {f"caution {c:g}": CAUTIOUS.policy({"pace": arguments.pace, "caution": c}) for c in (0.0, 0.3, 1.0)}
-    entrants = {**mine, "lattice": opponent, "never-switch": "never-switch", "random-moves": "random-moves"}
-    tournament = play_tournament(track, entrants, config, races_per_pair=arguments.races, seed=arguments.seed)
+    # 4. A tournament: a policy may stand wherever an agent may. Here every pair meets in the same
+    # races.
+    mine = {
+        f"caution {c:g}": CAUTIOUS.policy({"pace": arguments.pace, "caution": c})
+        for c in (0.0, 0.3, 1.0)
+    }
+    entrants = {
+        **mine,
+        "lattice": opponent,
+        "never-switch": "never-switch",
+        "random-moves": "random-moves",
+    }
+    tournament = play_tournament(
+        track, entrants, config, races_per_pair=arguments.races, seed=arguments.seed
+    )
     print(f"\n{tournament_text(tournament)}")
 
 

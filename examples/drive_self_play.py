@@ -1,15 +1,18 @@
-"""Learn to race by self-play: one PPO policy steers both cars of every race, and learns from both sides.
+"""Learn to race by self-play: one PPO policy steers both cars of every race, and learns from both
+sides.
 
-Against nobody but its equal, a policy forgets how to pass: no car is slower, and the other one always makes room. So in
-every race one of the cars has less speed at its command, and in half of them that car does not see the other.
+Against nobody but its equal, a policy forgets how to pass: no car is slower, and the other one
+always makes room. So in every race one of the cars has less speed at its command, and in half of
+them that car does not see the other.
 
     python examples/drive_self_play.py
     python examples/drive_self_play.py --steps 3000000
 
-It prints a line for every tenth of the training, with the time that is left, and then races drivers that the policy has
-never met: lattice planners, which are the policies of the archives, and ppo-drive. The default is a look at how it
-works, in a few minutes. 3,000,000 steps took 2 min 31 s of processor time in one thread; the policies of two seeds then
-won 63 % and 81 % of their races against lattice planners in the paper's race (measured at commit ba720730). Run with
+It prints a line for every tenth of the training, with the time that is left, and then races drivers
+that the policy has never met: lattice planners, which are the policies of the archives, and
+ppo-drive. The default is a look at how it works, in a few minutes. 3,000,000 steps took 2 min 31 s
+of processor time in one thread; the policies of two seeds then won 63 % and 81 % of their races
+against lattice planners in the paper's race (measured at commit ba720730). Run with
 stable-baselines3 2.9.2.
 """
 
@@ -83,12 +86,16 @@ class Progress(BaseCallback):
         if self.said > 0 and share < self.said / 10:
             return
         self.said = int(10 * share) + 1
-        won = [np.mean(race_against(self.model, races)["result"] == Result.WIN) for races in self.rivals]
+        won = [
+            np.mean(race_against(self.model, races)["result"] == Result.WIN)
+            for races in self.rivals
+        ]
         spent = (time.monotonic() - self.began) / 60
         length = np.mean([episode["l"] for episode in self.model.ep_info_buffer]) / 10.0
         print(
-            f"{self.num_timesteps:10,} steps  {spent:5.1f} min, about {spent / share * (1 - share):5.1f} left   races "
-            f"last {length:4.1f} s   won against lattice: "
+            f"{self.num_timesteps:10,} steps  {spent:5.1f} min, about"
+            f" {spent / share * (1 - share):5.1f} left   races last {length:4.1f} s   won against"
+            " lattice: "
             + ", ".join(f"{rate:.0%} ({race})" for rate, race in zip(won, RULES, strict=True)),
             flush=True,
         )
@@ -97,7 +104,11 @@ class Progress(BaseCallback):
 def main() -> None:
     arguments = parse(Arguments)
     torch.set_num_threads(arguments.threads)
-    seen = {"track": arguments.track, "time_step": 0.1, "look_ahead": (0.0, 1.0, 2.0, 4.0, 6.0, 9.0, 12.0)}
+    seen = {
+        "track": arguments.track,
+        "time_step": 0.1,
+        "look_ahead": (0.0, 1.0, 2.0, 4.0, 6.0, 9.0, 12.0),
+    }
     races = [
         DriveHeadToHeadVectorEnv(
             arguments.envs // 2,
@@ -110,7 +121,9 @@ def main() -> None:
         )
         for race in RULES
     ]
-    envs = VecNormalize(UnequalCars(SB3VecEnv(races), arguments.slowest, arguments.seed), gamma=0.99)
+    envs = VecNormalize(
+        UnequalCars(SB3VecEnv(races), arguments.slowest, arguments.seed), gamma=0.99
+    )
     model = PPO(
         "MlpPolicy",
         envs,
@@ -133,13 +146,19 @@ def main() -> None:
         for name, against in rivals.items():
             ends = race_against(model, against)
             won, crashed = ends["result"] == Result.WIN, ends["fault"] == 1
-            print(f"{name:28} {race:8} {won.mean():6.1%} {ends['lead'].mean():7.2f} {crashed.mean():9.1%}", flush=True)
+            print(
+                f"{name:28} {race:8} {won.mean():6.1%} {ends['lead'].mean():7.2f}"
+                f" {crashed.mean():9.1%}",
+                flush=True,
+            )
 
 
 def lattice_races(race: str, count: int, seen: dict[str, Any]) -> DriveVectorEnv:
     """Races against the policies of the rules' archive, of which one is drawn for each race."""
     archive = load_archive(RULES[race])
-    return DriveVectorEnv(count, opponent=[archive.policy(k) for k in range(len(archive))], race=race, **seen)
+    return DriveVectorEnv(
+        count, opponent=[archive.policy(k) for k in range(len(archive))], race=race, **seen
+    )
 
 
 def race_against(model: PPO, races: DriveVectorEnv) -> dict[str, np.ndarray]:
@@ -160,9 +179,13 @@ def race_against(model: PPO, races: DriveVectorEnv) -> dict[str, np.ndarray]:
 
 def parse(kind: type[Any]) -> Any:
     """Read the command line into a dataclass whose fields are documented by the text behind them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for field in fields(kind):
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default)
+        parser.add_argument(
+            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
+        )
     return kind(**vars(parser.parse_args()))
 
 

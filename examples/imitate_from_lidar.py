@@ -3,9 +3,10 @@
     python examples/imitate_from_lidar.py cnn --out out/lidar-cnn
     python examples/imitate_from_lidar.py gru --out out/lidar-gru --hold-out Pipkin Saltmere
 
-First a driver with a map races, then in every round the network, and each time the driver with the map says what it
-would do there (DAgger [1]_). Half of the cars race each other, half are alone; all have random paces and noise on their
-steering. Circuits are those that ship, but for the ones that are held out, and random ones.
+First a driver with a map races, then in every round the network, and each time the driver with the
+map says what it would do there (DAgger [1]_). Half of the cars race each other, half are alone; all
+have random paces and noise on their steering. Circuits are those that ship, but for the ones that
+are held out, and random ones.
 
 .. [1] S. Ross, G. J. Gordon and J. A. Bagnell, "A reduction of imitation learning and structured prediction to
    no-regret online learning", AISTATS, 2011.
@@ -62,13 +63,16 @@ TEACHER = "predictive-spliner"
 SCALES = (0.8, 1.4)  # speed scales of pace 0 and 1 while data are collected
 NOISE = 0.03  # rad
 LAST = 8  # point of the teacher's path up to which the network's path fits it
-WINDOW, WARM = 40, 5  # steps of a sequence of the recurrent network, and those before its answers count
+# steps of a sequence of the recurrent network, and those before its answers count
+WINDOW, WARM = 40, 5
 MIRRORED = torch.tensor([-1.0, -1.0, 1.0, 1.0])
 
 
 @cache
 def make_recorder(network: str) -> Planner:
-    """A planner that keeps in its memory what a network sees and what the teacher plans, and drives as either."""
+    """A planner that keeps in its memory what a network sees and what the teacher plans, and drives
+    as either.
+    """
     teacher = get_planner(TEACHER)
     teach, answer, observe, lay_path = (
         teacher.plan,
@@ -102,22 +106,33 @@ def make_recorder(network: str) -> Planner:
     weights = sum(weight_count(sizes) for sizes in LAYERS[network])
     return Planner(
         name="recorder",
-        parameters=(*teacher.parameters, *(Parameter(f"weight{i}", -1e3, 1e3, 0.0, "") for i in range(weights))),
+        parameters=(
+            *teacher.parameters,
+            *(Parameter(f"weight{i}", -1e3, 1e3, 0.0, "") for i in range(weights)),
+        ),
         plan=plan,
         memory_size=state + teacher.memory_size,
         scratch_size=max(WORK + _networks.SCRATCH, teacher.scratch_size),
     )
 
 
-def collect(track: Track, network: str, weights: np.ndarray | None, races: int, seconds: int, seed: int) -> tuple:
-    """Drive races; return what was seen (2 races, T, SEEN), the labels (2 races, T, OUTPUTS) and which count."""
+def collect(
+    track: Track, network: str, weights: np.ndarray | None, races: int, seconds: int, seed: int
+) -> tuple:
+    """Drive races; return what was seen (2 races, T, SEEN), the labels (2 races, T, OUTPUTS) and
+    which count.
+    """
     rng, planner = np.random.default_rng(seed), make_recorder(network)
     found = []
     for gap in (3.0, min(0.5 * track.length, 50.0)):
         config = RaceConfig(
-            start="rolling", start_gap=gap, start_spacing=0.0, steering_noise=NOISE, speed_range=SCALES,
+            start="rolling",
+            start_gap=gap,
+            start_spacing=0.0,
+            steering_noise=NOISE,
+            speed_range=SCALES,
             duration=float(seconds),
-        )  # fmt: skip
+        )
         setup = RaceSetup(track, config, (planner, planner))
         starts = Starts(rng.uniform(0.0, track.length, races // 2), rng.integers(0, 2, races // 2))
         state = start_races(setup, starts, rng.integers(2**63, size=races // 2, dtype=np.uint64))
@@ -125,7 +140,8 @@ def collect(track: Track, network: str, weights: np.ndarray | None, races: int, 
         theta[:, :, 0] = rng.uniform(0.0, 1.0, (races // 2, 2))
         if weights is not None:
             theta[:, :, -len(weights) :] = weights
-            # Most drive as the network, at any share of its speed: else it learns to drive as fast as it does.
+            # Most drive as the network, at any share of its speed: else it learns to drive as fast
+            # as it does.
             driven, shares = rng.uniform(size=(2, races // 2, 2))
             state.memory[:, :, 0] = (driven < 0.8) * (0.7 + 0.35 * shares)
         kept, counts = [], []
@@ -133,17 +149,23 @@ def collect(track: Track, network: str, weights: np.ndarray | None, races: int, 
             advance(setup, state, theta, 10, threads=1, ittc=False)
             kept.append(state.memory[:, :, 1 : 1 + SEEN + OUTPUTS].astype(np.float32))
             counts.append(np.repeat((state.tick == 10 * (step + 1))[:, None], 2, axis=1))
-        found.append([np.stack(values, axis=2).reshape(races, 10 * seconds, -1) for values in (kept, counts)])
+        found.append(
+            [np.stack(values, axis=2).reshape(races, 10 * seconds, -1) for values in (kept, counts)]
+        )
     rows, counts = (np.concatenate(values) for values in zip(*found, strict=True))
     return rows[..., :SEEN], rows[..., SEEN:], counts[..., 0]
 
 
 class Cnn(nn.Module):
-    """The convolutional network, of whose layers `layers` gives weights and biases as the driver takes them."""
+    """The convolutional network, of whose layers `layers` gives weights and biases as the driver
+    takes them.
+    """
 
     def __init__(self) -> None:
         super().__init__()
-        self.convolutions = nn.ModuleList([nn.Conv1d(1, 8, 7, 3), nn.Conv1d(8, 12, 5, 2), nn.Conv1d(12, 16, 4, 2)])
+        self.convolutions = nn.ModuleList(
+            [nn.Conv1d(1, 8, 7, 3), nn.Conv1d(8, 12, 5, 2), nn.Conv1d(12, 16, 4, 2)]
+        )
         self.head = nn.ModuleList([nn.Linear(*sizes) for sizes in LAYERS["cnn"][3:]])
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
@@ -151,12 +173,16 @@ class Cnn(nn.Module):
         x = seen.reshape(-1, SEEN)[:, None, :BEAMS]
         for convolution in self.convolutions:
             x = torch.relu(convolution(x))
-        features = torch.cat([x.transpose(1, 2).flatten(1), seen.reshape(-1, SEEN)[:, BEAMS:]], dim=1)
+        features = torch.cat(
+            [x.transpose(1, 2).flatten(1), seen.reshape(-1, SEEN)[:, BEAMS:]], dim=1
+        )
         return self.head[1](torch.relu(self.head[0](features))).reshape(*seen.shape[:-1], OUTPUTS)
 
     def layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Weights and biases."""
-        windows = [(layer.weight.permute(0, 2, 1).flatten(1), layer.bias) for layer in self.convolutions]
+        windows = [
+            (layer.weight.permute(0, 2, 1).flatten(1), layer.bias) for layer in self.convolutions
+        ]
         return [
             (w.detach().numpy(), b.detach().numpy())
             for w, b in [*windows, *((one.weight, one.bias) for one in self.head)]
@@ -178,12 +204,20 @@ class Gru(nn.Module):
     def layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Weights and biases."""
         u = self.units
-        pairs = ((u.weight_ih_l0, u.bias_ih_l0), (u.weight_hh_l0, u.bias_hh_l0), (self.head.weight, self.head.bias))
+        pairs = (
+            (u.weight_ih_l0, u.bias_ih_l0),
+            (u.weight_hh_l0, u.bias_hh_l0),
+            (self.head.weight, self.head.bias),
+        )
         return [(w.detach().numpy(), b.detach().numpy()) for w, b in pairs]
 
 
-def fit(model: nn.Module, data: list, steps: int, rates: tuple[float, float], rng: np.random.Generator) -> float:
-    """Train on random pieces of the data, half of them mirrored; returns the mean loss of the last tenth."""
+def fit(
+    model: nn.Module, data: list, steps: int, rates: tuple[float, float], rng: np.random.Generator
+) -> float:
+    """Train on random pieces of the data, half of them mirrored; returns the mean loss of the last
+    tenth.
+    """
     optimizer = torch.optim.Adam(model.parameters(), rates[0])
     losses = []
     window = WINDOW if isinstance(model, Gru) else 1
@@ -195,7 +229,9 @@ def fit(model: nn.Module, data: list, steps: int, rates: tuple[float, float], rn
         pieces = []
         for k in rng.choice(len(data), 8, p=sizes / sizes.sum()):
             rows = rng.integers(sizes[k], size=size // 8)[:, None]
-            at = rng.integers(data[k][0].shape[1] - window + 1, size=size // 8)[:, None] + np.arange(window)
+            at = rng.integers(data[k][0].shape[1] - window + 1, size=size // 8)[
+                :, None
+            ] + np.arange(window)
             pieces.append([torch.from_numpy(values[rows, at]) for values in data[k]])
         seen, labels, counts = (torch.cat(parts) for parts in zip(*pieces, strict=True))
         half = len(seen) // 2
@@ -203,7 +239,9 @@ def fit(model: nn.Module, data: list, steps: int, rates: tuple[float, float], rn
         seen[:half, :, BEAMS + 1 : BEAMS + 3] *= -1.0
         labels[:half] *= MIRRORED
         counts[:, :warm] = False
-        errors = nn.functional.smooth_l1_loss(model(seen), labels, beta=0.2, reduction="none").sum(dim=2)
+        errors = nn.functional.smooth_l1_loss(model(seen), labels, beta=0.2, reduction="none").sum(
+            dim=2
+        )
         loss = errors[counts].mean()
         optimizer.zero_grad()
         loss.backward()
@@ -214,31 +252,49 @@ def fit(model: nn.Module, data: list, steps: int, rates: tuple[float, float], rn
 
 
 def crashes_alone(track: Track, planner: Planner, races: int, seconds: float) -> float:
-    """Share of cars alone that crash in 40 s, at the default parameters with the noise and speeds of `contest`."""
+    """Share of cars alone that crash in 40 s, at the default parameters with the noise and speeds
+    of `contest`.
+    """
     gap = min(0.5 * track.length, 50.0)
     config = RaceConfig(
-        start="staggered", start_gap=gap, start_spacing=0.0, steering_noise=CONTEST.steering_noise, duration=seconds,
+        start="staggered",
+        start_gap=gap,
+        start_spacing=0.0,
+        steering_noise=CONTEST.steering_noise,
+        duration=seconds,
         speed_range=calibration_of(track, CONTEST).speed_range,
-    )  # fmt: skip
+    )
     starts = Starts(np.arange(races) / races * track.length, np.zeros(races, np.int64))
-    state = run_races(track, [planner.policy()] * races, planner.policy(), config, starts=starts, threads=1).state
+    state = run_races(
+        track, [planner.policy()] * races, planner.policy(), config, starts=starts, threads=1
+    ).state
     return float(1.0 - np.exp(-40.0 * (state.crash == 1).sum() / (0.02 * state.tick.sum())))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("network", choices=sorted(LAYERS))
     parser.add_argument("--out", type=Path, required=True, help="folder of the driver")
     parser.add_argument(
-        "--hold-out", nargs="*", default=["Saltmere", "Vellindra"], help="circuits left out of training"
+        "--hold-out",
+        nargs="*",
+        default=["Saltmere", "Vellindra"],
+        help="circuits left out of training",
     )
     parser.add_argument("--tracks", nargs="*", default=list_tracks(), help="circuits")
     parser.add_argument("--random", type=int, default=24, help="random circuits, beside the others")
-    parser.add_argument("--rounds", type=int, default=6, help="rounds of data, the first one by the teacher")
+    parser.add_argument(
+        "--rounds", type=int, default=6, help="rounds of data, the first one by the teacher"
+    )
     parser.add_argument("--races", type=int, default=12, help="races of a round on a circuit")
     parser.add_argument("--seconds", type=int, default=16, help="length of these races, s")
     parser.add_argument(
-        "--steps", type=int, default=1500, help="steps of training after a round; three times as many at last"
+        "--steps",
+        type=int,
+        default=1500,
+        help="steps of training after a round; three times as many at last",
     )
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -253,7 +309,9 @@ def main() -> None:
         weights = flat_weights(model.layers()) if turn > 0 else None
         for track in training:
             seed = int(rng.integers(2**31))
-            data.append(collect(track, arguments.network, weights, arguments.races, arguments.seconds, seed))
+            data.append(
+                collect(track, arguments.network, weights, arguments.races, arguments.seconds, seed)
+            )
         last = turn == arguments.rounds - 1
         steps = arguments.steps * (3 if last else 1)
         loss = fit(model, data, steps, (2e-3, 2e-5 if last else 5e-4), rng)
@@ -261,10 +319,15 @@ def main() -> None:
         share = driven / (len(training) * 20.0 * arguments.races * arguments.seconds)
         print(f"round {turn}: drove {share:.1%} of the time, loss {loss:.4f}", flush=True)
     about = {"teacher": TEACHER, "held_out": ", ".join(arguments.hold_out)}
-    about |= {key: getattr(arguments, key) for key in ("random", "rounds", "races", "seconds", "steps", "seed")}
+    about |= {
+        key: getattr(arguments, key)
+        for key in ("random", "rounds", "races", "seconds", "steps", "seed")
+    }
     name = f"lidar-{arguments.network}"
     planner = load_lidar_driver(
-        save_lidar_driver(arguments.out, arguments.network, model.layers(), name=name, training=about)
+        save_lidar_driver(
+            arguments.out, arguments.network, model.layers(), name=name, training=about
+        )
     )
     for track in [load_track(name) for name in arguments.tracks]:
         crashes = crashes_alone(track, planner, arguments.races, 40.0)

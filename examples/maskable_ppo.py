@@ -1,11 +1,13 @@
-"""MaskablePPO of sb3-contrib on what the benchmark lets agents train on, and its entry into the benchmark.
+"""MaskablePPO of sb3-contrib on what the benchmark lets agents train on, and its entry into the
+benchmark.
 
     python examples/maskable_ppo.py
     pcs-racing benchmark examples.maskable_ppo:make_agent --weights out/maskable_ppo/model.zip --out out/cards/maskable
 
-Two moves that lead to the same policy are one choice. In training the second one is masked, so that the network learns
-nothing about it; when the agent races, the mask is worked out from the observation. The second command is typed in the
-folder that holds ``examples``. Run with sb3-contrib 2.9.2.
+Two moves that lead to the same policy are one choice. In training the second one is masked, so that
+the network learns nothing about it; when the agent races, the mask is worked out from the
+observation. The second command is typed in the folder that holds ``examples``. Run with sb3-contrib
+2.9.2.
 """
 
 import argparse
@@ -25,7 +27,9 @@ try:
 
     from pcs_racing.envs.sb3 import make_sb3_vec_env
 except ModuleNotFoundError as error:
-    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]" sb3-contrib') from None
+    raise SystemExit(
+        f'this example needs {error.name}: pip install ".[learning]" sb3-contrib'
+    ) from None
 
 WORLD = {"archive": "contest", "race": "contest"}
 """Archive and rules of the benchmark."""
@@ -37,16 +41,25 @@ OPPONENTS = ["never-switch", "random-moves"]
 
 @dataclass(frozen=True, eq=False)
 class MaskedAgent:
-    """A model of sb3-contrib that races without its environment: it works out the mask from the observation."""
+    """A model of sb3-contrib that races without its environment: it works out the mask from the
+    observation.
+    """
 
     policy: Any  # the model's network: its weights tell the agent from others
     spec: GameSpec
     name: str = "maskable-ppo"
 
-    def predict(self, observation: np.ndarray, state: Any = None, episode_start: Any = None, deterministic=True):
+    def predict(
+        self,
+        observation: np.ndarray,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic=True,
+    ):
         """The most probable move of those that are not masked."""
         archive = self.spec.archive
-        driven = archive.nearest(own(observation, len(archive.characteristics)))  # the own policy, exactly
+        # the own policy, exactly
+        driven = archive.nearest(own(observation, len(archive.characteristics)))
         masks = ~duplicate_moves(self.spec.table[:, : self.spec.offered])[driven]
         return self.policy.predict(observation, deterministic=True, action_masks=masks)[0], None
 
@@ -57,10 +70,14 @@ def make_agent(spec: GameSpec, weights: Path) -> MaskedAgent:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from")
     parser.add_argument("--seed", type=int, default=0, help="root of everything random")
-    parser.add_argument("--out", type=Path, default=Path("out/maskable_ppo"), help="folder for model.zip")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/maskable_ppo"), help="folder for model.zip"
+    )
     given = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     given.out.mkdir(parents=True, exist_ok=True)

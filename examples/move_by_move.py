@@ -1,10 +1,11 @@
-"""One race between two agents, move by move: what the ego sees, what its moves are worth, what it does, what follows.
+"""One race between two agents, move by move: what the ego sees, what its moves are worth, what it
+does, what follows.
 
     python examples/move_by_move.py
     python examples/move_by_move.py --track Brackwater --ego response --opponent random-moves --seed 3 --wait
 
-The game is played by hand, with a step for each pair of moves; at the end the same race is written as a page to watch,
-with the moves marked. `pcs-racing explain` draws it as well.
+The game is played by hand, with a step for each pair of moves; at the end the same race is written
+as a page to watch, with the moves marked. `pcs-racing explain` draws it as well.
 """
 
 import argparse
@@ -22,20 +23,33 @@ from pcs_racing_agents.watch.explain import mark_moves
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--rules", default="paper", help="rules of the race: paper, contest or a YAML file")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+    )
+    parser.add_argument(
+        "--rules", default="paper", help="rules of the race: paper, contest or a YAML file"
+    )
     parser.add_argument("--archive", default="default", help="archive that the agents move in")
     parser.add_argument("--ego", default="cfr-argmax", help="agent in car 0")
     parser.add_argument("--opponent", default="never-switch", help="agent in car 1")
-    parser.add_argument("--seed", type=int, default=3, help="root of start, start policies and noise")
+    parser.add_argument(
+        "--seed", type=int, default=3, help="root of start, start policies and noise"
+    )
     parser.add_argument("--wait", action="store_true", help="wait for Enter before each move")
-    parser.add_argument("--out", type=Path, default=Path("out/move_by_move"), help="folder for the page")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/move_by_move"), help="folder for the page"
+    )
     arguments = parser.parse_args()
 
     game = make_game(arguments.track, arguments.archive, arguments.rules, stay=True)
     names = (arguments.ego, arguments.opponent)
-    cars = [make(name, archive=arguments.archive, race=arguments.rules, seed=arguments.seed) for name in names]
+    cars = [
+        make(name, archive=arguments.archive, race=arguments.rules, seed=arguments.seed)
+        for name in names
+    ]
     axes = len(game.archive.characteristics)
 
     # 1. A race drawn by the seed; both cars drive their first policies for a step and only watch.
@@ -43,7 +57,10 @@ def main() -> None:
     start = draw_starts(game.track, game.setup.config, 1, arguments.seed)
     key = race_seeds(arguments.seed, 1)  # of the noise
     state = game.reset(key, policies=first, starts=start)
-    print(f"{names[0]} (policy {first[0]}) against {names[1]} (policy {first[1]}) on {game.track.name}")
+    print(
+        f"{names[0]} (policy {first[0]}) against {names[1]} (policy {first[1]}) on"
+        f" {game.track.name}"
+    )
 
     # 2. A move for each step, until the race is over.
     while not game.done(state)[0]:
@@ -52,7 +69,8 @@ def main() -> None:
         seen = game.observation(state)  # (1, 2, D): what each car has seen so far
         point = observing.opponent(seen[:, 0], axes)[0]
         about = ", ".join(
-            f"{name} {value:.2f}" for name, value in zip(game.archive.characteristics, point, strict=True)
+            f"{name} {value:.2f}"
+            for name, value in zip(game.archive.characteristics, point, strict=True)
         )
         moves = [int(car.predict(seen[0, i])[0]) for i, car in enumerate(cars)]
         chances = cars[0].probabilities(seen[:, 0])[0]
@@ -61,7 +79,8 @@ def main() -> None:
         told = [game.move_names[move] for move in moves]
         print(f"move {int(state.step[0])}: lead {before:+.1f} m; the opponent drove at {about}")
         print(
-            f"  ego: {told[0]} (chance {chances[moves[0]]:.0%}), now policy {state.policy[0, 0]}; opponent: {told[1]}"
+            f"  ego: {told[0]} (chance {chances[moves[0]]:.0%}), now policy {state.policy[0, 0]};"
+            f" opponent: {told[1]}"
         )
 
     # 3. The same race again, recorded.

@@ -1,12 +1,14 @@
-"""Races of a driver as a Minari dataset: observations, actions and rewards, from which offline learning begins.
+"""Races of a driver as a Minari dataset: observations, actions and rewards, from which offline
+learning begins.
 
     pip install "minari[hdf5]"
     python examples/record_dataset.py
     python examples/record_dataset.py --driver lattice:pace=0.8 --opponent cfr-argmax --races 200 --beams 108
 
-Any driver of the package can be the expert, and any driver or agent the opponent. The expert drives car 0 of
-``pcs_racing/Drive-v1``: before each step of 0.02 s it is asked what it would do, and the answer is its command and the
-action that is kept. The last lines read the dataset again; it lies where Minari keeps its datasets.
+Any driver of the package can be the expert, and any driver or agent the opponent. The expert drives
+car 0 of ``pcs_racing/Drive-v1``: before each step of 0.02 s it is asked what it would do, and the
+answer is its command and the action that is kept. The last lines read the dataset again; it lies
+where Minari keeps its datasets.
 """
 
 import argparse
@@ -34,16 +36,22 @@ class Expert:
     def __init__(self, env: gymnasium.Env, policy: pcs_racing.Policy) -> None:
         self.batch = env.unwrapped.batch
         setup, cars = self.batch.setup, self.batch.cars
-        # Who drives the other car in this copy of the race does not matter: only the command of car 0 is looked at.
+        # Who drives the other car in this copy of the race does not matter: only the command of car
+        # 0 is looked at.
         self.setup = pcs_racing.RaceSetup(setup.track, setup.config, (policy.planner,) * cars)
         self.theta = pad_parameters([policy] * cars, self.setup.theta_size)[None]
 
     def begin(self) -> None:
         """Forget the last race."""
-        self.kept = np.zeros((1, self.batch.cars, self.setup.memory_size)), np.zeros_like(self.batch.state.path)
+        self.kept = (
+            np.zeros((1, self.batch.cars, self.setup.memory_size)),
+            np.zeros_like(self.batch.state.path),
+        )
 
     def command(self) -> np.ndarray:
-        """Return the steering angle (rad) and the speed (m/s) that the driver asks for now, without noise."""
+        """Return the steering angle (rad) and the speed (m/s) that the driver asks for now, without
+        noise.
+        """
         copy = pcs_racing.RaceState._make(np.array(part) for part in self.batch.state)
         copy = copy._replace(memory=self.kept[0], path=self.kept[1])
         pcs_racing.advance(self.setup, copy, self.theta, CONTROL_EVERY, threads=1, ittc=False)
@@ -51,7 +59,9 @@ class Expert:
         return copy.command[0, 0] - [copy.disturbance[0, 0], 0.0]
 
 
-def record(name: str, driver: str, opponent: str | None, races: int, seed: int, **options) -> minari.MinariDataset:
+def record(
+    name: str, driver: str, opponent: str | None, races: int, seed: int, **options
+) -> minari.MinariDataset:
     """Drive races with an expert in car 0 and keep them as a dataset."""
     env = gymnasium.make(
         "pcs_racing:pcs_racing/Drive-v1",
@@ -66,45 +76,75 @@ def record(name: str, driver: str, opponent: str | None, races: int, seed: int, 
     for race in range(races):
         observation, _ = env.reset(seed=seed + race)
         expert.begin()
-        # Of every step: the observation before it and the one after the last, the action, and what came of it.
+        # Of every step: the observation before it and the one after the last, the action, and what
+        # came of it.
         observations, steps, over = [observation], [], False
         while not over:
-            action = np.clip(expert.command(), env.action_space.low, env.action_space.high).astype(np.float32)
+            action = np.clip(expert.command(), env.action_space.low, env.action_space.high).astype(
+                np.float32
+            )
             observation, *result, _ = env.step(action)
             observations.append(observation)
             steps.append((action, *result))
             over = any(result[1:])
         names = ("actions", "rewards", "terminations", "truncations")
-        columns = {name: np.array(column) for name, column in zip(names, zip(*steps, strict=True), strict=True)}
-        episodes.append(EpisodeBuffer(id=race, seed=seed + race, observations=np.array(observations), **columns))
+        columns = {
+            name: np.array(column)
+            for name, column in zip(names, zip(*steps, strict=True), strict=True)
+        }
+        episodes.append(
+            EpisodeBuffer(id=race, seed=seed + race, observations=np.array(observations), **columns)
+        )
     about = f"{driver} against {opponent}, {options}"
-    dataset = minari.create_dataset_from_buffers(name, episodes, env=env, algorithm_name=driver, description=about)
+    dataset = minari.create_dataset_from_buffers(
+        name, episodes, env=env, algorithm_name=driver, description=about
+    )
     env.close()
     return dataset
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--name", default="pcs-racing/lattice-v0", help="name of the dataset, which must be new")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--name", default="pcs-racing/lattice-v0", help="name of the dataset, which must be new"
+    )
     parser.add_argument("--driver", default="lattice", help="the expert, in car 0")
-    parser.add_argument("--opponent", default="lattice:pace=0.6", help="driver or agent in car 1; 'none': alone")
-    parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--rules", default="paper", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument(
+        "--opponent", default="lattice:pace=0.6", help="driver or agent in car 1; 'none': alone"
+    )
+    parser.add_argument(
+        "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
+    )
+    parser.add_argument(
+        "--rules", default="paper", help="rules of the race: paper, contest or a YAML file"
+    )
     parser.add_argument("--races", type=int, default=10, help="number of races")
     parser.add_argument("--duration", type=float, default=40.0, help="length of a race in s")
-    parser.add_argument("--beams", type=int, default=0, help="beams of the lidar in the observations")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the first race; each other has the next one")
+    parser.add_argument(
+        "--beams", type=int, default=0, help="beams of the lidar in the observations"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of the first race; each other has the next one"
+    )
     given = parser.parse_args()
     if given.name in minari.list_local_datasets():
         parser.error(f"there is a dataset {given.name} already; give another --name")
 
     opponent = None if given.opponent == "none" else given.opponent
-    options = {"track": given.track, "race": given.rules, "duration": given.duration, "beams": given.beams}
+    options = {
+        "track": given.track,
+        "race": given.rules,
+        "duration": given.duration,
+        "beams": given.beams,
+    }
     record(given.name, given.driver, opponent, given.races, given.seed, **options)
     dataset = minari.load_dataset(given.name)
     returns = [float(episode.rewards.sum()) for episode in dataset.iterate_episodes()]
     print(
-        f"{given.name}: {dataset.total_episodes} races, {dataset.total_steps} steps, mean return {np.mean(returns):.1f}"
+        f"{given.name}: {dataset.total_episodes} races, {dataset.total_steps} steps, mean return"
+        f" {np.mean(returns):.1f}"
     )
     print(f"observations {dataset.observation_space.shape}, actions {dataset.action_space.shape}")
 

@@ -1,11 +1,12 @@
-"""Train a driver that corrects a potential field by PPO, write its folder, and count its own crashes alone.
+"""Train a driver that corrects a potential field by PPO, write its folder, and count its own
+crashes alone.
 
     python examples/residual_ppo.py --out out/residual
 
-Two cars race, both driven by the network that learns, some of them at a share of its speed; one half starts 50 m apart,
-as good as alone. Every 0.1 s a car is rewarded for its progress and for what it gains on the other one, and a crash by
-its own fault costs as much as half a minute. Circuits are those that ship, but for the ones that are held out, and
-random ones.
+Two cars race, both driven by the network that learns, some of them at a share of its speed; one
+half starts 50 m apart, as good as alone. Every 0.1 s a car is rewarded for its progress and for
+what it gains on the other one, and a crash by its own fault costs as much as half a minute.
+Circuits are those that ship, but for the ones that are held out, and random ones.
 """
 
 import argparse
@@ -22,7 +23,16 @@ except ModuleNotFoundError as error:
 from gymnasium import spaces
 from imitate_from_lidar import crashes_alone
 
-from pcs_racing import Parameter, Planner, RaceConfig, RaceSetup, Starts, Track, list_tracks, load_track
+from pcs_racing import (
+    Parameter,
+    Planner,
+    RaceConfig,
+    RaceSetup,
+    Starts,
+    Track,
+    list_tracks,
+    load_track,
+)
 from pcs_racing.base.compilation import compiled
 from pcs_racing.planners.field.lidar_networks import load_lidar_driver, save_lidar_driver
 from pcs_racing.planners.field.residual import SCRATCH, SEEN, lay_corrected, observe
@@ -35,7 +45,8 @@ from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
 STEP = 10  # simulation steps of 0.01 s
 SECONDS = 20.0
 NOISE = 0.02  # rad
-PROGRESS, GAIN, FAULT = 0.1, 0.05, 25.0  # reward for a metre, for a metre gained on the other car, against a crash
+# reward for a metre, for a metre gained on the other car, against a crash
+PROGRESS, GAIN, FAULT = 0.1, 0.05, 25.0
 
 
 @compiled
@@ -48,7 +59,9 @@ def _plan(track, theta, view, memory, scratch, path):
 
 CORRECTED = Planner(
     name="corrected",
-    parameters=tuple(Parameter(name, -1.0, 1.0, 0.0, "correction") for name in ("turn", "faster", "speed_share")),
+    parameters=tuple(
+        Parameter(name, -1.0, 1.0, 0.0, "correction") for name in ("turn", "faster", "speed_share")
+    ),
     plan=_plan,
     scratch_size=SCRATCH + SEEN,
 )
@@ -69,9 +82,13 @@ class Races:
 
     def __init__(self, track: Track, races: int, gap: float, rng: np.random.Generator) -> None:
         config = RaceConfig(
-            start="rolling", start_gap=gap, start_spacing=0.0, steering_noise=NOISE, speed_range=(0.8, 1.2),
+            start="rolling",
+            start_gap=gap,
+            start_spacing=0.0,
+            steering_noise=NOISE,
+            speed_range=(0.8, 1.2),
             duration=SECONDS,
-        )  # fmt: skip
+        )
         self.setup, self.rng = RaceSetup(track, config, (CORRECTED, CORRECTED)), rng
         self.vehicles = vehicle_rows(self.setup.vehicles, 1)[0]
         self.state, self.shares = self.start(races), self.draw_shares(races)
@@ -80,12 +97,20 @@ class Races:
 
     def start(self, races: int):
         """Put the cars of some races on the grid."""
-        starts = Starts(self.rng.uniform(0.0, self.setup.track.length, races), self.rng.integers(0, 2, races))
-        return start_races(self.setup, starts, self.rng.integers(2**63, size=races, dtype=np.uint64))
+        starts = Starts(
+            self.rng.uniform(0.0, self.setup.track.length, races), self.rng.integers(0, 2, races)
+        )
+        return start_races(
+            self.setup, starts, self.rng.integers(2**63, size=races, dtype=np.uint64)
+        )
 
     def draw_shares(self, races: int) -> np.ndarray:
-        """The share of its speed that each car drives at, shape (races, 2): half of them are slower, to be passed."""
-        return np.where(self.rng.uniform(size=(races, 2)) < 0.5, 1.0, self.rng.uniform(0.4, 1.0, (races, 2)))
+        """The share of its speed that each car drives at, shape (races, 2): half of them are
+        slower, to be passed.
+        """
+        return np.where(
+            self.rng.uniform(size=(races, 2)) < 0.5, 1.0, self.rng.uniform(0.4, 1.0, (races, 2))
+        )
 
     def observe(self) -> np.ndarray:
         """What each car sees, shape (races, 2, SEEN)."""
@@ -94,7 +119,9 @@ class Races:
         return out
 
     def step(self, corrections: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Drive on; returns rewards (races, 2), and which races ended by a crash, and by their time."""
+        """Drive on; returns rewards (races, 2), and which races ended by a crash, and by their
+        time.
+        """
         before = self.state.progress.copy()
         theta = np.concatenate([corrections, self.shares[:, :, None]], axis=2)
         advance(self.setup, self.state, theta, STEP, threads=1, ittc=False)
@@ -116,13 +143,18 @@ class ResidualVecEnv(VecEnv):
 
     def __init__(self, tracks: list[Track], races: int, rng: np.random.Generator) -> None:
         gaps, self.render_mode = (2.5, 50.0), None
-        self.groups = [Races(track, races, min(gaps[i % 2], 0.4 * track.length), rng) for i, track in enumerate(tracks)]
+        self.groups = [
+            Races(track, races, min(gaps[i % 2], 0.4 * track.length), rng)
+            for i, track in enumerate(tracks)
+        ]
         box = [spaces.Box(-5.0, 5.0, (size,), np.float32) for size in (SEEN, 2)]
         super().__init__(2 * races * len(tracks), *box)
 
     def reset(self) -> np.ndarray:
         """What all cars see."""
-        return np.concatenate([group.observe().reshape(-1, SEEN) for group in self.groups]).astype(np.float32)
+        return np.concatenate([group.observe().reshape(-1, SEEN) for group in self.groups]).astype(
+            np.float32
+        )
 
     def step_async(self, actions: np.ndarray) -> None:
         """Keep the actions."""
@@ -133,12 +165,16 @@ class ResidualVecEnv(VecEnv):
         found, infos = [], []
         size = 2 * self.groups[0].state.races
         for i, group in enumerate(self.groups):
-            reward, crashed, timed_out = group.step(self.actions[i * size : (i + 1) * size].reshape(-1, 2, 2))
+            reward, crashed, timed_out = group.step(
+                self.actions[i * size : (i + 1) * size].reshape(-1, 2, 2)
+            )
             seen = group.observe()
             ended = crashed | timed_out
             for race, car in np.ndindex(len(seen), 2):
                 last = {"terminal_observation": seen[race, car].astype(np.float32)}
-                infos.append(last | {"TimeLimit.truncated": bool(timed_out[race])} if ended[race] else {})
+                infos.append(
+                    last | {"TimeLimit.truncated": bool(timed_out[race])} if ended[race] else {}
+                )
             if ended.any():
                 group.begin_anew(ended)
                 seen[ended] = group.observe()[ended]
@@ -168,7 +204,9 @@ class ResidualVecEnv(VecEnv):
 
 def actor_layers(model: PPO) -> list[tuple[np.ndarray, np.ndarray]]:
     """Weights and biases of the network of the actions."""
-    layers = [one for one in model.policy.mlp_extractor.policy_net if isinstance(one, torch.nn.Linear)]
+    layers = [
+        one for one in model.policy.mlp_extractor.policy_net if isinstance(one, torch.nn.Linear)
+    ]
     return [
         (one.weight.detach().numpy().copy(), one.bias.detach().numpy().copy())
         for one in [*layers, model.policy.action_net]
@@ -176,10 +214,15 @@ def actor_layers(model: PPO) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--out", type=Path, required=True, help="folder of the driver")
     parser.add_argument(
-        "--hold-out", nargs="*", default=["Saltmere", "Vellindra"], help="circuits left out of training"
+        "--hold-out",
+        nargs="*",
+        default=["Saltmere", "Vellindra"],
+        help="circuits left out of training",
     )
     parser.add_argument("--tracks", nargs="*", default=list_tracks(), help="circuits")
     parser.add_argument("--random", type=int, default=18, help="random circuits, beside the others")
@@ -193,14 +236,26 @@ def main() -> None:
     tracks += [random_circuit(RandomCircuits(), number) for number in range(arguments.random)]
     env = ResidualVecEnv(tracks, arguments.races, rng)
     model = PPO(
-        "MlpPolicy", env, n_steps=64, batch_size=2048, n_epochs=5, gamma=0.98, gae_lambda=0.95, clip_range=0.2,
-        learning_rate=lambda left: 8e-4 * left + 2e-5, seed=arguments.seed, device="cpu",
-        policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.2}, verbose=1,
-    )  # fmt: skip
+        "MlpPolicy",
+        env,
+        n_steps=64,
+        batch_size=2048,
+        n_epochs=5,
+        gamma=0.98,
+        gae_lambda=0.95,
+        clip_range=0.2,
+        learning_rate=lambda left: 8e-4 * left + 2e-5,
+        seed=arguments.seed,
+        device="cpu",
+        policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.2},
+        verbose=1,
+    )
     model.learn(arguments.steps)
     about = {key: getattr(arguments, key) for key in ("random", "races", "steps", "seed")}
     about["held_out"] = ", ".join(arguments.hold_out)
-    folder = save_lidar_driver(arguments.out, "residual", actor_layers(model), name="residual", training=about)
+    folder = save_lidar_driver(
+        arguments.out, "residual", actor_layers(model), name="residual", training=about
+    )
     planner = load_lidar_driver(folder)
     for track in [load_track(name) for name in arguments.tracks]:
         crashes = crashes_alone(track, planner, 20, 40.0)

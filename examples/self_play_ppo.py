@@ -1,10 +1,11 @@
-"""Self-play with shared parameters: one PPO policy moves both cars of every game and learns from both sides.
+"""Self-play with shared parameters: one PPO policy moves both cars of every game and learns from
+both sides.
 
     python examples/self_play_ppo.py
     python examples/self_play_ppo.py --steps 200000
 
-Environments come in pairs, the two cars of a game. Afterwards the policy plays opponents that it has never met.
-Run with stable-baselines3 2.9.2.
+Environments come in pairs, the two cars of a game. Afterwards the policy plays opponents that it
+has never met. Run with stable-baselines3 2.9.2.
 """
 
 import argparse
@@ -21,11 +22,21 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
-parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from, both cars' counted")
-parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
-parser.add_argument("--archive", default="contest", help="archive of policies that both cars drive with")
-parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
+parser = argparse.ArgumentParser(
+    description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+)
+parser.add_argument(
+    "--steps", type=int, default=60_000, help="moves to learn from, both cars' counted"
+)
+parser.add_argument(
+    "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
+)
+parser.add_argument(
+    "--archive", default="contest", help="archive of policies that both cars drive with"
+)
+parser.add_argument(
+    "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+)
 parser.add_argument("--games", type=int, default=500, help="games against each opponent afterwards")
 parser.add_argument("--seed", type=int, default=0, help="root of everything random")
 arguments = parser.parse_args()

@@ -3,7 +3,8 @@
     python examples/tournament.py
     python examples/tournament.py --track Brackwater --rules paper --races 100
 
-It prints the table and the payoff matrix, and writes the results and a replay of the liveliest race.
+It prints the table and the payoff matrix, and writes the results and a replay of the liveliest
+race.
 """
 
 import argparse
@@ -45,7 +46,9 @@ def drivers() -> list[Policy]:
     return [
         lattice.policy({"pace": 0.1, "side_margin": 0.3, "walls": 0.5}, name="careful"),
         lattice.policy({"pace": 0.45}, name="steady"),
-        lattice.policy({"pace": 0.65, "overtaking": 0.7, "attack": 0.18, "side_margin": 0.25}, name="attacker"),
+        lattice.policy(
+            {"pace": 0.65, "overtaking": 0.7, "attack": 0.18, "side_margin": 0.25}, name="attacker"
+        ),
         lattice.policy({"pace": 1.0, "walls": -1.5}, name="reckless"),
     ]
 
@@ -55,14 +58,23 @@ def main() -> None:
     track = load_track(arguments.track)
     config = load_race_config(arguments.rules, duration=arguments.duration)
     tournament = play_tournament(
-        track, drivers(), config, races_per_pair=arguments.races, seed=arguments.seed, progress=show_progress()
+        track,
+        drivers(),
+        config,
+        races_per_pair=arguments.races,
+        seed=arguments.seed,
+        progress=show_progress(),
     )
     print(tournament_text(tournament))
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("\nresults:", write_results(tournament.races, arguments.out / "results.csv"))
     replay = record_row(tournament, max(tournament.races, key=liveliness)).replay
-    print("replay: ", save_replay(replay, arguments.out / "replay.html"), f"({replay.title}: {replay.outcome})")
+    print(
+        "replay: ",
+        save_replay(replay, arguments.out / "replay.html"),
+        f"({replay.title}: {replay.outcome})",
+    )
 
 
 def liveliness(row: RaceRow) -> tuple[int, bool, float]:
@@ -72,7 +84,9 @@ def liveliness(row: RaceRow) -> tuple[int, bool, float]:
 
 def parse(kind: type[Arguments]) -> Arguments:
     """Command-line options from the fields of a dataclass."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for field in fields(kind):
         parser.add_argument(f"--{field.name}", type=type(field.default), default=field.default)
     return kind(**vars(parser.parse_args()))

@@ -4,9 +4,10 @@
     python examples/train_ppo.py --steps 200000 --games 2000
     python examples/train_ppo.py --archive default --rules paper --opponent random-moves
 
-It prints how the trained player does against the opponent beside players that never look at the race, all in the same
-games, and writes learning_curve.png and the model. The default takes one to two minutes on an idle core; the settings
-for longer trainings, and for all environments, are in pcs_racing_agents/data/configurations/sb3_ppo.yaml.
+It prints how the trained player does against the opponent beside players that never look at the
+race, all in the same games, and writes learning_curve.png and the model. The default takes one to
+two minutes on an idle core; the settings for longer trainings, and for all environments, are in
+pcs_racing_agents/data/configurations/sb3_ppo.yaml.
 """
 
 import argparse
@@ -75,7 +76,9 @@ def main() -> None:
     arguments = parse(Arguments)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     arguments.out.mkdir(parents=True, exist_ok=True)
-    game = {name: getattr(arguments, name) for name in ("track", "archive", "opponent")} | {"race": arguments.rules}
+    game = {name: getattr(arguments, name) for name in ("track", "archive", "opponent")} | {
+        "race": arguments.rules
+    }
     envs = make_sb3_vec_env("duel", arguments.envs, **game)
     model = PPO(
         "MlpPolicy",
@@ -94,15 +97,23 @@ def main() -> None:
     model.learn(arguments.steps, callback=curve)
     model.save(arguments.out / "model.zip")
 
-    print(f"against {arguments.opponent} on {arguments.track}, rules {arguments.rules}, {arguments.games} games each:")
+    print(
+        f"against {arguments.opponent} on {arguments.track}, rules {arguments.rules},"
+        f" {arguments.games} games each:"
+    )
     print(f"{'player':28} {'utility':>8} {'+-':>6} {'won':>6} {'crashed':>8}")
-    constant = {f"always {name}": move for move, name in enumerate(envs.get_attr("game")[0].move_names)}
+    constant = {
+        f"always {name}": move for move, name in enumerate(envs.get_attr("game")[0].move_names)
+    }
     rng = np.random.default_rng(arguments.seed)
     moves = len(constant)
     players = {
         "PPO": lambda seen: model.predict(seen, deterministic=True)[0],
         "random moves": lambda seen: rng.integers(moves, size=len(seen)),
-        **{name: lambda seen, move=move: np.full(len(seen), move) for name, move in constant.items()},
+        **{
+            name: lambda seen, move=move: np.full(len(seen), move)
+            for name, move in constant.items()
+        },
     }
     means, returns_of = {}, {}
     for name, player in players.items():
@@ -120,7 +131,9 @@ def main() -> None:
 
 
 def measure(player, arguments: Arguments, game: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Returns and results of the first game of each of many environments: the same starts for every player."""
+    """Returns and results of the first game of each of many environments: the same starts for every
+    player.
+    """
     envs = DuelVectorEnv(arguments.games, **game)
     seen, _ = envs.reset(seed=1_000_000 + arguments.seed)
     returns, results = np.zeros(arguments.games), np.zeros(arguments.games, int)
@@ -136,7 +149,9 @@ def measure(player, arguments: Arguments, game: dict) -> tuple[np.ndarray, np.nd
 
 
 def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
-    """The mean return of the games of each of up to fifty stretches of training, and the level of others."""
+    """The mean return of the games of each of up to fifty stretches of training, and the level of
+    others.
+    """
     steps, returns = np.array(curve.steps), np.array(curve.returns)
     parts = np.array_split(np.arange(len(steps)), min(50, max(1, len(steps) // 50)))
     at = [steps[part].mean() for part in parts]
@@ -146,7 +161,9 @@ def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
     axes = figure.subplots()
     axes.fill_between(at, mean - error, mean + error, alpha=0.25, linewidth=0, color="tab:blue")
     axes.plot(at, mean, color="tab:blue", label="PPO while it learns (mean, standard error)")
-    axes.axhline(means["PPO"], color="tab:blue", linestyle="--", label="PPO, trained, its best moves")
+    axes.axhline(
+        means["PPO"], color="tab:blue", linestyle="--", label="PPO, trained, its best moves"
+    )
     best = max((name for name in means if name.startswith("always")), key=means.__getitem__)
     axes.axhline(means[best], color="tab:orange", linestyle="--", label=best)
     axes.axhline(means["random moves"], color="gray", linestyle=":", label="random moves")
@@ -158,9 +175,13 @@ def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
 
 def parse(kind: type[Arguments]) -> Arguments:
     """Turn every field of the arguments into an option, its default and type taken from the field."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     for field in fields(kind):
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default)
+        parser.add_argument(
+            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
+        )
     return kind(**vars(parser.parse_args()))
 
 

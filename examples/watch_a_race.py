@@ -3,8 +3,8 @@
     python examples/watch_a_race.py
     python examples/watch_a_race.py --track Saltmere --opponent lane-switcher:4 --gif
 
-The page needs no network: open it in a browser, play, scrub, follow a car, and look at the paths that each planner
-considered.
+The page needs no network: open it in a browser, play, scrub, follow a car, and look at the paths
+that each planner considered.
 """
 
 import argparse
@@ -15,15 +15,25 @@ from pcs_racing.race.frames import write_gif
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Tarnfjord", help="name of a shipped circuit or a map folder")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+    )
     parser.add_argument("--ego", default="lattice:pace=0.7,overtaking=0.5", help="driver of car 0")
     parser.add_argument("--opponent", default="lattice:pace=0.4", help="driver of car 1")
-    parser.add_argument("--rules", default="contest", help="rules of the race: paper, contest or a YAML file")
+    parser.add_argument(
+        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+    )
     parser.add_argument("--duration", type=float, default=40.0, help="length of the race in s")
     parser.add_argument("--seed", type=int, default=0, help="root of the start and the noise")
-    parser.add_argument("--out", type=Path, default=Path("out/race"), help="folder for the page and the GIF")
-    parser.add_argument("--gif", action="store_true", help="also write race.gif (takes some seconds)")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/race"), help="folder for the page and the GIF"
+    )
+    parser.add_argument(
+        "--gif", action="store_true", help="also write race.gif (takes some seconds)"
+    )
     arguments = parser.parse_args()
 
     track = load_track(arguments.track)

@@ -13,7 +13,9 @@ from studies.matches import command as matches
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run an experiment; errors and the exit status are those of ``pcs-racing``."""
-    parser = argparse.ArgumentParser(prog="python -m studies", description=__doc__, allow_abbrev=False)
+    parser = argparse.ArgumentParser(
+        prog="python -m studies", description=__doc__, allow_abbrev=False
+    )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
     for command in (headroom, matches, reading):
         add_commands(commands, command)

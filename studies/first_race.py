@@ -3,9 +3,9 @@
     python studies/first_race.py                                  # the drivers that `pcs-racing race` has by itself
     python studies/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
 
-A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. Seed 0, the default of
-all commands, must be one of these for `EGO` and `OPPONENT` in pcs_racing_agents/cli/race.py; start places that change
-may ask for other drivers.
+A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. Seed
+0, the default of all commands, must be one of these for `EGO` and `OPPONENT` in
+pcs_racing_agents/cli/race.py; start places that change may ask for other drivers.
 """
 
 import argparse
@@ -17,10 +17,19 @@ from pcs_racing_agents.cli.race import EGO, OPPONENT
 
 def main() -> None:
     """Print a line for each such seed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for option, default in (("track", DEFAULT_TRACK), ("ego", EGO), ("opponent", OPPONENT), ("rules", "paper")):
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for option, default in (
+        ("track", DEFAULT_TRACK),
+        ("ego", EGO),
+        ("opponent", OPPONENT),
+        ("rules", "paper"),
+    ):
         parser.add_argument(f"--{option}", default=default)
-    parser.add_argument("--seeds", type=int, default=30, help="try seeds 0 to this number, less one")
+    parser.add_argument(
+        "--seeds", type=int, default=30, help="try seeds 0 to this number, less one"
+    )
     arguments = parser.parse_args()
     track, config = load_track(arguments.track), load_race_config(arguments.rules)
     ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
@@ -30,7 +39,10 @@ def main() -> None:
         crashes, overtakes = crashes + int(result.crashed[0]), int(result.state.overtakes[0].sum())
         if not result.crashed[0] and overtakes > 0:
             found.append((abs(float(result.lead[0])), seed, overtakes, int(result.winner[0])))
-    print(f"{track.name}, {config.name}: {ego.name} against {opponent.name}, race 0 of {arguments.seeds} seeds:")
+    print(
+        f"{track.name}, {config.name}: {ego.name} against {opponent.name}, race 0 of"
+        f" {arguments.seeds} seeds:"
+    )
     print(f"{crashes} end in a crash, {len(found)} are driven to the end with an overtake")
     for lead, seed, overtakes, winner in sorted(found):
         print(f"seed {seed:3d}: {overtakes} overtakes, car {winner} wins by {lead:.1f} m")

@@ -14,9 +14,14 @@ PATIENCE = 90.0  # seconds; other work may keep the machine busy
 PROGRAMS = ("chromium", "chromium-browser", "google-chrome")
 # Nothing is fetched from a network, which may be closed.
 OPTIONS = [
-    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
-    "--disable-component-update", "--disable-sync",
-]  # fmt: skip
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+]
 
 
 def missing():
@@ -24,7 +29,9 @@ def missing():
     for library in ("playwright", "axe_playwright_python"):
         if find_spec(library) is None:
             return f'{library} is not installed: pip install ".[test]"'
-    return "" if chromium() else f"no Chromium on PATH to open the page with ({', '.join(PROGRAMS)})"
+    return (
+        "" if chromium() else f"no Chromium on PATH to open the page with ({', '.join(PROGRAMS)})"
+    )
 
 
 def chromium():
@@ -33,7 +40,9 @@ def chromium():
 
 
 class Browser:
-    """One page. ``complaints`` holds the warnings and errors on its console since it was opened, frames included."""
+    """One page. ``complaints`` holds the warnings and errors on its console since it was opened,
+    frames included.
+    """
 
     def __init__(self):
         from playwright.sync_api import sync_playwright
@@ -57,7 +66,8 @@ class Browser:
 
     def open(self, address, width=1280, height=720, **media):
         self.show(width, height, **media)
-        self.page.goto("about:blank")  # or an address that differs in its link alone would not be loaded again
+        # or an address that differs in its link alone would not be loaded again
+        self.page.goto("about:blank")
         self.said.clear()
         self.complaints.clear()
         self.page.goto(address if "://" in str(address) else Path(address).as_uri())
@@ -66,10 +76,13 @@ class Browser:
         return self.page.evaluate(expression)
 
     def wait(self, expression, frame=0):
-        return self._until(lambda: self.page.frames[frame].evaluate(expression), bool, f"{expression} stays false")
+        return self._until(
+            lambda: self.page.frames[frame].evaluate(expression), bool, f"{expression} stays false"
+        )
 
     def _until(self, value, right, complaint):
-        # Not by playwright's own waiting: it evaluates texts inside the page, which the pages' policy forbids.
+        # Not by playwright's own waiting: it evaluates texts inside the page, which the pages'
+        # policy forbids.
         end = time.monotonic() + PATIENCE
         while not right(found := value()):
             assert time.monotonic() < end, complaint
@@ -77,13 +90,23 @@ class Browser:
         return found
 
     def hindrances(self):
-        """What axe-core finds serious or critical in the page and its first frame: the rule, and the first element."""
+        """What axe-core finds serious or critical in the page and its first frame: the rule, and
+        the first element.
+        """
         found = []
         for frame in self.page.frames[:2]:
             if not frame.evaluate("'axe' in window"):
-                frame.evaluate(files("axe_playwright_python").joinpath("axe.min.js").read_text(encoding="utf-8"))
-            told = frame.evaluate("axe.run(document, { resultTypes: ['violations'], iframes: false })")
-            serious = [one for one in told["violations"] if one["impact"] in ("serious", "critical")]
+                frame.evaluate(
+                    files("axe_playwright_python")
+                    .joinpath("axe.min.js")
+                    .read_text(encoding="utf-8")
+                )
+            told = frame.evaluate(
+                "axe.run(document, { resultTypes: ['violations'], iframes: false })"
+            )
+            serious = [
+                one for one in told["violations"] if one["impact"] in ("serious", "critical")
+            ]
             found += [(one["id"], one["nodes"][0]["html"]) for one in serious]
         return found
 

@@ -1,4 +1,6 @@
-"""Fixtures that every test may use: tracks of the project's own, and real maps and reference data where they are."""
+"""Fixtures that every test may use: tracks of the project's own, and real maps and reference data
+where they are.
+"""
 
 import os
 from pathlib import Path
@@ -9,10 +11,15 @@ from browser import Browser, missing
 from hypothesis import HealthCheck, settings
 from repository import REPOSITORY
 
-# The first example of a compiled function includes its compilation: timing examples would test the machine. The same
-# examples are drawn everywhere, and none are kept in a folder that may be read-only; `make fuzz` looks for new ones.
+# The first example of a compiled function includes its compilation: timing examples would test the
+# machine. The same examples are drawn everywhere, and none are kept in a folder that may be
+# read-only; `make fuzz` looks for new ones.
 settings.register_profile(
-    "everywhere", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
+    "everywhere",
+    deadline=None,
+    derandomize=True,
+    database=None,
+    suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("everywhere")
 
@@ -20,7 +27,9 @@ settings.load_profile("everywhere")
 def _folder(variable: str, default: Path, what: str) -> Path:
     folder = Path(os.environ.get(variable, default))
     if not folder.is_dir():
-        pytest.skip(f"{what} are not here: {folder} does not exist (set {variable} to their folder)")
+        pytest.skip(
+            f"{what} are not here: {folder} does not exist (set {variable} to their folder)"
+        )
     return folder
 
 
@@ -33,12 +42,16 @@ def real_maps() -> Path:
 @pytest.fixture(scope="session")
 def reference() -> Path:
     """Folder of numbers computed by the established simulator (``PCS_RACING_REFERENCE``)."""
-    return _folder("PCS_RACING_REFERENCE", REPOSITORY.parent / "shared" / "reference", "reference data")
+    return _folder(
+        "PCS_RACING_REFERENCE", REPOSITORY.parent / "shared" / "reference", "reference data"
+    )
 
 
 @pytest.fixture(scope="module")
 def browser():
-    """A page in Chromium; its tests are skipped where there is none, unless ``PCS_RACING_BROWSER`` says "needed"."""
+    """A page in Chromium; its tests are skipped where there is none, unless ``PCS_RACING_BROWSER``
+    says "needed".
+    """
     if reason := missing():
         assert os.environ.get("PCS_RACING_BROWSER") != "needed", reason
         pytest.skip(reason)
@@ -57,7 +70,9 @@ def own_registry(monkeypatch):
 
 @pytest.fixture(scope="session")
 def oval():
-    """A stadium: two straights of 12 m, two half circles of 4 m radius, 2.2 m wide, driven counterclockwise."""
+    """A stadium: two straights of 12 m, two half circles of 4 m radius, 2.2 m wide, driven
+    counterclockwise.
+    """
     return _stadium(resolution=0.05)
 
 
@@ -77,9 +92,13 @@ def _stadium(resolution: float):
     bottom = np.column_stack([along, np.full_like(along, -radius)])
     xy = np.concatenate([bottom, right, -bottom, -right])
     origin = (-straight / 2 - radius - 2.0, -radius - 2.0)
-    shape = (round(2 * (radius + 2.0) / resolution), round((straight + 2 * radius + 4.0) / resolution))
+    shape = (
+        round(2 * (radius + 2.0) / resolution),
+        round((straight + 2 * radius + 4.0) / resolution),
+    )
     y, x = np.meshgrid(*((np.arange(n) + 0.5) * resolution for n in shape), indexing="ij")
-    # The centre line is where the distance to the segment between the two half circles' centres is the radius.
+    # The centre line is where the distance to the segment between the two half circles' centres is
+    # the radius.
     away = np.hypot(np.maximum(np.abs(x + origin[0]) - straight / 2, 0.0), y + origin[1])
     occupied = np.abs(away - radius) > half_width
     occupied &= np.abs(away - radius) < half_width + 0.3
@@ -90,4 +109,6 @@ def _stadium(resolution: float):
         "paper": Calibration((0.8, 1.0), 0.9, {"left": lower, "right": upper}),
         "contest": Calibration((0.9, 1.14), 0.45, {"front": lower + upper}),
     }
-    return build_track("oval", occupied, resolution, origin, centerline, xy, calibration=calibration)
+    return build_track(
+        "oval", occupied, resolution, origin, centerline, xy, calibration=calibration
+    )

@@ -18,7 +18,10 @@ def hold(track, theta, view, memory, scratch, path, command):
     command[1] = theta[1]
 
 
-STEER_AND_SPEED = Parameter("steer", -0.4, 0.4, 0.0, "rad"), Parameter("speed", -3.0, 9.0, 0.0, "m/s")
+STEER_AND_SPEED = (
+    Parameter("steer", -0.4, 0.4, 0.0, "rad"),
+    Parameter("speed", -3.0, 9.0, 0.0, "m/s"),
+)
 HOLD = Planner("hold", STEER_AND_SPEED, control=hold)
 
 
@@ -30,10 +33,17 @@ def view_of(setup, state, race, car):
 
 
 def placed(track, places, speeds=None, planner=HOLD, vehicles=None, **rules):
-    """A race of cars that stand at (s, d) or (s, d, turned by) or drive so fast; they hold their speed."""
+    """A race of cars that stand at (s, d) or (s, d, turned by) or drive so fast; they hold their
+    speed.
+    """
     count = len(places)
     speeds = [0.0] * count if speeds is None else speeds
-    setup = RaceSetup(track, load_race_config("paper", **rules), (planner,) * count, vehicles or (F1TENTH,) * count)
+    setup = RaceSetup(
+        track,
+        load_race_config("paper", **rules),
+        (planner,) * count,
+        vehicles or (F1TENTH,) * count,
+    )
     state = empty_state(1, setup.memory_size, count)
     for car, (s, d, *turned) in enumerate(places):
         x, y, psi = track.to_cartesian([s, d])

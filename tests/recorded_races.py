@@ -1,4 +1,6 @@
-"""Small recorded races, for tests of replays, their files and their frames; and a driver in plain Python."""
+"""Small recorded races, for tests of replays, their files and their frames; and a driver in plain
+Python.
+"""
 
 import numpy as np
 
@@ -9,7 +11,9 @@ from pcs_racing.track.frenet import SPEED
 
 
 def towards_the_line(track, theta, view, memory):
-    """A driver in plain Python: back to the race line, at a share of its speed; remembers how often it was asked."""
+    """A driver in plain Python: back to the race line, at a share of its speed; remembers how often
+    it was asked.
+    """
     memory[0] += 1.0
     sample = track.line[int(view[OWN_S] / track.arrays.ds) % len(track.line)]
     turn = np.mod(sample[4] - view[OWN_PSI] + np.pi, 2.0 * np.pi) - np.pi
@@ -17,12 +21,17 @@ def towards_the_line(track, theta, view, memory):
 
 
 PYTHON = Planner(
-    "python", (Parameter("pace", 0.1, 1.0, 0.7, "share of the speed"),), drive=towards_the_line, memory_size=1
+    "python",
+    (Parameter("pace", 0.1, 1.0, 0.7, "share of the speed"),),
+    drive=towards_the_line,
+    memory_size=1,
 )
 
 
 def race_on_a_straight():
-    """Two cars side by side for a second on the lower straight of a rectangular track of 20 m x 10 m."""
+    """Two cars side by side for a second on the lower straight of a rectangular track of 20 m x 10
+    m.
+    """
     time = np.arange(21) * 0.05
     cars = np.zeros((21, 2, 7))
     cars[:, :, 0] = 5.0 + np.outer(time, [5.0, 4.0])
@@ -36,27 +45,43 @@ def race_on_a_straight():
     paths[:, :, :4, 1] = cars[:20:2, :, None, 1]
     paths[:, :, :4, 2:] = 0.0
     return Replay(
-        title="straight", track_name="box", car_names=("a", "b"), cars=cars, progress=cars[:, :, 0],
+        title="straight",
+        track_name="box",
+        car_names=("a", "b"),
+        cars=cars,
+        progress=cars[:, :, 0],
         walls=np.vstack([np.hstack([loop[:-1], loop[1:]]) for loop in (corners, inner)]),
-        line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]), paths=paths,
-    )  # fmt: skip
+        line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]),
+        paths=paths,
+    )
 
 
 def race_on_a_circle(seconds=4.0, candidates=0, seed=0, **changes):
-    """Two cars on circles around the origin, counterclockwise, with plans and any number of candidates."""
+    """Two cars on circles around the origin, counterclockwise, with plans and any number of
+    candidates.
+    """
     rng = np.random.default_rng(seed)
     time = np.arange(round(seconds / 0.05) + 1) * 0.05
     radius, speed = np.array([9.7, 10.3]), np.array([5.0, 4.6])
     angle = 0.3 + speed * time[:, None] / radius
-    steering = np.broadcast_to(np.arctan(0.33 / radius), angle.shape) + 0.02 * rng.standard_normal(angle.shape)
-    rest = np.broadcast_to(speed, angle.shape), angle + np.pi / 2, np.broadcast_to(speed / radius, angle.shape)
-    cars = np.stack([radius * np.cos(angle), radius * np.sin(angle), steering, *rest, 0.0 * angle], axis=-1)
+    steering = np.broadcast_to(np.arctan(0.33 / radius), angle.shape) + 0.02 * rng.standard_normal(
+        angle.shape
+    )
+    rest = (
+        np.broadcast_to(speed, angle.shape),
+        angle + np.pi / 2,
+        np.broadcast_to(speed / radius, angle.shape),
+    )
+    cars = np.stack(
+        [radius * np.cos(angle), radius * np.sin(angle), steering, *rest, 0.0 * angle], axis=-1
+    )
 
     ahead = np.linspace(0.0, 1.0, 12)
     turn = angle[:-1:2, :, None] + speed[:, None] * ahead / radius[:, None]
     points = [radius[:, None] * np.cos(turn), radius[:, None] * np.sin(turn)]
     paths = np.stack(
-        [*points, np.broadcast_to(speed[:, None], turn.shape), np.broadcast_to(ahead, turn.shape)], axis=-1
+        [*points, np.broadcast_to(speed[:, None], turn.shape), np.broadcast_to(ahead, turn.shape)],
+        axis=-1,
     )
     extra = {}
     if candidates:
@@ -80,7 +105,10 @@ def race_on_a_circle(seconds=4.0, candidates=0, seed=0, **changes):
         "line_speed": 5.0 + np.cos(around[:-1]),
         "ittc": np.full((len(time), 2), 2.0),
         "paths": paths,
-        "events": (ReplayEvent(seconds / 2, 0, "move", "aggressiveness +"), ReplayEvent(seconds, 1, "crash", "wall")),
+        "events": (
+            ReplayEvent(seconds / 2, 0, "move", "aggressiveness +"),
+            ReplayEvent(seconds, 1, "crash", "wall"),
+        ),
         "outcome": "inner wins",
     }
     return Replay(**(fields | extra | changes))

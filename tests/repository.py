@@ -1,4 +1,6 @@
-"""Where this checkout lies: the pages of its documentation and their code, and the maintainers' tools."""
+"""Where this checkout lies: the pages of its documentation and their code, and the maintainers'
+tools.
+"""
 
 import importlib
 import re

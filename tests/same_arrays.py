@@ -4,8 +4,12 @@ import numpy as np
 
 
 def assert_same(found, expected, skip=(), strict=True):
-    """Arrays by name, of a dictionary or of a state and what it holds: the same names, shapes, types and numbers."""
-    found, expected = (arrays._asdict() if hasattr(arrays, "_asdict") else arrays for arrays in (found, expected))
+    """Arrays by name, of a dictionary or of a state and what it holds: the same names, shapes,
+    types and numbers.
+    """
+    found, expected = (
+        arrays._asdict() if hasattr(arrays, "_asdict") else arrays for arrays in (found, expected)
+    )
     assert found.keys() == expected.keys()
     for name, array in expected.items():
         if hasattr(array, "_asdict"):

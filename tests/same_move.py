@@ -4,7 +4,9 @@ import numpy as np
 
 
 class Model:
-    """Stands in for a trained model, with no name but that of its class; it always makes the same move."""
+    """Stands in for a trained model, with no name but that of its class; it always makes the same
+    move.
+    """
 
     def __init__(self, move=0):
         self.move = move

@@ -1,4 +1,6 @@
-"""Every script of ``dev/benchmarks`` runs in a bare clone; the history of speed; a stand-in of the F1TENTH gym."""
+"""Every script of ``dev/benchmarks`` runs in a bare clone; the history of speed; a stand-in of the
+F1TENTH gym.
+"""
 
 import stat
 import sys
@@ -9,7 +11,8 @@ from warm_start import call_python
 
 record, beside = (load_tool(name, "dev/benchmarks") for name in ("record", "beside_f1tenth_gym"))
 
-HELP = ("--help", "python dev/benchmarks/")  # of those that compile for a minute, or race the whole zoo
+# of those that compile for a minute, or race the whole zoo
+HELP = ("--help", "python dev/benchmarks/")
 SMALL = {
     "beside_f1tenth_gym": ("--seconds 2 --races 2 --cars 2", "| here"),
     "check_headlines": ("", "stands: "),
@@ -17,7 +20,10 @@ SMALL = {
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
     "load": ("--envs 2 --steps 40 --step-seconds 0.2", "time of a unit: "),
-    "pooled_studies": ("out/one out/two", "error: there is no out/one/table.csv, out/two/table.csv"),
+    "pooled_studies": (
+        "out/one out/two",
+        "error: there is no out/one/table.csv, out/two/table.csv",
+    ),
     "ppo_baselines": ("--lines 0", ""),
     "race_speed": ("--track Pipkin --races 2", "ms"),
     "racing_quality": ("--tracks Pipkin --rules paper --policies 4 --opponents 2", "Pipkin"),
@@ -29,11 +35,16 @@ SMALL = {
 }
 
 
-@pytest.mark.parametrize("file", sorted((REPOSITORY / "dev" / "benchmarks").glob("*.py")), ids=lambda file: file.stem)
+@pytest.mark.parametrize(
+    "file", sorted((REPOSITORY / "dev" / "benchmarks").glob("*.py")), ids=lambda file: file.stem
+)
 def test_a_script_runs_where_it_says_that_it_runs(file, tmp_path):
     arguments, said = SMALL[file.stem]
     done = call_python(file, *arguments.split(), cwd=tmp_path)
-    assert (done.returncode, "Traceback" in done.stderr) == (2 if "error" in said else 0, False), done.stderr
+    assert (done.returncode, "Traceback" in done.stderr) == (
+        2 if "error" in said else 0,
+        False,
+    ), done.stderr
     assert said in (done.stderr if "error" in said else done.stdout)
 
 
@@ -69,7 +80,13 @@ def test_lines_are_added_and_the_kept_history_has_every_ratio(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "arguments", ["--checkout .", f"--checkout nowhere --python {sys.executable}", "--seconds 0", "--track nowhere"]
+    "arguments",
+    [
+        "--checkout .",
+        f"--checkout nowhere --python {sys.executable}",
+        "--seconds 0",
+        "--track nowhere",
+    ],
 )
 def test_what_cannot_be_compared_is_one_line(arguments, capsys):
     assert beside.main(arguments.split()) == 2
@@ -81,10 +98,22 @@ def test_the_gym_is_run_by_its_own_python_and_named_if_it_fails(tmp_path, capsys
     """A stand-in for the other Python takes the task and answers as the gym's half does."""
     (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
     python = tmp_path / "python"
-    given = ["--checkout", str(tmp_path), "--python", str(python), "--seconds", "2", "--races", "1", "--cars", "2"]
+    given = [
+        "--checkout",
+        str(tmp_path),
+        "--python",
+        str(python),
+        "--seconds",
+        "2",
+        "--races",
+        "1",
+        "--cars",
+        "2",
+    ]
     answer = '{"spent": 4.0, "driven": task["seconds"], "crashed": False}'
     python.write_text(
-        f"#!{sys.executable}\nimport json, sys\ntask = json.load(sys.stdin)\nprint(json.dumps({answer}))\n"
+        f"#!{sys.executable}\nimport json, sys\ntask ="
+        f" json.load(sys.stdin)\nprint(json.dumps({answer}))\n"
     )
     python.chmod(python.stat().st_mode | stat.S_IXUSR)
     assert beside.main(given) == 0

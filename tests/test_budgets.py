@@ -21,25 +21,49 @@ class Room(NamedTuple):
 def rooms(page: str) -> list[Room]:
     """Return the rows of the table below the heading "Budgets"."""
     section = page.partition("\n## Budgets\n")[2].partition("\n## ")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in section.splitlines() if line[:3] == "| `"]
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in section.splitlines()
+        if line[:3] == "| `"
+    ]
     return [
-        Room(tuple(re.findall(r"`([^`]+)`", places)), counted, *(int(number.replace(",", "")) for number in numbers))
+        Room(
+            tuple(re.findall(r"`([^`]+)`", places)),
+            counted,
+            *(int(number.replace(",", "")) for number in numbers),
+        )
         for places, counted, *numbers in rows
     ]
 
 
 def statements(file: Path) -> int:
-    """Return the statements of a Python file. Expressions that are a text alone are docstrings, and not counted."""
-    nodes = [node for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))) if isinstance(node, ast.stmt)]
+    """Return the statements of a Python file. Expressions that are a text alone are docstrings, and
+    not counted.
+    """
+    nodes = [
+        node
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.stmt)
+    ]
     values = [node.value for node in nodes if isinstance(node, ast.Expr)]
-    return len(nodes) - sum(isinstance(value, ast.Constant) and isinstance(value.value, str) for value in values)
+    return len(nodes) - sum(
+        isinstance(value, ast.Constant) and isinstance(value.value, str) for value in values
+    )
 
 
 def size(room: Room, root: Path) -> int:
-    """Return the statements of all Python files in a room, without tests of its own, or the words of its pages."""
+    """Return the statements of all Python files in a room, without tests of its own, or the words
+    of its pages.
+    """
     if room.counted == "statements":
-        found = [(root / place, file) for place in room.places for file in (root / place).rglob("*.py")]
-        return sum(statements(file) for folder, file in found if "tests" not in file.relative_to(folder).parts)
+        found = [
+            (root / place, file) for place in room.places for file in (root / place).rglob("*.py")
+        ]
+        return sum(
+            statements(file)
+            for folder, file in found
+            if "tests" not in file.relative_to(folder).parts
+        )
     pages = [page for place in room.places for page in root.glob(place)]
     return sum(len(page.read_text(encoding="utf-8").split()) for page in pages)
 
@@ -50,7 +74,9 @@ ROOMS = rooms(read_page("design.md"))
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: room.places[0])
 def test_no_room_is_larger_than_its_budget(room):
     taken = size(room, REPOSITORY)
-    assert taken <= room.limit, f"{taken - room.limit} {room.counted} too many: see One in, one out in CONTRIBUTING"
+    assert taken <= room.limit, (
+        f"{taken - room.limit} {room.counted} too many: see One in, one out in CONTRIBUTING"
+    )
     assert room.goal <= room.limit
 
 
@@ -61,10 +87,13 @@ def test_the_table_has_a_budget_for_every_folder_of_python():
 
 
 def test_what_is_counted(tmp_path):
-    """Two rooms of two files each: five statements (a class and a loop are one each), and five words."""
+    """Two rooms of two files each: five statements (a class and a loop are one each), and five
+    words.
+    """
     table = "# Design\n\n## Budgets\n\n| room | counted | goal | now at most |\n|---|---|---|---|\n"
     table += (
-        "| `a`, `b` | statements | 2 | 3 |\n| `*.md` | words | 1,000 | 2,000 |\n\n## Next\n\n| `c` | words | 1 | 1 |\n"
+        "| `a`, `b` | statements | 2 | 3 |\n| `*.md` | words | 1,000 | 2,000 |\n\n## Next\n\n| `c`"
+        " | words | 1 | 1 |\n"
     )
     python, pages = rooms(table)
     assert python == (("a", "b"), "statements", 2, 3)

@@ -1,4 +1,6 @@
-"""The documentation holds: its code runs, its commands parse, its links lead somewhere, its site says what is."""
+"""The documentation holds: its code runs, its commands parse, its links lead somewhere, its site
+says what is.
+"""
 
 import contextlib
 import csv
@@ -14,18 +16,33 @@ from pcs_racing import list_tracks
 from pcs_racing_agents.cli.main import _parser
 
 DOCS = REPOSITORY / "docs"
-OF_DOCS = [page for pattern in ("*.md", "reports/*.md", "notebooks/*.md") for page in DOCS.glob(pattern)]
+OF_DOCS = [
+    page for pattern in ("*.md", "reports/*.md", "notebooks/*.md") for page in DOCS.glob(pattern)
+]
 PAGES = sorted([*OF_DOCS, *REPOSITORY.glob("*.md"), *REPOSITORY.glob("*/README.md")])
-TEXTS = {page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
+TEXTS = {
+    page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES
+}
 
 # Pages whose code runs here. The others have tests of their own beside the code that they explain.
 RUN_HERE = (
-    "docs/agents.md", "docs/archives.md", "docs/benchmark.md", "docs/bring_a_map.md",
-    "docs/coming_from_f1tenth_gym.md", "docs/environments.md", "docs/first_race.md", "docs/game.md",
-    "docs/ppo.md", "docs/self_play.md", "docs/solvers.md",
-    "docs/statistics.md", "docs/synthesis.md", "docs/trees.md", "docs/view.md",
+    "docs/agents.md",
+    "docs/archives.md",
+    "docs/benchmark.md",
+    "docs/bring_a_map.md",
+    "docs/coming_from_f1tenth_gym.md",
+    "docs/environments.md",
+    "docs/first_race.md",
+    "docs/game.md",
+    "docs/ppo.md",
+    "docs/self_play.md",
+    "docs/solvers.md",
+    "docs/statistics.md",
+    "docs/synthesis.md",
+    "docs/trees.md",
+    "docs/view.md",
     "docs/write_a_characteristic.md",
-)  # fmt: skip
+)
 # PPO of SB3 drives at least a rollout.
 SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)", "learn(tuned.steps)": "learn(1)"}
 
@@ -33,7 +50,11 @@ SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)", "learn(tuned.step
 @pytest.mark.usefixtures("own_registry")
 @pytest.mark.parametrize(
     ("page", "number"),
-    [(page, number) for page in RUN_HERE for number in range(len(python_blocks(TEXTS.get(page, ""))))],
+    [
+        (page, number)
+        for page in RUN_HERE
+        for number in range(len(python_blocks(TEXTS.get(page, ""))))
+    ],
 )
 def test_the_code_runs(page, number, tmp_path, monkeypatch):
     code = python_blocks(TEXTS[page])[number]
@@ -52,7 +73,8 @@ def test_every_page_with_code_is_run_by_some_test():
     files = [file for file in (REPOSITORY / "tests").rglob("test_*.py") if file != Path(__file__)]
     tests = "\n".join(file.read_text(encoding="utf-8") for file in files)
     for page, text in TEXTS.items():
-        if python_blocks(text) and page not in RUN_HERE and not page.startswith("docs/reports/"):  # studies/tests
+        # studies/tests
+        if python_blocks(text) and page not in RUN_HERE and not page.startswith("docs/reports/"):
             assert Path(page).name in tests, f"no test runs the code of {page}"
 
 
@@ -69,7 +91,11 @@ COMMANDS = [(page, line) for page, text in TEXTS.items() for line in command_lin
 def words(line: str) -> list[str]:
     """Words of a command, without its comment and what is behind a pipe or an ampersand."""
     found = shlex.split(line, comments=True)
-    return found[: min((found.index(end) for end in ("|", "&", "&&", ">") if end in found), default=len(found))]
+    return found[
+        : min(
+            (found.index(end) for end in ("|", "&", "&&", ">") if end in found), default=len(found)
+        )
+    ]
 
 
 def parses(arguments: list[str]) -> bool:
@@ -81,7 +107,8 @@ def parses(arguments: list[str]) -> bool:
 
 
 @pytest.mark.parametrize(
-    ("page", "line"), [(page, line) for page, line in COMMANDS if re.search(r"(^|/)pcs-racing ", line)]
+    ("page", "line"),
+    [(page, line) for page, line in COMMANDS if re.search(r"(^|/)pcs-racing ", line)],
 )
 def test_commands_are_those_of_the_command_line(page, line):
     found = words(line)
@@ -90,7 +117,11 @@ def test_commands_are_those_of_the_command_line(page, line):
 
 
 def test_commands_within_lines_exist_and_impossible_ones_are_found():
-    named = {name for text in TEXTS.values() for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z-]+)", text)}
+    named = {
+        name
+        for text in TEXTS.values()
+        for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z-]+)", text)
+    }
     assert {"train", "study", "track"} <= named
     for name in named:
         assert parses([name, "--help"]), name
@@ -104,15 +135,25 @@ def test_scripts_and_targets_exist_and_make_help_names_them():
     # A script that made one table once is gone; the page says at which commit it measured.
     gone = re.compile(r"commit\s+[0-9a-f]{7}\s+with\s+`python (?:dev/)?benchmarks/\w+\.py")
     texts = [gone.sub("", text) for text in TEXTS.values()]
-    scripts = {name for text in texts for name in re.findall(r"\b(?:examples|dev/benchmarks|dev/tools)/\w+\.py", text)}
+    scripts = {
+        name
+        for text in texts
+        for name in re.findall(r"\b(?:examples|dev/benchmarks|dev/tools)/\w+\.py", text)
+    }
     assert len(scripts) > 15
     assert [name for name in sorted(scripts) if not (REPOSITORY / name).is_file()] == []
     makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
-    workflows = "\n".join(file.read_text(encoding="utf-8") for file in (REPOSITORY / ".github").rglob("*.yml"))
+    workflows = "\n".join(
+        file.read_text(encoding="utf-8") for file in (REPOSITORY / ".github").rglob("*.yml")
+    )
     for where, text in [*TEXTS.items(), ("the workflows", workflows)]:
-        for line in re.findall(r"(?:^|run: |`)make ((?:[a-z]+(?:-[a-z]+)*(?: |$|`|\n))+)", text, flags=re.MULTILINE):
+        for line in re.findall(
+            r"(?:^|run: |`)make ((?:[a-z]+(?:-[a-z]+)*(?: |$|`|\n))+)", text, flags=re.MULTILINE
+        ):
             for target in line.strip(" `\n").split():
-                assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), f"{where}: make {target}"
+                assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE), (
+                    f"{where}: make {target}"
+                )
     targets = set(re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)[1].split()) - {"help"}
     assert targets <= set(re.findall(r'@echo "make ([\w-]+)', makefile))
 
@@ -129,8 +170,13 @@ def made(site):
 
 def anchors(text: str) -> set[str]:
     """Anchors of a page's headings, as GitHub and the site make them."""
-    headings = re.findall(r"^#+ +(.*?) *$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), flags=re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower()).replace(" ", "-") for heading in headings}
+    headings = re.findall(
+        r"^#+ +(.*?) *$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), flags=re.MULTILINE
+    )
+    return {
+        re.sub(r"[^\w\- ]", "", heading.replace("`", "").lower()).replace(" ", "-")
+        for heading in headings
+    }
 
 
 @pytest.mark.parametrize("page", TEXTS)
@@ -152,8 +198,16 @@ def test_links_lead_somewhere(page, made):
 def test_environment_pages_have_all_headings_and_copied_pages_their_links(site, made):
     for name in site.ENVIRONMENTS:
         page = site.environment_page(name)
-        for heading in ("Description", "Action Space", "Observation Space", "Rewards", "Starting State", "Episode End",
-                        "Arguments", "Vectorized environment"):  # fmt: skip
+        for heading in (
+            "Description",
+            "Action Space",
+            "Observation Space",
+            "Rewards",
+            "Starting State",
+            "Episode End",
+            "Arguments",
+            "Vectorized environment",
+        ):
             assert f"\n## {heading}\n" in page, f"{name}: {heading}"
         assert "``" not in page.replace("```", "")
         assert ":class:" not in page
@@ -170,12 +224,15 @@ def test_the_reference_has_every_public_module_and_nothing_private(site, tmp_pat
         for file in (REPOSITORY / root).rglob("*.py"):
             module = ".".join(file.relative_to(REPOSITORY).with_suffix("").parts)
             inner = file.stem == "__init__" or ".cli." in module or "__main__" in module
-            assert inner or not site.public_names(file) or module in known, f"{module} is not in site_pages.REFERENCE"
+            assert inner or not site.public_names(file) or module in known, (
+                f"{module} is not in site_pages.REFERENCE"
+            )
     listed = set(re.findall(r"^generated/api/(\S+)$", TEXTS["docs/api.md"], flags=re.MULTILINE))
     assert listed == {*site.packages(), "names"}
     module = tmp_path / "module.py"
     module.write_text(
-        "import os\nA, _B = 1, 2\nC: int = 3\nd[0] = 4\ndef _e(): ...\ndef f(): ...\nclass G:\n    h = 1\n"
+        "import os\nA, _B = 1, 2\nC: int = 3\nd[0] = 4\ndef _e(): ...\ndef f(): ...\nclass G:\n   "
+        " h = 1\n"
     )
     assert site.public_names(module) == ["A", "C", "f", "G"]
     module.write_text('__all__ = ["f"]\ndef f(): ...\ndef g(): ...\n')
@@ -186,7 +243,10 @@ def listed_pages() -> list[str]:
     """Pages that the index lists, in its order; a pattern stands for its pages."""
     lists = re.findall(r"```\{toctree\}\n(.*?)```", TEXTS["docs/index.md"], flags=re.DOTALL)
     names = re.findall(r"^(?:.*<)?([\w/*-]+)>?$", "\n".join(lists), flags=re.MULTILINE)
-    found = [[f"reports/{page.stem}" for page in DOCS.glob(f"{name}.md")] if "*" in name else [name] for name in names]
+    found = [
+        [f"reports/{page.stem}" for page in DOCS.glob(f"{name}.md")] if "*" in name else [name]
+        for name in names
+    ]
     return [name for part in found for name in part]
 
 
@@ -196,7 +256,11 @@ def test_the_readme_is_short_and_every_page_is_in_the_list(made):
         name = page.removeprefix("docs/").removesuffix(".md")
         if page.startswith("docs/") and name != "index":
             assert listed.count(name) >= 1, f"docs/index.md lacks {name}"
-    kept = {f"generated/{name}".removesuffix(".md") for name in made if name.endswith(".md") and "/" not in name}
+    kept = {
+        f"generated/{name}".removesuffix(".md")
+        for name in made
+        if name.endswith(".md") and "/" not in name
+    }
     assert kept <= set(listed)
     assert len(TEXTS["README.md"].splitlines()) <= 150
     links = set(re.findall(r"\]\([^)]+\)", TEXTS["docs/index.md"]))
@@ -208,8 +272,14 @@ def test_results_name_every_benchmark_and_link_a_table_of_it(made):
     for script in (REPOSITORY / "dev" / "benchmarks").glob("*.py"):
         rows = [line for line in text.splitlines() if f"`dev/benchmarks/{script.name}`" in line]
         assert rows, f"docs/reports/results.md has no row for dev/benchmarks/{script.name}"
-        pages = [(DOCS / "reports" / link).resolve() for link in re.findall(r"\]\(([\w/.]+\.md)", " ".join(rows))]
-        texts = [made[page.name] if page.parent.name == "generated" else page.read_text("utf-8") for page in pages]
+        pages = [
+            (DOCS / "reports" / link).resolve()
+            for link in re.findall(r"\]\(([\w/.]+\.md)", " ".join(rows))
+        ]
+        texts = [
+            made[page.name] if page.parent.name == "generated" else page.read_text("utf-8")
+            for page in pages
+        ]
         assert not texts or any(f"benchmarks/{script.name}" in text for text in texts), script.name
 
 
@@ -217,19 +287,25 @@ def test_every_figure_of_the_list_of_checks_stands_on_its_page():
     with (DOCS / "figures.csv").open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert {row["checked"] for row in rows} <= {"run", "table", "report", "code", "test"}
-    drifted = [row["figure"] for row in rows if row["figure"] not in " ".join(TEXTS[row["page"]].split())]
+    drifted = [
+        row["figure"] for row in rows if row["figure"] not in " ".join(TEXTS[row["page"]].split())
+    ]
     assert not drifted, f"not on their pages: {drifted}; check them again and mend docs/figures.csv"
 
 
 def test_the_pages_of_circuits_and_the_gallery_are_complete(made):
     page = made["circuits.md"]
     for name in list_tracks():
-        assert re.search(rf"^\| \[{name}\]\(#{name.lower()}\) \| \d+ m \| \d\.\d m \| ", page, flags=re.MULTILINE), name
+        assert re.search(
+            rf"^\| \[{name}\]\(#{name.lower()}\) \| \d+ m \| \d\.\d m \| ", page, flags=re.MULTILINE
+        ), name
         assert f"]({Path('../../maps') / name / name}.png)" in page
     assert "| [Pipkin](#pipkin) | 58 m | 2.2 m | 9.3 s | 4.2 to 8.0 m/s | " in page
     gallery = load_tool("gallery")
     pictures = sorted((DOCS / gallery.FOLDER).glob("*.gif"))
-    wanted = {f"{kind}-{circuit.lower()}.gif" for kind in gallery.SCENES for circuit in gallery.CIRCUITS}
+    wanted = {
+        f"{kind}-{circuit.lower()}.gif" for kind in gallery.SCENES for circuit in gallery.CIRCUITS
+    }
     assert {picture.name for picture in pictures} == wanted, "run: python dev/tools/gallery.py"
     for picture in pictures:
         assert picture.stat().st_size <= gallery.LARGEST

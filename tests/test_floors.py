@@ -1,4 +1,6 @@
-"""The house has floors: no file imports from a higher one, and no files import each other in a circle."""
+"""The house has floors: no file imports from a higher one, and no files import each other in a
+circle.
+"""
 
 import ast
 import re
@@ -71,20 +73,25 @@ def test_every_file_stands_on_a_floor_and_imports_none_from_a_higher_one(graph):
         (name, other)
         for name, others in graph.items()
         for other in others
-        if floor_of(name) is not None and floor_of(other) is not None and floor_of(other) > floor_of(name)
+        if floor_of(name) is not None
+        and floor_of(other) is not None
+        and floor_of(other) > floor_of(name)
     ]
     assert not upward
 
 
 def test_no_floor_imports_its_packages_front_door_and_the_simulator_is_the_lowest(graph):
-    """``import pcs_racing`` offers what the floors hold; a floor that asked there would go round in a circle."""
+    """``import pcs_racing`` offers what the floors hold; a floor that asked there would go round in
+    a circle.
+    """
     assert not [
         (name, other)
         for name, others in graph.items()
         for other in others & {"pcs_racing", "pcs_racing_agents"}
         if floor_of(name) is not None
     ]
-    # Its compiled code has a digest of its own, which is enough because it imports nothing from above.
+    # Its compiled code has a digest of its own, which is enough because it imports nothing from
+    # above.
     assert [FLOOR_OF[f"pcs_racing.{floor}"] for floor in SIMULATOR] == list(range(len(SIMULATOR)))
 
 
@@ -98,7 +105,9 @@ def circles(graph: dict[str, set[str]]) -> list[list[str]]:
             seen |= more
             new += more
         reached[name] = seen
-    groups = {frozenset(other for other in reached[name] if name in reached[other]) for name in graph}
+    groups = {
+        frozenset(other for other in reached[name] if name in reached[other]) for name in graph
+    }
     return sorted(sorted(group) for group in groups if group)
 
 

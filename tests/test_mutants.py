@@ -34,10 +34,18 @@ class Rules:
 def test_faults_are_small_and_leave_words_and_messages_alone():
     made = {fault.after for fault in faults.faults_of(TEXT)}
     assert made >= {
-        "def lead(own0, own1, length=(4.0)):", "if (own0 > own1):", "if (not (own0 < own1)):", "if own1 < own1:",
-        "way = (max(own0 - own1, length))", "way = min((own0 + own1), length)", "way = min(own0, length)",
-        "way -= 1", "way += (0)", "pass", "return way",
-    }  # fmt: skip
+        "def lead(own0, own1, length=(4.0)):",
+        "if (own0 > own1):",
+        "if (not (own0 < own1)):",
+        "if own1 < own1:",
+        "way = (max(own0 - own1, length))",
+        "way = min((own0 + own1), length)",
+        "way = min(own0, length)",
+        "way -= 1",
+        "way += (0)",
+        "pass",
+        "return way",
+    }
     alone = ("words", "ValueError", "import", "TYPE_CHECKING", "alpha", "duration")
     assert not any(word in after for word in alone for after in made if after != "pass")
 
@@ -57,17 +65,31 @@ def test_every_fault_is_one_change_and_one_seed_draws_the_same():
 
 
 def test_every_room_has_faults_and_tests_and_the_nearest_tests_come_first():
-    rooms = {file.parent.relative_to(REPOSITORY).as_posix() for file in REPOSITORY.glob("pcs_racing*/*/__init__.py")}
+    rooms = {
+        file.parent.relative_to(REPOSITORY).as_posix()
+        for file in REPOSITORY.glob("pcs_racing*/*/__init__.py")
+    }
     assert {table.room_of(file) for file in table.files()} == rooms
     for room in rooms:
         of_room = [file for file in table.files() if table.room_of(file) == room]
         assert table.tests_of(of_room[0], table.COMPILED), room
-        assert [table.files()[file] for file in of_room] == sorted(map(table.files().get, of_room), reverse=True)
-    assert table.tests_of("pcs_racing/track/grid.py", table.PLAIN)[0] == "tests/pcs_racing/track/test_grid.py"
+        assert [table.files()[file] for file in of_room] == sorted(
+            map(table.files().get, of_room), reverse=True
+        )
+    assert (
+        table.tests_of("pcs_racing/track/grid.py", table.PLAIN)[0]
+        == "tests/pcs_racing/track/test_grid.py"
+    )
     for file in table.files():  # those with its name first, then those that import it
         tests = table.tests_of(file, table.COMPILED)
-        module, stem = file.removesuffix(".py").replace("/", "."), file.rpartition("/")[2].removesuffix(".py")
-        ranks = [(stem not in test.rpartition("/")[2], module not in (REPOSITORY / test).read_text()) for test in tests]
+        module, stem = (
+            file.removesuffix(".py").replace("/", "."),
+            file.rpartition("/")[2].removesuffix(".py"),
+        )
+        ranks = [
+            (stem not in test.rpartition("/")[2], module not in (REPOSITORY / test).read_text())
+            for test in tests
+        ]
         assert ranks == sorted(ranks), file
 
 

@@ -34,15 +34,19 @@ PathFinder.find_spec = classmethod(
 def without_extras(code: str, folder: Path) -> str:
     """Output of code that finds no library of any extra."""
     command = [sys.executable, "-W", "error", "-c", WITHOUT_EXTRAS + code]
-    environment = {**os.environ, "PCS_RACING_CACHE": str(folder.with_name(f"{folder.name}-cache"))}  # nothing is built
-    done = subprocess.run(command, capture_output=True, text=True, cwd=folder, env=environment, check=False)
+    # nothing is built
+    environment = {**os.environ, "PCS_RACING_CACHE": str(folder.with_name(f"{folder.name}-cache"))}
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=folder, env=environment, check=False
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 def test_the_libraries_are_hidden_and_nothing_was_begun_without_them(tmp_path, told):
     code = (
-        "import importlib.util\nprint(importlib.util.find_spec('torch'), importlib.util.find_spec('yaml') is not None)"
+        "import importlib.util\nprint(importlib.util.find_spec('torch'),"
+        " importlib.util.find_spec('yaml') is not None)"
     )
     assert without_extras(code, tmp_path) == "None True\n"
     assert told["begun"] == ["map"]
@@ -79,23 +83,38 @@ print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".
 # Who needs an extra, how it is asked for something, and the extra.
 NEEDS = {
     "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
-    "the command ppo": ('main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])', "learning"),
-    "training": ("from pcs_racing_agents.networks.training import train_layers; train_layers(None, None)", "learning"),
+    "the command ppo": (
+        'main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])',
+        "learning",
+    ),
+    "training": (
+        "from pcs_racing_agents.networks.training import train_layers; train_layers(None, None)",
+        "learning",
+    ),
     "a study": ('main(["study", "quick", "--out", "study"])', "learning"),
     "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
     "a picture": ("from pcs_racing_agents.base.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
-    "a hypervolume": ("import pcs_racing_agents.policies.indicators as i; i.hypervolume([[0, 0]], 0)", "synthesis"),
+    "a hypervolume": (
+        "import pcs_racing_agents.policies.indicators as i; i.hypervolume([[0, 0]], 0)",
+        "synthesis",
+    ),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
     "a data frame": ("pcs_racing.load_archive('default').to_dataframe()", "tables"),
     "OpenSpiel": (
-        "from pcs_racing_agents.solvers import GameTree; from pcs_racing_agents.solvers.openspiel import efg_game; "
-        "efg_game(GameTree.from_payoffs([[0.0, 1.0], [1.0, 0.0]]))",
+        (
+            "from pcs_racing_agents.solvers import GameTree; from"
+            " pcs_racing_agents.solvers.openspiel import efg_game;"
+            " efg_game(GameTree.from_payoffs([[0.0, 1.0], [1.0, 0.0]]))"
+        ),
         "games",
     ),
     "a cluster": (
-        'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees", "--executor", "dask"])',
+        (
+            'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees",'
+            ' "--executor", "dask"])'
+        ),
         "cluster",
     ),
     "a window": ("gym.make('pcs_racing/Duel-v1', render_mode='human').reset(seed=1)", "window"),
@@ -106,7 +125,9 @@ NEEDS = {
 def told(tmp_path_factory):
     """What each of them is told."""
     folder = tmp_path_factory.mktemp("bare")
-    shutil.copytree(REPOSITORY / "maps" / "Pipkin", folder / "map", ignore=shutil.ignore_patterns("*.csv"))
+    shutil.copytree(
+        REPOSITORY / "maps" / "Pipkin", folder / "map", ignore=shutil.ignore_patterns("*.csv")
+    )
     code = f"""
 import contextlib, io, json
 import gymnasium as gym
@@ -135,7 +156,9 @@ def test_whoever_needs_an_extra_is_told_which(who, told):
 
 
 # Which library an example misses first, and what to install.
-LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play imitate_from_lidar residual_ppo"
+LEARNING = (
+    "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play imitate_from_lidar residual_ppo"
+)
 EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
     "clients/openspiel_tree": ("pyspiel", '".[games]"'),
@@ -171,9 +194,16 @@ def test_an_example_without_its_library_ends_in_one_line(name, ends):
 
 
 def test_examples_that_import_a_library_of_an_extra_are_all_tried():
-    hidden = set(re.search(r"set\((.*?)\.split", WITHOUT_EXTRAS, re.DOTALL).group(1).replace('"', " ").split())
+    hidden = set(
+        re.search(r"set\((.*?)\.split", WITHOUT_EXTRAS, re.DOTALL)
+        .group(1)
+        .replace('"', " ")
+        .split()
+    )
     for file in (REPOSITORY / "examples").glob("*.py"):
-        found = re.findall(r"^ *(?:from|import) (\w+)", file.read_text(encoding="utf-8"), re.MULTILINE)
+        found = re.findall(
+            r"^ *(?:from|import) (\w+)", file.read_text(encoding="utf-8"), re.MULTILINE
+        )
         assert bool(hidden & set(found)) == (file.stem in EXAMPLES), file.stem
 
 
@@ -182,7 +212,11 @@ def test_every_extra_folder_and_licence_that_is_named_exists():
     for package in ("pcs_racing", "pcs_racing_agents"):
         for file in (REPOSITORY / package).rglob("*.py"):
             text = file.read_text(encoding="utf-8")
-            named |= {name for found in re.findall(r"pcs-racing\[([a-z,]+)\]", text) for name in found.split(",")}
+            named |= {
+                name
+                for found in re.findall(r"pcs-racing\[([a-z,]+)\]", text)
+                for name in found.split(",")
+            }
             named |= set(re.findall(r'extra="([a-z]+)"', text))
     assert len(named) >= 6
     assert named <= set(PROJECT["project"]["optional-dependencies"])

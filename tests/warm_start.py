@@ -1,9 +1,10 @@
 """Python processes that start at once, for tests of scripts and of what is killed.
 
-A new interpreter spends one second of processor time on importing numba and our packages, and four where it trains.
-Here it is forked from a process that has imported them and done nothing else. Everything else is as in a process of
-its own: arguments, folder, environment, output, exit code, and it can be killed. What a test says about imports needs
-a new interpreter, and so do systems where forking is not safe: there all processes are new ones.
+A new interpreter spends one second of processor time on importing numba and our packages, and four
+where it trains. Here it is forked from a process that has imported them and done nothing else.
+Everything else is as in a process of its own: arguments, folder, environment, output, exit code,
+and it can be killed. What a test says about imports needs a new interpreter, and so do systems
+where forking is not safe: there all processes are new ones.
 """
 
 import os
@@ -19,8 +20,19 @@ from pathlib import Path
 from subprocess import CompletedProcess, TimeoutExpired
 from typing import Any
 
-IMPORTED = ["pcs_racing", "pcs_racing_agents.cli.main", "pcs_racing_agents.tournament", "pcs_racing_agents.trees"]
-IMPORTED += ["stable_baselines3", "matplotlib.pyplot", "distributed.cli.dask_worker", "filelock", "warm_start"]
+IMPORTED = [
+    "pcs_racing",
+    "pcs_racing_agents.cli.main",
+    "pcs_racing_agents.tournament",
+    "pcs_racing_agents.trees",
+]
+IMPORTED += [
+    "stable_baselines3",
+    "matplotlib.pyplot",
+    "distributed.cli.dask_worker",
+    "filelock",
+    "warm_start",
+]
 """What most scripts import. A library that is not installed is left out."""
 
 
@@ -33,7 +45,8 @@ def _context() -> Any:
     context = get_context("forkserver")
     context.set_forkserver_preload(IMPORTED)
     before = os.environ.get("PYTHONPATH")
-    # It would look for our packages in the folder of this moment, and then find those of another checkout.
+    # It would look for our packages in the folder of this moment, and then find those of another
+    # checkout.
     os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
     try:
         forkserver.ensure_running()
@@ -55,8 +68,14 @@ def start_python(
 
     Its output is added to the end of the given files; without one it goes nowhere.
     """
-    given = tuple(map(str, arguments)), str(cwd or Path.cwd()), dict(os.environ if env is None else env)
-    process = _context().Process(target=_run, args=(*given, str(stdout or os.devnull), str(stderr or os.devnull)))
+    given = (
+        tuple(map(str, arguments)),
+        str(cwd or Path.cwd()),
+        dict(os.environ if env is None else env),
+    )
+    process = _context().Process(
+        target=_run, args=(*given, str(stdout or os.devnull), str(stderr or os.devnull))
+    )
     process.start()
     return process
 
@@ -64,7 +83,9 @@ def start_python(
 def call_python(
     *arguments: object, cwd: Path | None = None, env: Mapping[str, str] | None = None
 ) -> CompletedProcess[str]:
-    """Run ``python ARGUMENTS`` to its end, which must come within five minutes; return its exit code and output."""
+    """Run ``python ARGUMENTS`` to its end, which must come within five minutes; return its exit
+    code and output.
+    """
     with tempfile.TemporaryDirectory() as folder:
         stdout, stderr = Path(folder, "stdout"), Path(folder, "stderr")
         process = start_python(*arguments, cwd=cwd, env=env, stdout=stdout, stderr=stderr)
@@ -83,7 +104,9 @@ def kill(process: BaseProcess) -> None:
     assert process.exitcode == -signal.SIGKILL
 
 
-def _run(arguments: tuple[str, ...], cwd: str, environment: dict[str, str], stdout: str, stderr: str) -> None:
+def _run(
+    arguments: tuple[str, ...], cwd: str, environment: dict[str, str], stdout: str, stderr: str
+) -> None:
     for number, path in ((1, stdout), (2, stderr)):
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
         os.dup2(file, number)

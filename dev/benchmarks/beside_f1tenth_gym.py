@@ -1,17 +1,19 @@
-"""1, 2 and 4 cars with 1080-beam lidars on one map, for the same time: here, and in the F1TENTH gym (v1.0.0).
+"""1, 2 and 4 cars with 1080-beam lidars on one map, for the same time: here, and in the F1TENTH gym
+(v1.0.0).
 
     python dev/benchmarks/beside_f1tenth_gym.py                                  # our half alone
     python dev/benchmarks/beside_f1tenth_gym.py --checkout PATH --python PATH    # both, and the ratio
 
-PATH are a checkout of https://github.com/f1tenth/f1tenth_gym and the Python of an environment in which it is installed
-(``python -m venv ENV && ENV/bin/pip install -e CHECKOUT "yamldataclassconfig==1.5"``); it is not on PyPI and pins other
-versions than we do.
+PATH are a checkout of https://github.com/f1tenth/f1tenth_gym and the Python of an environment in
+which it is installed (``python -m venv ENV && ENV/bin/pip install -e CHECKOUT
+"yamldataclassconfig==1.5"``); it is not on PyPI and pins other versions than we do.
 
-Both simulators drive the same cars (the parameters of both are those of the F1TENTH car) along the race line, from the
-same poses, by the same pure pursuit in plain Python, each car 3 m ahead of the next. A first run compiles and records
-the actions; three more repeat them, of which the fastest counts: processor time of the thread, nothing but steps. A
-step of the gym and of our drop-in for it (``pcs_racing:f1tenth-v0``) lasts 0.01 s, one of `Drive` 0.02 s, inside which
-we integrate at 0.01 s, too: what counts is simulated seconds per second. Each step scans for every car. `Drive` and its
+Both simulators drive the same cars (the parameters of both are those of the F1TENTH car) along the
+race line, from the same poses, by the same pure pursuit in plain Python, each car 3 m ahead of the
+next. A first run compiles and records the actions; three more repeat them, of which the fastest
+counts: processor time of the thread, nothing but steps. A step of the gym and of our drop-in for it
+(``pcs_racing:f1tenth-v0``) lasts 0.01 s, one of `Drive` 0.02 s, inside which we integrate at 0.01
+s, too: what counts is simulated seconds per second. Each step scans for every car. `Drive` and its
 batch race two cars.
 """
 
@@ -48,7 +50,8 @@ def steer(line, x, y, heading):
     return max(-0.4, min(0.4, math.atan(0.33 * 2.0 * across / (dx * dx + dy * dy))))
 '''
 
-# Run by the other environment's Python and by ours: reads the task as JSON, answers with one line of JSON.
+# Run by the other environment's Python and by ours: reads the task as JSON, answers with one line
+# of JSON.
 STEPPING = (
     PURSUIT
     + """
@@ -112,7 +115,9 @@ def the_task(track: Track, seconds: float, cars: int) -> dict[str, Any]:
 
 
 def ours(track: Track, task: dict[str, Any], races: int) -> tuple[float, float, bool]:
-    """Processor time of a batch of races, the seconds that it drove in each, and whether a car crashed."""
+    """Processor time of a batch of races, the seconds that it drove in each, and whether a car
+    crashed.
+    """
     shared: dict[str, Any] = {"ahead": task["ahead"]}
     exec(PURSUIT, shared)  # our own text, above
     batch = DriveBatch(
@@ -149,7 +154,9 @@ def ours(track: Track, task: dict[str, Any], races: int) -> tuple[float, float, 
     return spent, len(recorded) / 50, crashed
 
 
-def stepped(task: dict[str, Any], made: str, python: Path, folder: Path | None) -> tuple[float, float, bool]:
+def stepped(
+    task: dict[str, Any], made: str, python: Path, folder: Path | None
+) -> tuple[float, float, bool]:
     """The same in an environment with the gym's interface, run by a Python in a folder."""
     done = subprocess.run(
         [str(python), "-c", STEPPING],
@@ -169,29 +176,48 @@ def stepped(task: dict[str, Any], made: str, python: Path, folder: Path | None) 
 def check_gym(checkout: Path | None, python: Path | None) -> None:
     """Refuse half of the two paths, a folder without the gym, and a Python that is none."""
     if (checkout is None) is not (python is None):
-        raise InputError("give both --checkout and --python: the gym, and the Python of the environment it runs in")
+        raise InputError(
+            "give both --checkout and --python: the gym, and the Python of the environment it"
+            " runs in"
+        )
     if checkout is not None and not (checkout / "f1tenth_gym" / "envs").is_dir():
-        raise InputError(f"--checkout {checkout} holds no f1tenth_gym/envs; give a checkout of f1tenth/f1tenth_gym")
+        raise InputError(
+            f"--checkout {checkout} holds no f1tenth_gym/envs; give a checkout of"
+            " f1tenth/f1tenth_gym"
+        )
     if python is not None and not python.is_file():
-        raise InputError(f"--python {python} is no file; give the Python that the gym is installed for")
+        raise InputError(
+            f"--python {python} is no file; give the Python that the gym is installed for"
+        )
 
 
 def main(given: list[str] | None = None) -> int:
     """Print a table; an error that can be put right is one line, and status 2."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--checkout", type=Path, metavar="PATH", help="checkout of the F1TENTH gym")
     parser.add_argument(
-        "--python", type=Path, metavar="PATH", help="Python of the environment in which it is installed"
+        "--python",
+        type=Path,
+        metavar="PATH",
+        help="Python of the environment in which it is installed",
     )
-    parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit (default: Tarnfjord)")
+    parser.add_argument(
+        "--track", default="Tarnfjord", help="name or folder of a circuit (default: Tarnfjord)"
+    )
     parser.add_argument("--seconds", type=float, default=10.0, help="to drive (default: 10)")
     parser.add_argument("--races", type=int, default=64, help="races in our batch (default: 64)")
-    parser.add_argument("--cars", type=int, nargs="+", default=[1, 2, 4], metavar="N", help="(default: 1 2 4)")
+    parser.add_argument(
+        "--cars", type=int, nargs="+", default=[1, 2, 4], metavar="N", help="(default: 1 2 4)"
+    )
     arguments = parser.parse_args(given)
     try:
         check_gym(arguments.checkout, arguments.python)
         if not (arguments.seconds >= 1.0 and arguments.races >= 1 and min(arguments.cars) >= 1):
-            raise InputError(f"{arguments.seconds:g} s and {arguments.races} races: drive at least 1 s in 1 race")
+            raise InputError(
+                f"{arguments.seconds:g} s and {arguments.races} races: drive at least 1 s in 1 race"
+            )
         track = load_track(arguments.track)
         rows = []
         for cars in arguments.cars:
@@ -208,12 +234,18 @@ def main(given: list[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(f"{track.name}: {BEAMS} beams for each car, {arguments.seconds:g} s, one thread\n")
-    print("| cars | simulator | driven, s | simulated seconds per second | ratio | |\n|---|---|---|---|---|---|")
+    print(
+        "| cars | simulator | driven, s | simulated seconds per second | ratio |"
+        " |\n|---|---|---|---|---|---|"
+    )
     first: dict[int, float] = {}
     for cars, name, races, spent, driven, crashed in rows:
         rate = races * driven / spent
         ratio = rate / first.setdefault(cars, rate)
-        print(f"| {cars} | {name} | {driven:g} | {rate:,.1f} | {ratio:.1f} | {'crashed' if crashed else ''} |")
+        print(
+            f"| {cars} | {name} | {driven:g} | {rate:,.1f} | {ratio:.1f} |"
+            f" {'crashed' if crashed else ''} |"
+        )
     if arguments.checkout is None:
         print("\nFor the other simulator give --checkout and --python (see --help).")
     return 0

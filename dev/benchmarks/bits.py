@@ -1,12 +1,13 @@
-"""What is the same to the bit on another processor: digests of results, here and under other instructions.
+"""What is the same to the bit on another processor: digests of results, here and under other
+instructions.
 
     python dev/benchmarks/bits.py                              # the digests of this machine, one a line
     python dev/benchmarks/bits.py --compare                    # and a table of what changes them
     python dev/benchmarks/bits.py --compare --maps FOLDER      # with the circuits of another folder, too
 
-Each comparison runs this script again in a process that is told to do without some instructions, or to use another
-kernel of the linear algebra library, and with caches of its own, so that everything is compiled and built anew: a few
-minutes each. ``--parts tracks races`` leaves the others out.
+Each comparison runs this script again in a process that is told to do without some instructions, or
+to use another kernel of the linear algebra library, and with caches of its own, so that everything
+is compiled and built anew: a few minutes each. ``--parts tracks races`` leaves the others out.
 """
 
 import argparse
@@ -35,7 +36,10 @@ GLIBC = "-AVX512F,-AVX512VL,-AVX512DQ,-AVX512BW,-AVX2,-FMA,-FMA4"
 SETTINGS: dict[str, dict[str, str]] = {
     "again": {},
     "compiled for any": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
-    "compiled for haswell": {"NUMBA_CPU_NAME": "haswell", "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2"},
+    "compiled for haswell": {
+        "NUMBA_CPU_NAME": "haswell",
+        "NUMBA_CPU_FEATURES": "+avx2,+fma,+bmi,+bmi2",
+    },
     "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": NO_AVX512},
     "numpy without AVX": {"NPY_DISABLE_CPU_FEATURES": NO_AVX},
     "C library without FMA": {"GLIBC_TUNABLES": f"glibc.cpu.hwcaps={GLIBC}"},
@@ -105,7 +109,9 @@ def vehicles(folders: list[Path]) -> Digests:
     from pcs_racing import simulate
 
     rng = np.random.default_rng(0)
-    targets = np.stack([rng.uniform(-0.4, 0.4, (20, 400)), rng.uniform(-2.0, 12.0, (20, 400))], axis=-1)
+    targets = np.stack(
+        [rng.uniform(-0.4, 0.4, (20, 400)), rng.uniform(-2.0, 12.0, (20, 400))], axis=-1
+    )
     yield "vehicle, target", simulate(np.zeros((20, 7)), targets)
 
 
@@ -120,15 +126,27 @@ def lidar(folders: list[Path]) -> Digests:
     yield "scans", Lidar(track).scan(places, others)
     yield "scans with noise", Lidar(track, noise=0.02).scan(places, rng=np.random.default_rng(0))
     times = [
-        minimum_ittc(track.arrays, x, y, 4.0, 1.0, s, ox, oy, opsi, 0.29, 0.155, 2.0, 0.5, True, 10.0)
-        for (x, y, _), (ox, oy, opsi), s in zip(places, others, np.linspace(0.0, 110.0, 200), strict=True)
+        minimum_ittc(
+            track.arrays, x, y, 4.0, 1.0, s, ox, oy, opsi, 0.29, 0.155, 2.0, 0.5, True, 10.0
+        )
+        for (x, y, _), (ox, oy, opsi), s in zip(
+            places, others, np.linspace(0.0, 110.0, 200), strict=True
+        )
     ]
     yield "times to collision", np.array(times)
 
 
 def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
-    from pcs_racing import RaceSetup, advance, draw_starts, load_race_config, load_track, parse_policy, start_races
+    from pcs_racing import (
+        RaceSetup,
+        advance,
+        draw_starts,
+        load_race_config,
+        load_track,
+        parse_policy,
+        start_races,
+    )
     from pcs_racing.planners.network import driver_weight_count, network_planner
     from pcs_racing.race.races import pad_parameters, race_seeds
 
@@ -141,7 +159,9 @@ def races(folders: list[Path]) -> Digests:
         for name, rival in rivals.items():
             setup = RaceSetup(track, config, (ego.planner, rival.planner))
             state = start_races(setup, draw_starts(track, config, 10, 0), race_seeds(0, 10))
-            theta = np.broadcast_to(pad_parameters([ego, rival], setup.theta_size), (10, 2, setup.theta_size)).copy()
+            theta = np.broadcast_to(
+                pad_parameters([ego, rival], setup.theta_size), (10, 2, setup.theta_size)
+            ).copy()
             advance(setup, state, theta, config.ticks)
             yield f"races, {preset}, {name}", tuple(state)
 
@@ -183,7 +203,10 @@ def statistics(folders: list[Path]) -> Digests:
     second = (first + rng.integers(1, 8, 600)) % 8
     result = rng.integers(-1, 2, 600)
     ratings = rate(names[first], names[second], result, rng=rng, replicates=100)
-    yield "ratings", [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)]
+    yield (
+        "ratings",
+        [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)],
+    )
     estimate = clustered_mean(rng.normal(size=600), first, second)
     yield "clustered mean", tuple(estimate)
     yield "t-test", [t_interval(t, 1.0, df) for t in (0.5, 2.0, 5.0) for df in (3, 30, 300)]
@@ -219,7 +242,18 @@ def archive(folders: list[Path]) -> Digests:
 
 PARTS: dict[str, Callable[[list[Path]], Digests]] = {
     part.__name__: part
-    for part in (tracks, generated, vehicles, lidar, races, environments, games, networks, statistics, archive)
+    for part in (
+        tracks,
+        generated,
+        vehicles,
+        lidar,
+        races,
+        environments,
+        games,
+        networks,
+        statistics,
+        archive,
+    )
 }
 
 
@@ -260,24 +294,47 @@ def compare(chosen: list[str], arguments: list[str]) -> None:
             base = found
         rows[name] = {what: found.get(what) == value for what, value in base.items()}
         changed = [what for what, same in rows[name].items() if not same]
-        print(f"{name}: {len(base) - len(changed)} of {len(base)} the same", *changed, sep="\n    ", flush=True)
+        print(
+            f"{name}: {len(base) - len(changed)} of {len(base)} the same",
+            *changed,
+            sep="\n    ",
+            flush=True,
+        )
     failed = [what for what, value in base.items() if value.startswith("failed")]
     print(f"processor: {platform.processor() or platform.machine()}; numpy {np.__version__}")
-    always = [what for what in base if what not in failed and all(row[what] for row in rows.values())]
+    always = [
+        what for what in base if what not in failed and all(row[what] for row in rows.values())
+    ]
     print(f"the same everywhere ({len(always)}):", *always, sep="\n    ")
     print("not the same everywhere:", *[what for what in base if what not in always], sep="\n    ")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--compare", action="store_true", help="run under other instructions and say what changes")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--compare", action="store_true", help="run under other instructions and say what changes"
+    )
     parser.add_argument("--maps", type=Path, help="a folder of map folders to take along")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="leave the others out")
-    parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="leave the others out")
+    parser.add_argument(
+        "--parts", nargs="+", choices=PARTS, default=list(PARTS), help="leave the others out"
+    )
+    parser.add_argument(
+        "--settings",
+        nargs="+",
+        choices=SETTINGS,
+        default=list(SETTINGS),
+        help="leave the others out",
+    )
     parser.add_argument("--json", action="store_true", help="end with one JSON line")
     given = parser.parse_args()
     if given.compare:
-        arguments = ["--parts", *given.parts, *(["--maps", str(given.maps.resolve())] if given.maps else [])]
+        arguments = [
+            "--parts",
+            *given.parts,
+            *(["--maps", str(given.maps.resolve())] if given.maps else []),
+        ]
         compare(["again", *(name for name in given.settings if name != "again")], arguments)
         return
     places = [ROOT / "maps", *([given.maps] if given.maps else [])]

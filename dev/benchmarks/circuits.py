@@ -1,8 +1,9 @@
 """How races begin and end on any circuit, loaded from its picture and yaml file alone.
 
-On every circuit and under both presets, lattice policies race each other whose paces are drawn evenly from 0 to 1. The
-races come in pairs: the same two policies on the same start line, with the sides swapped. Nothing is configured: speed
-range and start places come from the calibration that the package does by itself.
+On every circuit and under both presets, lattice policies race each other whose paces are drawn
+evenly from 0 to 1. The races come in pairs: the same two policies on the same start line, with the
+sides swapped. Nothing is configured: speed range and start places come from the calibration that
+the package does by itself.
 
     python dev/benchmarks/circuits.py --maps ../shared/maps     # and the circuits that ship with the package
 """
@@ -36,7 +37,8 @@ COLUMNS = (
     "overtakes",
     "calibration s",
 )
-AIMS = {"paper": (0.01, 0.0, 0.08), "contest": (0.02, 0.15, 0.45)}  # most early; fewest and most crashes
+# most early; fewest and most crashes
+AIMS = {"paper": (0.01, 0.0, 0.08), "contest": (0.02, 0.15, 0.45)}
 
 
 def bare_track(folder: Path, where: Path) -> Track:
@@ -92,11 +94,19 @@ def misses(row: dict[str, object]) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--maps", type=Path, help="folder of map folders, beside the circuits that ship")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--maps", type=Path, help="folder of map folders, beside the circuits that ship"
+    )
     parser.add_argument("--only", nargs="+", help="names of circuits")
-    parser.add_argument("--races", type=int, default=1000, help="races of a circuit and preset (default 1000)")
-    parser.add_argument("--seed", type=int, default=1, help="of policies, start lines and noise (default 1)")
+    parser.add_argument(
+        "--races", type=int, default=1000, help="races of a circuit and preset (default 1000)"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=1, help="of policies, start lines and noise (default 1)"
+    )
     parser.add_argument("--csv", type=Path, help="file to write the table to")
     arguments = parser.parse_args()
     folders = [find_shipped(name) for name in list_tracks()]
@@ -113,7 +123,11 @@ def main() -> None:
                 try:
                     row = measure(track, config, arguments.races, arguments.seed)
                 except InputError as error:
-                    row = dict.fromkeys(COLUMNS, "") | {"track": track.name, "preset": config.name, "early": "refused"}
+                    row = dict.fromkeys(COLUMNS, "") | {
+                        "track": track.name,
+                        "preset": config.name,
+                        "early": "refused",
+                    }
                     print(error, file=sys.stderr)
                 rows.append(row)
                 line = "  ".join(f"{row[column]!s:>{max(len(column), 8)}}" for column in COLUMNS)

@@ -1,4 +1,5 @@
-"""How well the lattice drives: alone beside pure pursuit, and in races against the house's other drivers and itself.
+"""How well the lattice drives: alone beside pure pursuit, and in races against the house's other
+drivers and itself.
 
     python dev/benchmarks/driving.py                                  # the circuits that ship
     python dev/benchmarks/driving.py --maps ../shared/maps --only alone smooth
@@ -6,14 +7,15 @@
 
 Each section prints a row for each circuit and the mean:
 
-stability  largest eigenvalue of the car on a straight and its pursuit, by what the pursuit takes for the car's course
-alone      own crashes in 40 s of a car alone, and its mean speed, beside pure pursuit at the same speed scales
-smooth     steering rate and speed around the profile on straights, over that of pure pursuit
-laps       best lap alone at pace 1 of the contest's range, over that of `ppo-drive`
-grip       crashes alone at pace 1 of the contest: whether the tyres slid before them, or the car left its path
-search     the best of 110 random weight vectors against pure pursuit, lane switcher and gap follower
-default    the default lattice against the default pure pursuit, `paper` and `contest`
-paces      16 paces of the default lattice against each other: overtakes, places kept, gaps, headroom
+stability  largest eigenvalue of the car on a straight and its pursuit, by what the pursuit takes
+for the car's course alone      own crashes in 40 s of a car alone, and its mean speed, beside pure
+pursuit at the same speed scales smooth     steering rate and speed around the profile on straights,
+over that of pure pursuit laps       best lap alone at pace 1 of the contest's range, over that of
+`ppo-drive` grip       crashes alone at pace 1 of the contest: whether the tyres slid before them,
+or the car left its path search     the best of 110 random weight vectors against pure pursuit, lane
+switcher and gap follower default    the default lattice against the default pure pursuit, `paper`
+and `contest` paces      16 paces of the default lattice against each other: overtakes, places kept,
+gaps, headroom
 """
 
 import argparse
@@ -40,19 +42,37 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import KAPPA, SPEED, X, Y
 from pcs_racing_agents.policies.headroom import headroom
 
-# Pace 1 of the contest until commit a58241f: the 50 % hazard of the planner of that time, with half of today's noise.
+# Pace 1 of the contest until commit a58241f: the 50 % hazard of the planner of that time, with half
+# of today's noise.
 FORMER_TOP = {
-    "Brackwater": 0.98, "Kestrelheim": 0.96, "Larkmoor": 0.99, "Pipkin": 1.05, "Quillburg": 1.05, "Saltmere": 0.98,
-    "Tarnfjord": 1.05, "Vellindra": 1.04, "Austin": 0.93, "Budapest": 1.04, "Catalunya": 1.06, "Hockenheim": 0.98,
-    "IMS": 1.03, "Monza": 0.99, "MoscowRaceway": 1.03, "Nuerburgring": 0.99, "Oschersleben": 1.0, "Sakhir": 0.97,
-    "Sepang": 1.03, "Spielberg": 0.97,
-}  # fmt: skip
+    "Brackwater": 0.98,
+    "Kestrelheim": 0.96,
+    "Larkmoor": 0.99,
+    "Pipkin": 1.05,
+    "Quillburg": 1.05,
+    "Saltmere": 0.98,
+    "Tarnfjord": 1.05,
+    "Vellindra": 1.04,
+    "Austin": 0.93,
+    "Budapest": 1.04,
+    "Catalunya": 1.06,
+    "Hockenheim": 0.98,
+    "IMS": 1.03,
+    "Monza": 0.99,
+    "MoscowRaceway": 1.03,
+    "Nuerburgring": 0.99,
+    "Oschersleben": 1.0,
+    "Sakhir": 0.97,
+    "Sepang": 1.03,
+    "Spielberg": 0.97,
+}
 FORMER_NOISE = 0.01  # rad
 OPPONENTS = ("pure-pursuit", "lane-switcher", "gap-follower")
 VECTORS, SEARCH_RACES, FRESH_RACES = 110, 16, 400
 PACES, PACE_RACES = 16, 24
 STRAIGHT = 0.05  # 1/m
-SLIDING = F1TENTH.mu * _vehicle.GRAVITY  # m/s^2 of lateral acceleration: all that the tyres' friction gives
+# m/s^2 of lateral acceleration: all that the tyres' friction gives
+SLIDING = F1TENTH.mu * _vehicle.GRAVITY
 BEFORE = 0.5  # s before a crash in which the tyres may have slid
 
 Row = dict[str, Any]
@@ -62,7 +82,15 @@ Floats = NDArray[np.float64]
 class Alone:
     """Cars alone on a circuit: two in each race, half a lap apart, on the race line at its speed."""
 
-    def __init__(self, track: Track, planner: Planner, scale: float, noise: float, cars: int, theta: Any = None):
+    def __init__(
+        self,
+        track: Track,
+        planner: Planner,
+        scale: float,
+        noise: float,
+        cars: int,
+        theta: Any = None,
+    ):
         races = cars // 2
         self.track, self.planner = track, planner
         self.theta = np.zeros((races, 2, max(1, len(planner.parameters))))
@@ -103,9 +131,16 @@ class Alone:
 def alone(track: Track) -> Row:
     top = FORMER_TOP[track.name]
     row: Row = {}
-    for label, scale in (("former .6", top - 0.128), ("former 1", top), ("scale 1.2", 1.2), ("scale 1.3", 1.3)):
+    for label, scale in (
+        ("former .6", top - 0.128),
+        ("former 1", top),
+        ("scale 1.2", 1.2),
+        ("scale 1.3", 1.3),
+    ):
         noise = FORMER_NOISE if label.startswith("former") else CONTEST.steering_noise
-        (ours, fast), (theirs, slow) = (Alone(track, p, scale, noise, 100).result() for p in (LATTICE, PURE_PURSUIT))
+        (ours, fast), (theirs, slow) = (
+            Alone(track, p, scale, noise, 100).result() for p in (LATTICE, PURE_PURSUIT)
+        )
         row |= (
             {f"{label}: crash": ours, "pursuit": theirs, "speed ratio": fast / slow}
             if label == "former 1"
@@ -132,7 +167,9 @@ def smooth(track: Track) -> Row:
             rates.append(((state.cars[:, :, _vehicle.DELTA] - before) / 0.02)[here])
             speeds.append((state.cars[:, :, _vehicle.V] - profile)[here])
             before = state.cars[:, :, _vehicle.DELTA].copy()
-        found[planner.name] = [float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (rates, speeds)]
+        found[planner.name] = [
+            float(np.sqrt(np.mean(np.concatenate(x) ** 2))) for x in (rates, speeds)
+        ]
     (rate, speed), (other_rate, other_speed) = found["lattice"], found["pure-pursuit"]
     return {"steering rate": rate / other_rate, "speed around the profile": speed / other_speed}
 
@@ -147,8 +184,12 @@ def laps(track: Track) -> Row:
 
 
 def grip(track: Track) -> Row:
-    """Of the crashes alone, the share before which a car asked its tyres for more than their friction."""
-    cars = Alone(track, LATTICE, calibration_of(track, CONTEST).speed_range[1], CONTEST.steering_noise, 160)
+    """Of the crashes alone, the share before which a car asked its tyres for more than their
+    friction.
+    """
+    cars = Alone(
+        track, LATTICE, calibration_of(track, CONTEST).speed_range[1], CONTEST.steering_noise, 160
+    )
     last = np.full(cars.state.crash.shape, -np.inf)
     for step in range(2000):
         state = cars.drive(2)
@@ -165,14 +206,22 @@ def score(
     track: Track, egos: list[Policy], rival: Policy, config: RaceConfig, each: int, seed: int
 ) -> dict[str, Floats]:
     """Means over ``each`` races of every ego: won, own crashes, won from the rear slot, overtakes."""
-    result = run_races(track, [ego for ego in egos for _ in range(each)], [rival] * len(egos) * each, config, seed=seed)
+    result = run_races(
+        track,
+        [ego for ego in egos for _ in range(each)],
+        [rival] * len(egos) * each,
+        config,
+        seed=seed,
+    )
     won, own = result.winner == 0, result.state.fault[:, 0] == 1
     rear = result.starts.side == 1
     shape = (len(egos), each)
     return {
         "score": won.reshape(shape).mean(axis=1),
         "own": own.reshape(shape).mean(axis=1),
-        "rear": (won & rear).reshape(shape).sum(axis=1) / np.maximum(rear.reshape(shape).sum(axis=1), 1),
+        "rear": (
+            (won & rear).reshape(shape).sum(axis=1) / np.maximum(rear.reshape(shape).sum(axis=1), 1)
+        ),
         "overtakes": result.state.overtakes.sum(axis=1).reshape(shape).mean(axis=1),
     }
 
@@ -181,7 +230,9 @@ def best_pursuit(tracks: list[Track]) -> Policy:
     """The pace of pure pursuit with the best mean score against the default lattice and the others."""
     paces = [PURE_PURSUIT.policy({"pace": pace}) for pace in np.linspace(0.0, 1.0, 6)]
     rivals = [parse_policy(name) for name in ("lattice", *OPPONENTS[1:])]
-    total = sum(score(track, paces, rival, CONTEST, 20, 3)["score"] for track in tracks for rival in rivals)
+    total = sum(
+        score(track, paces, rival, CONTEST, 20, 3)["score"] for track in tracks for rival in rivals
+    )
     return paces[int(np.argmax(total))]
 
 
@@ -191,20 +242,35 @@ def search(tracks: list[Track]) -> list[Row]:
     egos = [LATTICE.policy(LATTICE.sample(rng)) for _ in range(VECTORS)]
     pursuit = best_pursuit(tracks)
     rivals = [pursuit, *(parse_policy(name) for name in OPPONENTS[1:])]
-    found = [[score(track, egos, rival, CONTEST, SEARCH_RACES, 7) for rival in rivals] for track in tracks]
+    found = [
+        [score(track, egos, rival, CONTEST, SEARCH_RACES, 7) for rival in rivals]
+        for track in tracks
+    ]
     means = np.mean([[one["score"] for one in row] for row in found], axis=(0, 1))
     own = np.mean([[one["own"] for one in row] for row in found], axis=(0, 1))
     allowed = np.where(own <= 0.12, means, -1.0) if (own <= 0.12).any() else means
     best = egos[int(np.argmax(allowed))]
-    print(f"best pure pursuit: pace {pursuit.parameters[0]:.1f}; median of all vectors {np.median(means):.3f}")
-    print("best:", ", ".join(f"{p.name} {x:.2f}" for p, x in zip(LATTICE.parameters, best.parameters, strict=True)))
+    print(
+        f"best pure pursuit: pace {pursuit.parameters[0]:.1f}; median of all vectors"
+        f" {np.median(means):.3f}"
+    )
+    print(
+        "best:",
+        ", ".join(
+            f"{p.name} {x:.2f}" for p, x in zip(LATTICE.parameters, best.parameters, strict=True)
+        ),
+    )
     rows = []
     for track in tracks:
         fresh = [score(track, [best], rival, CONTEST, FRESH_RACES, 1000) for rival in rivals]
         row: Row = {"track": track.name, "score": np.mean([one["score"] for one in fresh])}
         row |= {name: one["score"][0] for name, one in zip(OPPONENTS, fresh, strict=True)}
         rows.append(
-            row | {"own crash": np.mean([one["own"] for one in fresh]), "rear, lane-switcher": fresh[1]["rear"][0]}
+            row
+            | {
+                "own crash": np.mean([one["own"] for one in fresh]),
+                "rear, lane-switcher": fresh[1]["rear"][0],
+            }
         )
     return rows
 
@@ -221,7 +287,9 @@ def paces(track: Track) -> Row:
     policies = [LATTICE.policy({"pace": pace}) for pace in np.linspace(0.0, 1.0, PACES)]
     first = np.repeat(np.arange(PACES), PACES * PACE_RACES)
     second = np.tile(np.repeat(np.arange(PACES), PACE_RACES), PACES)
-    result = run_races(track, [policies[i] for i in first], [policies[j] for j in second], CONTEST, seed=11)
+    result = run_races(
+        track, [policies[i] for i in first], [policies[j] for j in second], CONTEST, seed=11
+    )
     shape = (PACES, PACES, PACE_RACES)
     won = ((result.winner == 0) + 0.5 * (result.winner < 0)).reshape(shape)
     folds = np.stack([won[:, :, k::4].mean(axis=2) - 0.5 for k in range(4)])
@@ -243,7 +311,9 @@ def paces(track: Track) -> Row:
 
 
 def _straight(car: Floats, v: float, measured_slip: bool) -> Floats:
-    """One control period of a car that pursues a straight line: y, steering angle, heading, yaw rate, slip."""
+    """One control period of a car that pursues a straight line: y, steering angle, heading, yaw
+    rate, slip.
+    """
     y, delta, psi, rate, beta = car
     reach = 0.3 + 0.1 * v  # as follow_path looks ahead
     course = psi + (beta if measured_slip else 0.0)
@@ -252,9 +322,17 @@ def _straight(car: Floats, v: float, measured_slip: bool) -> Floats:
     state, params = np.array([0.0, y, delta, v, psi, rate, beta]), F1TENTH.as_row()
     for _ in range(2):
         wanted = (steer - state[_vehicle.DELTA]) / 0.01
-        _vehicle.step(state, np.clip(wanted, -F1TENTH.steer_rate_max, F1TENTH.steer_rate_max), 0.0, params, 0.01)
+        _vehicle.step(
+            state,
+            np.clip(wanted, -F1TENTH.steer_rate_max, F1TENTH.steer_rate_max),
+            0.0,
+            params,
+            0.01,
+        )
     heading = np.mod(state[_vehicle.PSI] + np.pi, 2.0 * np.pi) - np.pi
-    return np.array([state[1], state[_vehicle.DELTA], heading, state[_vehicle.PSI_DOT], state[_vehicle.BETA]])
+    return np.array(
+        [state[1], state[_vehicle.DELTA], heading, state[_vehicle.PSI_DOT], state[_vehicle.BETA]]
+    )
 
 
 def stability() -> list[Row]:
@@ -264,7 +342,8 @@ def stability() -> list[Row]:
         row: Row = {"track": f"{v:g} m/s"}
         for name, measured in (("slip of a steady bend", False), ("slip of the moment", True)):
             ahead, back = (
-                np.array([_straight(sign * 1e-6 * e, v, measured) for e in np.eye(5)]) for sign in (1.0, -1.0)
+                np.array([_straight(sign * 1e-6 * e, v, measured) for e in np.eye(5)])
+                for sign in (1.0, -1.0)
             )
             row[name] = float(np.abs(np.linalg.eigvals((ahead - back).T / 2e-6)).max())
         rows.append(row)
@@ -272,8 +351,13 @@ def stability() -> list[Row]:
 
 
 SECTIONS: dict[str, Callable[[Track], Row]] = {
-    "alone": alone, "smooth": smooth, "laps": laps, "grip": grip, "default": default, "paces": paces,
-}  # fmt: skip
+    "alone": alone,
+    "smooth": smooth,
+    "laps": laps,
+    "grip": grip,
+    "default": default,
+    "paces": paces,
+}
 
 
 def show(section: str, rows: list[Row]) -> None:
@@ -284,7 +368,11 @@ def show(section: str, rows: list[Row]) -> None:
     mean = {key: np.nanmean([row[key] for row in rows]) for key in columns}
     print(f"\n{section}\n{'':14}" + "  ".join(columns))
     for row in [*rows, {"track": "mean"} | mean]:
-        print(f"{row['track']:14}" + "  ".join(f"{row[key]:>{max(len(key), 6)}.3f}" for key in columns), flush=True)
+        print(
+            f"{row['track']:14}"
+            + "  ".join(f"{row[key]:>{max(len(key), 6)}.3f}" for key in columns),
+            flush=True,
+        )
 
 
 def circuits(folder: Path | None, names: Iterable[str] | None) -> list[Track]:
@@ -300,15 +388,27 @@ def circuits(folder: Path | None, names: Iterable[str] | None) -> list[Track]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--maps", type=Path, help="folder of map folders, beside the circuits that ship")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--maps", type=Path, help="folder of map folders, beside the circuits that ship"
+    )
     parser.add_argument("--tracks", nargs="+", help="names of circuits")
-    parser.add_argument("--only", nargs="+", choices=["stability", *SECTIONS, "search"], help="sections (default: all)")
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=["stability", *SECTIONS, "search"],
+        help="sections (default: all)",
+    )
     parser.add_argument("--csv", type=Path, help="file to write all rows to")
     arguments = parser.parse_args()
     tracks = circuits(arguments.maps, arguments.tracks)
     if not tracks:
-        parser.error(f"none of {', '.join(arguments.tracks or [])} is a shipped circuit or in the folder of --maps")
+        parser.error(
+            f"none of {', '.join(arguments.tracks or [])} is a shipped circuit or in the folder of"
+            " --maps"
+        )
     written = []
     for section in arguments.only or ["stability", *SECTIONS, "search"]:
         if section == "search":
@@ -316,11 +416,21 @@ def main() -> None:
         elif section == "stability":
             rows = stability()
         else:
-            # The former top of a circuit is measured, not guessed: one without it has no row in these sections.
-            known = [track for track in tracks if section not in ("alone", "smooth") or track.name in FORMER_TOP]
+            # The former top of a circuit is measured, not guessed: one without it has no row in
+            # these sections.
+            known = [
+                track
+                for track in tracks
+                if section not in ("alone", "smooth") or track.name in FORMER_TOP
+            ]
             rows = [{"track": track.name} | SECTIONS[section](track) for track in known]
         show(section, rows)
-        written += [(section, row["track"], key, value) for row in rows for key, value in row.items() if key != "track"]
+        written += [
+            (section, row["track"], key, value)
+            for row in rows
+            for key, value in row.items()
+            if key != "track"
+        ]
     if arguments.csv is not None:
         arguments.csv.parent.mkdir(parents=True, exist_ok=True)
         with arguments.csv.open("w", newline="") as file:

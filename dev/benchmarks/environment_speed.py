@@ -1,15 +1,17 @@
-"""Steps per second of the environments: batches against scalar environments, with and without a lidar, on one core.
+"""Steps per second of the environments: batches against scalar environments, with and without a
+lidar, on one core.
 
     python dev/benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
     python dev/benchmarks/environment_speed.py --only duel "two agents"    # the variants whose names hold one of these
     python dev/benchmarks/environment_speed.py --only cars         # steps of an agent with 1, 4 and 8 cars, and with 2
     python dev/benchmarks/environment_speed.py --against PATH    # scalar environments beside those of another checkout
 
-Everything is measured in one run, the variants in turn for several rounds, and the best round of each counts. Times
-are the thread's own, so other work on the machine disturbs little. All on one thread. A step of a match is a whole
-race. Control level ("drive", "two agents") steps last 0.02 s, the period at which planners steer; the cars roll
-straight on at 1 m/s, and begin anew when they crash. In "two agents" both cars are steered, and steps are counted for
-each car: what a learner gets. SuperSuit's path is measured where it is installed.
+Everything is measured in one run, the variants in turn for several rounds, and the best round of
+each counts. Times are the thread's own, so other work on the machine disturbs little. All on one
+thread. A step of a match is a whole race. Control level ("drive", "two agents") steps last 0.02 s,
+the period at which planners steer; the cars roll straight on at 1 m/s, and begin anew when they
+crash. In "two agents" both cars are steered, and steps are counted for each car: what a learner
+gets. SuperSuit's path is measured where it is installed.
 """
 
 import argparse
@@ -80,7 +82,9 @@ def scalar(env: Any, steps: int) -> Work:
 
     def work() -> None:
         for _ in range(steps):
-            _, _, terminated, truncated, _ = env.step(STRAIGHT if straight else int(rng.integers(space.n)))
+            _, _, terminated, truncated, _ = env.step(
+                STRAIGHT if straight else int(rng.integers(space.n))
+            )
             if terminated or truncated:
                 env.reset()
 
@@ -99,19 +103,30 @@ def supersuit_games(track: str) -> Work:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--track", default="Tarnfjord")
     parser.add_argument("--envs", type=int, default=256, help="environments in a batch")
     parser.add_argument("--seconds", type=float, default=1.0, help="for each variant in each round")
-    parser.add_argument("--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder")
     parser.add_argument(
-        "--only", nargs="+", metavar="TEXT", default=[""], help="variants whose names hold one of these"
+        "--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder"
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        metavar="TEXT",
+        default=[""],
+        help="variants whose names hold one of these",
     )
     given = parser.parse_args()
     if given.against is not None:
         for name in ("drive", "duel"):
             new, old = side_by_side(SCALAR, [name, given.track], given.against)
-            print(f"{name}, scalar: {new:.1f} us a step here, {old:.1f} there: {old / new:.2f} times as fast")
+            print(
+                f"{name}, scalar: {new:.1f} us a step here, {old:.1f} there: {old / new:.2f} times"
+                " as fast"
+            )
         return
     track = {"track": given.track}
     step, pursuit = {"time_step": 0.02}, {"opponent": "pure-pursuit"}
@@ -119,17 +134,33 @@ def main() -> None:
     few, most = {"beams": 108}, {"beams": 1080}
     makers: dict[str, Callable[[], Work]] = {
         "drive, batch, pure pursuit": lambda: batch(DriveVectorEnv(**many, **step, **pursuit), 100),
-        "drive, batch, lattice": lambda: batch(DriveVectorEnv(**many, **step, opponent="lattice"), 100),
+        "drive, batch, lattice": lambda: batch(
+            DriveVectorEnv(**many, **step, opponent="lattice"), 100
+        ),
         "drive, batch, alone": lambda: batch(DriveVectorEnv(**many, **step, opponent=None), 100),
-        "drive, batch, pure pursuit, 108 beams": lambda: batch(DriveVectorEnv(**many, **step, **pursuit, **few), 100),
-        "drive, batch, pure pursuit, 1080 beams": lambda: batch(DriveVectorEnv(**many, **step, **pursuit, **most), 100),
+        "drive, batch, pure pursuit, 108 beams": lambda: batch(
+            DriveVectorEnv(**many, **step, **pursuit, **few), 100
+        ),
+        "drive, batch, pure pursuit, 1080 beams": lambda: batch(
+            DriveVectorEnv(**many, **step, **pursuit, **most), 100
+        ),
         "two agents, batch": lambda: batch(DriveHeadToHeadVectorEnv(**many, **step), 100),
-        "two agents, batch, 108 beams": lambda: batch(DriveHeadToHeadVectorEnv(**many, **step, **few), 100),
-        "two agents, batch, 1080 beams": lambda: batch(DriveHeadToHeadVectorEnv(**many, **step, **most), 100),
+        "two agents, batch, 108 beams": lambda: batch(
+            DriveHeadToHeadVectorEnv(**many, **step, **few), 100
+        ),
+        "two agents, batch, 1080 beams": lambda: batch(
+            DriveHeadToHeadVectorEnv(**many, **step, **most), 100
+        ),
         **{
             f"{cars} cars{', 1080 beams' if beams else ''}": lambda cars=cars, beams=beams: batch(
                 DriveHeadToHeadVectorEnv(
-                    (given.envs // cars) * cars, threads=1, **track, **step, cars=cars, race="contest", beams=beams
+                    (given.envs // cars) * cars,
+                    threads=1,
+                    **track,
+                    **step,
+                    cars=cars,
+                    race="contest",
+                    beams=beams,
                 ),
                 100,
             )
@@ -137,7 +168,9 @@ def main() -> None:
             for cars in (1, 2, 4, 8)
         },
         "drive, scalar, pure pursuit": lambda: scalar(DriveEnv(**track, **step, **pursuit), 100),
-        "drive, scalar, 1080 beams": lambda: scalar(DriveEnv(**track, **step, **pursuit, **most), 100),
+        "drive, scalar, 1080 beams": lambda: scalar(
+            DriveEnv(**track, **step, **pursuit, **most), 100
+        ),
         "duel, batch": lambda: batch(DuelVectorEnv(**many), 2),
         "duel, scalar": lambda: scalar(DuelEnv(**track), 100),
         "match, batch": lambda: batch(MatchVectorEnv(**many), 1),
@@ -168,9 +201,14 @@ def main() -> None:
         level = name.partition(",")[0]
         level = f"2 cars{', 1080 beams' if 'beams' in name else ''}" if " cars" in level else level
         single = best.get(level) or best.get(
-            {"duel": "duel, scalar", "match": "match, scalar"}.get(level, "drive, scalar, pure pursuit")
+            {"duel": "duel, scalar", "match": "match, scalar"}.get(
+                level, "drive, scalar, pure pursuit"
+            )
         )
-        print(f"{name:42} {rate:10.0f} {1e6 / rate:9.2f}" + (f" {rate / single:7.2f}" if single else ""))
+        print(
+            f"{name:42} {rate:10.0f} {1e6 / rate:9.2f}"
+            + (f" {rate / single:7.2f}" if single else "")
+        )
 
 
 if __name__ == "__main__":

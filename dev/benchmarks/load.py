@@ -1,16 +1,18 @@
-"""Memory, descriptors, threads and speed under load: environments for many steps or made anew, and many races.
+"""Memory, descriptors, threads and speed under load: environments for many steps or made anew, and
+many races.
 
     python dev/benchmarks/load.py drive [--envs 1000] [--steps 10000]
     python dev/benchmarks/load.py made [--steps 10000]
     python dev/benchmarks/load.py duel [--envs 100] [--steps 500] [--step-seconds 8]
     python dev/benchmarks/load.py tournament --out FOLDER [--races 1906] [--step-seconds 8]
 
-The work is cut into slices. After each of them: the memory that the process holds (resident, MB), its open descriptors
-and threads (not those of worker processes), and the processor time that a unit of work took, which other processes
-disturb far less than the time on the clock. Environments get random actions, so cars crash and episodes begin anew all
-the time. In a tournament the pairs and circuits follow each other and are not equally much work; its speed is therefore
-read off a yardstick, the same 50 races after every slice. Growth and drift compare the last quarter of the slices with
-the second one; the first is left out, since memory is first filled there.
+The work is cut into slices. After each of them: the memory that the process holds (resident, MB),
+its open descriptors and threads (not those of worker processes), and the processor time that a unit
+of work took, which other processes disturb far less than the time on the clock. Environments get
+random actions, so cars crash and episodes begin anew all the time. In a tournament the pairs and
+circuits follow each other and are not equally much work; its speed is therefore read off a
+yardstick, the same 50 races after every slice. Growth and drift compare the last quarter of the
+slices with the second one; the first is left out, since memory is first filled there.
 """
 
 import argparse
@@ -28,7 +30,14 @@ import numpy as np
 SLICES = 20
 PROC = ("/proc/self/fd", "/proc/self/task")
 TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim", "Pipkin", "Saltmere", "Larkmoor", "Quillburg")
-AGENTS = ("never-switch", "random-moves", "random-policy", "cfr-argmax", "lane-switcher", "pure-pursuit")
+AGENTS = (
+    "never-switch",
+    "random-moves",
+    "random-policy",
+    "cfr-argmax",
+    "lane-switcher",
+    "pure-pursuit",
+)
 
 
 class Slice(NamedTuple):
@@ -61,7 +70,9 @@ def slice_at(*facts: float) -> Slice:
 
 def peak_megabytes() -> float:
     """The most memory that the process ever held."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (
+        1e6 if sys.platform == "darwin" else 1e3
+    )
 
 
 def run_steps(step: Callable[[], object], envs: int, steps: int) -> list[Slice]:
@@ -146,7 +157,9 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
     )
 
     rules = game_rules("paper", step_seconds=step_seconds)
-    plan = plan_tournament([load_track(name) for name in TRACKS], list(AGENTS), rules, races_per_pair=races)
+    plan = plan_tournament(
+        [load_track(name) for name in TRACKS], list(AGENTS), rules, races_per_pair=races
+    )
     measure = yardstick()
     rows: list[Slice] = []
     clock, processor, apart = time.monotonic(), time.process_time(), 0.0
@@ -165,16 +178,26 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
     measure()
     apart = 0.0
     clock, processor = time.monotonic(), time.process_time()
-    with make_executor(executor) as workers, open_job(folder, "tournament", tournament_settings(plan)) as job:
+    with (
+        make_executor(executor) as workers,
+        open_job(folder, "tournament", tournament_settings(plan)) as job,
+    ):
         played = play_plan(plan, job=job, executor=workers, progress=progress)
         used = time.process_time() - processor - apart
         print(
-            f"{len(played.races)} races: {used:.0f} s of processor time, {1e3 * used / len(played.races):.2f} ms a race"
+            f"{len(played.races)} races: {used:.0f} s of processor time,"
+            f" {1e3 * used / len(played.races):.2f} ms a race"
         )
-        print(f"with what came of them: {resident_megabytes():.0f} MB, at most so far {peak_megabytes():.0f} MB")
+        print(
+            f"with what came of them: {resident_megabytes():.0f} MB, at most so far"
+            f" {peak_megabytes():.0f} MB"
+        )
         begin = time.process_time()
         write_results(played.races, folder / "results.csv")
-        print(f"a line for each written in {time.process_time() - begin:.1f} s: {resident_megabytes():.0f} MB")
+        print(
+            f"a line for each written in {time.process_time() - begin:.1f} s:"
+            f" {resident_megabytes():.0f} MB"
+        )
         begin = time.process_time()
         print(tournament_text(played))
         print(f"table in {time.process_time() - begin:.1f} s: at most {peak_megabytes():.0f} MB")
@@ -182,7 +205,9 @@ def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> 
 
 
 def yardstick() -> Callable[[], tuple[float, float]]:
-    """Return a function that drives the same races, and says how many microseconds of processor each took, and all."""
+    """Return a function that drives the same races, and says how many microseconds of processor
+    each took, and all.
+    """
     from pcs_racing import PAPER, draw_starts, load_track, parse_policy, run_races
 
     track, car = load_track("Tarnfjord"), parse_policy("lattice")
@@ -201,9 +226,9 @@ def yardstick() -> Callable[[], tuple[float, float]]:
 
 def tell(row: Slice, unit: str) -> None:
     print(
-        f"{row.done:10d} {unit}  {row.clock:7.0f} s on the clock  {row.processor:7.0f} s of processor  "
-        f"{row.unit_microseconds:9.2f} us  {row.megabytes:7.0f} MB  {row.descriptors} open  "
-        f"{row.threads} threads",
+        f"{row.done:10d} {unit}  {row.clock:7.0f} s on the clock  {row.processor:7.0f} s of"
+        f" processor  {row.unit_microseconds:9.2f} us  {row.megabytes:7.0f} MB  {row.descriptors}"
+        f" open  {row.threads} threads",
         flush=True,
     )
 
@@ -217,23 +242,38 @@ def judge(rows: list[Slice]) -> None:
     quarter = max(len(rows) // 4, 1)
     early, late = rows[quarter : 2 * quarter], rows[-quarter:]
     memory = np.mean([row.megabytes for row in late]) - np.mean([row.megabytes for row in early])
-    speed = np.median([row.unit_microseconds for row in late]) / np.median([row.unit_microseconds for row in early])
+    speed = np.median([row.unit_microseconds for row in late]) / np.median(
+        [row.unit_microseconds for row in early]
+    )
     work = np.mean([row.done for row in late]) - np.mean([row.done for row in early])
-    print(f"memory: {memory:+.1f} MB, {1e6 * memory / work:+.1f} bytes for each further one of {work:.0f}")
+    print(
+        f"memory: {memory:+.1f} MB, {1e6 * memory / work:+.1f} bytes for each further one of"
+        f" {work:.0f}"
+    )
     for what in ("descriptors", "threads"):
-        print(f"{what}: at most", *(f"{max(getattr(row, what) for row in rows)}" for rows in (early, late)))
+        print(
+            f"{what}: at most",
+            *(f"{max(getattr(row, what) for row in rows)}" for rows in (early, late)),
+        )
     print(f"time of a unit: {100.0 * (speed - 1.0):+.1f} %")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("drive", "duel", "made", "tournament"), nargs="?", default="duel")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "what", choices=("drive", "duel", "made", "tournament"), nargs="?", default="duel"
+    )
     parser.add_argument("--envs", type=int)
     parser.add_argument("--steps", type=int)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--races", type=int, default=1906, help="of each pair on each circuit")
     parser.add_argument(
-        "--step-seconds", type=float, default=8.0, help="driving per move, s; a race has five such steps"
+        "--step-seconds",
+        type=float,
+        default=8.0,
+        help="driving per move, s; a race has five such steps",
     )
     parser.add_argument("--executor", default="threads")
     parser.add_argument("--out", type=Path, help="folder of the tournament")

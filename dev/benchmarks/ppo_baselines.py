@@ -1,12 +1,14 @@
-"""What the PPO baselines are worth on fresh starts, beside other agents in the same races, and how they learned.
+"""What the PPO baselines are worth on fresh starts, beside other agents in the same races, and how
+they learned.
 
     python dev/benchmarks/ppo_baselines.py
     python dev/benchmarks/ppo_baselines.py --egos 20 --variants 20 --lines 5
     python dev/benchmarks/ppo_baselines.py --lines 0 --picture docs/images/ppo_curves.png     # the picture alone
 
-Every baseline that is shipped (or given with ``--policies``) races opponents on circuits that it learned on and on
-others: start policies x opponents x start lines x both sides, with seeds that no training had. An agent that makes
-moves is compared with other agents in the same races, a driver with the archive's policies.
+Every baseline that is shipped (or given with ``--policies``) races opponents on circuits that it
+learned on and on others: start policies x opponents x start lines x both sides, with seeds that no
+training had. An agent that makes moves is compared with other agents in the same races, a driver
+with the archive's policies.
 """
 
 import argparse
@@ -50,11 +52,19 @@ class Shipped(NamedTuple):
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--policies", type=Path, nargs="+", help="folders that 'pcs-racing ppo' wrote")
-    parser.add_argument("--egos", type=int, default=10, help="start policies of an agent that makes moves")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--policies", type=Path, nargs="+", help="folders that 'pcs-racing ppo' wrote"
+    )
+    parser.add_argument(
+        "--egos", type=int, default=10, help="start policies of an agent that makes moves"
+    )
     parser.add_argument("--variants", type=int, default=10, help="opponents of each kind")
-    parser.add_argument("--lines", type=int, default=2, help="start lines of each pair; 0 for no races")
+    parser.add_argument(
+        "--lines", type=int, default=2, help="start lines of each pair; 0 for no races"
+    )
     parser.add_argument("--seen", type=int, default=1, help="circuits that were learned on")
     parser.add_argument("--unseen", type=int, default=1, help="circuits that were not")
     parser.add_argument("--picture", type=Path, help="draw the learning curves into this file")
@@ -63,7 +73,9 @@ def main() -> None:
         look_at(folder)
         for folder in arguments.policies
         or sorted(
-            file.parent for kind in (NETWORK_FORMAT, DRIVER_FORMAT) for file in kind.shipped.glob(f"*/{MANIFEST}")
+            file.parent
+            for kind in (NETWORK_FORMAT, DRIVER_FORMAT)
+            for file in kind.shipped.glob(f"*/{MANIFEST}")
         )
     ]
     baselines = [baseline for baseline in found if baseline is not None]
@@ -90,9 +102,9 @@ def look_at(folder: Path) -> Shipped | None:
 def tell(baseline: Shipped, races: str, columns: str) -> None:
     training = baseline.training
     print(
-        f"\n{baseline.folder.name}: seed {training['seed']} of {training['setting_seeds']}, kept after "
-        f"{training['steps']} of {training['steps_of_all_seeds']} steps; {races} races a cell\n\n| {columns} |\n"
-        f"|{'---|' * (columns.count('|') + 1)}",
+        f"\n{baseline.folder.name}: seed {training['seed']} of {training['setting_seeds']}, kept"
+        f" after {training['steps']} of {training['steps_of_all_seeds']} steps; {races} races a"
+        f" cell\n\n| {columns} |\n|{'---|' * (columns.count('|') + 1)}",
         flush=True,
     )
 
@@ -102,7 +114,9 @@ def place(baseline: Shipped, track: str) -> str:
 
 
 def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namespace) -> None:
-    """A driver, and the archive's policies that never change, against drivers under each set of rules."""
+    """A driver, and the archive's policies that never change, against drivers under each set of
+    rules.
+    """
     driver = as_competitor(load_driver(baseline.folder).policy())
     columns = (
         "circuit",
@@ -126,40 +140,62 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
                 variants = min(arguments.variants, variant_count(game, opponent))
                 draws = {"opponents": variants, "seed": SEED}
                 driven = min(races // variants, MOST_LINES)
-                raced = play_pairing(cross_pairing(game, driver, opponent, egos=1, lines=driven, **draws))
-                # The archive's policies beside it drive about as many races, spread over start policies.
+                raced = play_pairing(
+                    cross_pairing(game, driver, opponent, egos=1, lines=driven, **draws)
+                )
+                # The archive's policies beside it drive about as many races, spread over start
+                # policies.
                 lines = max(races // (variants * arguments.egos), 1)
                 beside = play_pairing(
-                    cross_pairing(game, policies, opponent, egos=arguments.egos, lines=lines, **draws)
+                    cross_pairing(
+                        game, policies, opponent, egos=arguments.egos, lines=lines, **draws
+                    )
                 )
-                # A label that never varies splits nothing, and its variance would be that of one cluster.
-                clusters = [labels for labels in (raced.variants[:, 1], raced.places) if np.ptp(labels) > 0]
+                # A label that never varies splits nothing, and its variance would be that of one
+                # cluster.
+                clusters = [
+                    labels for labels in (raced.variants[:, 1], raced.places) if np.ptp(labels) > 0
+                ]
                 clusters = clusters or [np.arange(len(raced))]
                 print(
-                    f"| {place(baseline, track)} | {rules} | {name} | "
-                    f"{raced.score.mean():.3f} +- {clustered_mean(raced.score, *clusters).se:.3f} | "
-                    f"{np.mean(raced.winner == 0):.0%} | {np.mean(raced.winner == 1):.0%} | "
-                    f"{np.mean(raced.crashed):.0%} | {np.mean(raced.fault[:, 0] == 1):.0%} | "
-                    f"{beside.score.mean():.3f} |",
+                    f"| {place(baseline, track)} | {rules} | {name} | {raced.score.mean():.3f} +-"
+                    f" {clustered_mean(raced.score, *clusters).se:.3f} |"
+                    f" {np.mean(raced.winner == 0):.0%} | {np.mean(raced.winner == 1):.0%} |"
+                    f" {np.mean(raced.crashed):.0%} | {np.mean(raced.fault[:, 0] == 1):.0%} |"
+                    f" {beside.score.mean():.3f} |",
                     flush=True,
                 )
 
 
 def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespace) -> None:
-    """An agent against several kinds of opponents, and what it and others gain over never switching."""
+    """An agent against several kinds of opponents, and what it and others gain over never
+    switching.
+    """
     training = baseline.training
     world = {"archive": str(training["setting_archive"]), "race": str(training["setting_race"])}
-    moving = next(name for name in str(training["setting_opponents"]).replace(",", " ").split() if "always-" in name)
+    moving = next(
+        name
+        for name in str(training["setting_opponents"]).replace(",", " ").split()
+        if "always-" in name
+    )
     agents = {name: make(name, **world) for name in ("never-switch", moving, *ARMS)}
     agents["ppo"] = make("ppo", network=baseline.folder, **world)
-    draws = {"egos": arguments.egos, "opponents": arguments.variants, "lines": arguments.lines, "seed": SEED}
+    draws = {
+        "egos": arguments.egos,
+        "opponents": arguments.variants,
+        "lines": arguments.lines,
+        "seed": SEED,
+    }
     columns = " | ".join(("circuit", "opponent", *agents, "ppo - cfr-argmax", "ppo - response"))
     tell(baseline, f"{2 * arguments.egos * arguments.variants * arguments.lines}", columns)
     for track in tracks:
         game = make_game(load_track(track), world["archive"], world["race"])
         for name in OPPONENTS:
             opponent = make(name, **world)
-            cells = {key: play_pairing(cross_pairing(game, agent, opponent, **draws)) for key, agent in agents.items()}
+            cells = {
+                key: play_pairing(cross_pairing(game, agent, opponent, **draws))
+                for key, agent in agents.items()
+            }
             groups = cells["ppo"].variants.T
             same = name == "never-switch"  # the archive's policies on both sides
 
@@ -168,7 +204,10 @@ def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespa
                 return with_interval(found.difference, found.low, found.high)
 
             texts = [f"{cells['never-switch'].score.mean():.3f}"]
-            texts += [f"{cells[key].score.mean() - cells['never-switch'].score.mean():+.3f}" for key in (moving, *ARMS)]
+            texts += [
+                f"{cells[key].score.mean() - cells['never-switch'].score.mean():+.3f}"
+                for key in (moving, *ARMS)
+            ]
             texts += [gain("ppo", over) for over in ("never-switch", "cfr-argmax", "response")]
             print(f"| {place(baseline, track)} | {name} | {' | '.join(texts)} |", flush=True)
 
@@ -196,9 +235,15 @@ def draw(baselines: list[Shipped], file: Path) -> None:
                 at = np.array(curve.steps) / 1e6
                 label = kind if curve is curves[0] else None
                 panel.plot(at, won, color=colours[k % len(colours)], label=label, linewidth=1.3)
-        panel.axvline(int(baseline.training["steps"]) / 1e6, color="#444", linewidth=0.8, linestyle=":")
+        panel.axvline(
+            int(baseline.training["steps"]) / 1e6, color="#444", linewidth=0.8, linestyle=":"
+        )
         panel.set_title(f"{baseline.folder.name} (dotted: kept)", fontsize=10, loc="left")
-        panel.set(xlabel=f"million {'steps' if baseline.drives else 'moves'}", ylabel="races won", ylim=(-0.02, 1.02))
+        panel.set(
+            xlabel=f"million {'steps' if baseline.drives else 'moves'}",
+            ylabel="races won",
+            ylim=(-0.02, 1.02),
+        )
         panel.grid(color="#eef0f3")
         panel.set_axisbelow(True)
         panel.spines[["top", "right"]].set_visible(False)

@@ -4,8 +4,8 @@
     python dev/benchmarks/race_speed.py --track DIR --json # ends with one JSON line holding ms_per_race_per_core
     python dev/benchmarks/race_speed.py --against PATH     # times as fast as the package in another checkout
 
-Processor time, the best of several repeats, scaled to 40 s (races end early in a crash). With ``--against`` the two
-packages take turns, each in a process of its own.
+Processor time, the best of several repeats, scaled to 40 s (races end early in a crash). With
+``--against`` the two packages take turns, each in a process of its own.
 """
 
 import argparse
@@ -35,7 +35,8 @@ def best_of(action: Callable[[], object], clock: Callable[[], float]) -> float:
     return min(times)
 
 
-# Runs the same races once for each line that it reads; nothing but the public interface, which other checkouts have.
+# Runs the same races once for each line that it reads; nothing but the public interface, which
+# other checkouts have.
 RACES = """
 import sys, time
 import numpy as np
@@ -55,7 +56,9 @@ for _ in sys.stdin:
 
 
 def side_by_side(code: str, arguments: list[str], other: Path) -> tuple[float, float]:
-    """Least value that a program prints with this package and with the one in another checkout, which take turns."""
+    """Least value that a program prints with this package and with the one in another checkout,
+    which take turns.
+    """
     workers = [
         subprocess.Popen(
             [sys.executable, "-c", code, *arguments],
@@ -84,15 +87,22 @@ def side_by_side(code: str, arguments: list[str], other: Path) -> tuple[float, f
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit")
     parser.add_argument("--races", type=int, default=40)
     parser.add_argument("--json", action="store_true", help="end with one JSON line")
-    parser.add_argument("--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder")
+    parser.add_argument(
+        "--against", type=Path, metavar="PATH", help="only compare with the checkout in this folder"
+    )
     arguments = parser.parse_args()
     if arguments.against is not None:
         new, old = side_by_side(RACES, [arguments.track, str(arguments.races)], arguments.against)
-        print(f"{new:.2f} ms per 40 s race and core here, {old:.2f} ms there: {old / new:.2f} times as fast")
+        print(
+            f"{new:.2f} ms per 40 s race and core here, {old:.2f} ms there: {old / new:.2f} times"
+            " as fast"
+        )
         return
     track, config, races = load_track(arguments.track), load_race_config("paper"), arguments.races
     paces = [parse_policy(f"lattice:pace={pace:.3f}") for pace in np.linspace(0.05, 0.95, races)]
@@ -106,7 +116,10 @@ def main() -> None:
     full = run(1)
     per_race = 1e3 * best_of(lambda: run(1), time.process_time) / full
     wall = [best_of(lambda threads=threads: run(threads), time.perf_counter) for threads in (1, 2)]
-    print(f"{track.name}: {per_race:.2f} ms per 40 s race and core ({races} policies, {full:.1f} races of full length)")
+    print(
+        f"{track.name}: {per_race:.2f} ms per 40 s race and core ({races} policies, {full:.1f}"
+        " races of full length)"
+    )
     print(f"two threads: {wall[0] / wall[1]:.2f} times as fast as one")
     if arguments.json:
         print(json.dumps({"ms_per_race_per_core": round(per_race, 3)}))

@@ -1,10 +1,11 @@
-"""Is the racing good? Random policies in the PCS, and how races between good ones go, for each preset and circuit.
+"""Is the racing good? Random policies in the PCS, and how races between good ones go, for each
+preset and circuit.
 
     python dev/benchmarks/racing_quality.py                              # all shipped circuits, both presets
     python dev/benchmarks/racing_quality.py --tracks Tarnfjord --rules contest --picture docs/images/racing_quality.png
 
-Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the random sample that
-no other one beats in both aggressiveness and restraint.
+Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the
+random sample that no other one beats in both aggressiveness and restraint.
 """
 
 import argparse
@@ -48,11 +49,15 @@ def sample_policies(count: int, seed: int) -> list[Policy]:
     return [LATTICE.policy(LATTICE.sample(rng), f"random {i}") for i in range(count)]
 
 
-def study(track: Track, config: RaceConfig, policies: int, opponents: int, seed: int) -> dict[str, object]:
+def study(
+    track: Track, config: RaceConfig, policies: int, opponents: int, seed: int
+) -> dict[str, object]:
     egos = sample_policies(policies, seed)
     # The same opponents for every policy: its points then differ by the policy alone.
     rivals = sample_policies(opponents, seed + 1)
-    result = run_races(track, [e for e in egos for _ in rivals], rivals * policies, config, seed=seed)
+    result = run_races(
+        track, [e for e in egos for _ in rivals], rivals * policies, config, seed=seed
+    )
     shape = (policies, opponents)
     points = coordinates(result, config).reshape(*shape, 2).mean(axis=1)
     crash = result.own_crash[:, 0].reshape(shape).mean(axis=1)
@@ -88,7 +93,9 @@ def study(track: Track, config: RaceConfig, policies: int, opponents: int, seed:
         "front: own crash, top third": float(peer_crash[thirds[2]].mean()),
         "front: wins by third": [round(float(peer_wins[part].mean()), 3) for part in thirds],
         "identical: touch": float((same.state.crash == 2).any(axis=1).mean()),
-        "left or front car wins": float((result.winner == result.starts.side)[result.winner >= 0].mean()),
+        "left or front car wins": float(
+            (result.winner == result.starts.side)[result.winner >= 0].mean()
+        ),
         "points": points,
         "crash": crash,
         "wins": wins,
@@ -104,20 +111,32 @@ def draw(studies: list[dict[str, object]], path: Path) -> None:
 
     columns = min(len(studies), 4)
     rows = -(-len(studies) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(4.2 * columns, 3.9 * rows), squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(4.2 * columns, 3.9 * rows), squeeze=False, layout="constrained"
+    )
     for axis in axes.flat[len(studies) :]:
         axis.set_axis_off()
     for axis, item in zip(axes.flat, studies, strict=False):
         points, crash, front = item["points"], item["crash"], item["front"]
         assert isinstance(points, np.ndarray)
-        dots = axis.scatter(points[:, 1], points[:, 0], c=crash, cmap="viridis_r", vmin=0.0, vmax=0.6, s=14)
+        dots = axis.scatter(
+            points[:, 1], points[:, 0], c=crash, cmap="viridis_r", vmin=0.0, vmax=0.6, s=14
+        )
         axis.plot(
-            points[front, 1], points[front, 0], "-o", color="#c2410c", mfc="none", ms=6, lw=1.2, label="non-dominated"
+            points[front, 1],
+            points[front, 0],
+            "-o",
+            color="#c2410c",
+            mfc="none",
+            ms=6,
+            lw=1.2,
+            label="non-dominated",
         )
         axis.set_title(f"{item['track']}, {item['preset']}", fontsize=10)
         axis.set_xlabel("restraint: mean minimum iTTC, s")
         axis.set_ylabel(
-            "aggressiveness: " + ("mean lead, m" if item["preset"] == "paper" else "speed, in parts of the profile")
+            "aggressiveness: "
+            + ("mean lead, m" if item["preset"] == "paper" else "speed, in parts of the profile")
         )
         axis.grid(alpha=0.25)
     figure.colorbar(dots, ax=axes, label="share of races ended by an own crash", shrink=0.8)
@@ -127,11 +146,20 @@ def draw(studies: list[dict[str, object]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tracks", nargs="+", default=None, help="names or folders (default: all shipped circuits)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--tracks", nargs="+", default=None, help="names or folders (default: all shipped circuits)"
+    )
     parser.add_argument("--rules", nargs="+", default=["paper", "contest"])
     parser.add_argument("--policies", type=int, default=300)
-    parser.add_argument("--opponents", type=int, default=20, help="races per policy, an even number plays both sides")
+    parser.add_argument(
+        "--opponents",
+        type=int,
+        default=20,
+        help="races per policy, an even number plays both sides",
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--picture", type=Path, default=None)
     parser.add_argument("--json", action="store_true", help="end with one JSON line")
@@ -140,17 +168,29 @@ def main() -> None:
     for preset in arguments.rules:
         for name in arguments.tracks or list_tracks():
             item = study(
-                load_track(name), load_race_config(preset), arguments.policies, arguments.opponents, arguments.seed
+                load_track(name),
+                load_race_config(preset),
+                arguments.policies,
+                arguments.opponents,
+                arguments.seed,
             )
             studies.append(item)
             for key, value in item.items():
                 if not isinstance(value, np.ndarray):
-                    print(f"  {key:30s} {value:.3f}" if isinstance(value, float) else f"  {key:30s} {value}")
+                    print(
+                        f"  {key:30s} {value:.3f}"
+                        if isinstance(value, float)
+                        else f"  {key:30s} {value}"
+                    )
             print(flush=True)
     if arguments.picture:
         draw(studies, arguments.picture)
     if arguments.json:
-        print(json.dumps([{k: v for k, v in s.items() if not isinstance(v, np.ndarray)} for s in studies]))
+        print(
+            json.dumps(
+                [{k: v for k, v in s.items() if not isinstance(v, np.ndarray)} for s in studies]
+            )
+        )
 
 
 if __name__ == "__main__":

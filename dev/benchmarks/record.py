@@ -1,14 +1,15 @@
-"""History of speed: a few ratios of times measured in one run, so that machines can be compared, roughly.
+"""History of speed: a few ratios of times measured in one run, so that machines can be compared,
+roughly.
 
     python dev/benchmarks/record.py            measure
     python dev/benchmarks/record.py --add      measure, and add a line to dev/benchmarks/history.csv
     python dev/benchmarks/record.py --check    measure, and compare with the history; exit code 1 if slower
     python dev/benchmarks/record.py --show     print the history
 
-Every time is divided by that of a fixed piece of compiled arithmetic (the reference), measured in turn with it: the
-processor's speed, and what else it does, cancel out to a good part. Times are the thread's own, the best of several.
-A ratio counts as slower when it is more than 30 % above the median of the last five lines of the same machine, or of
-all machines if this one has no line.
+Every time is divided by that of a fixed piece of compiled arithmetic (the reference), measured in
+turn with it: the processor's speed, and what else it does, cancel out to a good part. Times are the
+thread's own, the best of several. A ratio counts as slower when it is more than 30 % above the
+median of the last five lines of the same machine, or of all machines if this one has no line.
 """
 
 import argparse
@@ -30,7 +31,9 @@ FACTS = ("date", "version", "commit", "processor", "reference_ms")
 RATIOS = {
     "race": "one race of the paper, two lattice planners, 40 s",
     "scan": "a lidar scan of 1080 beams",
-    "drive_step": "a step of 0.1 s of the control-level environment, in a batch of 64 alone on the track",
+    "drive_step": (
+        "a step of 0.1 s of the control-level environment, in a batch of 64 alone on the track"
+    ),
     "drive_call": "one call of the scalar control-level environment, 0.02 s",
     "cfr": "100 iterations of CFR on a game of two moves with four choices",
     "exact": "the exact solution of that game",
@@ -40,7 +43,9 @@ LAST = 5
 ROUNDS = 5
 
 
-def slower(found: Mapping[str, float], history: Sequence[Mapping[str, str]], processor: str) -> list[str]:
+def slower(
+    found: Mapping[str, float], history: Sequence[Mapping[str, str]], processor: str
+) -> list[str]:
     """Say which ratios are well above what they were, in a line each.
 
     Parameters
@@ -90,7 +95,10 @@ def measured() -> dict[str, tuple[Callable[[], object], int]]:
 
     track, car = load_track("Tarnfjord"), parse_policy("lattice")
     starts = draw_starts(track, PAPER, 10, 1)
-    lidar, places = Lidar(track), track.to_cartesian(np.column_stack([np.linspace(0.0, 50.0, 100), np.zeros(100)]))
+    lidar, places = (
+        Lidar(track),
+        track.to_cartesian(np.column_stack([np.linspace(0.0, 50.0, 100), np.zeros(100)])),
+    )
     envs = DriveVectorEnv(64, track=track, opponent=None, threads=1)
     envs.reset(seed=0)
     straight = np.tile(np.array([0.0, -0.75], np.float32), (64, 1))
@@ -118,7 +126,8 @@ def measure() -> tuple[dict[str, float], float]:
     # The best, not the mean: other work on the machine only ever makes something slower.
     best = dict.fromkeys(("reference", *tasks), np.inf)
     for _ in range(ROUNDS + 1):  # the first one compiles
-        # The reference in each round, so that a change of the clock during the run meets both sides of a ratio.
+        # The reference in each round, so that a change of the clock during the run meets both sides
+        # of a ratio.
         for name, (work, units) in {"reference": (base, 1), **tasks}.items():
             start = time.thread_time()
             work()
@@ -130,14 +139,20 @@ def measure() -> tuple[dict[str, float], float]:
 def processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+        return next(
+            line.partition(":")[2].strip() for line in lines if line.startswith("model name")
+        )
     except (OSError, StopIteration):
         return platform.processor() or platform.machine()
 
 
 def commit() -> str:
     found = subprocess.run(
-        ["git", "rev-parse", "--short", "HEAD"], cwd=HISTORY.parent, capture_output=True, text=True, check=False
+        ["git", "rev-parse", "--short", "HEAD"],
+        cwd=HISTORY.parent,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     return found.stdout.strip() or "unknown"
 
@@ -158,7 +173,10 @@ def add_line(ratios: Mapping[str, float], reference_ms: float, file: Path = HIST
         "processor": processor(),
         "reference_ms": f"{reference_ms:.4g}",
     }
-    rows = [*read_history(file), {**facts, **{name: f"{ratio:.4g}" for name, ratio in ratios.items()}}]
+    rows = [
+        *read_history(file),
+        {**facts, **{name: f"{ratio:.4g}" for name, ratio in ratios.items()}},
+    ]
     with open(file, "w", newline="", encoding="utf-8") as lines:
         writer = csv.DictWriter(lines, [*FACTS, *RATIOS], restval="", lineterminator="\n")
         writer.writeheader()
@@ -166,17 +184,23 @@ def add_line(ratios: Mapping[str, float], reference_ms: float, file: Path = HIST
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--check", action="store_true", help="compare, and add nothing")
     parser.add_argument("--add", action="store_true", help="add a line to the history")
-    parser.add_argument("--show", action="store_true", help="print the history, and measure nothing")
+    parser.add_argument(
+        "--show", action="store_true", help="print the history, and measure nothing"
+    )
     given = parser.parse_args()
     if given.show:
         print(HISTORY.read_text(encoding="utf-8") if HISTORY.is_file() else "no history")
         return
     ratios, reference_ms = measure()
     for name, ratio in ratios.items():
-        print(f"{name:12} {ratio:10.4g} times the reference ({reference_ms:.2f} ms): {RATIOS[name]}")
+        print(
+            f"{name:12} {ratio:10.4g} times the reference ({reference_ms:.2f} ms): {RATIOS[name]}"
+        )
     if given.check:
         wrong = slower(ratios, read_history(), processor())
         sys.exit("SLOWER\n" + "\n".join(wrong) if wrong else 0)

@@ -1,9 +1,10 @@
-"""Steps a second of PPO of Stable-Baselines3 with its default settings, with torch's own threads and with one.
+"""Steps a second of PPO of Stable-Baselines3 with its default settings, with torch's own threads
+and with one.
 
     python dev/benchmarks/sb3_speed.py [--steps 4096]
 
-All in one run, in turns, and the best round of each counts. The networks are so small that more threads only wait for
-each other, most of all on a machine that does other work as well.
+All in one run, in turns, and the best round of each counts. The networks are so small that more
+threads only wait for each other, most of all on a machine that does other work as well.
 """
 
 import argparse
@@ -36,7 +37,9 @@ def steps_per_second(name: str, threads: int, steps: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--steps", type=int, default=4096, help="steps of each training")
     steps = parser.parse_args().steps
     usual = torch.get_num_threads()

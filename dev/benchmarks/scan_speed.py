@@ -1,10 +1,12 @@
-"""How long one lidar scan, one minimum iTTC and one wall check take on one core, and how exact the scans are.
+"""How long one lidar scan, one minimum iTTC and one wall check take on one core, and how exact the
+scans are.
 
     python dev/benchmarks/scan_speed.py [--track NAME_OR_FOLDER] [--reference FOLDER]
 
-Scans are taken from poses all around a circuit, without an opponent and with one ahead, behind and beside. The median
-over the rounds is reported for each, in microseconds of the thread's own time. With the folder of reference data, and
-``--track`` the folder of the circuit Spielberg that they were made on, the errors against exact cell traversal follow.
+Scans are taken from poses all around a circuit, without an opponent and with one ahead, behind and
+beside. The median over the rounds is reported for each, in microseconds of the thread's own time.
+With the folder of reference data, and ``--track`` the folder of the circuit Spielberg that they
+were made on, the errors against exact cell traversal follow.
 """
 
 import argparse
@@ -26,14 +28,34 @@ POSES = 100
 ROUNDS = 51
 
 # Where the opponent is: metres ahead and to the left.
-PLACES = {"alone": None, "opponent ahead": (1.5, 0.0), "opponent behind": (-1.0, 0.0), "opponent beside": (0.0, 0.5)}
+PLACES = {
+    "alone": None,
+    "opponent ahead": (1.5, 0.0),
+    "opponent behind": (-1.0, 0.0),
+    "opponent beside": (0.0, 0.5),
+}
 
 
 @compiled
 def scans(track, beams, rows, has_opponent, work, out):  # type: ignore[no-untyped-def]
     for k in range(rows.shape[0]):
         x, y, psi, s, ox, oy, opsi = rows[k, :7]
-        scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, HALF_LENGTH, HALF_WIDTH, work, out)
+        scan_into(
+            track,
+            beams,
+            x,
+            y,
+            psi,
+            s,
+            has_opponent,
+            ox,
+            oy,
+            opsi,
+            HALF_LENGTH,
+            HALF_WIDTH,
+            work,
+            out,
+        )
 
 
 @compiled
@@ -43,7 +65,9 @@ def ittcs(track, rows):  # type: ignore[no-untyped-def]
         x, y, psi, s, ox, oy, opsi, v = rows[k]
         c, sn = v * np.cos(psi), v * np.sin(psi)
         oc, osn = 5.0 * np.cos(opsi), 5.0 * np.sin(opsi)
-        total += minimum_ittc(track, x, y, c, sn, s, ox, oy, opsi, HALF_LENGTH, HALF_WIDTH, oc, osn, True, 10.0)
+        total += minimum_ittc(
+            track, x, y, c, sn, s, ox, oy, opsi, HALF_LENGTH, HALF_WIDTH, oc, osn, True, 10.0
+        )
     return total
 
 
@@ -51,12 +75,16 @@ def ittcs(track, rows):  # type: ignore[no-untyped-def]
 def wall_checks(track, rows):  # type: ignore[no-untyped-def]
     hits = 0
     for k in range(rows.shape[0]):
-        hits += car_hits_wall(track, rows[k, 0], rows[k, 1], rows[k, 2], HALF_LENGTH, HALF_WIDTH, rows[k, 3])
+        hits += car_hits_wall(
+            track, rows[k, 0], rows[k, 1], rows[k, 2], HALF_LENGTH, HALF_WIDTH, rows[k, 3]
+        )
     return hits
 
 
 def situations(track: Track, place: tuple[float, float] | None) -> np.ndarray:
-    """Rows of x, y, psi, s, opponent's x, y, psi, and speed, near the race line all around the circuit."""
+    """Rows of x, y, psi, s, opponent's x, y, psi, and speed, near the race line all around the
+    circuit.
+    """
     rng = np.random.default_rng(0)
     sd = np.column_stack([rng.uniform(0.0, track.length, POSES), rng.uniform(-0.3, 0.3, POSES)])
     poses = track.to_cartesian(sd) + [0.0, 0.0, 1.0] * rng.normal(0.0, 0.1, (POSES, 1))
@@ -95,8 +123,12 @@ def errors(track: Track, reference: Path) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Tarnfjord", help="name or folder of a circuit (default: Tarnfjord)")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Tarnfjord", help="name or folder of a circuit (default: Tarnfjord)"
+    )
     parser.add_argument("--reference", type=Path, help="folder of scans_spielberg.npz")
     options = parser.parse_args()
     if options.reference and not (options.reference / "scans_spielberg.npz").is_file():
@@ -115,7 +147,10 @@ def main() -> None:
         print(f"{name:34} {us:7.2f} us")
     if options.reference:
         found = errors(track, options.reference)
-        print("errors against exact scans:", ", ".join(f"{name} {value:.5f}" for name, value in found.items()))
+        print(
+            "errors against exact scans:",
+            ", ".join(f"{name} {value:.5f}" for name, value in found.items()),
+        )
 
 
 if __name__ == "__main__":

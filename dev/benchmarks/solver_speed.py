@@ -1,11 +1,13 @@
-"""How fast the solvers of game trees are, against OpenSpiel's C++ on the same tree, and how close they come.
+"""How fast the solvers of game trees are, against OpenSpiel's C++ on the same tree, and how close
+they come.
 
     python dev/benchmarks/solver_speed.py [--trees FOLDER] [--tree N] [--moves M] [--steps K]
 
-One tree of simultaneous moves (4 moves, 4 steps, payoffs from a seed; or one that ``pcs-racing tree`` played) goes as
-extensive form text to OpenSpiel, which must find the same exploitability after 9 and 13 iterations. Then both sides
-iterate by turns: a ratio is measured within each round, and the median over the rounds is reported. Times are CPU time
-of one thread. Without OpenSpiel only our side is measured.
+One tree of simultaneous moves (4 moves, 4 steps, payoffs from a seed; or one that ``pcs-racing
+tree`` played) goes as extensive form text to OpenSpiel, which must find the same exploitability
+after 9 and 13 iterations. Then both sides iterate by turns: a ratio is measured within each round,
+and the median over the rounds is reported. Times are CPU time of one thread. Without OpenSpiel only
+our side is measured.
 """
 
 import argparse
@@ -61,7 +63,10 @@ def against_openspiel(tree: GameTree) -> None:
             done = iterations
             theirs = pyspiel.exploitability(game, solver.tabular_average_policy())
             ours = exploitability(tree, cfr(tree, iterations, variant).average).exploitability
-            print(f"{variant:12} {iterations:2} iterations: exploitability {ours:.12g}, {name} {theirs:.12g}")
+            print(
+                f"{variant:12} {iterations:2} iterations: exploitability {ours:.12g}, {name}"
+                f" {theirs:.12g}"
+            )
             # Times of two solvers compare nothing unless both walk the same tree by the same rules.
             if abs(ours - theirs) > 1e-10 * max(1.0, abs(theirs)):
                 raise SystemExit(f"{variant} and {name} do not play the same game")
@@ -69,10 +74,20 @@ def against_openspiel(tree: GameTree) -> None:
         # By turns, so that a slow moment of the machine meets both sides of a ratio.
         for _ in range(ROUNDS):
             mine = seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS
-            other = seconds(lambda solver=solver: [solver.evaluate_and_update_policy() for _ in range(THEIRS)]) / THEIRS
+            other = (
+                seconds(
+                    lambda solver=solver: [
+                        solver.evaluate_and_update_policy() for _ in range(THEIRS)
+                    ]
+                )
+                / THEIRS
+            )
             rounds.append((mine, other, other / mine))
         mine, other, ratio = (median(list(column)) for column in zip(*rounds, strict=True))
-        print(f"{variant:12} {1e3 * mine:.3f} ms an iteration, {name} {1e3 * other:.1f} ms: {ratio:.0f} times")
+        print(
+            f"{variant:12} {1e3 * mine:.3f} ms an iteration, {name} {1e3 * other:.1f} ms:"
+            f" {ratio:.0f} times"
+        )
 
 
 def convergence(tree: GameTree) -> None:
@@ -88,17 +103,23 @@ def convergence(tree: GameTree) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--trees", type=Path, metavar="FOLDER", help="take a tree that was played")
     parser.add_argument("--tree", type=int, default=0, metavar="N", help="which one (default: 0)")
-    parser.add_argument("--moves", type=int, default=4, help="moves of each player, if none is given (default: 4)")
+    parser.add_argument(
+        "--moves", type=int, default=4, help="moves of each player, if none is given (default: 4)"
+    )
     parser.add_argument("--steps", type=int, default=4, help="steps of moves (default: 4)")
     options = parser.parse_args()
 
     if options.trees:
         tree = load_trees(options.trees)[options.tree].game_tree()
     else:
-        tree = GameTree.from_payoffs(np.random.default_rng(0).normal(0.0, 20.0, (options.moves,) * (2 * options.steps)))
+        tree = GameTree.from_payoffs(
+            np.random.default_rng(0).normal(0.0, 20.0, (options.moves,) * (2 * options.steps))
+        )
     nodes = sum(tree.nodes(k) for k in range(tree.depth))
     span = float(np.ptp(tree.payoffs))
     print(f"tree: {nodes} nodes, {tree.payoffs.size} leaves, payoffs of range {span:.4g}")
@@ -106,7 +127,12 @@ def main() -> None:
     for variant in VARIANTS:
         cfr(tree, 1, variant)
     for variant in VARIANTS:
-        each = median([seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS for _ in range(ROUNDS)])
+        each = median(
+            [
+                seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS
+                for _ in range(ROUNDS)
+            ]
+        )
         print(f"cfr {variant:12} {1e3 * each:.3f} ms an iteration")
 
     exact = solve_exact(tree)
@@ -117,13 +143,17 @@ def main() -> None:
     took = median([seconds(lambda: exploitability(tree, even)) for _ in range(ROUNDS)])
     print(f"exploitability of a profile: {1e3 * took:.1f} ms")
 
-    # Nodes that look the same to a player are one information set: with nothing to see, one set a step.
+    # Nodes that look the same to a player are one information set: with nothing to see, one set a
+    # step.
     nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(tree.depth)]
     blind = tree.with_observations(nothing)
     solved = solve_sequence_form(blind)
     took = median([seconds(lambda: solve_sequence_form(blind)) for _ in range(3)])
     left = exploitability(blind, solved.profile).exploitability
-    print(f"blind to the other's moves: {1e3 * took:.0f} ms, value {solved.value:.6g}, exploitability {left:.1e}")
+    print(
+        f"blind to the other's moves: {1e3 * took:.0f} ms, value {solved.value:.6g}, exploitability"
+        f" {left:.1e}"
+    )
     each = median([seconds(lambda: cfr(blind, OURS)) / OURS for _ in range(ROUNDS)])
     print(f"blind, cfr alternating+: {1e3 * each:.3f} ms an iteration")
 

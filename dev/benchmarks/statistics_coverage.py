@@ -1,11 +1,12 @@
-"""Do the estimators keep their promises? Coverage, false positives and bias on simulated tournaments.
+"""Do the estimators keep their promises? Coverage, false positives and bias on simulated
+tournaments.
 
     python dev/benchmarks/statistics_coverage.py                  # the tables of docs/reports/statistics.md
     python dev/benchmarks/statistics_coverage.py --datasets 200   # a quick look
 
-Every data set is a tournament of two arms with a known difference. A 95 % interval should hold the true difference in
-95 % of the data sets, which is the same as rejecting it in 5 % of them; the standard error of an entry is 0.5 % with
-2,000 data sets.
+Every data set is a tournament of two arms with a known difference. A 95 % interval should hold the
+true difference in 95 % of the data sets, which is the same as rejecting it in 5 % of them; the
+standard error of an entry is 0.5 % with 2,000 data sets.
 """
 
 import argparse
@@ -41,22 +42,34 @@ def labels(egos: int, opponents: int, races: int) -> tuple[NDArray[np.intp], ...
 
 
 def normal(
-    *, ego: float = 0.0, opponent: float = 0.0, cell: float = 0.0, line: float = 0.0, size: tuple[int, int, int]
+    *,
+    ego: float = 0.0,
+    opponent: float = 0.0,
+    cell: float = 0.0,
+    line: float = 0.0,
+    size: tuple[int, int, int],
 ) -> Draw:
-    """Differences that are sums of normal effects with these standard deviations; races of a pair vary by 0.5."""
+    """Differences that are sums of normal effects with these standard deviations; races of a pair
+    vary by 0.5.
+    """
     egos, opponents, races = size
     g, h, k = labels(*size)
 
     def draw(rng: np.random.Generator) -> Data:
         values = ego * rng.normal(size=egos)[g] + opponent * rng.normal(size=opponents)[h]
-        values += cell * rng.normal(size=egos * opponents)[g * opponents + h] + line * rng.normal(size=races)[k]
+        values += (
+            cell * rng.normal(size=egos * opponents)[g * opponents + h]
+            + line * rng.normal(size=races)[k]
+        )
         return Data(0.05 + values + 0.5 * rng.normal(size=len(g)), g, h, k, 0.05)
 
     return draw
 
 
 def pool(sd: float = 0.1, relation: float = 1.0) -> Draw:
-    """Twenty policies are egos and opponents; each brings as an opponent what it brings as an ego, or minus that."""
+    """Twenty policies are egos and opponents; each brings as an opponent what it brings as an ego,
+    or minus that.
+    """
     g, h, k = labels(*FULL)
 
     def draw(rng: np.random.Generator) -> Data:
@@ -67,20 +80,26 @@ def pool(sd: float = 0.1, relation: float = 1.0) -> Draw:
 
 
 def binary(size: tuple[int, int, int], shift: float = 0.25) -> Draw:
-    """Wins and losses of two arms in the same races: the unit's noise is mostly shared, egos and opponents matter."""
+    """Wins and losses of two arms in the same races: the unit's noise is mostly shared, egos and
+    opponents matter.
+    """
     egos, opponents, _ = size
     g, h, k = labels(*size)
-    own, shared, noise = 0.25, 0.6, 1.0  # sd of an arm's own, of both arms' common effects, of a race
+    # sd of an arm's own, of both arms' common effects, of a race
+    own, shared, noise = 0.25, 0.6, 1.0
     truth = NormalDist().cdf(shift / sqrt(2.0 * own**2 + 2.0 * shared**2 + noise**2)) - 0.5
 
     def draw(rng: np.random.Generator) -> Data:
-        # Effects that both arms share cancel in the difference, but decide how often a race is close.
+        # Effects that both arms share cancel in the difference, but decide how often a race is
+        # close.
         base = shared * (rng.normal(size=egos)[g] + rng.normal(size=opponents)[h])
         race = sqrt(0.7) * noise * rng.normal(size=len(g))
         wins = []
         for mean in (shift, 0.0):
             effect = own * (rng.normal(size=egos)[g] + rng.normal(size=opponents)[h])
-            wins.append(mean + base + effect + race + sqrt(0.3) * noise * rng.normal(size=len(g)) > 0.0)
+            wins.append(
+                mean + base + effect + race + sqrt(0.3) * noise * rng.normal(size=len(g)) > 0.0
+            )
         return Data(wins[0].astype(float) - wins[1], g, h, k, truth)
 
     return draw
@@ -92,7 +111,9 @@ def thinned(draw: Draw, kept: float) -> Draw:
     def fewer(rng: np.random.Generator) -> Data:
         data = draw(rng)
         keep = rng.random(len(data.ego)) < kept
-        return Data(data.differences[keep], data.ego[keep], data.opponent[keep], data.line[keep], data.truth)
+        return Data(
+            data.differences[keep], data.ego[keep], data.opponent[keep], data.line[keep], data.truth
+        )
 
     return fewer
 
@@ -125,7 +146,8 @@ def plain_two_way(data: Data) -> bool:
         variance += sign * (np.bincount(codes, residual) ** 2).sum() * number / (number - 1)
     if variance <= 0.0:
         return True
-    # The fewer clusters of the two decide: with five egos there are four differences between egos to learn from.
+    # The fewer clusters of the two decide: with five egos there are four differences between egos
+    # to learn from.
     df = min(len(np.unique(data.ego)), len(np.unique(data.opponent))) - 1
     _, _, p = t_interval(data.differences.mean() - data.truth, sqrt(variance) / len(residual), df)
     return p < 0.05
@@ -133,7 +155,8 @@ def plain_two_way(data: Data) -> bool:
 
 def misses(data: Data) -> list[float]:
     """For each estimator whether it rejects the truth, and the width of the clustered interval."""
-    # Testing a difference of zero after moving is the same as asking whether the interval holds the truth.
+    # Testing a difference of zero after moving is the same as asking whether the interval holds the
+    # truth.
     moved = data.differences - data.truth
     zeros = np.zeros_like(moved)
     result = compare(moved, zeros, data.ego, data.opponent)
@@ -153,14 +176,22 @@ def coverage_table(datasets: int, seed: int) -> None:
     estimators = "clustered | no floor | three-way | one pool | paired t | independent | width"
     print(f"| differences | {estimators} |")
     print("|---|---|---|---|---|---|---|---|")
-    for (name, draw), child in zip(SCENARIOS.items(), np.random.SeedSequence(seed).spawn(len(SCENARIOS)), strict=True):
+    for (name, draw), child in zip(
+        SCENARIOS.items(), np.random.SeedSequence(seed).spawn(len(SCENARIOS)), strict=True
+    ):
         rng = np.random.default_rng(child)
         rates = np.mean([misses(draw(rng)) for _ in range(datasets)], axis=0)
-        print(f"| {name} | " + " | ".join(f"{100 * rate:.1f}" for rate in rates[:-1]) + f" | {rates[-1]:.3f} |")
+        print(
+            f"| {name} | "
+            + " | ".join(f"{100 * rate:.1f}" for rate in rates[:-1])
+            + f" | {rates[-1]:.3f} |"
+        )
 
 
 def adaptivity_table(datasets: int, seed: int) -> None:
-    """Twelve open-loop arms of similar strength; the adaptive arm is exactly 0.04 better than the best of them."""
+    """Twelve open-loop arms of similar strength; the adaptive arm is exactly 0.04 better than the
+    best of them.
+    """
     print("| best open-loop arm chosen on | mean gain | truth of that arm | interval misses it |")
     print("|---|---|---|---|")
     strengths = np.linspace(-0.03, 0.0, 12)
@@ -178,7 +209,8 @@ def adaptivity_table(datasets: int, seed: int) -> None:
         for _ in range(datasets):
             blind = [scores(strength, rng) for strength in strengths]
             adaptive = scores(0.04, rng)
-            # Without training races the best arm is chosen on the test races: the mistake that the table shows.
+            # Without training races the best arm is chosen on the test races: the mistake that the
+            # table shows.
             training = blind
             if training_races:
                 order = rng.permutation(len(g))[:training_races]
@@ -190,15 +222,25 @@ def adaptivity_table(datasets: int, seed: int) -> None:
             truths.append(truth)
             missed += not gain.low <= truth <= gain.high
         where = f"{training_races} training races" if training_races else "the 800 test races"
-        print(f"| {where} | {np.mean(gains):+.3f} | {np.mean(truths):+.3f} | {100 * missed / datasets:.1f} % |")
+        print(
+            f"| {where} | {np.mean(gains):+.3f} | {np.mean(truths):+.3f} |"
+            f" {100 * missed / datasets:.1f} % |"
+        )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="False positives and bias of the estimators, in simulations.")
-    parser.add_argument("--datasets", type=int, default=2000, help="simulated tournaments for each entry")
+    parser = argparse.ArgumentParser(
+        description="False positives and bias of the estimators, in simulations."
+    )
+    parser.add_argument(
+        "--datasets", type=int, default=2000, help="simulated tournaments for each entry"
+    )
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
-    print(f"Percent of {arguments.datasets} data sets in which the true difference is rejected at the 5 % level\n")
+    print(
+        f"Percent of {arguments.datasets} data sets in which the true difference is rejected at the"
+        " 5 % level\n"
+    )
     coverage_table(arguments.datasets, arguments.seed)
     print("\nThe adaptive arm is 0.040 better than the best of 12 open-loop arms\n")
     adaptivity_table(arguments.datasets, arguments.seed)

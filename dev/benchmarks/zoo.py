@@ -3,10 +3,11 @@
     python dev/benchmarks/zoo.py                     # measures and prints
     python dev/benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
 
-Every agent that there is with its defaults, and two lattices, race six others, on a circuit that some agents learned
-on and on one that none learned on (but for the driver ppo-drive, which learned on Kestrelheim), once with the archive
-"default" in the paper's race and once with the archive "contest" in the contest. All drive the same races. What is left
-in --out of an earlier call is not driven again, unless an agent has changed.
+Every agent that there is with its defaults, and two lattices, race six others, on a circuit that
+some agents learned on and on one that none learned on (but for the driver ppo-drive, which learned
+on Kestrelheim), once with the archive "default" in the paper's race and once with the archive
+"contest" in the contest. All drive the same races. What is left in --out of an earlier call is not
+driven again, unless an agent has changed.
 """
 
 import argparse
@@ -38,8 +39,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page
 
 TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
-TUNED = ("lattice", "lattice:pace=0.7,pace_behind=0.2")  # the planner of the archives: its defaults, and set by hand
-FIELD = ("never-switch", "random-moves", "best-fixed", "cfr-argmax", "lane-switcher", "random-policy")
+# the planner of the archives: its defaults, and set by hand
+TUNED = ("lattice", "lattice:pace=0.7,pace_behind=0.2")
+FIELD = (
+    "never-switch",
+    "random-moves",
+    "best-fixed",
+    "cfr-argmax",
+    "lane-switcher",
+    "random-policy",
+)
 SEED = 8_000_000  # other races than those of any study
 
 
@@ -53,7 +62,8 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
         except UnknownNameError as error:
             print(f"not measured: {error}")
     games = [make_game(load_track(track), spec.archive, spec.config) for track in TRACKS[race]]
-    # The same starts and seeds for every agent, so that differences of scores are differences of agents.
+    # The same starts and seeds for every agent, so that differences of scores are differences of
+    # agents.
     schedules = [draw_schedule(game.track, spec.config.race_rules, races, SEED) for game in games]
     settings = {"archive": spec.archive.content_hash, "race": race, "races": races, "seed": SEED}
     tables = []
@@ -66,7 +76,13 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
             ]
             told = show_progress(f"races: {name}, {race}")
             # Kept by name: a new agent leaves the races of the others as they are.
-            kept = name.replace("+", "-plus") if name.endswith("+") else f"{name}minus" if name.endswith("-") else name
+            kept = (
+                name.replace("+", "-plus")
+                if name.endswith("+")
+                else f"{name}minus"
+                if name.endswith("-")
+                else name
+            )
             kept = re.sub("[^a-z0-9-]+", "-", kept)
             tables += play_pairings(pairings, name=kept, job=job, progress=told)
     races_driven = concatenate_races(tables)
@@ -98,7 +114,9 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
 
 
 def cost(game: Any, agent: Any) -> tuple[float, float]:
-    """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at once."""
+    """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at
+    once.
+    """
     if isinstance(agent, Driver):
         # A driver plans within the race: its cost is that of whole races, divided by their plans.
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
@@ -109,7 +127,9 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     state = game.step(state, np.tile([0, 2], (500, 1)))
     rows = game.observation(state).reshape(1000, -1)
     if isinstance(agent, Agent):
-        one, many = (_seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows))
+        one, many = (
+            _seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows)
+        )
         return 1e6 * one, 1e6 * many
     # Agents that simulate take milliseconds for a decision: a thousand games would take minutes.
     few = take_games(state, np.arange(10))
@@ -127,11 +147,19 @@ def _seconds(work: Callable[[], Any], enough: float = 0.05) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--races", type=int, default=30, help="races against each of six opponents on each circuit")
-    parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "--write", action="store_true", help="write measured.csv of this checkout, of which the page of the zoo is made"
+        "--races", type=int, default=30, help="races against each of six opponents on each circuit"
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept"
+    )
+    parser.add_argument(
+        "--write",
+        action="store_true",
+        help="write measured.csv of this checkout, of which the page of the zoo is made",
     )
     arguments = parser.parse_args()
     found = []
@@ -139,7 +167,8 @@ def main() -> None:
         found += measure(archive, race, arguments.races, arguments.out)
     for one in found:
         print(
-            f"{one.race:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f} us {one.sha256[:12]}"
+            f"{one.race:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f} us"
+            f" {one.sha256[:12]}"
         )
     if arguments.write:
         print(zoo_page.write_measurements(found))

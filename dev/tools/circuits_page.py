@@ -1,7 +1,8 @@
-"""The page of the circuits: a picture of every shipped one, with its length, width, speeds and character.
+"""The page of the circuits: a picture of every shipped one, with its length, width, speeds and
+character.
 
-The figures are those of the shipped files: race line, track.yaml and calibration. The page is made whenever the site
-is built (``docs/site_pages.py``).
+The figures are those of the shipped files: race line, track.yaml and calibration. The page is made
+whenever the site is built (``docs/site_pages.py``).
 """
 
 from pathlib import Path
@@ -34,10 +35,18 @@ are free to use under its licence (MIT). `pcs_racing.load_track("Tarnfjord")` lo
 def circuits_page() -> str:
     """Return the whole page."""
     tracks = [(load_track(ROOT / "maps" / name), _info(name)) for name in list_tracks()]
-    columns = ["circuit", "length", "width", "lap", "speed", *(f"pace, {preset}" for preset in PRESETS)]
+    columns = [
+        "circuit",
+        "length",
+        "width",
+        "lap",
+        "speed",
+        *(f"pace, {preset}" for preset in PRESETS),
+    ]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     lines += [
-        f"| [{track.name}](#{track.name.lower()}) | {' | '.join(figures(track, info))} |" for track, info in tracks
+        f"| [{track.name}](#{track.name.lower()}) | {' | '.join(figures(track, info))} |"
+        for track, info in tracks
     ]
     blocks = [HEAD.format(number=len(tracks)).strip(), "\n".join(lines)]
     blocks += [_section(track, info) for track, info in tracks]
@@ -63,7 +72,10 @@ def _section(track: Track, info: dict) -> str:
     picture = f"../../maps/{track.name}/{track.name}.png"
     told = f"{info['description']}. {length} long, {width} wide, {lap} a lap at {speed}."
     made = f"Generated with style `{info['style']}`, seed {info['seed']}, {info['direction']}."
-    shown = f"Plan of {track.name}, {length}: walls, race line coloured by its speed, start line and direction"
+    shown = (
+        f"Plan of {track.name}, {length}: walls, race line coloured by its speed, start line and"
+        " direction"
+    )
     return f"## {track.name}\n\n{told} {made}\n\n![{shown}]({picture})"
 
 

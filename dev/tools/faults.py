@@ -1,8 +1,9 @@
-"""Small faults that can be put into a Python file, one at a time: what ``dev/tools/mutants.py`` tries the tests with.
+"""Small faults that can be put into a Python file, one at a time: what ``dev/tools/mutants.py``
+tries the tests with.
 
-Every fault replaces one expression or statement of the syntax tree and leaves the rest of the file as it is. Messages,
-documentation, types, imports and decorators are left alone, and so is what is a matter of choice: the defaults and
-bounds of declared settings, and the style of pictures.
+Every fault replaces one expression or statement of the syntax tree and leaves the rest of the file
+as it is. Messages, documentation, types, imports and decorators are left alone, and so is what is a
+matter of choice: the defaults and bounds of declared settings, and the style of pictures.
 """
 
 import ast
@@ -11,7 +12,13 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-ARITHMETIC = {ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult}
+ARITHMETIC = {
+    ast.Add: ast.Sub,
+    ast.Sub: ast.Add,
+    ast.Mult: ast.Div,
+    ast.Div: ast.Mult,
+    ast.FloorDiv: ast.Mult,
+}
 OTHER_WAY = {
     ast.Lt: ast.Gt,
     ast.Gt: ast.Lt,
@@ -25,7 +32,10 @@ OTHER_WAY = {
     ast.NotIn: ast.In,
 }
 EDGE = {ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt}
-_PAIRS = "min max, minimum maximum, argmin argmax, sin cos, any all, floor ceil, sum mean, zeros ones, hypot maximum"
+_PAIRS = (
+    "min max, minimum maximum, argmin argmax, sin cos, any all, floor ceil, sum mean, zeros ones,"
+    " hypot maximum"
+)
 TWINS = {a: b for pair in _PAIRS.split(", ") for a, b in (pair.split(), pair.split()[::-1])}
 
 _LEFT_ALONE = (ast.Import, ast.ImportFrom, ast.Raise, ast.Assert, ast.JoinedStr)
@@ -54,7 +64,8 @@ class Fault:
 
     kind: str  #: What was done there.
     line: int  #: Where it begins.
-    #: ``before``, ``after``: The lines concerned, without and with the fault, blanks between them reduced to one.
+    #: ``before``, ``after``: The lines concerned, without and with the fault, blanks between them
+    #: reduced to one.
     before: str
     after: str
     text: str  #: The whole file with the fault.
@@ -98,15 +109,21 @@ def _everywhere(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str, st
     while todo:
         node, names = todo.pop()
         if isinstance(node, ast.FunctionDef):
-            # A twin of a name (`own0` for `own1`) must exist in the same function: any test would find a NameError.
+            # A twin of a name (`own0` for `own1`) must exist in the same function: any test would
+            # find a NameError.
             names = frozenset(n.id for n in ast.walk(node) if isinstance(n, ast.Name)) | {
                 argument.arg for argument in node.args.args
             }
         todo.extend((child, names) for child in reversed(_inner(node)))
         if isinstance(node, ast.expr):
-            # Brackets, because the fault stands in the place of an operand whose precedence is not known here.
+            # Brackets, because the fault stands in the place of an operand whose precedence is not
+            # known here.
             for kind, new in _of_expression(node, names):
-                yield node, kind, f"({ast.unparse(new)})" if not isinstance(new, ast.Name) else new.id
+                yield (
+                    node,
+                    kind,
+                    f"({ast.unparse(new)})" if not isinstance(new, ast.Name) else new.id,
+                )
         elif isinstance(node, ast.stmt):
             yield from ((part, kind, new) for part, kind, new in _of_statement(node))
 
@@ -114,7 +131,9 @@ def _everywhere(tree: ast.Module) -> Iterator[tuple[ast.expr | ast.stmt, str, st
 def _inner(node: ast.AST) -> list[ast.AST]:
     """Children in which faults are made."""
     if isinstance(node, ast.ClassDef | ast.FunctionDef):
-        defaults = [] if isinstance(node, ast.ClassDef) else [*node.args.defaults, *node.args.kw_defaults]
+        defaults = (
+            [] if isinstance(node, ast.ClassDef) else [*node.args.defaults, *node.args.kw_defaults]
+        )
         return [*filter(None, defaults), *node.body]
     if isinstance(node, ast.AnnAssign):
         declared = "Annotated" in ast.unparse(node.annotation)  # options of configurations
@@ -122,9 +141,17 @@ def _inner(node: ast.AST) -> list[ast.AST]:
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
         return []  # documentation
     # Names that a module offers are tested by importing them, and change no result.
-    if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == "__all__":
+    if (
+        isinstance(node, ast.Assign)
+        and isinstance(node.targets[0], ast.Name)
+        and node.targets[0].id == "__all__"
+    ):
         return []
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "reshape":
+    if (
+        isinstance(node, ast.Call)
+        and isinstance(node.func, ast.Attribute)
+        and node.func.attr == "reshape"
+    ):
         return [node.func]  # another shape is an error at once
     if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
         return []
@@ -154,7 +181,10 @@ def _of_expression(node: ast.expr, names: frozenset[str]) -> Iterator[tuple[str,
                     new.ops[k] = table[type(operator)]()
                     yield kind, new
     elif isinstance(node, ast.BoolOp):
-        yield "and / or", ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values)
+        yield (
+            "and / or",
+            ast.BoolOp(ast.Or() if isinstance(node.op, ast.And) else ast.And(), node.values),
+        )
         for k in range(len(node.values)):
             left = [value for i, value in enumerate(node.values) if i != k]
             yield "term dropped", left[0] if len(left) == 1 else ast.BoolOp(node.op, left)
@@ -164,7 +194,11 @@ def _of_expression(node: ast.expr, names: frozenset[str]) -> Iterator[tuple[str,
         yield from _of_call(node)
     elif isinstance(node, ast.Subscript) and ast.unparse(node.slice).endswith("::-1"):
         yield "order", node.value
-    elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load) and (match := _NUMBERED.fullmatch(node.id)):
+    elif (
+        isinstance(node, ast.Name)
+        and isinstance(node.ctx, ast.Load)
+        and (match := _NUMBERED.fullmatch(node.id))
+    ):
         twin = f"{match[1]}{1 - int(match[2])}{match[3]}"
         if twin in names:
             yield "0 / 1", ast.Name(twin, ast.Load())
@@ -172,7 +206,10 @@ def _of_expression(node: ast.expr, names: frozenset[str]) -> Iterator[tuple[str,
 
 def _joins_texts(node: ast.BinOp) -> bool:
     """Whether texts or paths are put together: another operator would only raise a TypeError."""
-    return any(isinstance(side, ast.JoinedStr | ast.Constant) and not _number(side) for side in (node.left, node.right))
+    return any(
+        isinstance(side, ast.JoinedStr | ast.Constant) and not _number(side)
+        for side in (node.left, node.right)
+    )
 
 
 def _number(node: ast.expr) -> bool:
@@ -185,9 +222,13 @@ def _of_constant(node: ast.Constant) -> Iterator[tuple[str, ast.expr]]:
         yield "constant", ast.Constant(not value)
     elif isinstance(value, int):
         # One more of an index or a count is another result; one more of a large limit hardly is.
-        yield "constant", ast.Constant(1 - value if value in (0, 1) else value + 1 if value < 100 else 2 * value)
+        yield (
+            "constant",
+            ast.Constant(1 - value if value in (0, 1) else value + 1 if value < 100 else 2 * value),
+        )
     elif isinstance(value, float):
-        # Twice as much: smaller changes of physical constants would ask for tests of the constants themselves.
+        # Twice as much: smaller changes of physical constants would ask for tests of the constants
+        # themselves.
         yield "constant", ast.Constant(2.0 * value if value else 1.0)
 
 
@@ -226,10 +267,16 @@ def _can_go(node: ast.stmt) -> bool:
 
 
 def _whole(node: ast.Compare) -> bool:
-    """Whether a comparison is of whole numbers, where < and <= differ for more than one number in a million."""
+    """Whether a comparison is of whole numbers, where < and <= differ for more than one number in a
+    million.
+    """
     sides = [node.left, *node.comparators]
     return any(
-        (isinstance(side, ast.Constant) and isinstance(side.value, int) and not isinstance(side.value, bool))
+        (
+            isinstance(side, ast.Constant)
+            and isinstance(side.value, int)
+            and not isinstance(side.value, bool)
+        )
         or re.search(r"\b(len|ndim|count|races|games|tick|end|size)\b|shape\[", ast.unparse(side))
         for side in sides
     )

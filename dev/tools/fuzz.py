@@ -1,16 +1,18 @@
-"""Fuzzing of every loader, the environments' inputs and the server: many broken inputs, one of two answers to each.
+"""Fuzzing of every loader, the environments' inputs and the server: many broken inputs, one of two
+answers to each.
 
     python dev/tools/fuzz.py run [--minutes 20] [--inputs N] [--turns N] [--targets NAME ...] [--seed 0]
     python dev/tools/fuzz.py summary [--out out/fuzz]
 
-An input may be accepted, or refused by an error of the family :mod:`pcs_racing.base.errors`. Anything else is a
-finding: another exception, a warning, more than 2 seconds of processor, more memory than 500 MB, a crash of the
-interpreter; and, silent until now, NaN, infinite or complex numbers in what a file that was accepted is read as.
+An input may be accepted, or refused by an error of the family :mod:`pcs_racing.base.errors`.
+Anything else is a finding: another exception, a warning, more than 2 seconds of processor, more
+memory than 500 MB, a crash of the interpreter; and, silent until now, NaN, infinite or complex
+numbers in what a file that was accepted is read as.
 
-Inputs are valid ones whose bytes and structure are changed (:mod:`fuzz_inputs`). Input number k depends on the seed,
-the target and k alone. Each target works in a process of its own with an upper limit on memory, in turns until the time
-is up; what was done is kept in ``log.jsonl`` line by line, and the same command goes on from there. Findings are kept
-as files, one for each place in the code.
+Inputs are valid ones whose bytes and structure are changed (:mod:`fuzz_inputs`). Input number k
+depends on the seed, the target and k alone. Each target works in a process of its own with an upper
+limit on memory, in turns until the time is up; what was done is kept in ``log.jsonl`` line by line,
+and the same command goes on from there. Findings are kept as files, one for each place in the code.
 """
 
 import argparse
@@ -48,7 +50,9 @@ LIMIT = 6_000_000_000  # of the process's address space, above what it has at th
 MOST_BYTES = 20_000
 
 
-def judge(run: Callable[[bytes], object], data: bytes, plain: bool = False, again: bool = True) -> tuple[str, str]:
+def judge(
+    run: Callable[[bytes], object], data: bytes, plain: bool = False, again: bool = True
+) -> tuple[str, str]:
     """Return what a target makes of an input: a word, and for findings where it happened."""
     # Of this thread alone: what else the machine does must make no input slow.
     began, before = time.thread_time(), peak()
@@ -60,14 +64,25 @@ def judge(run: Callable[[bytes], object], data: bytes, plain: bool = False, agai
         answer = ("SILENT", odd) if odd else ("accepted", "")
     except InputError as error:
         text = str(error)
-        answer = ("refused", "") if text and "\n" not in text else ("CRASH", f"message of several lines: {text[:60]!r}")
+        answer = (
+            ("refused", "")
+            if text and "\n" not in text
+            else ("CRASH", f"message of several lines: {text[:60]!r}")
+        )
     except RecursionError:
         answer = "CRASH", "RecursionError"
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
-        # Findings are told apart by the innermost line of ours: libraries fail in many places for one reason.
+        # Findings are told apart by the innermost line of ours: libraries fail in many places for
+        # one reason.
         own = [frame for frame in frames if "pcs_racing" in frame.filename] or list(frames)
-        answer = "CRASH", f"{type(error).__name__} in {Path(own[-1].filename).name}:{own[-1].lineno}: {str(error)[:80]}"
+        answer = (
+            "CRASH",
+            (
+                f"{type(error).__name__} in {Path(own[-1].filename).name}:{own[-1].lineno}:"
+                f" {str(error)[:80]}"
+            ),
+        )
     if time.thread_time() - began > SLOW and again:
         return judge(run, data, plain, again=False)  # the first time may have compiled something
     if time.thread_time() - began > SLOW:
@@ -95,7 +110,9 @@ def odd_number(value: Any, where: str = "") -> str:
 
 def peak() -> int:
     """Return the most memory that the process ever held, bytes."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
+        1 if sys.platform == "darwin" else 1024
+    )
 
 
 def broken_input(target: str, seed: int, number: int, valid: list[bytes]) -> bytes:
@@ -117,28 +134,41 @@ def keep_finding(out: Path, target: str, word: str, where: str, data: bytes) -> 
 def work(target: str, seed: int, first: int, seconds: float, out: Path, present: Any) -> None:
     """Run inputs from number ``first`` on, and write a line of the log; in a process of its own."""
     run, valid = TARGETS[target].run, TARGETS[target].seeds()
-    # Compiles, and fills caches. Without a sound input all others would be refused at the same early place.
+    # Compiles, and fills caches. Without a sound input all others would be refused at the same
+    # early place.
     answers = [judge(run, data, TARGETS[target].plain)[0] for data in valid]
     if "accepted" not in answers and TARGETS[target].kind != "values":
         sys.exit(f"no valid input of {target} is accepted")
-    # Above what is there already: compiled code and libraries take gigabytes of addresses, though little memory.
+    # Above what is there already: compiled code and libraries take gigabytes of addresses, though
+    # little memory.
     space = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (space + LIMIT, space + LIMIT))
     counts: Counter[str] = Counter()
     begin = time.process_time()
-    while present.value < TARGETS[target].most and (not counts or time.process_time() - begin < seconds):
+    while present.value < TARGETS[target].most and (
+        not counts or time.process_time() - begin < seconds
+    ):
         data = broken_input(target, seed, present.value, valid)
         word, where = judge(run, data, TARGETS[target].plain)
         counts[word] += 1
         if word not in ("accepted", "refused"):
             keep_finding(out, target, word, where, data)
-        present.value += 1  # after the input: if the process dies, the parent knows which one it was
+        # after the input: if the process dies, the parent knows which one it was
+        present.value += 1
     write_line(out, target, seed, first, counts, time.process_time() - begin)
     shutil.rmtree(scratch(), ignore_errors=True)
 
 
-def write_line(out: Path, target: str, seed: int, first: int, counts: Counter[str], seconds: float) -> None:
-    line = {"target": target, "seed": seed, "first": first, "inputs": counts.total(), "counts": counts}
+def write_line(
+    out: Path, target: str, seed: int, first: int, counts: Counter[str], seconds: float
+) -> None:
+    line = {
+        "target": target,
+        "seed": seed,
+        "first": first,
+        "inputs": counts.total(),
+        "counts": counts,
+    }
     out.mkdir(parents=True, exist_ok=True)
     with open(out / "log.jsonl", "a", encoding="utf-8") as file:
         file.write(json.dumps({**line, "seconds": round(seconds, 2)}) + "\n")
@@ -146,7 +176,11 @@ def write_line(out: Path, target: str, seed: int, first: int, counts: Counter[st
 
 def read_log(out: Path) -> list[dict[str, Any]]:
     file = out / "log.jsonl"
-    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
+    return (
+        [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+        if file.is_file()
+        else []
+    )
 
 
 def take_turn(target: str, seed: int, seconds: float, out: Path) -> bool:
@@ -178,23 +212,38 @@ def summary(out: Path) -> None:
     totals: dict[str, Counter[str]] = {}
     for line in read_log(out):
         for name in (line["target"], "all"):
-            totals.setdefault(name, Counter()).update({**line["counts"], "seconds": line["seconds"]})
+            totals.setdefault(name, Counter()).update(
+                {**line["counts"], "seconds": line["seconds"]}
+            )
     print(f"{'target':26} {'seconds':>8} {'accepted':>9} {'refused':>9} {'findings':>8}")
     for name, row in sorted(totals.items(), key=lambda item: (item[0] == "all", item[0])):
         findings = sum(row[word] for word in ("CRASH", "SILENT", "SLOW", "MEMORY", "DEAD"))
-        print(f"{name:26} {row['seconds']:8.1f} {row['accepted']:9d} {row['refused']:9d} {findings:8d}")
+        print(
+            f"{name:26} {row['seconds']:8.1f} {row['accepted']:9d} {row['refused']:9d}"
+            f" {findings:8d}"
+        )
     for file in sorted((out / "findings").glob("*.txt")):
         print(f"{file.stem}: {' | '.join(file.read_text().splitlines())}")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("what", choices=("run", "summary"), nargs="?", default="run")
-    parser.add_argument("--targets", nargs="+", default=list(TARGETS), choices=list(TARGETS), metavar="NAME")
-    parser.add_argument("--minutes", type=float, default=20.0, help="after which no other turn begins")
-    parser.add_argument("--inputs", type=int, default=10**9, help="in the log, after which no other turn begins")
+    parser.add_argument(
+        "--targets", nargs="+", default=list(TARGETS), choices=list(TARGETS), metavar="NAME"
+    )
+    parser.add_argument(
+        "--minutes", type=float, default=20.0, help="after which no other turn begins"
+    )
+    parser.add_argument(
+        "--inputs", type=int, default=10**9, help="in the log, after which no other turn begins"
+    )
     parser.add_argument("--turns", type=int, default=10**6, help="of each target, at most")
-    parser.add_argument("--slice", type=float, default=SLICE, help="seconds of processor for a target in a turn")
+    parser.add_argument(
+        "--slice", type=float, default=SLICE, help="seconds of processor for a target in a turn"
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=Path("out/fuzz"))
     given = parser.parse_args()
@@ -202,10 +251,17 @@ def main() -> None:
     end = time.monotonic() + 60.0 * given.minutes
 
     def goes_on() -> bool:
-        return time.monotonic() < end and sum(line["inputs"] for line in read_log(given.out)) < given.inputs
+        return (
+            time.monotonic() < end
+            and sum(line["inputs"] for line in read_log(given.out)) < given.inputs
+        )
 
     for _ in range(given.turns):
-        left = [name for name in left if goes_on() and take_turn(name, given.seed, given.slice, given.out)]
+        left = [
+            name
+            for name in left
+            if goes_on() and take_turn(name, given.seed, given.slice, given.out)
+        ]
         if not left:
             break
     summary(given.out)

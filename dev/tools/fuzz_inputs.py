@@ -1,4 +1,6 @@
-"""Broken inputs out of valid ones: changed bytes, words and structures; and values that are drawn from bytes."""
+"""Broken inputs out of valid ones: changed bytes, words and structures; and values that are drawn
+from bytes.
+"""
 
 import copy
 import io
@@ -16,24 +18,121 @@ import yaml
 MOST = 1_000_000  # bytes
 WORDS = (
     *("0", "-0", "1", "-1", "0.5", "1e9", "1e999", "-1e999", "nan", ".nan", "inf", "-.inf"),
-    *("1e-320", "9" * 30, "9" * 400, "0x" + "f" * 40, "1_000", "1:59:59", "2024-02-31", "0o7", "65536"),
+    *(
+        "1e-320",
+        "9" * 30,
+        "9" * 400,
+        "0x" + "f" * 40,
+        "1_000",
+        "1:59:59",
+        "2024-02-31",
+        "0o7",
+        "65536",
+    ),
     *("2147483648", "100000000000"),
-    *("", "null", "~", "true", "no", "[]", "{}", "[[]]", "{a: {b: c}}", "*a", "&a", "<<: *a", "&a [*a]", "!!binary"),
-    *("!!set", "!!python/object/apply:os.system [ls]", "? ", "- ", ": ", "#", "\t", "\n", "\r\n", "\x00"),
+    *(
+        "",
+        "null",
+        "~",
+        "true",
+        "no",
+        "[]",
+        "{}",
+        "[[]]",
+        "{a: {b: c}}",
+        "*a",
+        "&a",
+        "<<: *a",
+        "&a [*a]",
+        "!!binary",
+    ),
+    *(
+        "!!set",
+        "!!python/object/apply:os.system [ls]",
+        "? ",
+        "- ",
+        ": ",
+        "#",
+        "\t",
+        "\n",
+        "\r\n",
+        "\x00",
+    ),
     *("\ufeff", "\u2028"),
-    *("'", '"', "\\", "../", "/dev/zero", "/etc/passwd", "[" * 60, ",", ";", "=", "paper", "lattice", "pace=", "../x"),
-)  # fmt: skip
+    *(
+        "'",
+        '"',
+        "\\",
+        "../",
+        "/dev/zero",
+        "/etc/passwd",
+        "[" * 60,
+        ",",
+        ";",
+        "=",
+        "paper",
+        "lattice",
+        "pace=",
+        "../x",
+    ),
+)
 ODD: tuple[Any, ...] = (
-    *(None, True, False, 0, 1, -1, 2, 3, 255, 10**9, -(10**9), 2**31, 2**63, 2**64, -(2**63), 10**30),
+    *(
+        None,
+        True,
+        False,
+        0,
+        1,
+        -1,
+        2,
+        3,
+        255,
+        10**9,
+        -(10**9),
+        2**31,
+        2**63,
+        2**64,
+        -(2**63),
+        10**30,
+    ),
     *(0.0, 0.5, 1.0, -0.0, 1e-300, 1e300, float("nan"), float("inf"), -float("inf"), 0.1, 2.5),
-    *("", "a", "paper", "lattice", "nan", "0", "\x00", "../x", "/", "x" * 300, [], {}, [1, 2], [[]], {"a": 1}, {1: 2}),
+    *(
+        "",
+        "a",
+        "paper",
+        "lattice",
+        "nan",
+        "0",
+        "\x00",
+        "../x",
+        "/",
+        "x" * 300,
+        [],
+        {},
+        [1, 2],
+        [[]],
+        {"a": 1},
+        {1: 2},
+    ),
     *([None], ["a", "a"], [0.5, 1.0]),
-)  # fmt: skip
+)
 # What a call in Python may be given beside what a file can hold.
 OBJECTS = (
-    *(b"", b"abc", (), (0.5, 1.0), 1j, range(3), object, "\ud800", np.float32(0.5), np.int64(3), np.array(1.0)),
+    *(
+        b"",
+        b"abc",
+        (),
+        (0.5, 1.0),
+        1j,
+        range(3),
+        object,
+        "\ud800",
+        np.float32(0.5),
+        np.int64(3),
+        np.array(1.0),
+    ),
     *(np.array([1, 2]), np.array([], np.float32), np.array(["x"]), np.array([None], object)),
-)  # fmt: skip
+)
 
 
 def broken(rng: random.Random, seeds: list[bytes], kind: str) -> bytes:
@@ -42,7 +141,8 @@ def broken(rng: random.Random, seeds: list[bytes], kind: str) -> bytes:
     # Changed structures get past the parser, changed bytes test the parser itself.
     if kind in STRUCTURES and rng.random() < 0.5:
         load, dump = STRUCTURES[kind]
-        with suppress(Exception):  # a structure that the format can't hold, or a seed that is broken already
+        # a structure that the format can't hold, or a seed that is broken already
+        with suppress(Exception):
             data = dump(_changed(rng, load(data)))
         if rng.random() < 0.7:
             return data
@@ -58,7 +158,9 @@ def _few(rng: random.Random) -> int:
 
 def _bytes(rng: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
     at, size = rng.randrange(len(data) + 1), min(rng.choice((1, 1, 2, 4, 8, 16, 100)), len(data))
-    number = rng.choice((0, 1, 127, 128, 255, 256, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 10**5))
+    number = rng.choice(
+        (0, 1, 127, 128, 255, 256, 2**15, 2**16 - 1, 2**31 - 1, 2**31, 2**32 - 1, 10**5)
+    )
     other = rng.choice(seeds)
     news = (
         data[:at] + rng.randbytes(size) + data[at + size :],
@@ -83,13 +185,21 @@ def _text(rng: random.Random, data: bytes, seeds: list[bytes]) -> bytes:
     lines = text.splitlines(keepends=True) or [""]
     at = rng.randrange(len(lines))
     repeated = [*lines[:at], *[lines[at]] * rng.choice((0, 2, 30)), *lines[at + 1 :]]
-    text = rng.choice((text[:begin] + new + text[begin:], text[:begin] + new + text[end:], "".join(repeated)))
+    text = rng.choice(
+        (text[:begin] + new + text[begin:], text[:begin] + new + text[end:], "".join(repeated))
+    )
     return text.encode("utf-8", "surrogateescape")
 
 
 def _places(value: Any) -> Iterable[tuple[Any, Any]]:
     """Every place in nested lists and mappings: the container and the key."""
-    pairs = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    pairs = (
+        value.items()
+        if isinstance(value, dict)
+        else enumerate(value)
+        if isinstance(value, list)
+        else ()
+    )
     for key, item in list(pairs):
         yield value, key
         yield from _places(item)
@@ -104,7 +214,11 @@ def _changed(rng: random.Random, value: Any) -> Any:
         what = rng.randrange(4)
         if what == 0 and container is not holder:
             del container[key]
-        elif what == 1 or not isinstance(old, dict | list | int | float | np.ndarray) or isinstance(old, bool):
+        elif (
+            what == 1
+            or not isinstance(old, dict | list | int | float | np.ndarray)
+            or isinstance(old, bool)
+        ):
             container[key] = odd
         elif isinstance(old, np.ndarray):
             container[key] = _array(rng, old)
@@ -113,7 +227,9 @@ def _changed(rng: random.Random, value: Any) -> Any:
         elif isinstance(old, list):
             container[key] = old * rng.choice((0, 1, 2, 20)) + [odd]
         else:
-            container[key] = rng.choice((-old, old + 1, old * 1000, old * 0.5, float(old), str(old), [old]))
+            container[key] = rng.choice(
+                (-old, old + 1, old * 1000, old * 0.5, float(old), str(old), [old])
+            )
     return holder[0]
 
 
@@ -121,12 +237,28 @@ def _array(rng: random.Random, array: Any) -> Any:
     """Another type or shape, or another number."""
     one = np.array(array)
     if one.size:
-        numbers = (np.nan, np.inf, -1, 10**6, 2**62) if one.dtype.kind == "f" else (-1, 0, 1, 100, 120)
+        numbers = (
+            (np.nan, np.inf, -1, 10**6, 2**62) if one.dtype.kind == "f" else (-1, 0, 1, 100, 120)
+        )
         one.flat[rng.randrange(one.size)] = rng.choice(numbers)
     kind = rng.choice((np.float32, np.int8, np.int64, np.uint64, np.bool_, np.float64))
     shape = rng.choice(((), (0,), (0, 2), (1, 1, 1), (3, 0, 2)))
-    news = (one, one, array[:-1] if array.ndim else array[None], array.ravel(), array.T, array[..., None])
-    return rng.choice((*news, np.repeat(array, 2, 0) if array.ndim else array, array.astype(kind), np.zeros(shape)))
+    news = (
+        one,
+        one,
+        array[:-1] if array.ndim else array[None],
+        array.ravel(),
+        array.T,
+        array[..., None],
+    )
+    return rng.choice(
+        (
+            *news,
+            np.repeat(array, 2, 0) if array.ndim else array,
+            array.astype(kind),
+            np.zeros(shape),
+        )
+    )
 
 
 def _load_arrays(data: bytes) -> dict[str, Any]:

@@ -1,4 +1,6 @@
-"""What is fuzzed beside loaders: what stands in the place of a file (links, pipes, folders), and the local server."""
+"""What is fuzzed beside loaders: what stands in the place of a file (links, pipes, folders), and
+the local server.
+"""
 
 import io
 import json
@@ -81,9 +83,23 @@ def replaced(name: str, data: bytes) -> object:
         elif what == 3:
             os.link(kept, file)
         else:
-            drawn = draw.data[draw.at :][: draw.byte()].replace(b"\0", b"/").decode("utf-8", "surrogateescape")
-            targets = (str(outside() / "secret"), str(kept), "/dev/zero", str(outside() / "zero"), file.name, "..", ".")
-            file.symlink_to(draw.choice((*targets, draw.choice(files).name, "nowhere", drawn or "x")))
+            drawn = (
+                draw.data[draw.at :][: draw.byte()]
+                .replace(b"\0", b"/")
+                .decode("utf-8", "surrogateescape")
+            )
+            targets = (
+                str(outside() / "secret"),
+                str(kept),
+                "/dev/zero",
+                str(outside() / "zero"),
+                file.name,
+                "..",
+                ".",
+            )
+            file.symlink_to(
+                draw.choice((*targets, draw.choice(files).name, "nowhere", drawn or "x"))
+            )
     try:
         return read(place)
     except InputError as error:
@@ -97,7 +113,9 @@ STATUS = {b"200", b"403", b"404", b"409", b"100", b"400", b"414", b"417", b"431"
 
 @cache
 def server() -> tuple[int, list[str]]:
-    """Start a server of all three services; return its port, and a list to which its faults are added."""
+    """Start a server of all three services; return its port, and a list to which its faults are
+    added.
+    """
     folder = tournament_folder()
     results = open_results(folder)
     repeated = RaceService(RaceRepeater(results), len(results.races))
@@ -110,7 +128,8 @@ def server() -> tuple[int, list[str]]:
         return (played if path.count("/") > 2 else repeated).answer(path)
 
     found, faults = make_server("<p>the page", answer), []
-    # Here a request ends with the half of the connection on which it came; the viewer is still there.
+    # Here a request ends with the half of the connection on which it came; the viewer is still
+    # there.
     found.RequestHandlerClass._left = lambda _: False  # type: ignore[attr-defined]
 
     def note(*_: Any) -> None:
@@ -144,7 +163,8 @@ def request(path: str, *lines: str) -> bytes:
 def served(data: bytes) -> object:
     """Send any bytes: they are answered, by something known, and the next viewer gets the page."""
     answer, faults = ask(data), server()[1]
-    # What is cut off or no HTTP at all is not answered, or, as in its first version, without a head.
+    # What is cut off or no HTTP at all is not answered, or, as in its first version, without a
+    # head.
     first = data.split(b"\n")[0].strip()
     if faults:
         raise AssertionError(f"the server failed: {faults.pop()}")
@@ -162,8 +182,21 @@ def _refuse(answer: bytes) -> object:
 
 
 def requests() -> list[bytes]:
-    paths = ("/", "/race/0", "/race/1", "/race/0/0", "/race/2/0-1.html", "/begin/1", "/drive/1/0/5/50/30")
-    more = ("Origin: http://127.0.0.1", "Sec-Fetch-Site: same-origin", "Content-Length: 5", "Expect: 100-continue")
+    paths = (
+        "/",
+        "/race/0",
+        "/race/1",
+        "/race/0/0",
+        "/race/2/0-1.html",
+        "/begin/1",
+        "/drive/1/0/5/50/30",
+    )
+    more = (
+        "Origin: http://127.0.0.1",
+        "Sec-Fetch-Site: same-origin",
+        "Content-Length: 5",
+        "Expect: 100-continue",
+    )
     return [request(path) for path in paths] + [request("/", line) for line in more]
 
 
@@ -174,12 +207,20 @@ def requests() -> list[bytes]:
 def model_parts() -> dict[str, bytes]:
     import torch
 
-    sizes = {"mlp_extractor.policy_net.0": (4, 6), "mlp_extractor.policy_net.2": (4, 4), "action_net": (3, 4)}
+    sizes = {
+        "mlp_extractor.policy_net.0": (4, 6),
+        "mlp_extractor.policy_net.2": (4, 4),
+        "action_net": (3, 4),
+    }
     state = {f"{layer}.weight": torch.ones(size) for layer, size in sizes.items()}
     state |= {f"{layer}.bias": torch.ones(size[0]) for layer, size in sizes.items()}
     kept = io.BytesIO()
     torch.save(state, kept)
-    settings = {"policy_kwargs": {"net_arch": [4, 4], ":type:": "<class 'dict'>"}, "n_envs": 1, "seed": None}
+    settings = {
+        "policy_kwargs": {"net_arch": [4, 4], ":type:": "<class 'dict'>"},
+        "n_envs": 1,
+        "seed": None,
+    }
     return {"data": json.dumps(settings).encode(), "policy.pth": kept.getvalue()}
 
 
@@ -201,7 +242,8 @@ def whole_model() -> list[bytes]:
 
 
 PLACES = {
-    f"files of {name} replaced": Target(partial(replaced, name), values(30), "values", 20_000) for name in FOLDERS
+    f"files of {name} replaced": Target(partial(replaced, name), values(30), "values", 20_000)
+    for name in FOLDERS
 }
 PLACES["model"] = Target(partial(model, ""), whole_model, "binary", plain=True)
 for one, of_kind in (("data", "json"), ("policy.pth", "binary")):

@@ -1,8 +1,9 @@
 """What is fuzzed: every loader and every input of the environments, each as a function of bytes.
 
-Loaders of files get the bytes as the file's content. Where a file carries a digest of another, the digest is made to
-fit, or nothing but the digest would be tested. What takes values gets values that are drawn from the bytes. Classes of
-settings and environments are found by what they declare: a new one is fuzzed without a line here.
+Loaders of files get the bytes as the file's content. Where a file carries a digest of another, the
+digest is made to fit, or nothing but the digest would be tested. What takes values gets values that
+are drawn from the bytes. Classes of settings and environments are found by what they declare: a new
+one is fuzzed without a line here.
 """
 
 import hashlib
@@ -21,7 +22,14 @@ import yaml
 from fuzz_inputs import Draw
 from PIL import Image
 
-from pcs_racing import RaceGame, load_game_config, load_race_config, load_track, parse_policy, read_replay
+from pcs_racing import (
+    RaceGame,
+    load_game_config,
+    load_race_config,
+    load_track,
+    parse_policy,
+    read_replay,
+)
 from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.files import plain_yaml, unpack_arrays
 from pcs_racing.base.settings import Settings, load_settings
@@ -80,7 +88,9 @@ class Target:
 
     run: Callable[[bytes], object]  #: ``run(data)`` returns if they are accepted.
     seeds: Seeds  #: Returns valid inputs, which changes begin with.
-    kind: str  #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": which changes make sense.
+    #: "text" or "yaml" or "json" or "csv" or "binary" or "npz" or "values": which changes make
+    #: sense.
+    kind: str
     most: int = 1_000_000  #: Inputs of a campaign at most, for slow ones.
     plain: bool = False  #: Whether all numbers of what is accepted must be finite and real.
 
@@ -141,7 +151,10 @@ def signed(path: Path, data: bytes) -> None:
     """Write a chunk whose digests fit whatever it holds."""
     task = "0" * 64
     path.write_bytes(
-        data + b"pcs-racing chunk " + task.encode() + hashlib.sha256(data + task.encode()).hexdigest().encode()
+        data
+        + b"pcs-racing chunk "
+        + task.encode()
+        + hashlib.sha256(data + task.encode()).hexdigest().encode()
     )
 
 
@@ -193,10 +206,14 @@ def config_seeds(kind: str) -> list[bytes]:
 
 
 def settings_classes(base: type[Settings] = Settings) -> Iterator[type[Settings]]:
-    """Yield the declared classes of settings that are no base of others and whose fields all have a default."""
+    """Yield the declared classes of settings that are no base of others and whose fields all have a
+    default.
+    """
     for cls in base.__subclasses__():
         yield from settings_classes(cls)
-        complete = all(one.default is not MISSING or one.default_factory is not MISSING for one in fields(cls))
+        complete = all(
+            one.default is not MISSING or one.default_factory is not MISSING for one in fields(cls)
+        )
         if complete and not cls.__subclasses__():
             yield cls
 
@@ -220,7 +237,11 @@ ARTIFACTS: dict[str, tuple[ArtifactFormat, Read]] = {
 def artifact(kind: str) -> Path:
     form = ARTIFACTS[kind][0]
     files = sorted(form.shipped.glob("*/manifest.yaml"))  # several kinds may share a folder
-    return next(file.parent for file in files if f"pcs-racing {form.noun}\n" in file.read_text(encoding="utf-8"))
+    return next(
+        file.parent
+        for file in files
+        if f"pcs-racing {form.noun}\n" in file.read_text(encoding="utf-8")
+    )
 
 
 def artifact_data(kind: str, data: bytes) -> object:
@@ -229,9 +250,12 @@ def artifact_data(kind: str, data: bytes) -> object:
     place = _copied(artifact(kind), form.data_file)
     (place / form.data_file).write_bytes(data)
     text = (artifact(kind) / "manifest.yaml").read_text(encoding="utf-8")
-    # The digest is replaced in the text rather than in the mapping, so that all else stays byte for byte.
+    # The digest is replaced in the text rather than in the mapping, so that all else stays byte for
+    # byte.
     old = yaml.safe_load(text)[form.digest_key]
-    (place / "manifest.yaml").write_text(text.replace(old, hashlib.sha256(data).hexdigest()), encoding="utf-8")
+    (place / "manifest.yaml").write_text(
+        text.replace(old, hashlib.sha256(data).hexdigest()), encoding="utf-8"
+    )
     return read(place)
 
 
@@ -249,16 +273,24 @@ def trees() -> tuple[Path, bytes, bytes]:
 def read_trees(manifest: bool, data: bytes) -> object:
     folder, sound, chunk = trees()
     (folder / "job.yaml").write_bytes(data if manifest else sound)
-    # Both files are written every time: the other target may have left broken ones in the same folder.
+    # Both files are written every time: the other target may have left broken ones in the same
+    # folder.
     signed(chunk_file(folder, "tree", 0), chunk if manifest else data)
     stored = load_trees(folder)
-    return stored.check(small_game()), stored[0].observations(0), stored[0].game_tree(), stored[0].statistics
+    return (
+        stored.check(small_game()),
+        stored[0].observations(0),
+        stored[0].game_tree(),
+        stored[0].statistics,
+    )
 
 
 @cache
 def chunk_seed() -> bytes:
     path = scratch() / "seed.npz"
-    write_chunk(path, {"lead": np.arange(6.0).reshape(2, 3), "names": np.array(["a", "bc"])}, fingerprint(1))
+    write_chunk(
+        path, {"lead": np.arange(6.0).reshape(2, 3), "names": np.array(["a", "bc"])}, fingerprint(1)
+    )
     return unsigned(path)
 
 
@@ -319,7 +351,9 @@ def small_map() -> Path:
     folder.mkdir(exist_ok=True)
     y, x = np.meshgrid(*(2 * [0.2 * (np.arange(60) + 0.5) - 6.0]), indexing="ij")
     away = np.hypot(x, y)
-    Image.fromarray(np.where((away > 2.2) & (away < 5.0), 255, 0).astype(np.uint8)).save(folder / "Ring_map.png")
+    Image.fromarray(np.where((away > 2.2) & (away < 5.0), 255, 0).astype(np.uint8)).save(
+        folder / "Ring_map.png"
+    )
     ros = "image: Ring_map.png\nresolution: 0.2\norigin: [-6.0, -6.0, 0.0]\nnegate: 0\n"
     (folder / "Ring_map.yaml").write_text(ros + "occupied_thresh: 0.45\nfree_thresh: 0.196\n")
     turn = np.linspace(0.0, 2.0 * np.pi, 60, endpoint=False)
@@ -327,10 +361,23 @@ def small_map() -> Path:
     np.savetxt(folder / "Ring_centerline.csv", rows, "%.4f", ", ")
     turn = np.append(turn, 2.0 * np.pi)
     zero = np.zeros(61)
-    line = [3.6 * turn, 3.6 * np.cos(turn), 3.6 * np.sin(turn), turn + np.pi / 2, zero + 1 / 3.6, zero + 5, zero]
+    line = [
+        3.6 * turn,
+        3.6 * np.cos(turn),
+        3.6 * np.sin(turn),
+        turn + np.pi / 2,
+        zero + 1 / 3.6,
+        zero + 5,
+        zero,
+    ]
     np.savetxt(folder / "Ring_raceline.csv", np.column_stack(line), "%.4f", "; ")
-    known = "{speed_range: [0.5, 1.0], start_spacing: 0.9, start_places: {left: [[1.0, 3.0]]}, left_share: 0.5}"
-    (folder / "Ring_track.yaml").write_text(f"description: a ring\ncalibration:\n  paper: {known}\n")
+    known = (
+        "{speed_range: [0.5, 1.0], start_spacing: 0.9, start_places: {left: [[1.0, 3.0]]},"
+        " left_share: 0.5}"
+    )
+    (folder / "Ring_track.yaml").write_text(
+        f"description: a ring\ncalibration:\n  paper: {known}\n"
+    )
     return folder
 
 
@@ -340,13 +387,19 @@ def ring(name: str) -> Seeds:
 
 def built(name: str) -> Callable[[bytes], object]:
     """Build a track of a map of which one file is fuzzed."""
-    return in_folder(small_map, name, lambda folder: load_track(find_map(folder / "Ring_map.yaml").yaml))
+    return in_folder(
+        small_map, name, lambda folder: load_track(find_map(folder / "Ring_map.yaml").yaml)
+    )
 
 
 def pictures() -> list[bytes]:
     grey = Image.fromarray((np.arange(144).reshape(12, 12) % 256).astype(np.uint8))
     found = []
-    for kind, mode in (*(("PNG", mode) for mode in ("L", "1", "RGB", "P", "LA")), ("BMP", "L"), ("PPM", "L")):
+    for kind, mode in (
+        *(("PNG", mode) for mode in ("L", "1", "RGB", "P", "LA")),
+        ("BMP", "L"),
+        ("PPM", "L"),
+    ):
         buffer = io.BytesIO()
         grey.convert(mode).save(buffer, kind)
         found.append(buffer.getvalue())
@@ -359,16 +412,25 @@ RESULTS = (
     "ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,"
     "ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves\n"
 )
-for race, ending in enumerate(("0,0,1.5,ego,none,none,1,0,40.0", "1,0,-1.5,none,wall,ego,1,0,12.0") * 2):
+for race, ending in enumerate(
+    ("0,0,1.5,ego,none,none,1,0,40.0", "1,0,-1.5,none,wall,ego,1,0,12.0") * 2
+):
     ego, other = 3 + race // 2, 4 + race // 2
     moves = f"{ego},{other},{ego}; 5,{other}; {other},restraint +,stay"
     RESULTS += f"never-switch,random-moves,Pipkin,{race},12.5,{ending},{moves}\n"
-CURVE = ",".join(EVALUATION_COLUMNS) + "\n0,100,paper,paper" + ",1" * (len(EVALUATION_COLUMNS) - 4) + "\n"
+CURVE = (
+    ",".join(EVALUATION_COLUMNS)
+    + "\n0,100,paper,paper"
+    + ",1" * (len(EVALUATION_COLUMNS) - 4)
+    + "\n"
+)
 
 
 @cache
 def tournament_folder() -> Path:
-    plan = plan_tournament([load_track("Pipkin")], ["never-switch", "random-moves"], races_per_pair=2)
+    plan = plan_tournament(
+        [load_track("Pipkin")], ["never-switch", "random-moves"], races_per_pair=2
+    )
     folder = scratch() / "tournament"
     with open_job(folder, "tournament", tournament_settings(plan)):
         (folder / "results.csv").write_text(RESULTS)
@@ -426,11 +488,22 @@ def inputs(name: str, data: bytes) -> object:
         return env.set_state(draw.value(env.get_state()))
     sound = sound_action(env)
     if isinstance(sound, dict):
-        return env.step(draw.value(sound, {agent: draw.value(action) for agent, action in sound.items()}, {"car_0": 0}))
-    # Numbers too large for 32 bits become infinite, with a warning of numpy's that is ours and not the environment's.
+        return env.step(
+            draw.value(
+                sound, {agent: draw.value(action) for agent, action in sound.items()}, {"car_0": 0}
+            )
+        )
+    # Numbers too large for 32 bits become infinite, with a warning of numpy's that is ours and not
+    # the environment's.
     with np.errstate(all="ignore"):
-        odd = np.array([draw.number() for _ in range(np.size(sound))]).reshape(np.shape(sound)).astype(np.float32)
-    return env.step(draw.value(sound, odd, odd.tolist(), np.float64(sound), [[1], [1]], np.array(2), -1, 4))
+        odd = (
+            np.array([draw.number() for _ in range(np.size(sound))])
+            .reshape(np.shape(sound))
+            .astype(np.float32)
+        )
+    return env.step(
+        draw.value(sound, odd, odd.tolist(), np.float64(sound), [[1], [1]], np.array(2), -1, 4)
+    )
 
 
 def made(name: str, data: bytes) -> object:
@@ -441,7 +514,11 @@ def made(name: str, data: bytes) -> object:
     if cls.declared.more is not None:
         likely |= {one.name: one.default for one in fields(cls.declared.more)}
     likely |= arguments
-    given = {"track": "Pipkin", **arguments, **draw.keywords({key: (value,) for key, value in likely.items()})}
+    given = {
+        "track": "Pipkin",
+        **arguments,
+        **draw.keywords({key: (value,) for key, value in likely.items()}),
+    }
     env = cls(**given)
     env.reset(seed=1)
     result = env.step(sound_action(env))
@@ -450,13 +527,22 @@ def made(name: str, data: bytes) -> object:
 
 
 OLD_ARGUMENTS: dict[str, tuple[Any, ...]] = {
-    "seed": (1,), "num_agents": (1, 2, 3), "timestep": (0.01, 0.02), "ego_idx": (0, 1), "params": ({"mu": 0.8}, {}),
-}  # fmt: skip
+    "seed": (1,),
+    "num_agents": (1, 2, 3),
+    "timestep": (0.01, 0.02),
+    "ego_idx": (0, 1),
+    "params": ({"mu": 0.8}, {}),
+}
 OLD_CONFIG: dict[str, tuple[Any, ...]] = {
-    "integrator": ("rk4", "euler"), "model": ("st", "ks", "mb"), "control_input": ("speed", ["accl", "steering_speed"]),
-    "observation_config": ({"type": "original"}, {"type": "features", "features": ["scan", "collision"]}),
+    "integrator": ("rk4", "euler"),
+    "model": ("st", "ks", "mb"),
+    "control_input": ("speed", ["accl", "steering_speed"]),
+    "observation_config": (
+        {"type": "original"},
+        {"type": "features", "features": ["scan", "collision"]},
+    ),
     "reset_config": ({"type": "cl_random_random"}, {"type": "rl_grid_static", "min_dist": 2.0}),
-}  # fmt: skip
+}
 
 
 def old_program(generation: str, data: bytes) -> object:
@@ -469,18 +555,26 @@ def old_program(generation: str, data: bytes) -> object:
             env = GenerationA(**{"map": "Pipkin", "faithful": draw.byte() % 2 > 0, **arguments})
         else:
             config = {"map": "Pipkin", **draw.keywords({**OLD_ARGUMENTS, **OLD_CONFIG})}
-            env = GenerationB(draw.value(config, config), faithful=draw.byte() % 2 > 0, render_mode="rgb_array")
+            env = GenerationB(
+                draw.value(config, config), faithful=draw.byte() % 2 > 0, render_mode="rgb_array"
+            )
         poses = np.array([[0.5 * i, 0.0, 1.0] for i in range(env.num_agents)])
         for _ in range(1 + draw.byte() % 6):
             what = draw.byte() % 8
             if what < 2 or not env.sim.started:
                 odd = draw.value(poses, poses, poses.tolist())
-                env.reset(odd) if generation == "a" else env.reset(seed=1, options=draw.value(None, {"poses": odd}))
+                (
+                    env.reset(odd)
+                    if generation == "a"
+                    else env.reset(seed=1, options=draw.value(None, {"poses": odd}))
+                )
             elif what < 5:
                 with np.errstate(all="ignore"):
                     env.step(draw.value(env.action_space.sample(), env.action_space.sample()))
             elif what == 5:
-                env.update_params(draw.value({"mu": 1.0}, {"width": draw.number()}), draw.value(0, -1))
+                env.update_params(
+                    draw.value({"mu": 1.0}, {"width": draw.number()}), draw.value(0, -1)
+                )
             elif what == 6:
                 env.add_render_callback(lambda renderer: renderer.cars)
             else:
@@ -490,17 +584,36 @@ def old_program(generation: str, data: bytes) -> object:
 
 def opponents(data: bytes) -> object:
     draw = Draw(data)
-    names = ("never-switch", "random-moves", "always-restraint+", "lattice:pace=0.9", "lane-switcher:3")
+    names = (
+        "never-switch",
+        "random-moves",
+        "always-restraint+",
+        "lattice:pace=0.9",
+        "lane-switcher:3",
+    )
     mixed = [(1, names[0]), (draw.number(), names[1])]
     return parse_opponents(draw.value(*names, mixed, [draw.value(*names)]), small_game())
 
 
-POLICIES = ("lattice", "lattice:pace=0.8,side_margin=0.2", "lane-switcher:3", "pure-pursuit", "gap-follower")
+POLICIES = (
+    "lattice",
+    "lattice:pace=0.8,side_margin=0.2",
+    "lane-switcher:3",
+    "pure-pursuit",
+    "gap-follower",
+)
 AGENTS = (
-    *(*POLICIES, "never-switch", "random-moves", "always-restraint+", "best-fixed", "best-schedule:fit=x.yaml"),
+    *(
+        *POLICIES,
+        "never-switch",
+        "random-moves",
+        "always-restraint+",
+        "best-fixed",
+        "best-schedule:fit=x.yaml",
+    ),
     *("cfr-argmax", "cfr-argmax:network=default-paper-regret", "random-policy"),
     "adaptive:margin=0.1",
-)  # fmt: skip
+)
 
 
 @cache
@@ -511,24 +624,38 @@ def spec() -> Any:
 TARGETS: dict[str, Target] = {
     "map yaml": Target(lambda data: parse_ros_yaml(MAP, data), ring("Ring_map.yaml"), "yaml"),
     "map info yaml": Target(
-        lambda data: parse_info(MAP, data), files("*/*_track.yaml", find_shipped("Pipkin").parent), "yaml"
+        lambda data: parse_info(MAP, data),
+        files("*/*_track.yaml", find_shipped("Pipkin").parent),
+        "yaml",
     ),
     "map picture": Target(lambda data: parse_grid(MAP, data, ROS), pictures, "binary"),
     "map centre line": Target(
-        lambda data: parse_csv(MAP, data, CENTERLINE_COLUMNS, ","), ring("Ring_centerline.csv"), "csv"
+        lambda data: parse_csv(MAP, data, CENTERLINE_COLUMNS, ","),
+        ring("Ring_centerline.csv"),
+        "csv",
     ),
-    "map race line": Target(lambda data: parse_csv(MAP, data, RACELINE_COLUMNS, ";"), ring("Ring_raceline.csv"), "csv"),
+    "map race line": Target(
+        lambda data: parse_csv(MAP, data, RACELINE_COLUMNS, ";"), ring("Ring_raceline.csv"), "csv"
+    ),
     "map folder": Target(
         in_folder(small_map, "Ring_map.yaml", lambda folder: read_map(folder / "Ring_map.yaml")),
         ring("Ring_map.yaml"),
         "yaml",
     ),
     "track of a yaml": Target(built("Ring_map.yaml"), ring("Ring_map.yaml"), "yaml", 3000),
-    "track of a centre line": Target(built("Ring_centerline.csv"), ring("Ring_centerline.csv"), "csv", 3000),
-    "track of a race line": Target(built("Ring_raceline.csv"), ring("Ring_raceline.csv"), "csv", 3000),
+    "track of a centre line": Target(
+        built("Ring_centerline.csv"), ring("Ring_centerline.csv"), "csv", 3000
+    ),
+    "track of a race line": Target(
+        built("Ring_raceline.csv"), ring("Ring_raceline.csv"), "csv", 3000
+    ),
     "track of a picture": Target(built("Ring_map.png"), ring("Ring_map.png"), "binary", 3000),
-    "track name": Target(as_text(load_track), texts("Pipkin", "tarnfjord", "./x", "maps/Pipkin"), "text"),
-    "archive name": Target(as_text(load_archive), texts("default", "contest", "archives/default"), "text"),
+    "track name": Target(
+        as_text(load_track), texts("Pipkin", "tarnfjord", "./x", "maps/Pipkin"), "text"
+    ),
+    "archive name": Target(
+        as_text(load_archive), texts("default", "contest", "archives/default"), "text"
+    ),
     "policy text": Target(as_text(parse_policy), texts(*POLICIES), "text"),
     "agent text": Target(as_text(lambda text: parse_agent(text, spec())), texts(*AGENTS), "text"),
     "opponents": Target(opponents, values(40), "values"),
@@ -537,23 +664,40 @@ TARGETS: dict[str, Target] = {
     "yaml": Target(plain_yaml, files("*.yaml", shipped_fits()), "yaml"),
     "arrays": Target(unpack_arrays, lambda: [chunk_seed()], "npz"),
     "chunk": Target(
-        as_file(read_chunk, "chunk.npz"), lambda: [chunk_seed(), (scratch() / "seed.npz").read_bytes()], "binary"
+        as_file(read_chunk, "chunk.npz"),
+        lambda: [chunk_seed(), (scratch() / "seed.npz").read_bytes()],
+        "binary",
     ),
     "chunk, signed": Target(signed_chunk, lambda: [chunk_seed()], "npz"),
     "tree manifest": Target(partial(read_trees, True), lambda: [trees()[1]], "yaml"),
     "tree chunk, signed": Target(partial(read_trees, False), lambda: [trees()[2]], "npz"),
     "job manifest": Target(
-        in_folder(job_folder, "job.yaml", job), lambda: [(job_folder() / "job.yaml").read_bytes()], "yaml"
+        in_folder(job_folder, "job.yaml", job),
+        lambda: [(job_folder() / "job.yaml").read_bytes()],
+        "yaml",
     ),
     "replay json": Target(as_file(read_replay, "race.json"), lambda: [replay("seed.json")], "json"),
-    "replay page": Target(as_file(read_replay, "race.html"), lambda: [replay("seed.html")], "binary"),
-    "fit": Target(as_file(load_fit, "fit.yaml"), files("*.yaml", shipped_fits()), "yaml", plain=True),
-    "card": Target(card, lambda: [file.read_bytes() for file in card_folder().glob("response/*")], "json", plain=True),
+    "replay page": Target(
+        as_file(read_replay, "race.html"), lambda: [replay("seed.html")], "binary"
+    ),
+    "fit": Target(
+        as_file(load_fit, "fit.yaml"), files("*.yaml", shipped_fits()), "yaml", plain=True
+    ),
+    "card": Target(
+        card,
+        lambda: [file.read_bytes() for file in card_folder().glob("response/*")],
+        "json",
+        plain=True,
+    ),
     "job digest": Target(
-        in_folder(job_folder, ".job.sha256", job), lambda: [(job_folder() / ".job.sha256").read_bytes()], "text"
+        in_folder(job_folder, ".job.sha256", job),
+        lambda: [(job_folder() / ".job.sha256").read_bytes()],
+        "text",
     ),
     "results table": Target(
-        in_folder(tournament_folder, "results.csv", lambda folder: make_table(open_results(folder).races)),
+        in_folder(
+            tournament_folder, "results.csv", lambda folder: make_table(open_results(folder).races)
+        ),
         texts(RESULTS),
         "csv",
     ),
@@ -566,16 +710,24 @@ TARGETS: dict[str, Target] = {
         "yaml",
     ),
     "loss table": Target(
-        as_file(read_curves, "curve.csv"), texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"), "csv"
+        as_file(read_curves, "curve.csv"),
+        texts("epoch,training_loss,validation_loss\n0,1.5,2\n1,1,2\n"),
+        "csv",
     ),
     "ppo curve": Target(as_file(read_evaluations, "ppo.csv"), texts(CURVE), "csv"),
 }
 for kind, load in CONFIGS.items():
-    TARGETS[f"{kind} config"] = Target(as_file(load, f"{kind}.yaml"), partial(config_seeds, kind), "yaml", plain=True)
+    TARGETS[f"{kind} config"] = Target(
+        as_file(load, f"{kind}.yaml"), partial(config_seeds, kind), "yaml", plain=True
+    )
 for kind, (form, load) in ARTIFACTS.items():
     for file in ("manifest.yaml", form.data_file):
         kind_of_file = {".yaml": "yaml", ".npz": "npz"}.get(Path(file).suffix, "binary")
-        run = partial(artifact_data, kind) if file == form.data_file else in_folder(partial(artifact, kind), file, load)
+        run = (
+            partial(artifact_data, kind)
+            if file == form.data_file
+            else in_folder(partial(artifact, kind), file, load)
+        )
         seeds = partial(lambda kind, file: [(artifact(kind) / file).read_bytes()], kind, file)
         TARGETS[f"{kind} {Path(file).stem}"] = Target(run, seeds, kind_of_file, plain=True)
 for cls in settings_classes():

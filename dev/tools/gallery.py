@@ -1,10 +1,11 @@
-"""Write the GIFs of the gallery, the table of its scenes, scenes.csv, and the sheet of drivers to docs/images/gallery.
+"""Write the GIFs of the gallery, the table of its scenes, scenes.csv, and the sheet of drivers to
+docs/images/gallery.
 
     python dev/tools/gallery.py
 
-For each circuit of `CIRCUITS`, the races 0, 1, 2, ... of one seed are simulated in this order. The first race that
-contains a scene of a kind gives the GIF of that kind; `SCENES` says what counts as one.
-The page is made of the table whenever the site is built (``docs/site_pages.py``).
+For each circuit of `CIRCUITS`, the races 0, 1, 2, ... of one seed are simulated in this order. The
+first race that contains a scene of a kind gives the GIF of that kind; `SCENES` says what counts as
+one. The page is made of the table whenever the site is built (``docs/site_pages.py``).
 """
 
 import csv
@@ -17,7 +18,15 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from pcs_racing import CONTEST, RaceConfig, get_planner, load_track, parse_policy, planner_names, record_race
+from pcs_racing import (
+    CONTEST,
+    RaceConfig,
+    get_planner,
+    load_track,
+    parse_policy,
+    planner_names,
+    record_race,
+)
 from pcs_racing.base.files import write_atomically
 from pcs_racing.race.frames import replay_frames, write_gif
 from pcs_racing.race.rendering import Renderer
@@ -33,27 +42,38 @@ SEED = 1
 RACES = 300
 LARGEST = 600_000  # bytes of a GIF
 # For the sheet of drivers: they begin 4 m behind a car with 0.6 of their speed.
-BEHIND = RaceConfig(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.66, 1.1), steering_noise=0.01)
+BEHIND = RaceConfig(
+    start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.66, 1.1), steering_noise=0.01
+)
 
 BEFORE, AFTER = 4.0, 2.0  # s of a clip before and after its moment
 CLOSE, DEFENDED = 1.5, 4.0  # m behind, and for how many s
 
 
 def find_overtake(replay: Replay) -> float | None:
-    """Return the moment of the first overtake after which the new leader leads for at least AFTER, or None."""
+    """Return the moment of the first overtake after which the new leader leads for at least AFTER,
+    or None.
+    """
     lead = np.asarray(replay.lead)
     kept = round(AFTER / replay.frame_dt)
     for event in replay.events:
         at = round(event.time / replay.frame_dt)
         sign = 1.0 if event.car == 0 else -1.0
         after = sign * lead[at : at + kept]
-        if event.kind == "overtake" and event.time >= BEFORE and len(after) == kept and (after > 0.0).all():
+        if (
+            event.kind == "overtake"
+            and event.time >= BEFORE
+            and len(after) == kept
+            and (after > 0.0).all()
+        ):
             return float(event.time)
     return None
 
 
 def find_defence(replay: Replay) -> float | None:
-    """Return when one car has stayed less than CLOSE behind the other for DEFENDED without overtaking, or None."""
+    """Return when one car has stayed less than CLOSE behind the other for DEFENDED without
+    overtaking, or None.
+    """
     lead = np.asarray(replay.lead)
     run = 0
     for i, value in enumerate(lead):
@@ -67,7 +87,11 @@ def find_defence(replay: Replay) -> float | None:
 
 def find_crash(replay: Replay) -> float | None:
     """Return the moment of the first contact between the cars that has a guilty one, or None."""
-    times = [event.time for event in replay.events if event.kind == "crash" and event.text.endswith("the other car")]
+    times = [
+        event.time
+        for event in replay.events
+        if event.kind == "crash" and event.text.endswith("the other car")
+    ]
     return float(times[0]) if times and times[0] >= BEFORE else None
 
 
@@ -82,7 +106,8 @@ class Scene(NamedTuple):
 SCENES = {
     "overtake": Scene(
         "Overtakes",
-        f"A car passes the other one at least {BEFORE:.0f} s after the start, and leads for the next {AFTER:.0f} s.",
+        f"A car passes the other one at least {BEFORE:.0f} s after the start, and leads for the"
+        f" next {AFTER:.0f} s.",
         find_overtake,
     ),
     "defence": Scene(
@@ -115,7 +140,9 @@ END = """## Make your own
 
 
 class Clip(NamedTuple):
-    """A scene that was found: kind, circuit, number of the race, moment in s, and how the race ended."""
+    """A scene that was found: kind, circuit, number of the race, moment in s, and how the race
+    ended.
+    """
 
     kind: str
     circuit: str
@@ -139,7 +166,10 @@ def find_clips(circuit: str) -> list[tuple[Clip, Replay]]:
             time = SCENES[kind].find(replay)
             if time is not None:
                 outcome = replay.outcome.replace(FAST, "fast").replace(SLOW, "slow")
-                found[kind] = Clip(kind, circuit, race, time, outcome), replace(replay, car_names=("fast", "slow"))
+                found[kind] = (
+                    Clip(kind, circuit, race, time, outcome),
+                    replace(replay, car_names=("fast", "slow")),
+                )
         if len(found) == len(SCENES):
             break
     missing = SCENES.keys() - found.keys()
@@ -165,20 +195,30 @@ def cut(replay: Replay, time: float) -> Replay:
 
 
 def drivers_sheet() -> Image.Image:
-    """Each driver and its plan where it comes nearest to a slower car in front, in the first race that it passes in."""
+    """Each driver and its plan where it comes nearest to a slower car in front, in the first race
+    that it passes in.
+    """
     names, (width, height), columns = sorted(planner_names()), (400, 280), 3
     sheet = Image.new("RGB", (columns * width, -(-len(names) // columns) * height), "white")
     track, slow = load_track(CIRCUITS[0]), parse_policy("pure-pursuit:pace=0,follow_distance=0")
     for k, name in enumerate(names):
         planner = get_planner(name)
         fast = planner.policy({key: 1.0 for key in planner.parameter_names if key == "pace"})
-        races = [record_race(track, fast, slow, BEHIND, seed=SEED, index=race) for race in range(10)]
+        races = [
+            record_race(track, fast, slow, BEHIND, seed=SEED, index=race) for race in range(10)
+        ]
         behind = [race for race in races if race.lead[0] < 0.0]
         replay = replace(next(filter(find_overtake, behind), behind[0]), car_names=(name, "slower"))
         lead = np.asarray(replay.lead)
         time = float(np.argmax(np.where(lead < 0.0, lead, -np.inf))) * replay.frame_dt
-        frames = list(replay_frames(replay, Renderer(replay, width, height, view="both"), fps=10.0, candidates=True))
-        sheet.paste(Image.fromarray(frames[int(10.0 * time)]), (k % columns * width, k // columns * height))
+        frames = list(
+            replay_frames(
+                replay, Renderer(replay, width, height, view="both"), fps=10.0, candidates=True
+            )
+        )
+        sheet.paste(
+            Image.fromarray(frames[int(10.0 * time)]), (k % columns * width, k // columns * height)
+        )
     return sheet.quantize(128, dither=Image.Dither.NONE)
 
 
@@ -186,7 +226,10 @@ def scenes() -> list[Clip]:
     """Return the scenes of the table."""
     with open(TABLE, newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
-    return [Clip(row["kind"], row["circuit"], int(row["race"]), float(row["time"]), row["outcome"]) for row in rows]
+    return [
+        Clip(row["kind"], row["circuit"], int(row["race"]), float(row["time"]), row["outcome"])
+        for row in rows
+    ]
 
 
 def write_scenes(clips: list[Clip]) -> None:
@@ -207,7 +250,10 @@ def gallery_page() -> str:
         for clip in (clip for clip in clips if clip.kind == kind):
             blocks += [
                 f"![{kind.capitalize()} on {clip.circuit}, seen from above](../{clip.path})",
-                f"{clip.circuit}, race {clip.race}, around {clip.time:.1f} s. How the race ended: {clip.outcome}.",
+                (
+                    f"{clip.circuit}, race {clip.race}, around {clip.time:.1f} s. How the race"
+                    f" ended: {clip.outcome}."
+                ),
             ]
     blocks.append(END.strip())
     return "\n\n".join(blocks) + "\n"
@@ -221,12 +267,18 @@ def main() -> None:
         for clip, replay in find_clips(circuit):
             scene = cut(replay, clip.time)
             path = write_gif(
-                scene, DOCS / clip.path, renderer=Renderer(scene, 420, 300, view="both"), fps=10.0, speed=1.0
+                scene,
+                DOCS / clip.path,
+                renderer=Renderer(scene, 420, 300, view="both"),
+                fps=10.0,
+                speed=1.0,
             )
             size = path.stat().st_size
             print(f"{path}: race {clip.race}, {clip.time:.1f} s, {size:,} bytes", flush=True)
             if size > LARGEST:
-                raise SystemExit(f"gallery: {path.name} has {size:,} bytes; at most {LARGEST:,} are allowed")
+                raise SystemExit(
+                    f"gallery: {path.name} has {size:,} bytes; at most {LARGEST:,} are allowed"
+                )
             clips.append(clip)
     write_scenes(clips)
     print(TABLE)

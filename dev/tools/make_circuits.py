@@ -1,4 +1,5 @@
-"""Makes every generated circuit of a folder again, each from the seed and settings in its ``NAME_track.yaml``.
+"""Makes every generated circuit of a folder again, each from the seed and settings in its
+``NAME_track.yaml``.
 
     python dev/tools/make_circuits.py maps
 
@@ -20,15 +21,20 @@ def make_again(folder: Path) -> Track:
     info = read_map(folder).info
     missing = [key for key in ("seed", "style") if key not in info]
     if missing:
-        raise MapError(f"{folder} was not generated: its track.yaml has no {' and no '.join(missing)}")
+        raise MapError(
+            f"{folder} was not generated: its track.yaml has no {' and no '.join(missing)}"
+        )
     track = generate_map(folder, **{key: info[key] for key in SETTINGS if key in info})
-    # Generating writes a fresh track.yaml; the description and the calibration of the old one are kept.
+    # Generating writes a fresh track.yaml; the description and the calibration of the old one are
+    # kept.
     write_map(read_map(folder)._replace(info=info))
     return track
 
 
 def main() -> None:
-    for folder in sorted(path for parent in sys.argv[1:] for path in Path(parent).iterdir() if path.is_dir()):
+    for folder in sorted(
+        path for parent in sys.argv[1:] for path in Path(parent).iterdir() if path.is_dir()
+    ):
         print(f"{folder.name}: {make_again(folder).length:.1f} m", flush=True)
 
 

@@ -1,9 +1,10 @@
-"""Keep the results that belong to the present versions of the environments, as `docs/versions.md` says.
+"""Keep the results that belong to the present versions of the environments, as `docs/versions.md`
+says.
 
     python dev/tools/make_goldens.py
 
-Results of a version that are there already are compared, never replaced: if they differ, the environment needs the next
-number behind its ``-v``.
+Results of a version that are there already are compared, never replaced: if they differ, the
+environment needs the next number behind its ``-v``.
 """
 
 import io
@@ -35,7 +36,15 @@ def main() -> None:
         wrong += [f"{name}: {line}" for line in lines]
     if wrong:
         sys.exit(
-            "\n".join([*wrong, "nothing was replaced: give these environments the next number (docs/versions.md)"])
+            "\n".join(
+                [
+                    *wrong,
+                    (
+                        "nothing was replaced: give these environments the next number"
+                        " (docs/versions.md)"
+                    ),
+                ]
+            )
         )
 
 

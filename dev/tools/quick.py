@@ -1,10 +1,11 @@
-"""Run the tests of the rooms that a change touches: of files that differ from a branch, and that git does not know.
+"""Run the tests of the rooms that a change touches: of files that differ from a branch, and that
+git does not know.
 
     python dev/tools/quick.py
     python dev/tools/quick.py --against origin/main --list
 
-The tests of ``pcs_racing/car/lidar.py`` are those in ``tests/pcs_racing/car``; a changed test file runs as well. The
-floors and the budgets are always checked. All tests run with ``make test``.
+The tests of ``pcs_racing/car/lidar.py`` are those in ``tests/pcs_racing/car``; a changed test file
+runs as well. The floors and the budgets are always checked. All tests run with ``make test``.
 """
 
 import argparse
@@ -27,7 +28,8 @@ def select(changed: list[str]) -> list[str]:
             folder = Path("tests/test_docs.py")
         elif path.parts[0] not in ("pcs_racing", "pcs_racing_agents") or path.name == "__init__.py":
             continue
-        # Rooms without a folder of tests of their own belong to the one around them, but for the whole package.
+        # Rooms without a folder of tests of their own belong to the one around them, but for the
+        # whole package.
         while not (REPOSITORY / folder).exists() and len(folder.parts) > 3:
             folder = folder.parent
         if (REPOSITORY / folder).exists():
@@ -36,18 +38,29 @@ def select(changed: list[str]) -> list[str]:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--against", default="HEAD", help="branch or commit to compare with")
     parser.add_argument("--list", action="store_true", help="print the tests, and run none")
     arguments = parser.parse_args()
-    asked = (["diff", "--name-only", arguments.against], ["ls-files", "--others", "--exclude-standard"])
+    asked = (
+        ["diff", "--name-only", arguments.against],
+        ["ls-files", "--others", "--exclude-standard"],
+    )
     changed: list[str] = []
     for one in asked:
-        done = subprocess.run(["git", *one], cwd=REPOSITORY, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            ["git", *one], cwd=REPOSITORY, capture_output=True, text=True, check=True
+        )
         changed += done.stdout.splitlines()
     tests = select(changed)
     print("\n".join(tests), flush=True)
-    return 0 if arguments.list else subprocess.run([sys.executable, "-m", "pytest", *tests], cwd=REPOSITORY).returncode
+    return (
+        0
+        if arguments.list
+        else subprocess.run([sys.executable, "-m", "pytest", *tests], cwd=REPOSITORY).returncode
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""From a finished study to what the package ships: its networks, and what was chosen on its training races.
+"""From a finished study to what the package ships: its networks, and what was chosen on its
+training races.
 
     pcs-racing study paper --out out/paper
     python dev/tools/ship_study.py paper out/paper .
@@ -32,10 +33,14 @@ def ship(study: Study, checkout: Path) -> list[Path]:
         kinds["gain"] = study.config.responses[0]
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
-        written.append(save_network(replace(load_network(study.network(found)), name=name), networks / name))
+        written.append(
+            save_network(replace(load_network(study.network(found)), name=name), networks / name)
+        )
     if study.config.ppo is not None:
         name = f"{stem}-ppo"
-        place = save_network(replace(load_network(study.network("ppo")), name=name), networks / name)
+        place = save_network(
+            replace(load_network(study.network("ppo")), name=name), networks / name
+        )
         shutil.copyfile(study.network("ppo") / "curve.csv", place / "curve.csv")
         written.append(place)
     folder = data / "fits"

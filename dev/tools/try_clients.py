@@ -1,11 +1,12 @@
-"""Run the example of every client library in an environment of its own, and print a table of versions and results.
+"""Run the example of every client library in an environment of its own, and print a table of
+versions and results.
 
     python dev/tools/try_clients.py
     python dev/tools/try_clients.py --only rllib_ppo sb3_ppo --out out/clients
 
-Each file of ``examples/clients`` names its libraries in a block of inline metadata (PEP 723). A virtual environment is
-made for each file and kept in the folder ``--out``; all together take some gigabytes and, the first time, half an hour.
-The table at the end stands in docs/reports/clients.md.
+Each file of ``examples/clients`` names its libraries in a block of inline metadata (PEP 723). A
+virtual environment is made for each file and kept in the folder ``--out``; all together take some
+gigabytes and, the first time, half an hour. The table at the end stands in docs/reports/clients.md.
 """
 
 import argparse
@@ -42,8 +43,13 @@ def dependencies(script: Path) -> list[str]:
     """Return the libraries that a script names in its inline metadata."""
     found = METADATA.search(script.read_text(encoding="utf-8"))
     if found is None:
-        raise ValueError(f"{script} has no block of inline metadata (PEP 723); it must begin with '# /// script'")
-    text = "".join(line[2:] if line.startswith("# ") else line[1:] for line in found[1].splitlines(keepends=True))
+        raise ValueError(
+            f"{script} has no block of inline metadata (PEP 723); it must begin with '# /// script'"
+        )
+    text = "".join(
+        line[2:] if line.startswith("# ") else line[1:]
+        for line in found[1].splitlines(keepends=True)
+    )
     libraries: list[str] = tomllib.loads(text)["dependencies"]
     return libraries
 
@@ -67,7 +73,16 @@ def environment(script: Path, folder: Path) -> Path:
         subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True)
         limits = folder / "constraints.txt"
         limits.write_text(TORCH)
-        pip = [python, "-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--constraint", limits]
+        pip = [
+            python,
+            "-m",
+            "pip",
+            "--disable-pip-version-check",
+            "install",
+            "--quiet",
+            "--constraint",
+            limits,
+        ]
         subprocess.run([*pip, "--editable", ROOT, *dependencies(script)], check=True)
         stamp.write_text(wanted)
     return python
@@ -84,16 +99,31 @@ def row(script: Path, installed: dict[str, str], verdict: str, seconds: float) -
         How long the script ran.
     """
     names = [re.split(r"[\[=<>]", each)[0] for each in dependencies(script)]
-    own = [f"{name} {installed[name.lower().replace('_', '-')]}" for name in names if name not in SHARED]
+    own = [
+        f"{name} {installed[name.lower().replace('_', '-')]}"
+        for name in names
+        if name not in SHARED
+    ]
     shared = [installed.get(name, "") for name in SHARED]
-    return "| " + " | ".join([f"`{script.name}`", ", ".join(own), *shared, verdict, f"{seconds:.0f}"]) + " |"
+    return (
+        "| "
+        + " | ".join([f"`{script.name}`", ", ".join(own), *shared, verdict, f"{seconds:.0f}"])
+        + " |"
+    )
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="names of files of examples/clients without .py")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
-        "--out", type=Path, default=ROOT / "out" / "clients", help="folder of the environments and logs"
+        "--only", nargs="+", metavar="NAME", help="names of files of examples/clients without .py"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=ROOT / "out" / "clients",
+        help="folder of the environments and logs",
     )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -102,10 +132,17 @@ def main() -> None:
         python = environment(script, given.out / script.stem)
         log, begun = given.out / f"{script.stem}.log", time.monotonic()
         with log.open("w") as output:
-            code = subprocess.run([python, script], cwd=ROOT, stdout=output, stderr=subprocess.STDOUT).returncode
+            code = subprocess.run(
+                [python, script], cwd=ROOT, stdout=output, stderr=subprocess.STDOUT
+            ).returncode
         seconds = time.monotonic() - begun
-        print(f"{script.stem}: {'works' if code == 0 else f'fails, see {log}'}, {seconds:.0f} s", flush=True)
-        installed = json.loads(subprocess.run([python, "-c", VERSIONS], check=True, capture_output=True).stdout)
+        print(
+            f"{script.stem}: {'works' if code == 0 else f'fails, see {log}'}, {seconds:.0f} s",
+            flush=True,
+        )
+        installed = json.loads(
+            subprocess.run([python, "-c", VERSIONS], check=True, capture_output=True).stdout
+        )
         table.append(row(script, installed, "yes" if code == 0 else "no", seconds))
         failed += [script.stem] * (code != 0)
     print("\n" + "\n".join([HEAD, *table]))

@@ -2,9 +2,10 @@
 
     python dev/tools/try_wheel.py dist --parts base demo
 
-First the base installation alone: what ships is inside, a race, a tournament and an agent with its network run, and
-whoever asks for an extra that is missing is told its name. The part ``demo`` is the extras of `make demo`
-and the quick study. Prints sizes and times, and ends with an error at the first thing that does not work.
+First the base installation alone: what ships is inside, a race, a tournament and an agent with its
+network run, and whoever asks for an extra that is missing is told its name. The part ``demo`` is
+the extras of `make demo` and the quick study. Prints sizes and times, and ends with an error at the
+first thing that does not work.
 """
 
 import argparse
@@ -18,7 +19,16 @@ from pathlib import Path
 from zipfile import ZipFile
 
 EXTRAS = "mapping,plots,learning"
-NOT_IN_BASE = ("torch", "stable_baselines3", "matplotlib", "cma", "moocore", "pandas", "skimage", "clarabel")
+NOT_IN_BASE = (
+    "torch",
+    "stable_baselines3",
+    "matplotlib",
+    "cma",
+    "moocore",
+    "pandas",
+    "skimage",
+    "clarabel",
+)
 INSIDE = (
     "pcs_racing/race/replay.html",
     "pcs_racing/py.typed",
@@ -73,13 +83,21 @@ class Environment:
         self.scripts = home / ("Scripts" if os.name == "nt" else "bin")
         self.packages = home
         # PYTHONPATH would find the source tree instead of the wheel.
-        self.variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
-        self.variables["NUMBA_CACHE_DIR"] = str(folder / "numba")  # compiled from nothing, as at a user's
+        self.variables = {
+            name: value for name, value in os.environ.items() if not name.startswith("PYTHON")
+        }
+        # compiled from nothing, as at a user's
+        self.variables["NUMBA_CACHE_DIR"] = str(folder / "numba")
 
     def run(self, *command: object, failing: bool = False) -> str:
         """Run a program of the environment in the empty folder; return what it printed."""
         program, *arguments = map(str, command)
-        print("$", program, *(argument if len(argument) < 80 else "..." for argument in arguments), flush=True)
+        print(
+            "$",
+            program,
+            *(argument if len(argument) < 80 else "..." for argument in arguments),
+            flush=True,
+        )
         begin, before = time.perf_counter(), processor_seconds()
         done = subprocess.run(
             [self.scripts / program, *arguments],
@@ -107,7 +125,12 @@ class Environment:
         times = []
         for _ in range(5):
             before = processor_seconds()
-            subprocess.run([self.scripts / "python", "-c", statement], cwd=self.folder, env=self.variables, check=True)
+            subprocess.run(
+                [self.scripts / "python", "-c", statement],
+                cwd=self.folder,
+                env=self.variables,
+                check=True,
+            )
             times.append(processor_seconds() - before)
         return min(times)
 
@@ -123,7 +146,10 @@ def check_contents(wheel: Path) -> None:
     if strays:
         sys.exit(f"{wheel.name} should not hold {strays[0]}")
     unpacked = sum(entry.file_size for entry in ZipFile(wheel).infolist())
-    print(f"{wheel.name}: {len(names)} files, {wheel.stat().st_size / 1e6:.2f} MB, unpacked {unpacked / 1e6:.2f} MB")
+    print(
+        f"{wheel.name}: {len(names)} files, {wheel.stat().st_size / 1e6:.2f} MB, unpacked"
+        f" {unpacked / 1e6:.2f} MB"
+    )
 
 
 def try_base(environment: Environment, wheel: Path) -> None:
@@ -135,16 +161,43 @@ def try_base(environment: Environment, wheel: Path) -> None:
     if told.strip().splitlines()[-1].split()[2:] != list(NOT_IN_BASE):
         sys.exit("the base installation brought something along that it should not")
     bare = environment.seconds("pass")
-    environment.run("python", "-c", "import pcs_racing, pcs_racing_agents.cli.main")  # writes the bytecode
+    # writes the bytecode
+    environment.run("python", "-c", "import pcs_racing, pcs_racing_agents.cli.main")
     print("beyond those of an empty program:")
     for package in ("numpy", "numba", "gymnasium, pettingzoo", "pcs_racing", "pcs_racing_agents"):
-        print(f"import {package}: {environment.seconds(f'import {package}') - bare:.2f} s of processor time")
-    race = ("race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "lane-switcher:3", "--seed", 1)
+        print(
+            f"import {package}: {environment.seconds(f'import {package}') - bare:.2f} s of"
+            " processor time"
+        )
+    race = (
+        "race",
+        "--track",
+        "Pipkin",
+        "--ego",
+        "lattice",
+        "--opponent",
+        "lane-switcher:3",
+        "--seed",
+        1,
+    )
     environment.run("pcs-racing", *race, "--replay", "race.html")
-    environment.run("pcs-racing", "tournament", "--track", "Pipkin", "--agents", "cfr-argmax", "never-switch",
-                    "--races", 4, "--out", "zoo")  # fmt: skip
+    environment.run(
+        "pcs-racing",
+        "tournament",
+        "--track",
+        "Pipkin",
+        "--agents",
+        "cfr-argmax",
+        "never-switch",
+        "--races",
+        4,
+        "--out",
+        "zoo",
+    )
     environment.run("python", "-c", AGENT)
-    told = environment.run("pcs-racing", "ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo", failing=True)
+    told = environment.run(
+        "pcs-racing", "ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo", failing=True
+    )
     if 'pip install "pcs-racing[learning]"' not in told:
         sys.exit("PPO without its extra does not say which one is missing")
     for made in ("race.html", "zoo/results.csv"):
@@ -165,7 +218,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("wheel", type=Path, help="the wheel, or a folder that holds one")
     parser.add_argument("--python", default="", help="another interpreter, for instance python3.13")
-    parser.add_argument("--parts", nargs="+", choices=("base", "demo"), default=["base"], help="default: base")
+    parser.add_argument(
+        "--parts", nargs="+", choices=("base", "demo"), default=["base"], help="default: base"
+    )
     arguments = parser.parse_args()
     wheel = arguments.wheel.resolve()
     if wheel.is_dir():

@@ -1,4 +1,5 @@
-"""Write the JSON schema of each kind of configuration, from which editors complete and check YAML files.
+"""Write the JSON schema of each kind of configuration, from which editors complete and check YAML
+files.
 
 python dev/tools/write_schemas.py
 """
@@ -38,7 +39,8 @@ def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
     properties = {}
     for name, option in options_of(cls).items():
         schema = option.adapter.json_schema()
-        schema.pop("multipleOf", None)  # editors would refuse 0.3, which is no multiple of 0.1 in floating point
+        # editors would refuse 0.3, which is no multiple of 0.1 in floating point
+        schema.pop("multipleOf", None)
         if DIFFERENT in option.notes:
             schema["uniqueItems"] = True
         if option.default is None:
@@ -51,11 +53,20 @@ def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
 def schemas() -> dict[str, str]:
     """Return the text of each schema by its kind."""
     made = {kind: schema_of(cls) for kind, cls in KINDS.items()}
-    preset = {"enum": list(PRESETS), "description": "Rules that give the defaults.", "default": "paper"}
+    preset = {
+        "enum": list(PRESETS),
+        "description": "Rules that give the defaults.",
+        "default": "paper",
+    }
     made["race"]["properties"]["preset"] = preset
-    made["ppo"] = {"anyOf": [{**schema_of(type(level)), "required": ["level"]} for level in LEVELS.values()]}
+    made["ppo"] = {
+        "anyOf": [{**schema_of(type(level)), "required": ["level"]} for level in LEVELS.values()]
+    }
     first = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
-    return {kind: json.dumps({**first, "title": kind, **schema}, indent=1) + "\n" for kind, schema in made.items()}
+    return {
+        kind: json.dumps({**first, "title": kind, **schema}, indent=1) + "\n"
+        for kind, schema in made.items()
+    }
 
 
 def main() -> None:

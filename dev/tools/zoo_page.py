@@ -1,7 +1,8 @@
-"""The page of the zoo: all agents and drivers, with their options, and how strong they were measured to be.
+"""The page of the zoo: all agents and drivers, with their options, and how strong they were
+measured to be.
 
-``dev/benchmarks/zoo.py --write`` measures, and writes the table of measurements (``measured.csv``). The page is made of
-this table and of the zoo whenever the site is built (``docs/site_pages.py``).
+``dev/benchmarks/zoo.py --write`` measures, and writes the table of measurements (``measured.csv``).
+The page is made of this table and of the zoo whenever the site is built (``docs/site_pages.py``).
 """
 
 import csv
@@ -26,7 +27,9 @@ from pcs_racing_agents.agents.describe import (
 from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, entries
 
 SETTINGS = (("default", "paper"), ("contest", "contest"))
-"""Archive and rules of the games in which agents are measured: those that networks and choices are shipped for."""
+"""Archive and rules of the games in which agents are measured: those that networks and choices are
+shipped for.
+"""
 
 HEAD = """# The zoo
 
@@ -68,13 +71,19 @@ def zoo_page() -> str:
             if entry.moves is moves:
                 blocks += [f"### `{name}`", describe(name, entry)]
         if moves:
-            blocks += [f"### `{CONSTANT}`", "Makes the same move at every step; one agent for each move."]
+            blocks += [
+                f"### `{CONSTANT}`",
+                "Makes the same move at every step; one agent for each move.",
+            ]
     every = [one for one in measurements().values() if (one.archive, one.race) in SETTINGS]
     if every:
         races = max(one.races for one in every)
         blocks.append(
             STRENGTH.format(
-                field=", ".join(f"`{name}`" for name in dict.fromkeys(rival for one in every for rival in one.against)),
+                field=", ".join(
+                    f"`{name}`"
+                    for name in dict.fromkeys(rival for one in every for rival in one.against)
+                ),
                 tracks="; ".join(dict.fromkeys(one.tracks for one in every)),
                 races=races,
                 error=0.5 / np.sqrt(races),
@@ -92,7 +101,13 @@ def _lines(rows: list[Measured]) -> Iterator[str]:
     yield "|---|---|---|---|---|---|---|"
     for one in sorted(rows, key=lambda one: -one.score):
         costs = [microseconds(value) for value in (one.one_us, one.many_us)]
-        told = (f"{one.score:.3f}", rating_text(one), f"{one.own_crash:.1%}", *costs, f"`{one.sha256[:12]}`")
+        told = (
+            f"{one.score:.3f}",
+            rating_text(one),
+            f"{one.own_crash:.1%}",
+            *costs,
+            f"`{one.sha256[:12]}`",
+        )
         yield f"| `{one.agent}` | {' | '.join(told)} |"
 
 

@@ -1,12 +1,13 @@
 # /// script
 # dependencies = ["agilerl==2.7.1"]
 # ///
-"""AgileRL: IPPO on the head-to-head environment, two copies of it in processes of AgileRL's own vector environment.
+"""AgileRL: IPPO on the head-to-head environment, two copies of it in processes of AgileRL's own
+vector environment.
 
     python examples/clients/agilerl_ippo.py
 
-AgileRL 2.7.1 can't compare masks of several agents (``extract_action_masks``): a wrapper drops them. A masked move may
-be made all the same: it leads where another one leads.
+AgileRL 2.7.1 can't compare masks of several agents (``extract_action_masks``): a wrapper drops
+them. A masked move may be made all the same: it leads where another one leads.
 """
 
 from typing import Any
@@ -51,7 +52,14 @@ def main() -> None:
         device="cpu",
     )
     train_multi_agent_on_policy(
-        env, "head_to_head", "IPPO", [agent], max_steps=64, evo_steps=32, eval_steps=4, verbose=False
+        env,
+        "head_to_head",
+        "IPPO",
+        [agent],
+        max_steps=64,
+        evo_steps=32,
+        eval_steps=4,
+        verbose=False,
     )
     env.close()
     print(f"{agent.steps[-1]} moves of both cars")

@@ -5,7 +5,8 @@
 
     python examples/clients/benchmarl_mappo.py
 
-A task of BenchMARL names the environment, its groups of agents and its spaces; ``BothCars`` below is all it takes.
+A task of BenchMARL names the environment, its groups of agents and its spaces; ``BothCars`` below
+is all it takes.
 """
 
 import tempfile
@@ -119,14 +120,18 @@ def train(task: TaskClass, folder: str) -> None:
     )
     experiment.run()
     print(
-        f"{task.name}: {experiment.total_frames} steps of both cars, mean return {float(experiment.mean_return):+.2f}"
+        f"{task.name}: {experiment.total_frames} steps of both cars, mean return"
+        f" {float(experiment.mean_return):+.2f}"
     )
 
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         train(Tasks.HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord"}), folder)
-        train(Tasks.DRIVE_HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord", "duration": 1.0}), folder)
+        train(
+            Tasks.DRIVE_HEAD_TO_HEAD.get_task(config={"track": "Tarnfjord", "duration": 1.0}),
+            folder,
+        )
 
 
 if __name__ == "__main__":

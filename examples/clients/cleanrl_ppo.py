@@ -6,9 +6,10 @@
     python examples/clients/cleanrl_ppo.py
     python examples/clients/cleanrl_ppo.py --file CHECKOUT/cleanrl/ppo.py
 
-CleanRL is code to copy. The newest release in the package index, 1.2.0, asks for a Python below 3.11 and is written for
-gym 0.23, so its file is taken out of the downloaded package, and :class:`Duel` gives the environment the interface of
-that time. A newer file, of a checkout (``--file``), is written for Gymnasium and makes the environment by its name.
+CleanRL is code to copy. The newest release in the package index, 1.2.0, asks for a Python below
+3.11 and is written for gym 0.23, so its file is taken out of the downloaded package, and
+:class:`Duel` gives the environment the interface of that time. A newer file, of a checkout
+(``--file``), is written for Gymnasium and makes the environment by its name.
 """
 
 import argparse
@@ -30,7 +31,9 @@ RELEASE = "cleanrl==1.2.0"
 
 
 class Duel(gym.Env):
-    """The duel with the interface of gym 0.23: ``reset`` returns the observation alone, and ``step`` four values."""
+    """The duel with the interface of gym 0.23: ``reset`` returns the observation alone, and
+    ``step`` four values.
+    """
 
     metadata: dict[str, Any] = {"render.modes": []}  # noqa: RUF012
 
@@ -60,16 +63,30 @@ class Duel(gym.Env):
 
 def download(folder: Path) -> Path:
     """Take ``ppo.py`` out of the released package."""
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "download", "--quiet", "--no-deps"]
-    subprocess.run([*pip, "--python-version", "3.10", "--only-binary=:all:", "-d", folder, RELEASE], check=True)
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "--disable-pip-version-check",
+        "download",
+        "--quiet",
+        "--no-deps",
+    ]
+    subprocess.run(
+        [*pip, "--python-version", "3.10", "--only-binary=:all:", "-d", folder, RELEASE], check=True
+    )
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(wheel) as package:
         return Path(package.extract("cleanrl/ppo.py", folder))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--file", type=Path, help="the ppo.py of a checkout, in place of the released one")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--file", type=Path, help="the ppo.py of a checkout, in place of the released one"
+    )
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         if given.file is None:

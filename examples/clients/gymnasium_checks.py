@@ -1,7 +1,8 @@
 # /// script
 # dependencies = ["gymnasium==1.4.0", "moviepy==2.2.1", "pygame-ce==2.5.8"]
 # ///
-"""Gymnasium: its checker, its wrappers of one and of many environments, and its videos, on every environment.
+"""Gymnasium: its checker, its wrappers of one and of many environments, and its videos, on every
+environment.
 
     python examples/clients/gymnasium_checks.py
 
@@ -65,15 +66,24 @@ def play(env: gym.Env) -> int:
 
 
 def film(folder: Path) -> None:
-    """Film a game with the wrapper for races and with Gymnasium's function: 25 frames for each second of racing."""
-    look = {"render_mode": "rgb_array_list", "render_size": (240, 160), "moves": 2, "step_seconds": 2.0}
+    """Film a game with the wrapper for races and with Gymnasium's function: 25 frames for each
+    second of racing.
+    """
+    look = {
+        "render_mode": "rgb_array_list",
+        "render_size": (240, 160),
+        "moves": 2,
+        "step_seconds": 2.0,
+    }
     env = RecordRaces(gym.make("pcs_racing/Duel-v1", **look), str(folder / "wrapper"))
     play(env)
     env.close()
     env = gym.make("pcs_racing/Duel-v1", **look)
     play(env)
     save_video(env.render(), str(folder / "function"), fps=env.metadata["render_fps"])
-    env = gym.make("pcs_racing/Drive-v1", render_mode="rgb_array", render_size=(240, 160), duration=4.0)
+    env = gym.make(
+        "pcs_racing/Drive-v1", render_mode="rgb_array", render_size=(240, 160), duration=4.0
+    )
     drive = wrappers.RecordVideo(env, str(folder / "drive"))
     play(drive)
     drive.close()
@@ -92,12 +102,16 @@ def main() -> None:
         for wrapper, options in ONE.items():
             play(getattr(wrappers, wrapper)(gym.make(name, **SHORT[name]), **options))
         for wrapper, options in MANY.items():
-            envs = getattr(vector, wrapper)(gym.make_vec(name, num_envs=4, **SHORT[name]), **options)
+            envs = getattr(vector, wrapper)(
+                gym.make_vec(name, num_envs=4, **SHORT[name]), **options
+            )
             envs.reset(seed=1)
             for _ in range(6):
                 envs.step(envs.action_space.sample())
             envs.close()
-        print(f"{name}: the checker, {len(ONE)} wrappers of one and {len(MANY)} of many environments")
+        print(
+            f"{name}: the checker, {len(ONE)} wrappers of one and {len(MANY)} of many environments"
+        )
     with tempfile.TemporaryDirectory() as folder:
         film(Path(folder))
 

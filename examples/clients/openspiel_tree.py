@@ -1,15 +1,17 @@
 # /// script
 # dependencies = ["open_spiel==2.0.2"]
 # ///
-"""OpenSpiel: two of its algorithms on a game tree, beside ours: how far from an equilibrium, after how long.
+"""OpenSpiel: two of its algorithms on a game tree, beside ours: how far from an equilibrium, after
+how long.
 
     python examples/clients/openspiel_tree.py
     pcs-racing tree --archive default --track Pipkin --pairs 2 --out out/trees
     python examples/clients/openspiel_tree.py --trees out/trees --tree 1
 
-Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form text, which its C++
-plays; its CFR+ and its external-sampling MCCFR then run beside our CFR+ and our exact solver. Every strategy is judged
-by OpenSpiel's own best responses. Needs OpenSpiel: pip install ".[games]".
+Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form
+text, which its C++ plays; its CFR+ and its external-sampling MCCFR then run beside our CFR+ and our
+exact solver. Every strategy is judged by OpenSpiel's own best responses. Needs OpenSpiel: pip
+install ".[games]".
 """
 
 import argparse
@@ -29,20 +31,33 @@ except ModuleNotFoundError as error:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote"
+    )
     parser.add_argument("--tree", type=int, default=0, metavar="N", help="which tree of the folder")
-    parser.add_argument("--iterations", type=int, default=200, help="iterations of CFR+; MCCFR gets as much time")
-    parser.add_argument("--seed", type=int, default=0, help="payoffs of the small tree, and samples of MCCFR")
+    parser.add_argument(
+        "--iterations", type=int, default=200, help="iterations of CFR+; MCCFR gets as much time"
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="payoffs of the small tree, and samples of MCCFR"
+    )
     arguments = parser.parse_args()
 
     if arguments.trees:
         tree = load_trees(arguments.trees)[arguments.tree].game_tree()
     else:
-        tree = GameTree.from_payoffs(np.random.default_rng(arguments.seed).normal(0.0, 20.0, (3,) * 6))
+        tree = GameTree.from_payoffs(
+            np.random.default_rng(arguments.seed).normal(0.0, 20.0, (3,) * 6)
+        )
     game = efg_game(tree)
     nodes = sum(tree.nodes(k) for k in range(tree.depth))
-    print(f"{nodes} decision nodes, {tree.payoffs.size} leaves, payoffs of range {np.ptp(tree.payoffs):.1f}")
+    print(
+        f"{nodes} decision nodes, {tree.payoffs.size} leaves, payoffs of range"
+        f" {np.ptp(tree.payoffs):.1f}"
+    )
     print(f"{'method':38} {'seconds':>9} {'exploitability':>15}")
 
     def report(method: str, seconds: float, policy: object) -> None:
@@ -53,19 +68,31 @@ def main() -> None:
     for _ in range(arguments.iterations):
         theirs.evaluate_and_update_policy()
     allowed = time.perf_counter() - begin
-    report(f"OpenSpiel CFR+, {arguments.iterations} iterations", allowed, theirs.tabular_average_policy())
+    report(
+        f"OpenSpiel CFR+, {arguments.iterations} iterations",
+        allowed,
+        theirs.tabular_average_policy(),
+    )
 
     sampled = pyspiel.ExternalSamplingMCCFRSolver(game, seed=arguments.seed)
     begin, count = time.perf_counter(), 0
     while time.perf_counter() - begin < allowed:
         sampled.run_iteration()
         count += 1
-    report(f"OpenSpiel MCCFR, {count} iterations", time.perf_counter() - begin, sampled.average_policy())
+    report(
+        f"OpenSpiel MCCFR, {count} iterations",
+        time.perf_counter() - begin,
+        sampled.average_policy(),
+    )
 
     cfr(tree, 1)  # load or compile the code
     begin = time.perf_counter()
     ours = cfr(tree, arguments.iterations).average
-    report(f"pcs-racing CFR+, {arguments.iterations} iterations", time.perf_counter() - begin, efg_policy(tree, ours))
+    report(
+        f"pcs-racing CFR+, {arguments.iterations} iterations",
+        time.perf_counter() - begin,
+        efg_policy(tree, ours),
+    )
 
     solve_exact(tree)
     begin = time.perf_counter()
@@ -73,7 +100,8 @@ def main() -> None:
     seconds = time.perf_counter() - begin
     report("pcs-racing, exact", seconds, efg_policy(tree, exact.profile))
     print(
-        f"value {exact.value:.6f}; by our own measure the exact solution leaves {exploitability(tree, exact.profile)}"
+        f"value {exact.value:.6f}; by our own measure the exact solution leaves"
+        f" {exploitability(tree, exact.profile)}"
     )
 
 

@@ -1,7 +1,8 @@
 # /// script
 # dependencies = ["pettingzoo==1.27.0"]
 # ///
-"""PettingZoo: its own tests of the interfaces, of seeds, ends and states, on every environment by its name.
+"""PettingZoo: its own tests of the interfaces, of seeds, ends and states, on every environment by
+its name.
 
 python examples/clients/pettingzoo_checks.py
 """

@@ -18,9 +18,14 @@ from pcs_racing_agents.learning.ppo.tuned import TUNED_FILE
 
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
-        command = "--algo ppo --env pcs_racing/Match-v0 --gym-packages pcs_racing -n 800 --eval-freq -1 --device cpu"
+        command = (
+            "--algo ppo --env pcs_racing/Match-v0 --gym-packages pcs_racing -n 800 --eval-freq -1"
+            " --device cpu"
+        )
         files = ["--conf-file", str(TUNED_FILE), "--log-folder", folder]
-        subprocess.run([sys.executable, "-m", "rl_zoo3.train", *command.split(), *files], check=True)
+        subprocess.run(
+            [sys.executable, "-m", "rl_zoo3.train", *command.split(), *files], check=True
+        )
         print("saved:", *sorted(path.name for path in Path(folder).rglob("*.zip")))
 
 

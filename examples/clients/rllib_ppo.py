@@ -49,14 +49,21 @@ def self_play(name: str, **arguments: Any) -> PPOConfig:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--iterations", type=int, default=1, help="updates of each training")
     given = parser.parse_args()
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     register_env("duel", duel)
     register_env("head_to_head", head_to_head)
     register_env("drive_head_to_head", drive_head_to_head)
-    small = {"gamma": 1.0, "train_batch_size_per_learner": 64, "minibatch_size": 32, "num_epochs": 2}
+    small = {
+        "gamma": 1.0,
+        "train_batch_size_per_learner": 64,
+        "minibatch_size": 32,
+        "num_epochs": 2,
+    }
     alone = PPOConfig().environment("duel", env_config={"track": "Tarnfjord"})
     configs = {
         "duel": alone,
@@ -67,7 +74,10 @@ def main() -> None:
         algorithm = config.env_runners(num_env_runners=1).training(**small).build_algo()
         for _ in range(given.iterations):
             results = algorithm.train()["env_runners"]
-        print(f"{name}: {results['num_episodes']} episodes, mean return {results['episode_return_mean']:+.2f} m")
+        print(
+            f"{name}: {results['num_episodes']} episodes, mean return"
+            f" {results['episode_return_mean']:+.2f} m"
+        )
         algorithm.stop()
     ray.shutdown()
 

@@ -1,11 +1,13 @@
 # /// script
 # dependencies = ["stable-baselines3==2.9.2", "sb3-contrib==2.9.2"]
 # ///
-"""Stable-Baselines3: its own helpers make the environments by name; PPO, MaskablePPO and SAC learn from them.
+"""Stable-Baselines3: its own helpers make the environments by name; PPO, MaskablePPO and SAC learn
+from them.
 
     python examples/clients/sb3_ppo.py
 
-``pcs_racing.envs.sb3.make_sb3_vec_env`` gives the same environments as compiled batches (docs/recipes.md).
+``pcs_racing.envs.sb3.make_sb3_vec_env`` gives the same environments as compiled batches
+(docs/recipes.md).
 """
 
 import gymnasium as gym
@@ -24,10 +26,16 @@ def main() -> None:
         check_env(gym.make(name).unwrapped)
     duels = VecNormalize(make_vec_env("pcs_racing/Duel-v1", 4, seed=0), norm_obs=False)
     small = {"n_steps": 16, "batch_size": 32, "gamma": 1.0, "seed": 0, "device": "cpu"}
-    for kind, policy in ((PPO, "MlpPolicy"), (MaskablePPO, "MlpPolicy"), (RecurrentPPO, "MlpLstmPolicy")):
+    for kind, policy in (
+        (PPO, "MlpPolicy"),
+        (MaskablePPO, "MlpPolicy"),
+        (RecurrentPPO, "MlpLstmPolicy"),
+    ):
         model = kind(policy, duels, **small).learn(128)
         print(f"{kind.__name__} on the duel: {model.num_timesteps} moves")
-    mean, spread = evaluate_policy(model, make_vec_env("pcs_racing/Duel-v1", 1, seed=1), n_eval_episodes=4)
+    mean, spread = evaluate_policy(
+        model, make_vec_env("pcs_racing/Duel-v1", 1, seed=1), n_eval_episodes=4
+    )
     print(f"return of the last one: {mean:+.2f} +- {spread:.2f} m")
     drives = make_vec_env("pcs_racing/Drive-v1", 2, seed=0, env_kwargs={"duration": 2.0})
     model = SAC("MlpPolicy", drives, learning_starts=50, seed=0, device="cpu").learn(200)

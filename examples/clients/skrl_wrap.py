@@ -5,7 +5,8 @@
 
     python examples/clients/skrl_wrap.py
 
-Actions are drawn from the spaces that the wrapper shows, and a memory could be filled with the tensors that it returns.
+Actions are drawn from the spaces that the wrapper shows, and a memory could be filled with the
+tensors that it returns.
 """
 
 import gymnasium as gym
@@ -19,20 +20,31 @@ DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
 
 def main() -> None:
     for cars in (1, 2, 4):
-        made = gym.make_vec("pcs_racing/Drive-v1", num_envs=4, opponents=DRIVERS[: cars - 1], beams=9)
+        made = gym.make_vec(
+            "pcs_racing/Drive-v1", num_envs=4, opponents=DRIVERS[: cars - 1], beams=9
+        )
         vector = wrap_env(made, wrapper="gymnasium", verbose=False)
         seen, _ = vector.reset()
         for _ in range(20):
             actions = seen.new_tensor(made.action_space.sample())
             seen, rewards, terminated, *_ = vector.step(actions)
-        print(f"{cars} cars, vector:", tuple(seen.shape), tuple(rewards.shape), tuple(terminated.shape))
+        print(
+            f"{cars} cars, vector:",
+            tuple(seen.shape),
+            tuple(rewards.shape),
+            tuple(terminated.shape),
+        )
         vector.close()
         race = wrap_env(drive.parallel_env(cars=cars, beams=9), wrapper="pettingzoo", verbose=False)
         observed, _ = race.reset()
         while race.agents:
             actions = {name: observed[name].new_tensor([[0.0, -0.6]]) for name in race.agents}
             observed, paid, *_ = race.step(actions)
-        print(f"{cars} cars, parallel:", {name: tuple(one.shape) for name, one in observed.items()}, tuple(paid))
+        print(
+            f"{cars} cars, parallel:",
+            {name: tuple(one.shape) for name, one in observed.items()},
+            tuple(paid),
+        )
         race.close()
 
 

@@ -26,14 +26,22 @@ def main() -> None:
     envs.seed(0)
     space = envs.action_space[0]
     net = Net(state_shape=envs.observation_space[0].shape, hidden_sizes=[64])
-    policy = DiscreteActorPolicy(actor=DiscreteActor(preprocess_net=net, action_shape=space.n), action_space=space)
+    policy = DiscreteActorPolicy(
+        actor=DiscreteActor(preprocess_net=net, action_shape=space.n), action_space=space
+    )
     algorithm = PPO(
-        policy=policy, critic=DiscreteCritic(preprocess_net=net), optim=AdamOptimizerFactory(lr=3e-4), gamma=1.0
+        policy=policy,
+        critic=DiscreteCritic(preprocess_net=net),
+        optim=AdamOptimizerFactory(lr=3e-4),
+        gamma=1.0,
     )
     collector = Collector[CollectStats](algorithm, envs, VectorReplayBuffer(256, len(envs)))
     collector.reset()
     collected = collector.collect(n_episode=8)
-    print(f"{collected.n_collected_episodes} episodes, mean return {np.mean(collected.returns):+.2f} m")
+    print(
+        f"{collected.n_collected_episodes} episodes, mean return"
+        f" {np.mean(collected.returns):+.2f} m"
+    )
 
 
 if __name__ == "__main__":

@@ -1,11 +1,13 @@
 # /// script
 # dependencies = ["torchrl==0.14.1"]
 # ///
-"""TorchRL: make the environments by name, several at once, and both cars of a race; collect frames for a training.
+"""TorchRL: make the environments by name, several at once, and both cars of a race; collect frames
+for a training.
 
     python examples/clients/torchrl_envs.py
 
-Nothing of the environments is wrapped or changed. A collector gathers what random actions see, as a training would.
+Nothing of the environments is wrapped or changed. A collector gathers what random actions see, as a
+training would.
 """
 
 from functools import partial
@@ -39,7 +41,9 @@ def main() -> None:
         check_env_specs(cars)
         print(f"both cars of {both.metadata['name']}:", cars.rollout(4)["car", "observation"].shape)
 
-    collector = Collector(lambda: GymEnv("pcs_racing/Duel-v1"), None, frames_per_batch=16, total_frames=32)
+    collector = Collector(
+        lambda: GymEnv("pcs_racing/Duel-v1"), None, frames_per_batch=16, total_frames=32
+    )
     print("collected:", sum(frames.numel() for frames in collector), "frames")
     collector.shutdown()
 

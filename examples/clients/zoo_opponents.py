@@ -1,11 +1,13 @@
 # /// script
 # dependencies = []
 # ///
-"""The agents of the zoo: each of them, by its name and as an object, is an opponent in every environment.
+"""The agents of the zoo: each of them, by its name and as an object, is an opponent in every
+environment.
 
     python examples/clients/zoo_opponents.py
 
-Both shipped games are played. An agent that has learned nothing of a game, and is not shipped for it, says so.
+Both shipped games are played. An agent that has learned nothing of a game, and is not shipped for
+it, says so.
 """
 
 import gymnasium as gym
@@ -33,7 +35,9 @@ def meet(opponent: object, archive: str) -> None:
     pair = pettingzoo.make("parallel", "pcs_racing/head_to_head-v1", opponent=opponent, **game)
     pair.reset(seed=1)
     pair.step({"car_0": 0})
-    drive = pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0", opponent=opponent, **game)
+    drive = pettingzoo.make(
+        "parallel", "pcs_racing/drive_head_to_head-v0", opponent=opponent, **game
+    )
     drive.reset(seed=1)
     drive.step({"car_0": drive.action_space("car_0").sample()})
 
@@ -51,7 +55,10 @@ def main() -> None:
                 missing.append(str(error))
             except InputError as error:
                 broken.append(str(error))
-        print(f"archive {archive}, rules {race}: {len(shipped)} opponents: {', '.join(shipped)}", flush=True)
+        print(
+            f"archive {archive}, rules {race}: {len(shipped)} opponents: {', '.join(shipped)}",
+            flush=True,
+        )
         print(*(f"  not there: {why:.110}" for why in missing), sep="\n", flush=True)
     if broken:
         raise SystemExit("\n".join(broken))

@@ -7,7 +7,12 @@ import numpy as np
 
 from pcs_racing import Lidar, load_track
 from pcs_racing.envs.drive import DriveHeadToHeadEnv
-from pcs_racing_agents.watch.ros_messages import RosMessage, map_message, pose_messages, scan_message
+from pcs_racing_agents.watch.ros_messages import (
+    RosMessage,
+    map_message,
+    pose_messages,
+    scan_message,
+)
 
 TIME_STEP = 0.02  # s: 50 scans and commands a second
 STILL = np.zeros(2, np.float32)
@@ -18,16 +23,23 @@ class Bridge:
     """A race that goes on step by step with the last command of each car."""
 
     track: str = "Brackwater"
-    opponent: str | None = "lattice"  #: Who drives the second car; None: commands of ``/opp_drive``.
+    #: Who drives the second car; None: commands of ``/opp_drive``.
+    opponent: str | None = "lattice"
     race: str = "paper"
     seed: int = 0
     beams: int = 1080
-    commands: dict[str, np.ndarray] = field(init=False, default_factory=dict)  #: Steering (rad) and speed (m/s).
+    #: Steering (rad) and speed (m/s).
+    commands: dict[str, np.ndarray] = field(init=False, default_factory=dict)
     steps: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         self.env = DriveHeadToHeadEnv(
-            self.track, self.race, opponent=self.opponent, time_step=TIME_STEP, normalized=False, duration=3600.0
+            self.track,
+            self.race,
+            opponent=self.opponent,
+            time_step=TIME_STEP,
+            normalized=False,
+            duration=3600.0,
         )
         self.circuit = load_track(self.track)
         self.lidar = Lidar(self.circuit, beams=self.beams)
@@ -37,10 +49,14 @@ class Bridge:
         """Keep a command until the next one; what is not finite is left out."""
         if np.isfinite([steering, speed]).all():
             limits = self.env.action_space(f"car_{car}")
-            self.commands[f"car_{car}"] = np.clip([steering, speed], limits.low, limits.high).astype(np.float32)
+            self.commands[f"car_{car}"] = np.clip(
+                [steering, speed], limits.low, limits.high
+            ).astype(np.float32)
 
     def step(self) -> list[RosMessage]:
-        """Drive a step and return what is published after it; after the end of a race the next one begins."""
+        """Drive a step and return what is published after it; after the end of a race the next one
+        begins.
+        """
         if not self.env.agents:
             self.info, self.commands = self.env.reset()[1], {}
         actions = {agent: self.commands.get(agent, STILL) for agent in self.env.agents}
@@ -57,7 +73,9 @@ class Bridge:
     def messages(self) -> list[RosMessage]:
         """Return the scans, odometry and frames of this moment; the time goes on over all races."""
         time = round(1e9 * TIME_STEP * self.steps)
-        poses, velocities = (np.asarray(self.info["car_0"][key], float) for key in ("poses", "velocities"))
+        poses, velocities = (
+            np.asarray(self.info["car_0"][key], float) for key in ("poses", "velocities")
+        )
         cars = np.zeros((len(poses), 7))
         cars[:, [0, 1, 4]], cars[:, [3, 5, 6]] = poses, velocities
         ranges = [self.lidar.scan(poses[car], poses[1 - car]) for car in range(2)]
@@ -72,8 +90,8 @@ class Bridge:
 def fill(message: Any, fields: dict[str, Any], kinds: dict[str, Any]) -> Any:
     """Set the fields of a message of ROS from a mapping.
 
-    ``kinds`` holds the class of the items of each field that is a list of messages: ``{"transforms":
-    TransformStamped}``.
+    ``kinds`` holds the class of the items of each field that is a list of messages:
+    ``{"transforms": TransformStamped}``.
     """
     for name, value in fields.items():
         if isinstance(value, dict):

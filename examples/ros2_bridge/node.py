@@ -3,9 +3,10 @@
     source /opt/ros/humble/setup.bash
     python examples/ros2_bridge/node.py --track Brackwater --opponent cfr-argmax
 
-It publishes /scan, /opp_scan, /ego_racecar/odom, /opp_racecar/odom, /tf and, latched, /map. It listens to /drive
-(ackermann_msgs/AckermannDriveStamped), to /opp_drive with ``--opponent topic``, and to /initialpose, which puts the ego
-somewhere else. It needs rclpy, ackermann_msgs and this package in the Python of ROS; what it does is in ``logic.py``.
+It publishes /scan, /opp_scan, /ego_racecar/odom, /opp_racecar/odom, /tf and, latched, /map. It
+listens to /drive (ackermann_msgs/AckermannDriveStamped), to /opp_drive with ``--opponent topic``,
+and to /initialpose, which puts the ego somewhere else. It needs rclpy, ackermann_msgs and this
+package in the Python of ROS; what it does is in ``logic.py``.
 """
 
 import argparse
@@ -25,10 +26,20 @@ def message_class(kind: str) -> type:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--track", default="Brackwater", help="name of a shipped circuit or a map folder")
-    parser.add_argument("--opponent", default="lattice", help='driver or agent of the second car; "topic": /opp_drive')
-    parser.add_argument("--rules", default="paper", help="rules of the race: paper, contest or a YAML file")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
+    )
+    parser.add_argument(
+        "--opponent",
+        default="lattice",
+        help='driver or agent of the second car; "topic": /opp_drive',
+    )
+    parser.add_argument(
+        "--rules", default="paper", help="rules of the race: paper, contest or a YAML file"
+    )
     parser.add_argument("--seed", type=int, default=0, help="root of the starts and the noise")
     arguments = parser.parse_args()
 
@@ -46,12 +57,18 @@ def main() -> None:
 
     def publish(message: RosMessage, qos: QoSProfile | int = 10) -> None:
         if message.topic not in publishers:
-            publishers[message.topic] = node.create_publisher(message_class(message.kind), message.topic, qos)
-        filled = fill(message_class(message.kind)(), message.fields, {"transforms": TransformStamped})
+            publishers[message.topic] = node.create_publisher(
+                message_class(message.kind), message.topic, qos
+            )
+        filled = fill(
+            message_class(message.kind)(), message.fields, {"transforms": TransformStamped}
+        )
         publishers[message.topic].publish(filled)
 
     def drive(car: int):
-        return lambda message: bridge.command(car, message.drive.steering_angle, message.drive.speed)
+        return lambda message: bridge.command(
+            car, message.drive.steering_angle, message.drive.speed
+        )
 
     def place(message: PoseWithCovarianceStamped) -> None:
         pose = message.pose.pose

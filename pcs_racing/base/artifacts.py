@@ -58,11 +58,15 @@ class ManifestFormat:
         if not isinstance(manifest, dict) or manifest.get("format") != form:
             raise InputError(f"{file} is no manifest of {self.a_noun}: format must be {form!r}")
         if manifest.get("version") != self.version:
-            raise InputError(f"{file} has version {manifest.get('version')!r}; this release reads {self.version}")
+            raise InputError(
+                f"{file} has version {manifest.get('version')!r}; this release reads {self.version}"
+            )
         odd = set(manifest) ^ {"format", "version", *self.keys}
         if odd:
             names = ", ".join(sorted(map(str, odd)))
-            raise InputError(f"{file}: unknown or missing {names}; a manifest holds {', '.join(self.keys)}")
+            raise InputError(
+                f"{file}: unknown or missing {names}; a manifest holds {', '.join(self.keys)}"
+            )
         return {key: manifest[key] for key in self.keys}
 
     def _manifest(self, fields: Mapping[str, Any]) -> bytes:
@@ -71,14 +75,17 @@ class ManifestFormat:
             "version": self.version,
             **{key: fields[key] for key in self.keys},
         }
-        return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110).encode("utf-8")
+        return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110).encode(
+            "utf-8"
+        )
 
     def _content(self, file: str | os.PathLike[str], limit: int) -> bytes:
         try:
             return read_limited(file, limit, self.a_noun)
         except OSError as error:
             raise InputError(
-                f"can't read {file}: {error.strerror}; {self.a_noun} must have been written by {self.writer}"
+                f"can't read {file}: {error.strerror}; {self.a_noun} must have been written by"
+                f" {self.writer}"
             ) from None
 
 
@@ -127,7 +134,9 @@ class ArtifactFormat(ManifestFormat):
         file = folder / self.data_file
         data = self._content(file, self.max_bytes)
         if hashlib.sha256(data).hexdigest() != fields[self.digest_key]:
-            raise InputError(f"{file} is not the file that {folder / MANIFEST} describes: its digest differs")
+            raise InputError(
+                f"{file} is not the file that {folder / MANIFEST} describes: its digest differs"
+            )
         return fields, data
 
     def shipped_names(self) -> list[str]:

@@ -1,4 +1,6 @@
-"""Checks of a value: each returns the value, or raises one error that names it and says what would be right."""
+"""Checks of a value: each returns the value, or raises one error that names it and says what would
+be right.
+"""
 
 import math
 import os
@@ -43,7 +45,9 @@ def is_number(value: object) -> TypeGuard[float]:
 
 
 def within(minimum: float | None, maximum: float | None, above: float | None = None) -> str:
-    """Return the words for a range: ``from 0 to 1``, ``from 1``, ``above 0 up to 1``; empty where there is none."""
+    """Return the words for a range: ``from 0 to 1``, ``from 1``, ``above 0 up to 1``; empty where
+    there is none.
+    """
     if above is not None:
         low, to = f" above {above:.12g}", " up to"
     else:
@@ -52,10 +56,18 @@ def within(minimum: float | None, maximum: float | None, above: float | None = N
 
 
 def check_whole(
-    name: str, value: Any, minimum: int | None = 0, maximum: int | None = None, error: Error = InputError
+    name: str,
+    value: Any,
+    minimum: int | None = 0,
+    maximum: int | None = None,
+    error: Error = InputError,
 ) -> int:
     """Return a whole number within a range, both ends included, as an ``int``."""
-    if not is_whole(value) or (minimum is not None and value < minimum) or (maximum is not None and value > maximum):
+    if (
+        not is_whole(value)
+        or (minimum is not None and value < minimum)
+        or (maximum is not None and value > maximum)
+    ):
         raise error(f"{name} is {value!r}; it must be a whole number{within(minimum, maximum)}")
     return int(value)
 
@@ -69,15 +81,19 @@ def check_number(
     above: float | None = None,
     error: Error = InputError,
 ) -> float:
-    """Return a finite number within a range; ``minimum`` and ``maximum`` belong to it, ``above`` does not.
+    """Return a finite number within a range; ``minimum`` and ``maximum`` belong to it, ``above``
+    does not.
 
     A number of Python is returned as it is, one of numpy as a number of Python.
     """
     fine = is_number(value)
-    # A number of Python from here on: numpy would bring the limits into the value's own type, such as float16.
+    # A number of Python from here on: numpy would bring the limits into the value's own type, such
+    # as float16.
     number: float = value.item() if isinstance(value, np.generic) else value
     # Compared only now: what is no number need not have an order.
-    fine = fine and (minimum is None or number >= minimum) and (maximum is None or number <= maximum)
+    fine = (
+        fine and (minimum is None or number >= minimum) and (maximum is None or number <= maximum)
+    )
     if not fine or (above is not None and not number > above):
         kind = "finite number" if minimum is maximum is above is None else "number"
         raise error(f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}")
@@ -114,19 +130,25 @@ def check_choice(name: str, value: Any, choices: Iterable[str], error: Error = I
     """Return one of several names; a name that resembles one of them is suggested."""
     known = list(choices)
     if not isinstance(value, str) or value not in known:
-        raise error(f"{name} is {value!r}; it must be one of {', '.join(known)}{did_you_mean(value, known)}")
+        raise error(
+            f"{name} is {value!r}; it must be one of {', '.join(known)}{did_you_mean(value, known)}"
+        )
     return value
 
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
-    """Return the end of a message that suggests a known name, or an empty text where none resembles."""
+    """Return the end of a message that suggests a known name, or an empty text where none
+    resembles.
+    """
     close = get_close_matches(name, list(known), 1) if isinstance(name, str) else []
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def check_names(name: str, values: Any, error: Error = InputError) -> tuple[str, ...]:
     """Return a list of different texts, none empty, as a tuple."""
-    listed = isinstance(values, list | tuple) and all(isinstance(value, str) and value for value in values)
+    listed = isinstance(values, list | tuple) and all(
+        isinstance(value, str) and value for value in values
+    )
     if not listed or not values:
         raise error(f"{name} is {values!r}; it must be a list of names")
     if len(set(values)) < len(values):
@@ -135,14 +157,24 @@ def check_names(name: str, values: Any, error: Error = InputError) -> tuple[str,
 
 
 def check_wholes(
-    name: str, values: Any, minimum: int, maximum: int, count: tuple[int, int], error: Error = InputError
+    name: str,
+    values: Any,
+    minimum: int,
+    maximum: int,
+    count: tuple[int, int],
+    error: Error = InputError,
 ) -> tuple[int, ...]:
-    """Return a list of whole numbers within a range as a tuple; ``count`` is the number of them, from and to."""
+    """Return a list of whole numbers within a range as a tuple; ``count`` is the number of them,
+    from and to.
+    """
     low, high = count
     listed = isinstance(values, list | tuple) and low <= len(values) <= high
     if not listed or not all(is_whole(value) and minimum <= value <= maximum for value in values):
         many = f"{low} to {high}" if low else f"at most {high}"
-        raise error(f"{name} is {values!r}; it must be a list of {many} whole numbers{within(minimum, maximum)}")
+        raise error(
+            f"{name} is {values!r}; it must be a list of {many} whole"
+            f" numbers{within(minimum, maximum)}"
+        )
     return tuple(int(value) for value in values)
 
 
@@ -172,20 +204,28 @@ def check_array(
     except (TypeError, ValueError, OverflowError):
         raise error(f"{name} is {value!r:.200}; it must hold numbers") from None
     if not _fits(array, shape):
-        wanted = ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "")
+        wanted = ", ".join("any" if n is None else str(n) for n in shape) + (
+            "," if len(shape) == 1 else ""
+        )
         raise error(f"{name} has shape {array.shape}; it must have ({wanted})")
     wrong = ~np.isfinite(array) | _outside(array, minimum, maximum)
     if wrong.any():
-        raise error(f"{name} holds {_first(array, wrong)}; it must be finite{within(minimum, maximum)}")
+        raise error(
+            f"{name} holds {_first(array, wrong)}; it must be finite{within(minimum, maximum)}"
+        )
     return array
 
 
 def _fits(array: NDArray[Any], shape: Sequence[int | None]) -> bool:
     """Whether an array has a shape, in which None stands for any length."""
-    return array.ndim == len(shape) and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    return array.ndim == len(shape) and all(
+        n in (None, m) for n, m in zip(shape, array.shape, strict=True)
+    )
 
 
-def _outside(array: NDArray[Any], minimum: float | None, maximum: float | None) -> NDArray[np.bool_]:
+def _outside(
+    array: NDArray[Any], minimum: float | None, maximum: float | None
+) -> NDArray[np.bool_]:
     """Which numbers are beyond one of two limits."""
     outside = np.zeros(array.shape, np.bool_)
     if minimum is not None:
@@ -203,7 +243,9 @@ def _first(array: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """Return values as an array; an empty one of objects for lists of different lengths, to be refused by its type."""
+    """Return values as an array; an empty one of objects for lists of different lengths, to be
+    refused by its type.
+    """
     try:
         return np.asarray(values)
     except (TypeError, ValueError):
@@ -211,23 +253,35 @@ def as_array(values: Any) -> NDArray[Any]:
 
 
 def check_whole_array(
-    name: str, value: ArrayLike, *shapes: tuple[int | None, ...], minimum: int | None = None, maximum: int | None = None
+    name: str,
+    value: ArrayLike,
+    *shapes: tuple[int | None, ...],
+    minimum: int | None = None,
+    maximum: int | None = None,
 ) -> NDArray[np.int64]:
     """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
 
-    Any of the ``shapes`` will do, and any shape if none is named; None stands for any length. Both ends belong to the
-    range.
+    Any of the ``shapes`` will do, and any shape if none is named; None stands for any length. Both
+    ends belong to the range.
     """
     array = as_array(value)
     fits = not shapes or any(_fits(array, shape) for shape in shapes)
     if array.dtype.kind not in "iu" or not fits:
         wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)
-        found = f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
-        raise InputError(f"{name} {found}; it must hold whole numbers" + (f" in shape {wanted}" if shapes else ""))
+        found = (
+            f"has shape {array.shape} and type {array.dtype}" if array.ndim else f"is {value!r:.80}"
+        )
+        raise InputError(
+            f"{name} {found}; it must hold whole numbers"
+            + (f" in shape {wanted}" if shapes else "")
+        )
     wrong = _outside(array, minimum, maximum)
     if wrong.any():
         has = "holds" if array.ndim else "is"
-        raise InputError(f"{name} {has} {_first(array, wrong)}; it must be a whole number{within(minimum, maximum)}")
+        raise InputError(
+            f"{name} {has} {_first(array, wrong)}; it must be a whole"
+            f" number{within(minimum, maximum)}"
+        )
     return array.astype(np.int64)
 
 
@@ -237,5 +291,7 @@ def check_facts(name: str, values: Any) -> Mapping[str, str | int | float | bool
         raise InputError(f"{name} is {values!r:.80}; it must hold texts and numbers by name")
     for key, value in values.items():
         if not isinstance(key, str) or not isinstance(value, str | bool | int | float):
-            raise InputError(f"{name} holds {key!r}: {value!r:.80}; it must hold texts and numbers by name")
+            raise InputError(
+                f"{name} holds {key!r}: {value!r:.80}; it must hold texts and numbers by name"
+            )
     return MappingProxyType(dict(values))

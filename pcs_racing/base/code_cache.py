@@ -130,7 +130,10 @@ def digest_of(folder: Path) -> bytes:
     elif folder.is_relative_to(_PACKAGE):
         parts = [sources_digest(_PACKAGE)]
     else:
-        parts = [sources_digest(folder, deep=False), *map(sources_digest, sorted(_PACKAGE.parent.glob("pcs_racing*/")))]
+        parts = [
+            sources_digest(folder, deep=False),
+            *map(sources_digest, sorted(_PACKAGE.parent.glob("pcs_racing*/"))),
+        ]
     return hashlib.sha256(b"".join(parts)).hexdigest().encode()
 
 

@@ -1,4 +1,6 @@
-"""Compilation with numba: decorators for compiled functions, and a message when compilation takes a while."""
+"""Compilation with numba: decorators for compiled functions, and a message when compilation takes a
+while.
+"""
 
 import gc
 from collections.abc import Callable, Iterator
@@ -14,11 +16,13 @@ from pcs_racing.base.errors import say, say_once
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """Compile a function with numba: cached on disk if it has a file, without the GIL, with IEEE division.
+    """Compile a function with numba: cached on disk if it has a file, without the GIL, with IEEE
+    division.
 
-    Division by zero gives infinity, as in numpy; a check for it would prevent vector instructions. Leave ``fastmath``
-    off, and use the elementary functions of :mod:`pcs_racing.base.elementary`. Then a function
-    computes the same bits on every processor, and in every copy inlined into its callers.
+    Division by zero gives infinity, as in numpy; a check for it would prevent vector instructions.
+    Leave ``fastmath`` off, and use the elementary functions of :mod:`pcs_racing.base.elementary`.
+    Then a function computes the same bits on every processor, and in every copy inlined into its
+    callers.
 
     Without a function, return a decorator. All other options go to :func:`numba.njit`.
     """
@@ -36,7 +40,10 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
             dispatcher._cache = CodeCache(function)  # as in `enable_caching`, with our cache
         except RuntimeError:  # no folder for the code; no message for a function typed at a prompt
             if Path(function.__code__.co_filename).is_file():
-                say_once("compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR names one")
+                say_once(
+                    "compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR"
+                    " names one"
+                )
         return dispatcher
 
     return decorate if function is None else decorate(function)
@@ -57,7 +64,9 @@ class _Inner(CPUDispatcher):
     """Compiled function, callable from compiled functions only."""
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
-        raise TypeError(f"{self.py_func.__qualname__} is an inner kernel: only compiled functions can call it")
+        raise TypeError(
+            f"{self.py_func.__qualname__} is an inner kernel: only compiled functions can call it"
+        )
 
 
 def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -124,7 +133,10 @@ def _first_call(dispatcher: Any, what: str, seconds: int) -> Iterator[bool]:
                 _wait_for_turn(turn, dispatcher, what)
         # Check again: another process may have compiled the function during the wait.
         if not _on_disk(dispatcher):
-            say(f"compiling {what} (about {seconds} s, {'once; it is cached on disk' if kept else 'in each process'})")
+            say(
+                f"compiling {what} (about {seconds} s,"
+                f" {'once; it is cached on disk' if kept else 'in each process'})"
+            )
         turn.enter_context(_without_collecting_garbage())
         yield True
 
@@ -166,4 +178,6 @@ def _on_disk(dispatcher: Any) -> bool:
 
 def _cached_name(dispatcher: Any) -> str:
     """Return the prefix of the names of a function's cached files."""
-    return f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
+    return (
+        f"{Path(dispatcher.py_func.__code__.co_filename).stem}.{dispatcher.py_func.__qualname__}-"
+    )

@@ -1,4 +1,5 @@
-"""Dense networks: their weights as one value, the compiled forward pass, and their tensors in files.
+"""Dense networks: their weights as one value, the compiled forward pass, and their tensors in
+files.
 
 The forward pass computes one row at a time, so that a row's outputs are bit-identical in a batch of
 any size. A matrix product of numpy would be shorter, but its rounding depends on the number of
@@ -38,22 +39,27 @@ class DenseLayers:
     def __post_init__(self) -> None:
         if not 1 <= len(self.weights) <= MOST_LAYERS or len(self.biases) != len(self.weights):
             raise InputError(
-                f"there are weights of {len(self.weights)} layers and biases of {len(self.biases)}; give both of 1 to "
-                f"{MOST_LAYERS} layers"
+                f"there are weights of {len(self.weights)} layers and biases of {len(self.biases)};"
+                f" give both of 1 to {MOST_LAYERS} layers"
             )
         inputs = None  # inputs of the next layer; any number for the first layer
         weights, biases = [], []
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             shape = np.shape(weight)
             if len(shape) != 2 or 0 in shape or shape[1] != (inputs or shape[1]):
-                raise InputError(f"weights of layer {i} have shape {shape}; they must have (any, {inputs or 'any'})")
+                raise InputError(
+                    f"weights of layer {i} have shape {shape}; they must have (any,"
+                    f" {inputs or 'any'})"
+                )
             inputs = shape[0]
             weights.append(_array(f"weights of layer {i}", weight, shape))
             biases.append(_array(f"biases of layer {i}", bias, shape[:1]))
         object.__setattr__(self, "weights", tuple(weights))
         object.__setattr__(self, "biases", tuple(biases))
         if weight_count(self.sizes) > MOST_WEIGHTS:
-            raise InputError(f"the layers have {weight_count(self.sizes)} weights; {MOST_WEIGHTS} is the limit")
+            raise InputError(
+                f"the layers have {weight_count(self.sizes)} weights; {MOST_WEIGHTS} is the limit"
+            )
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -74,8 +80,12 @@ class DenseLayers:
 
 
 def flat_layers(layers: Iterable[tuple[Floats, Floats]]) -> Floats:
-    """Return the numbers of layers (weight, bias) of any shapes as one vector, in the order of `DenseLayers.flat`."""
-    return np.concatenate([numbers for weight, bias in layers for numbers in (bias, weight.T.ravel())])
+    """Return the numbers of layers (weight, bias) of any shapes as one vector, in the order of
+    `DenseLayers.flat`.
+    """
+    return np.concatenate(
+        [numbers for weight, bias in layers for numbers in (bias, weight.T.ravel())]
+    )
 
 
 def weight_count(sizes: Sequence[int]) -> int:
@@ -162,7 +172,9 @@ def dense_rows(rows, flat, sizes, scratch, out):
 
 
 def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = None) -> bytes:
-    """Return the content of a safetensors file: ``layers.N.weight``, ``layers.N.bias`` and other tensors by name."""
+    """Return the content of a safetensors file: ``layers.N.weight``, ``layers.N.bias`` and other
+    tensors by name.
+    """
     tensors = dict(others or {})
     for i, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
         tensors |= {f"layers.{i}.weight": weight, f"layers.{i}.bias": bias}
@@ -178,18 +190,27 @@ def layers_from_bytes(
     the other tensors: the file must have exactly these. ``file`` is for messages.
     """
     if not isinstance(hidden, list) or not all(type(width) is int for width in hidden):
-        raise InputError(f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers")
+        raise InputError(
+            f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers"
+        )
     if len(hidden) >= MOST_LAYERS:
-        raise InputError(f"{file.parent}: there are {len(hidden)} hidden layers; {MOST_LAYERS - 1} is the limit")
+        raise InputError(
+            f"{file.parent}: there are {len(hidden)} hidden layers; {MOST_LAYERS - 1} is the limit"
+        )
     try:
         tensors = load_tensors(content)
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{file} is no safetensors file of numbers: {error}") from None
     count = len(hidden) + 1
-    odd = set(tensors) ^ {*others, *(f"layers.{i}.{kind}" for i in range(count) for kind in ("weight", "bias"))}
+    odd = set(tensors) ^ {
+        *others,
+        *(f"layers.{i}.{kind}" for i in range(count) for kind in ("weight", "bias")),
+    }
     if odd:
         names = ", ".join(sorted(odd))
-        raise InputError(f"{file}: unknown or missing {names}; the manifest's hidden layers are {hidden}")
+        raise InputError(
+            f"{file}: unknown or missing {names}; the manifest's hidden layers are {hidden}"
+        )
     for key, tensor in tensors.items():
         if tensor.dtype != np.float32:
             raise InputError(f"{file}: {key} is of type {tensor.dtype}; it must be float32")
@@ -202,5 +223,7 @@ def layers_from_bytes(
         raise InputError(f"{file}: {error}") from None
     # Matching names do not imply matching widths.
     if list(layers.hidden) != hidden:
-        raise InputError(f"{file} has hidden layers {list(layers.hidden)}; its manifest says {hidden}")
+        raise InputError(
+            f"{file} has hidden layers {list(layers.hidden)}; its manifest says {hidden}"
+        )
     return layers, {key: tensors[key] for key in others}

@@ -1,9 +1,10 @@
-"""Elementary functions (sine, arctangent, exponential and others) with the same bits on every processor.
+"""Elementary functions (sine, arctangent, exponential and others) with the same bits on every
+processor.
 
-The C library and numpy select their code for these functions by the processor (fused multiply-add, width of vectors).
-The versions differ in the last bit, and a race amplifies such a difference. The functions here use
-only additions, multiplications, divisions and square roots in a fixed order; IEEE 754 defines their
-rounding.
+The C library and numpy select their code for these functions by the processor (fused multiply-add,
+width of vectors). The versions differ in the last bit, and a race amplifies such a difference. The
+functions here use only additions, multiplications, divisions and square roots in a fixed order;
+IEEE 754 defines their rounding.
 
 Reductions and coefficients come from fdlibm (sine and cosine) [1]_ and Cephes (other functions)
 [2]_. Tests check the errors named below against long double.
@@ -18,7 +19,8 @@ import numpy as np
 
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 
-_ROUNDER = 6755399441055744.0  # 1.5 * 2**52: added to a number it leaves the nearest integer in the last bits
+# 1.5 * 2**52: added to a number it leaves the nearest integer in the last bits
+_ROUNDER = 6755399441055744.0
 
 
 @kernel(forceinline=True)
@@ -27,17 +29,24 @@ def sine_cosine(angle):
 
     There is no branch and no table, so that loops over many angles use vector instructions.
     """
-    # The number of quarter turns, rounded by an addition: a call of ``floor`` could not be vectorised everywhere.
+    # The number of quarter turns, rounded by an addition: a call of ``floor`` could not be
+    # vectorised everywhere.
     shifted = angle * 0.6366197723675814 + _ROUNDER
     quarter = shifted - _ROUNDER
     turn = np.float64(shifted).view(np.int64)
     # Half a pi in two parts; the product with the first is exact.
     r = (angle - quarter * 1.5707963267341256) - quarter * 6.077100506506192e-11
     q = r * r
-    s = q * (2.75573137070700676789e-06 + q * (-2.50507602534068634195e-08 + q * 1.58969099521155010221e-10))
+    s = q * (
+        2.75573137070700676789e-06
+        + q * (-2.50507602534068634195e-08 + q * 1.58969099521155010221e-10)
+    )
     s = 8.33333333332248946124e-03 + q * (-1.98412698298579493134e-04 + s)
     s = r + r * q * (-1.66666666666666324348e-01 + q * s)
-    c = q * (-2.75573143513906633035e-07 + q * (2.08757232129817482790e-09 - q * 1.13596475577881948265e-11))
+    c = q * (
+        -2.75573143513906633035e-07
+        + q * (2.08757232129817482790e-09 - q * 1.13596475577881948265e-11)
+    )
     c = -1.38888888888741095749e-03 + q * (2.48015872894767294178e-05 + c)
     c = 1.0 - q * (0.5 - q * (4.16666666666666019037e-02 + q * c))
     # After an odd number of quarter turns sine and cosine change places.
@@ -74,7 +83,9 @@ def arctangent(x):
         begin, rest, a = 0.7853981633974483, 3.061616997868383e-17, (a - 1.0) / (a + 1.0)
     q = a * a
     above = -8.750608600031904122785e-1 * q - 1.615753718733365076637e1
-    above = ((above * q - 7.500855792314704667340e1) * q - 1.228866684490136173410e2) * q - 6.485021904942025371773e1
+    above = (
+        (above * q - 7.500855792314704667340e1) * q - 1.228866684490136173410e2
+    ) * q - 6.485021904942025371773e1
     below = (q + 2.485846490142306297962e1) * q + 1.650270098316988542046e2
     below = (below * q + 4.328810604912902668951e2) * q + 4.853903996359136964868e2
     below = below * q + 1.945506571482613964425e2
@@ -119,7 +130,9 @@ def exponential(x):
     r = (x - n * 6.93145751953125e-1) - n * 1.42860682030941723212e-6
     q = r * r
     p = r * ((1.26177193074810590878e-4 * q + 3.02994407707441961300e-2) * q + 1.0)
-    below = ((3.00198505138664455042e-6 * q + 2.52448340349684104192e-3) * q + 2.27265548208155028766e-1) * q + 2.0
+    below = (
+        (3.00198505138664455042e-6 * q + 2.52448340349684104192e-3) * q + 2.27265548208155028766e-1
+    ) * q + 2.0
     # In two steps: the power alone may be out of range although the result is not.
     half = np.int64(n) >> 1
     return (1.0 + 2.0 * (p / (below - p))) * _power_of_two(half) * _power_of_two(np.int64(n) - half)
@@ -134,8 +147,12 @@ def hyperbolic_tangent(x):
         a = 1.0 - 2.0 / (exponential(2.0 * a) + 1.0)
         return -a if x < 0.0 else a
     q = x * x
-    above = (-9.64399179425052238628e-1 * q - 9.92877231001918586564e1) * q - 1.61468768441708447952e3
-    below = ((q + 1.12811678491632931402e2) * q + 2.23548839060100448583e3) * q + 4.84406305325125486048e3
+    above = (
+        -9.64399179425052238628e-1 * q - 9.92877231001918586564e1
+    ) * q - 1.61468768441708447952e3
+    below = (
+        (q + 1.12811678491632931402e2) * q + 2.23548839060100448583e3
+    ) * q + 4.84406305325125486048e3
     return x + x * (q * above / below)
 
 

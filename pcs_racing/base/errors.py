@@ -6,15 +6,14 @@ functions of both packages follow the same rule, without repeating it in their d
 =============================  =========================================================================================
 problem                        error
 =============================  =========================================================================================
-an argument, an array or a     :class:`InputError`. It names the argument, and the index of the first wrong race, game
-file                           or car; or the file that is missing, too large, damaged or of another kind.
-a setting or its value         :class:`ConfigError`
-a map or a track               :class:`MapError`
-a name in a registry           :class:`UnknownNameError`, with the known names
-a keyword argument             :class:`UnknownArgumentError`, with the nearest known name
-an optional library            ``ModuleNotFoundError``, with the extra that installs it
-a full disk, a file without    ``OSError``, with the path; an existing file stays unchanged
-permission to write
+an argument, an array or a     :class:`InputError`. It names the argument, and the index of the
+first wrong race, game file                           or car; or the file that is missing, too
+large, damaged or of another kind. a setting or its value         :class:`ConfigError` a map or a
+track               :class:`MapError` a name in a registry           :class:`UnknownNameError`, with
+the known names a keyword argument             :class:`UnknownArgumentError`, with the nearest known
+name an optional library            ``ModuleNotFoundError``, with the extra that installs it a full
+disk, a file without    ``OSError``, with the path; an existing file stays unchanged permission to
+write
 =============================  =========================================================================================
 
 A function's docstring names any other error that it raises.
@@ -32,8 +31,8 @@ _LONGEST = 300
 class InputError(ValueError):
     """Error for an invalid argument; the message names the value and the correct form.
 
-    The value can be any text, so control characters in a message are escaped, and the middle of a message of more than
-    300 characters is left out.
+    The value can be any text, so control characters in a message are escaped, and the middle of a
+    message of more than 300 characters is left out.
     """
 
     def __init__(self, *args: object) -> None:
@@ -61,8 +60,12 @@ class UnknownArgumentError(InputError, TypeError):
 
 
 def unknown_argument(function: str, name: str, known: Iterable[str]) -> UnknownArgumentError:
-    """Make the error for an unknown keyword argument, in Python's words and with the nearest known name."""
-    return UnknownArgumentError(f"{function}() got an unexpected keyword argument {name!r}; {choices(name, known)}")
+    """Make the error for an unknown keyword argument, in Python's words and with the nearest known
+    name.
+    """
+    return UnknownArgumentError(
+        f"{function}() got an unexpected keyword argument {name!r}; {choices(name, known)}"
+    )
 
 
 def choices(name: str, known: Iterable[str]) -> str:
@@ -87,13 +90,17 @@ def require(*modules: str, extra: str = "mapping") -> None:
     """Raise an error that names the extra to install if a module is missing; import nothing."""
     for name in modules:
         if find_spec(name) is None:
-            raise ModuleNotFoundError(f'{name} is needed for this: pip install "pcs-racing[{extra}]"', name=name)
+            raise ModuleNotFoundError(
+                f'{name} is needed for this: pip install "pcs-racing[{extra}]"', name=name
+            )
 
 
 def _shortened(message: str) -> str:
     line = _ends(message)
     # Escape terminal commands: cursor, colours, writing direction.
-    return _ends("".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line))
+    return _ends(
+        "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in line)
+    )
 
 
 def _ends(line: str) -> str:

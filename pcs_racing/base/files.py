@@ -1,7 +1,8 @@
 """Atomic writing of files, and safe reading of untrusted files: no content is executed.
 
-A few bytes can request much memory: YAML with aliases of aliases, an array header with a size of terabytes, a zip file
-that unpacks to terabytes. The readers here check the size before they build the content.
+A few bytes can request much memory: YAML with aliases of aliases, an array header with a size of
+terabytes, a zip file that unpacks to terabytes. The readers here check the size before they build
+the content.
 """
 
 import io
@@ -34,7 +35,9 @@ _KINDS = "biufcUS"  # types of arrays: booleans, numbers and texts
 
 
 def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces ``path``."""
+    """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces
+    ``path``.
+    """
     check_path("the path of a file", path)
     if not path.parent.is_dir():
         raise InputError(f"can't write {path}: there is no folder {path.parent}")
@@ -55,7 +58,9 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def read_limited(path: str | os.PathLike[str], limit: int, kind: str, error: type[InputError] | None = None) -> bytes:
+def read_limited(
+    path: str | os.PathLike[str], limit: int, kind: str, error: type[InputError] | None = None
+) -> bytes:
     """Return the content of a regular file of at most ``limit`` bytes.
 
     ``kind`` ("an archive") is for the message. All problems raise ``error``; without ``error``, an
@@ -89,7 +94,9 @@ def plain_yaml(data: bytes | str) -> Any:
     """Parse a YAML text of mappings, lists, texts and numbers."""
     try:
         # As a stream: for a text, PyYAML's errors would quote the line, possibly of a linked file.
-        loader = yaml.SafeLoader(io.StringIO(data.decode("utf-8") if isinstance(data, bytes) else data))
+        loader = yaml.SafeLoader(
+            io.StringIO(data.decode("utf-8") if isinstance(data, bytes) else data)
+        )
         node = loader.get_single_node()
         if node is None:
             return None
@@ -105,7 +112,9 @@ def plain_yaml(data: bytes | str) -> Any:
         raise InputError(" ".join(str(error).split())[:200] or type(error).__name__) from None
 
 
-def parse_yaml(file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError) -> Any:
+def parse_yaml(
+    file: str | os.PathLike[str], content: bytes, error: type[InputError] = InputError
+) -> Any:
     """Parse the content of a YAML file like :func:`plain_yaml`; the error names the file."""
     try:
         return plain_yaml(content)
@@ -138,7 +147,9 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
         if kind in ("int", "float", "timestamp") and len(node.value) > _LONGEST_NUMBER:
             raise InputError(f"the number {node.value[:20]}... has {len(node.value)} characters")
         if kind == "float" and not math.isfinite(_FLOATS.construct_yaml_float(node)):
-            raise InputError(f"line {node.start_mark.line + 1} holds {node.value:.20}; numbers must be finite")
+            raise InputError(
+                f"line {node.start_mark.line + 1} holds {node.value:.20}; numbers must be finite"
+            )
         return 1.0 + 0.1 * len(node.value)
     if id(node) not in sizes:
         if depth > _DEEPEST:
@@ -159,7 +170,10 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
             # Check the announced sizes before unpacking any member.
             if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > limit:
                 raise InputError(f"it unpacks to more than {limit} bytes or {_MOST_MEMBERS} arrays")
-            return {member.filename.removesuffix(".npy"): _array(file.read(member)) for member in members}
+            return {
+                member.filename.removesuffix(".npy"): _array(file.read(member))
+                for member in members
+            }
     except InputError:
         raise
     # zipfile and zlib raise a dozen types of errors for damaged files.
@@ -172,8 +186,15 @@ def _array(content: bytes) -> NDArray[Any]:
     stream = io.BytesIO(content)
     # Numpy reserves the announced memory, but touches no more of it than the content fills.
     array: NDArray[Any] = np.lib.format.read_array(stream, allow_pickle=False)
-    if array.dtype.kind not in _KINDS or array.dtype.itemsize == 0 or max(array.shape, default=0) > 2**40:
-        raise InputError(f"an array is of type {array.dtype} and shape {array.shape}; there may be numbers and texts")
+    if (
+        array.dtype.kind not in _KINDS
+        or array.dtype.itemsize == 0
+        or max(array.shape, default=0) > 2**40
+    ):
+        raise InputError(
+            f"an array is of type {array.dtype} and shape {array.shape}; there may be numbers and"
+            " texts"
+        )
     if stream.read(1):
         raise InputError(f"more follows an array of type {array.dtype} and shape {array.shape}")
     return array

@@ -22,7 +22,9 @@ from pcs_racing.base.errors import InputError
 FINE = 1000
 COARSE = 100
 
-_CODES = np.frombuffer(b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_", np.uint8)
+_CODES = np.frombuffer(
+    b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_", np.uint8
+)
 _VALUES = np.full(256, 255, np.uint8)
 _VALUES[_CODES] = np.arange(64, dtype=np.uint8)
 
@@ -35,7 +37,8 @@ _MOST_NUMBERS = 10_000_000
 
 
 def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
-    """Return an array as compressed text: ``shape``, ``per_unit``, ``differences`` and ``data``, ready for JSON.
+    """Return an array as compressed text: ``shape``, ``per_unit``, ``differences`` and ``data``,
+    ready for JSON.
 
     ``per_unit`` is the number of steps per unit: 1000 preserves three decimals. Differences are
     taken along the axes ``differences``, in this order; an axis may occur twice. Values must be
@@ -43,7 +46,9 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
     """
     values = np.asarray(values, float)
     if not np.all(np.abs(values * per_unit) < _LARGEST):  # also false for NaN
-        raise InputError(f"can't store numbers that are not finite or beyond {_LARGEST / per_unit:.3g}")
+        raise InputError(
+            f"can't store numbers that are not finite or beyond {_LARGEST / per_unit:.3g}"
+        )
     whole = np.rint(values * per_unit).astype(np.int64)
     for axis in differences:
         whole = np.diff(whole, axis=axis, prepend=0)
@@ -59,7 +64,12 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
         more = lengths[selected] > place + 1
         text[starts[selected] + place] = _CODES[((folded[selected] >> 5 * place) & 31) + 32 * more]
     data = text.tobytes().decode()
-    return {"shape": list(values.shape), "per_unit": per_unit, "differences": list(differences), "data": data}
+    return {
+        "shape": list(values.shape),
+        "per_unit": per_unit,
+        "differences": list(differences),
+        "data": data,
+    }
 
 
 def unpack(packed: object, name: str = "array") -> np.ndarray:
@@ -70,8 +80,14 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     if math.prod(shape) > _MOST_NUMBERS:
         raise InputError(f"{name}.shape is {shape}; there may be {_MOST_NUMBERS} numbers in all")
     per_unit = check_number(f"{name}.per_unit", per_unit, 1e-9, 1e9)
-    differences = check_wholes(f"{name}.differences", differences, 0, len(shape) - 1, (0, _MOST_DIFFERENCES))
-    digits = _VALUES[np.frombuffer(data.encode(errors="replace"), np.uint8)] if isinstance(data, str) else None
+    differences = check_wholes(
+        f"{name}.differences", differences, 0, len(shape) - 1, (0, _MOST_DIFFERENCES)
+    )
+    digits = (
+        _VALUES[np.frombuffer(data.encode(errors="replace"), np.uint8)]
+        if isinstance(data, str)
+        else None
+    )
     if digits is None or np.any(digits == 255):
         raise InputError(f"{name}.data must be text in the base-64 alphabet")
     last = digits < 32
@@ -98,7 +114,9 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
 
 
 def join_segments(segments: np.ndarray) -> list[np.ndarray]:
-    """Join segments (S, 4) into polylines (n, 2), rounded to 1 cm; a closed polyline ends with its first point."""
+    """Join segments (S, 4) into polylines (n, 2), rounded to 1 cm; a closed polyline ends with its
+    first point.
+    """
     ends = [tuple(row) for row in (np.rint(segments * COARSE) / COARSE + 0.0).tolist()]
     # Backwards, so that the first of several segments that begin at a point is taken from the end
     # of the list.
@@ -127,17 +145,25 @@ def pack_segments(segments: np.ndarray) -> dict[str, Any]:
     """Return segments of shape (S, 4) as packed polylines; the order of the segments may change."""
     polylines = join_segments(segments)
     counts = np.array([len(points) for points in polylines])
-    return {"points": pack(np.vstack([np.empty((0, 2)), *polylines]), COARSE, [0]), "counts": pack(counts, 1)}
+    return {
+        "points": pack(np.vstack([np.empty((0, 2)), *polylines]), COARSE, [0]),
+        "counts": pack(counts, 1),
+    }
 
 
 def unpack_segments(packed: object, name: str) -> np.ndarray:
     """Return the segments that `pack_segments` packed, shape (S, 4)."""
     points, counts = _parts(packed, name, ("points", "counts"))
-    points, counts = unpack(points, f"{name}.points"), unpack(counts, f"{name}.counts").astype(np.int64)
+    points, counts = (
+        unpack(points, f"{name}.points"),
+        unpack(counts, f"{name}.counts").astype(np.int64),
+    )
     if points.ndim != 2 or points.shape[1] != 2 or counts.ndim != 1:
         raise InputError(f"{name} must have points of shape (M, 2) and a list of counts")
     if np.any(counts < 2) or np.any(counts > len(points)) or counts.sum() != len(points):
-        raise InputError(f"{name}.counts must be at least 2 each and sum to the {len(points)} points")
+        raise InputError(
+            f"{name}.counts must be at least 2 each and sum to the {len(points)} points"
+        )
     joined = np.ones(len(points), bool)
     joined[np.cumsum(counts) - 1] = False
     starts = np.flatnonzero(joined)
@@ -147,9 +173,10 @@ def unpack_segments(packed: object, name: str) -> np.ndarray:
 def pack_paths(paths: np.ndarray, per_unit: float) -> dict[str, Any]:
     """Return packed paths, shape (..., P, columns); each path may end in rows of NaN.
 
-    The rows of NaN are replaced by copies of the last point, and the number of points of each path is stored. Second
-    differences along a path are small because its points are evenly spaced. Neighbouring paths (along the axis before
-    the points; for a car's plans, consecutive plans) have similar second differences.
+    The rows of NaN are replaced by copies of the last point, and the number of points of each path
+    is stored. Second differences along a path are small because its points are evenly spaced.
+    Neighbouring paths (along the axis before the points; for a car's plans, consecutive plans) have
+    similar second differences.
     """
     counts = np.count_nonzero(~np.isnan(paths).any(axis=-1), axis=-1)
     last = np.minimum(np.arange(paths.shape[-2]), np.maximum(counts - 1, 0)[..., None])

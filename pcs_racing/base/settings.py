@@ -1,15 +1,17 @@
-"""Declared configurations: frozen dataclasses whose annotations state type, range and meaning in one place::
+"""Declared configurations: frozen dataclasses whose annotations state type, range and meaning in
+one place::
 
     @dataclass(frozen=True)
     class Soup(Settings):
         salt: Annotated[float, Interval(ge=0.0, le=1.0), "Salt, g."] = 0.5
 
-The notes behind a type are those of ``annotated_types``, which pydantic checks, and a text, the meaning. Everything
-else follows: the checks when settings are made, the attributes in the docstring, loading from YAML
-(:func:`load_settings`), the plain form for manifests (:func:`plain_settings`), the words of a command line
-(:func:`option_words`) and the JSON schema of a file (``dev/tools/write_schemas.py``). An option whose default is None
-may be None. Defaults are not checked, so pydantic is only imported for other values (it would double the time of
-``import pcs_racing``).
+The notes behind a type are those of ``annotated_types``, which pydantic checks, and a text, the
+meaning. Everything else follows: the checks when settings are made, the attributes in the
+docstring, loading from YAML (:func:`load_settings`), the plain form for manifests
+(:func:`plain_settings`), the words of a command line (:func:`option_words`) and the JSON schema of
+a file (``dev/tools/write_schemas.py``). An option whose default is None may be None. Defaults are
+not checked, so pydantic is only imported for other values (it would double the time of ``import
+pcs_racing``).
 """
 
 import os
@@ -54,7 +56,9 @@ _PLURALS = {int: "whole numbers", float: "numbers", str: "names"}
 
 @dataclass(frozen=True)
 class Checked:
-    """A note for values in forms of their own: a function of name and value returns the stored value, or refuses."""
+    """A note for values in forms of their own: a function of name and value returns the stored
+    value, or refuses.
+    """
 
     function: Callable[[str, Any], Any]
     words: str = ""  #: The range, for docstrings and help texts.
@@ -95,7 +99,9 @@ Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=4096)], ...], Len(0, 8
 """Units of each hidden layer of a network."""
 
 
-def number_range(minimum: float, maximum: float, what: str = "", is_kind: Callable[[Any], bool] = is_number) -> Checked:
+def number_range(
+    minimum: float, maximum: float, what: str = "", is_kind: Callable[[Any], bool] = is_number
+) -> Checked:
     """Two numbers within limits, the second one not below the first; a single number is both."""
 
     def check(name: str, value: Any) -> tuple[Any, Any]:
@@ -144,7 +150,9 @@ class Option:
                 except InputError as error:
                     raise ConfigError(str(error)) from None
         limits = [note for note in self.notes if not isinstance(note, str)]
-        within_them = (isinstance(note, Interval) and note.ge <= value <= note.le for note in limits)
+        within_them = (
+            isinstance(note, Interval) and note.ge <= value <= note.le for note in limits
+        )
         # A number within its limits, the usual case, needs no pydantic.
         if type(value) is self.kind and (limits or self.kind is bool) and all(within_them):
             return value
@@ -159,13 +167,18 @@ class Option:
             held = isinstance(value, Mapping) and first["loc"]
             wrong = f"holds {first['loc'][0]!r}: {first['input']!r}" if held else f"is {value!r}"
             hint = did_you_mean(value, _choices(self.kind, self.notes))
-            raise ConfigError(f"{name} {wrong}; it must be {''.join(_wanted(self.kind, self.notes))}{hint}") from None
-        # As it is, since a whole number that pydantic made a fraction would change the hashes of manifests.
+            raise ConfigError(
+                f"{name} {wrong}; it must be {''.join(_wanted(self.kind, self.notes))}{hint}"
+            ) from None
+        # As it is, since a whole number that pydantic made a fraction would change the hashes of
+        # manifests.
         return plain
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy, sequences and mappings."""
+    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy,
+    sequences and mappings.
+    """
     if isinstance(value, np.generic):
         return value.item()
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
@@ -188,7 +201,9 @@ def _choices(kind: Any, notes: Iterable[Any]) -> tuple[str, ...]:
 
 
 def _wanted(kind: Any, notes: Iterable[Any], largest: float = np.inf) -> tuple[str, str]:
-    """Return a noun for the values of a type, and their limits, without a maximum above ``largest``."""
+    """Return a noun for the values of a type, and their limits, without a maximum above
+    ``largest``.
+    """
     if known := _choices(kind, notes):
         return "one of", f" {', '.join(known)}"
     by_type = {type(note): note for note in notes}
@@ -208,20 +223,28 @@ def _wanted(kind: Any, notes: Iterable[Any], largest: float = np.inf) -> tuple[s
         _parts(get_args(kind)[form != "a list of"]),
         " different" if DIFFERENT in by_type.values() else "",
     )
-    return f"{form}{count}{different} {_PLURALS.get(inner[0], 'values')}", _wanted(*inner, largest)[1]
+    return (
+        f"{form}{count}{different} {_PLURALS.get(inner[0], 'values')}",
+        _wanted(*inner, largest)[1],
+    )
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of declared configurations; checks between fields go into ``__post_init__`` after the base's."""
+    """Base of declared configurations; checks between fields go into ``__post_init__`` after the
+    base's.
+    """
 
-    other_names: ClassVar[Mapping[str, str]] = {}  #: Names of settings elsewhere, for the hint in an error: ours.
+    #: Names of settings elsewhere, for the hint in an error: ours.
+    other_names: ClassVar[Mapping[str, str]] = {}
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         # From Python 3.13 on the docstring is not indented anyway; before, both parts must be.
         own = cleandoc(cls.__dict__.get("__doc__") or "")
-        cls.__doc__ = "\n".join([own, "", "Attributes", "----------", *listed_settings(cls, defaults=True), ""])
+        cls.__doc__ = "\n".join(
+            [own, "", "Attributes", "----------", *listed_settings(cls, defaults=True), ""]
+        )
 
     def __post_init__(self) -> None:
         for name, option in _options(type(self)).items():
@@ -249,7 +272,11 @@ def options_of(cls: type[Settings]) -> dict[str, Option]:
         for name, kind in get_annotations(base).items():
             parts, default = _parts(kind), made.get(name, base.__dict__.get(name, MISSING))
             if isinstance(default, Field):
-                default = default.default if default.default_factory is MISSING else default.default_factory()
+                default = (
+                    default.default
+                    if default.default_factory is MISSING
+                    else default.default_factory()
+                )
             if get_origin(kind) is Annotated:
                 found[name] = Option(*parts, default, kind)
     return found
@@ -267,10 +294,12 @@ def load_settings(
     /,
     **changes: Any,
 ) -> S:
-    """Return settings from a name out of ``named``, a YAML file, a mapping or settings, with some fields changed.
+    """Return settings from a name out of ``named``, a YAML file, a mapping or settings, with some
+    fields changed.
 
-    ``default`` is what a field is that a file leaves out, or all of them without a source; a file's key ``base_key``
-    names other settings, out of ``named``, that take its place. ``kind`` ("race") is for messages.
+    ``default`` is what a field is that a file leaves out, or all of them without a source; a file's
+    key ``base_key`` names other settings, out of ``named``, that take its place. ``kind`` ("race")
+    is for messages.
     """
     known = dict(named or {})
     if isinstance(source, Mapping):
@@ -281,14 +310,16 @@ def load_settings(
         made = default if source is None else source
         return replace(made, **changes) if changes else made
     if not isinstance(source, str | os.PathLike):
-        raise ConfigError(f"{kind} settings are {source!r:.80}; use a name, a mapping or the path of a YAML file")
+        raise ConfigError(
+            f"{kind} settings are {source!r:.80}; use a name, a mapping or the path of a YAML file"
+        )
     place = known.get(source, Path(source)) if isinstance(source, str) else Path(source)
     if not isinstance(place, str | os.PathLike):
         return load_settings(kind, default, place, **changes)
     if not os.path.isfile(place):
         raise UnknownNameError(
-            f"{kind} settings {str(source)!r} are unknown; use {', '.join(known) or 'none'} or the path of a YAML file"
-            f"{did_you_mean(source, known)}"
+            f"{kind} settings {str(source)!r} are unknown; use {', '.join(known) or 'none'} or the"
+            f" path of a YAML file{did_you_mean(source, known)}"
         )
     values = read_settings(place)
     if base_key is not None and base_key in values:
@@ -305,7 +336,9 @@ def load_settings(
 
 def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
     """Read a YAML file that holds a mapping; no code in it is run."""
-    values = parse_yaml(path, read_limited(path, MAX_YAML, "a file of settings", ConfigError), ConfigError)
+    values = parse_yaml(
+        path, read_limited(path, MAX_YAML, "a file of settings", ConfigError), ConfigError
+    )
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of settings")
     return dict(values)
@@ -314,7 +347,9 @@ def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
 def plain_settings(settings: Settings) -> dict[str, Any]:
     """Return settings as plain values that YAML can hold; tuples become lists."""
     values = {field.name: getattr(settings, field.name) for field in fields(settings)}
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+    return {
+        key: list(value) if isinstance(value, tuple) else value for key, value in values.items()
+    }
 
 
 def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where: str) -> None:
@@ -323,11 +358,15 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
         if key not in known:
             ours = settings.other_names.get(key)
             hint = f" (did you mean {ours!r}?)" if ours else did_you_mean(key, known)
-            raise ConfigError(f"{where}: unknown {kind} setting {key!r}; known are {', '.join(known)}{hint}")
+            raise ConfigError(
+                f"{where}: unknown {kind} setting {key!r}; known are {', '.join(known)}{hint}"
+            )
 
 
 def listed_settings(cls: type[Settings], *without: str, defaults: bool = False) -> list[str]:
-    """Return lines of a docstring, two or more for each option of a class: its name and type, and its meaning."""
+    """Return lines of a docstring, two or more for each option of a class: its name and type, and
+    its meaning.
+    """
     lines: list[str] = []
     for name, option in options_of(cls).items():
         if name not in without:
@@ -346,7 +385,11 @@ def type_name(kind: Any) -> str:
     """Return a type as a docstring writes it."""
     kind = get_type_hints(SimpleNamespace(__annotations__={"kind": kind}))["kind"]  # without notes
     plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
-    return re.sub(r"collections\.abc\.|typing\.", "", re.sub(r"typing\.Optional\[(.+)\]$", r"\1 | None", plain))
+    return re.sub(
+        r"collections\.abc\.|typing\.",
+        "",
+        re.sub(r"typing\.Optional\[(.+)\]$", r"\1 | None", plain),
+    )
 
 
 def option_words(option: Option, with_default: bool = True) -> str:

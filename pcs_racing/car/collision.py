@@ -1,8 +1,8 @@
 """Contacts between cars and of cars with walls, by exact rectangles, and the fault for a contact.
 
-A car is the rectangle of ``2 half_length x 2 half_width`` (m) centred on its pose: x, y (m) and psi (rad). Two cars are
-in contact when they share a positive area. A car and a wall are in contact when a piece of the wall is inside the car.
-Touching alone is not a contact. No lidar scan is needed.
+A car is the rectangle of ``2 half_length x 2 half_width`` (m) centred on its pose: x, y (m) and psi
+(rad). Two cars are in contact when they share a positive area. A car and a wall are in contact when
+a piece of the wall is inside the car. Touching alone is not a contact. No lidar scan is needed.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,8 @@ from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, interpolate, wrap_s
 
-# Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at fault.
+# Two closing speeds this close to each other (as a share of the larger, or in m/s) put both cars at
+# fault.
 EQUAL_SHARES = 0.05
 EQUAL_SPEEDS = 1e-3
 
@@ -90,7 +91,9 @@ def _wall_in_rectangle(near, stretch, body):
     dx = body.x - near.seen_middle[stretch, 0]
     dy = body.y - near.seen_middle[stretch, 1]
     half_length, half_width = body.half_length, body.half_width
-    reach = np.sqrt(dx * dx + dy * dy) + np.sqrt(half_length * half_length + half_width * half_width)
+    reach = np.sqrt(dx * dx + dy * dy) + np.sqrt(
+        half_length * half_length + half_width * half_width
+    )
     for k in range(near.seen_start[stretch], near.seen_start[stretch + 1]):
         # The list is sorted: no later segment can reach into the rectangle.
         if near.seen_distance[k] >= reach:
@@ -101,7 +104,12 @@ def _wall_in_rectangle(near, stretch, body):
         bx = near.walls[i, 2] - body.x
         by = near.walls[i, 3] - body.y
         if _segment_in_rectangle(
-            ax * c + ay * s, ay * c - ax * s, bx * c + by * s, by * c - bx * s, half_length, half_width
+            ax * c + ay * s,
+            ay * c - ax * s,
+            bx * c + by * s,
+            by * c - bx * s,
+            half_length,
+            half_width,
         ):
             return True
     return False
@@ -109,7 +117,9 @@ def _wall_in_rectangle(near, stretch, body):
 
 @inner_kernel(forceinline=True)
 def hits_wall(near, s, body):
-    """Compute `car_hits_wall` for :class:`WallArrays`, a :class:`Rectangle` and an arc length in [0, length)."""
+    """Compute `car_hits_wall` for :class:`WallArrays`, a :class:`Rectangle` and an arc length in
+    [0, length).
+    """
     half_length, half_width = body.half_length, body.half_width
     per_cell = 1.0 / near.cell
     u = (body.x - near.origin_x) * per_cell
@@ -243,7 +253,8 @@ def contact_fault(state0, state1, a, b):
     dy = b.y - a.y
     s, c = sine_cosine(b.psi - a.psi)
     s, c = abs(s), abs(c)
-    axes = np.empty((4, 3))  # unit vector from the first car towards the second, penetration along it
+    # unit vector from the first car towards the second, penetration along it
+    axes = np.empty((4, 3))
     reaches = (
         a.half_length + b.half_length * c + b.half_width * s,
         a.half_width + b.half_length * s + b.half_width * c,

@@ -23,7 +23,8 @@ _OUTSIDE = 1e-8
 
 @kernel(forceinline=True)
 def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):
-    """Return the smaller of ``best`` and the minimum time to collision (s) with the points of a segment.
+    """Return the smaller of ``best`` and the minimum time to collision (s) with the points of a
+    segment.
 
     The ends a and b (m) and the velocity (m/s) are relative to the lidar. ``speed``, the norm of
     the velocity, is positive.
@@ -43,12 +44,15 @@ def segment_ittc(ax, ay, bx, by, vx, vy, speed, best):
         h = ax * nx + ay * ny
         if h < 0.0:
             h, nx, ny = -h, -nx, -ny
-        # The circle of time t has its centre at v t / 2 and touches the line where v.n t / 2 + |v| t / 2 = h.
+        # The circle of time t has its centre at v t / 2 and touches the line where v.n t / 2 + |v|
+        # t / 2 = h.
         closing = speed + vx * nx + vy * ny
         if 2.0 * h >= best * closing:
             return best
         time = 2.0 * h / closing
-        foot = (0.5 * time * (vx + speed * nx) - ax) * ux + (0.5 * time * (vy + speed * ny) - ay) * uy
+        foot = (0.5 * time * (vx + speed * nx) - ax) * ux + (
+            0.5 * time * (vy + speed * ny) - ay
+        ) * uy
         if -_ROUNDING <= foot <= length + _ROUNDING:
             return time
         # The time has a single minimum along the line, so the nearer end is the best point.
@@ -82,7 +86,9 @@ def _outside_circle(ax, ay, bx, by, cx, cy, square):
 
 @inner_kernel(forceinline=True)
 def walls_ittc(near, stretch, x, y, vx, vy, best):
-    """Return the smaller of ``best`` and the minimum time to collision with the walls visible from a stretch."""
+    """Return the smaller of ``best`` and the minimum time to collision with the walls visible from
+    a stretch.
+    """
     speed = np.sqrt(vx * vx + vy * vy)
     if speed == 0.0:
         return best
@@ -115,7 +121,9 @@ def walls_ittc(near, stretch, x, y, vx, vy, best):
 
 @inner_kernel
 def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):
-    """Return the smaller of ``best`` and the minimum time to collision with a rectangle at (x, y) from the lidar."""
+    """Return the smaller of ``best`` and the minimum time to collision with a rectangle at (x, y)
+    from the lidar.
+    """
     speed = np.sqrt(vx * vx + vy * vy)
     nearest = np.sqrt(x * x + y * y) - half_length - half_width  # lower bound
     if speed == 0.0 or nearest >= best * speed:
@@ -132,8 +140,11 @@ def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):
 
 
 @kernel
-def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon):
-    """Return the minimum instantaneous time to collision of a lidar with the walls and, optionally, the opponent.
+def minimum_ittc(
+    track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon
+):
+    """Return the minimum instantaneous time to collision of a lidar with the walls and, optionally,
+    the opponent.
 
     Walls hidden by the opponent count too. Rotation of either car is ignored: the direction of a
     beam is taken as constant.
@@ -145,5 +156,7 @@ def minimum_ittc(track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, 
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
     best = walls_ittc(WallArrays(*track[WALLS_BEGIN:WALLS_END]), stretch, x, y, vx, vy, horizon)
     if use_opponent:
-        best = rectangle_ittc(ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best)
+        best = rectangle_ittc(
+            ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best
+        )
     return best

@@ -58,7 +58,8 @@ def step_slow_car(lanes, lane, state, p, dt):
 
 @inner_kernel
 def step_lanes(lanes, cars, dt):
-    """Advance the cars in the first ``cars`` lanes by one step of ``dt`` seconds towards their targets.
+    """Advance the cars in the first ``cars`` lanes by one step of ``dt`` seconds towards their
+    targets.
 
     ``VECTOR`` lanes are computed at a time. The lanes beyond the cars, up to the next multiple, are
     computed as well and may hold any numbers; numbers below 1e-307 would slow down the arithmetic.
@@ -91,7 +92,9 @@ def step_lanes(lanes, cars, dt):
             psi = part[LANES * _vehicle.PSI + i]
             psi_dot = part[LANES * _vehicle.PSI_DOT + i]
             beta = part[LANES * _vehicle.BETA + i]
-            rate, acceleration = target_inputs(delta, v, part[_STEER + i], part[_SPEED + i], car, dt)
+            rate, acceleration = target_inputs(
+                delta, v, part[_STEER + i], part[_SPEED + i], car, dt
+            )
             # No slow branch here: a branch would prevent vectorisation of the loop.
             x, y, delta, v, psi, psi_dot, beta = runge_kutta(
                 x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, dt, False

@@ -27,7 +27,22 @@ def _scan_all(track, beams, poses, has_opponent, opponents, half_length, half_wi
         x, y, psi = poses[k]
         ox, oy, opsi = opponents[k]
         s, _ = locate(track, x, y)
-        scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out[k])
+        scan_into(
+            track,
+            beams,
+            x,
+            y,
+            psi,
+            s,
+            has_opponent,
+            ox,
+            oy,
+            opsi,
+            half_length,
+            half_width,
+            work,
+            out[k],
+        )
 
 
 def _poses(value: ArrayLike, name: str) -> NDArray[np.float64]:
@@ -38,13 +53,17 @@ def _poses(value: ArrayLike, name: str) -> NDArray[np.float64]:
     if poses.ndim == 0 or poses.shape[-1] != 3:
         raise InputError(f"{name} must have the shape (..., 3): x, y, psi; got {poses.shape}")
     if not np.isfinite(poses).all():
-        raise InputError(f"{name} must be finite; got {poses[~np.isfinite(poses).all(axis=-1)][0].tolist()}")
+        raise InputError(
+            f"{name} must be finite; got {poses[~np.isfinite(poses).all(axis=-1)][0].tolist()}"
+        )
     return poses
 
 
 def _track(name: str, value: Any) -> Track:
     if not isinstance(value, Track):
-        raise ConfigError(f"{name} is a {type(value).__name__}; it must be a Track, as load_track returns it")
+        raise ConfigError(
+            f"{name} is a {type(value).__name__}; it must be a Track, as load_track returns it"
+        )
     return value
 
 
@@ -57,7 +76,9 @@ class Lidar(Settings):
     """Scanning lidar at the pose of a car, on one track."""
 
     track: Annotated[Track, Checked(_track), "The circuit."]
-    beams: Annotated[int, Interval(ge=1, le=MOST_BEAMS), "Number of beams; a single beam points straight ahead."] = 1080
+    beams: Annotated[
+        int, Interval(ge=1, le=MOST_BEAMS), "Number of beams; a single beam points straight ahead."
+    ] = 1080
     fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
     max_range: Annotated[float, MAX_RANGE, "Maximum range, m."] = 30.0
     noise: Annotated[
@@ -69,7 +90,11 @@ class Lidar(Settings):
     @cached_property
     def angles(self) -> NDArray[np.float64]:
         """Beam angles from the heading, shape (beams,), rad, counter-clockwise; read-only."""
-        angles = np.linspace(-0.5 * self.fov, 0.5 * self.fov, self.beams) if self.beams > 1 else np.zeros(1)
+        angles = (
+            np.linspace(-0.5 * self.fov, 0.5 * self.fov, self.beams)
+            if self.beams > 1
+            else np.zeros(1)
+        )
         angles.flags.writeable = False
         return angles
 
@@ -114,7 +139,10 @@ class Lidar(Settings):
             try:
                 others = np.broadcast_to(others, at.shape)
             except ValueError as error:
-                message = f"opponents of shape {others.shape} can't be broadcast to poses of shape {at.shape}"
+                message = (
+                    f"opponents of shape {others.shape} can't be broadcast to poses of shape"
+                    f" {at.shape}"
+                )
                 raise InputError(message) from error
         length, width = opponent_size
         check_number("the opponent's length", length, 1e-3, 1e3)
@@ -122,7 +150,8 @@ class Lidar(Settings):
         if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
             raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
         out = np.empty((at.size // 3, self.beams))
-        # Writeable, although no code writes to it: numba compiles read-only arrays as a separate type.
+        # Writeable, although no code writes to it: numba compiles read-only arrays as a separate
+        # type.
         _scan_all(
             self.track.arrays,
             self.kernel,

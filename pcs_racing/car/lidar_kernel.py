@@ -81,7 +81,8 @@ def _faces_lidar(ax, ay, bx, by):
 
 @inner_kernel
 def _find_angles(beams, x, y, cos, sin, px, py, angles):
-    """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2 pi].
+    """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2
+    pi].
 
     Vectorisable, like `_choose`: no branch, no lookup.
     """
@@ -134,7 +135,8 @@ def _fill(cos, sin, p, q, first, last, out):
 def _draw(beams, x, y, cos, sin, px, py, work, out):
     """Draw the segments between successive corners into a buffer of inverse ranges.
 
-    A beam in the direction (c, s) of the car's frame meets a segment at the inverse range ``p c + q s``.
+    A beam in the direction (c, s) of the car's frame meets a segment at the inverse range ``p c + q
+    s``.
     """
     count = px.shape[0] - 1
     last = out.shape[0] - 1.0
@@ -275,7 +277,9 @@ def _settle_jump(track, beams, x, y, cos, sin, k, out):
 
 @inner_kernel
 def _settle_edges(track, beams, x, y, cos, sin, out):
-    """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with the buffer."""
+    """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with
+    the buffer.
+    """
     last = out.shape[0] - 1
     k = 0
     while k < last:
@@ -328,7 +332,9 @@ def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
 
 
 @kernel
-def scan_into(track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out):
+def scan_into(
+    track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out
+):
     """Write one scan without allocation into ``out``, shape (beams,): ranges in [0, max_range], m.
 
     A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each

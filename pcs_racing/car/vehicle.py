@@ -1,8 +1,8 @@
 """Single-track vehicle model of CommonRoad [1]_, and controllers from commands to its inputs.
 
-A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s), heading psi (rad),
-yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity. Its inputs are the steering rate
-(rad/s) and the longitudinal acceleration (m/s^2).
+A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s),
+heading psi (rad), yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity.
+Its inputs are the steering rate (rad/s) and the longitudinal acceleration (m/s^2).
 
 References
 ----------
@@ -47,12 +47,22 @@ class VehicleParams(Settings):
 
     #: The names of the F1TENTH gym; its two bounds of the steering are one here.
     other_names: ClassVar[Mapping[str, str]] = {
-        **{"C_Sf": "c_sf", "C_Sr": "c_sr", "I": "inertia", "s_min": "steer_max", "s_max": "steer_max"},
+        **{
+            "C_Sf": "c_sf",
+            "C_Sr": "c_sr",
+            "I": "inertia",
+            "s_min": "steer_max",
+            "s_max": "steer_max",
+        },
         **{"sv_min": "steer_rate_max", "sv_max": "steer_rate_max"},
     }
     mu: Annotated[float, Interval(ge=0.01, le=10.0), "Friction coefficient."] = 1.0489
-    c_sf: Annotated[float, Interval(ge=0.01, le=1000.0), "Cornering stiffness of the front tyres, 1/rad."] = 4.718
-    c_sr: Annotated[float, Interval(ge=0.01, le=1000.0), "Cornering stiffness of the rear tyres, 1/rad."] = 5.4562
+    c_sf: Annotated[
+        float, Interval(ge=0.01, le=1000.0), "Cornering stiffness of the front tyres, 1/rad."
+    ] = 4.718
+    c_sr: Annotated[
+        float, Interval(ge=0.01, le=1000.0), "Cornering stiffness of the rear tyres, 1/rad."
+    ] = 5.4562
     lf: Annotated[
         float,
         Interval(ge=0.001, le=10.0),
@@ -66,14 +76,20 @@ class VehicleParams(Settings):
     h: Annotated[float, Interval(ge=0.0001, le=10.0), "Height of the centre of gravity, m."] = 0.074
     m: Annotated[float, Interval(ge=0.001, le=1e5), "Mass, kg."] = 3.74
     inertia: Annotated[float, Interval(ge=1e-6, le=1e6), "Yaw inertia, kg m^2."] = 0.04712
-    steer_max: Annotated[float, Interval(ge=0.001, le=1.5), "Largest steering angle either way, rad."] = 0.4189
-    steer_rate_max: Annotated[float, Interval(ge=0.001, le=1000.0), "Largest steering rate either way, rad/s."] = 3.2
+    steer_max: Annotated[
+        float, Interval(ge=0.001, le=1.5), "Largest steering angle either way, rad."
+    ] = 0.4189
+    steer_rate_max: Annotated[
+        float, Interval(ge=0.001, le=1000.0), "Largest steering rate either way, rad/s."
+    ] = 3.2
     v_switch: Annotated[
         float,
         Interval(ge=0.01, le=1000.0),
         "Speed above which the engine's power, not its force, limits the acceleration, m/s.",
     ] = 7.319
-    a_max: Annotated[float, Interval(ge=0.01, le=1000.0), "Largest acceleration and braking, m/s^2."] = 9.51
+    a_max: Annotated[
+        float, Interval(ge=0.01, le=1000.0), "Largest acceleration and braking, m/s^2."
+    ] = 9.51
     v_min: Annotated[float, Interval(ge=-1000.0, le=0.0), "Lowest speed, m/s."] = -5.0
     v_max: Annotated[float, Interval(ge=0.01, le=1000.0), "Highest speed, m/s."] = 20.0
     width: Annotated[
@@ -91,7 +107,8 @@ class VehicleParams(Settings):
     steer_noise: Annotated[
         float | None,
         Interval(ge=0.0, le=0.4),
-        "Standard deviation of the disturbance of every steering command, rad; None takes that of the race's rules.",
+        "Standard deviation of the disturbance of every steering command, rad; None takes that of"
+        " the race's rules.",
     ] = None
 
     @property
@@ -106,13 +123,17 @@ class VehicleParams(Settings):
     @cached_property
     def _row(self) -> NDArray[np.float64]:
         noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
-        return np.array([*_physical(self), round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64)
+        return np.array(
+            [*_physical(self), round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64
+        )
 
 
 F1TENTH = VehicleParams()
 
 
-def load_vehicle(source: VehicleParams | Mapping[str, Any] | str | os.PathLike[str]) -> VehicleParams:
+def load_vehicle(
+    source: VehicleParams | Mapping[str, Any] | str | os.PathLike[str],
+) -> VehicleParams:
     """Return a car from parameters, a mapping of changes to F1TENTH, "f1tenth", or a YAML file.
 
     Examples
@@ -134,9 +155,24 @@ def load_vehicles(source: Any, cars: int = 2) -> tuple[VehicleParams, ...]:
 
 
 # Columns of a parameter row.
-(MU, C_SF, C_SR, LF, LR, H, M, INERTIA, STEER_MAX, STEER_RATE_MAX, V_SWITCH, A_MAX, V_MIN, V_MAX, WIDTH, LENGTH) = (
-    range(16)
-)
+(
+    MU,
+    C_SF,
+    C_SR,
+    LF,
+    LR,
+    H,
+    M,
+    INERTIA,
+    STEER_MAX,
+    STEER_RATE_MAX,
+    V_SWITCH,
+    A_MAX,
+    V_MIN,
+    V_MAX,
+    WIDTH,
+    LENGTH,
+) = range(16)
 STEER_DELAY = 16  # in commands
 STEER_NOISE = 17  # rad; below 0: set by the race's rules
 PARAMS_SIZE = 18
@@ -216,7 +252,9 @@ def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):
     yaw = v * cos_slip * tan_delta / wheelbase
     sin_beta, cos_beta = sine_cosine(beta)
     yaw_dot = (
-        a * cos_beta * tan_delta - v * sin_beta * slip_dot * tan_delta + v * cos_beta * rate / cos_delta**2
+        a * cos_beta * tan_delta
+        - v * sin_beta * slip_dot * tan_delta
+        + v * cos_beta * rate / cos_delta**2
     ) / wheelbase
     sine, cosine = sine_cosine(psi + slip)
     return v * cosine, v * sine, rate, a, yaw, yaw_dot, slip_dot
@@ -241,7 +279,9 @@ def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):
     yaw_dot = car.yaw_gain * (
         front_moment * delta + turn * beta - (car.lf * front_moment + car.lr * rear_moment) * turned
     )
-    beta_dot = car.slip_gain * per_v * (front * delta - (rear + front) * beta + turn * turned) - psi_dot
+    beta_dot = (
+        car.slip_gain * per_v * (front * delta - (rear + front) * beta + turn * turned) - psi_dot
+    )
     sine, cosine = sine_cosine(psi + beta)
     return v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot
 
@@ -257,13 +297,37 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
     h = 0.5 * dt
     a0, a1, a2, a3, a4, a5, a6 = derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
     b0, b1, b2, b3, b4, b5, b6 = derivative(
-        delta + h * a2, v + h * a3, psi + h * a4, r + h * a5, beta + h * a6, rate, acceleration, car, slow
+        delta + h * a2,
+        v + h * a3,
+        psi + h * a4,
+        r + h * a5,
+        beta + h * a6,
+        rate,
+        acceleration,
+        car,
+        slow,
     )
     c0, c1, c2, c3, c4, c5, c6 = derivative(
-        delta + h * b2, v + h * b3, psi + h * b4, r + h * b5, beta + h * b6, rate, acceleration, car, slow
+        delta + h * b2,
+        v + h * b3,
+        psi + h * b4,
+        r + h * b5,
+        beta + h * b6,
+        rate,
+        acceleration,
+        car,
+        slow,
     )
     d0, d1, d2, d3, d4, d5, d6 = derivative(
-        delta + dt * c2, v + dt * c3, psi + dt * c4, r + dt * c5, beta + dt * c6, rate, acceleration, car, slow
+        delta + dt * c2,
+        v + dt * c3,
+        psi + dt * c4,
+        r + dt * c5,
+        beta + dt * c6,
+        rate,
+        acceleration,
+        car,
+        slow,
     )
     w = dt / 6.0
     psi += w * (a4 + 2.0 * b4 + 2.0 * c4 + d4)
@@ -285,19 +349,21 @@ def step(state, rate, acceleration, p, dt):
 
     The inputs are constant within the step.
     """
-    state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = runge_kutta(
-        state[X],
-        state[Y],
-        state[DELTA],
-        state[V],
-        state[PSI],
-        state[PSI_DOT],
-        state[BETA],
-        rate,
-        acceleration,
-        handling(p),
-        dt,
-        True,
+    state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = (
+        runge_kutta(
+            state[X],
+            state[Y],
+            state[DELTA],
+            state[V],
+            state[PSI],
+            state[PSI_DOT],
+            state[BETA],
+            rate,
+            acceleration,
+            handling(p),
+            dt,
+            True,
+        )
     )
 
 
@@ -316,7 +382,9 @@ def target_inputs(delta, v, steer, speed, car, dt):
 
 @inner_kernel
 def step_to_target(state, steer, speed, p, dt):
-    """Advance one vehicle in place by one step towards a target steering angle (rad) and speed (m/s)."""
+    """Advance one vehicle in place by one step towards a target steering angle (rad) and speed
+    (m/s).
+    """
     rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)
     step(state, rate, acceleration, p, dt)
 
@@ -335,7 +403,9 @@ def _simulate(states, controls, mode, dt, params):
             first = controls[b, k, 0]
             second = controls[b, k, 1]
             if mode == 1:
-                first, second = target_inputs(state[DELTA], state[V], first, second, handling(p), dt)
+                first, second = target_inputs(
+                    state[DELTA], state[V], first, second, handling(p), dt
+                )
             step(state, first, second, p, dt)
 
 
@@ -354,8 +424,8 @@ def simulate(
     initial_state : array_like, shape (7,) or (B, 7)
         x, y (m), delta (rad), v (m/s), psi (rad), psi_dot (rad/s), beta (rad).
     controls : array_like, shape (T, 2) or (B, T, 2)
-        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). ``"target"``: steering angle (rad), reached at full
-        rate without overshoot, and speed (m/s).
+        ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). ``"target"``: steering angle
+        (rad), reached at full rate without overshoot, and speed (m/s).
     control_mode : {"target", "rates"}
     dt : float
         Length of a step in s, in (0, 0.05].
@@ -380,10 +450,14 @@ def simulate(
         raise InputError(f"control_mode is {control_mode!r}; it must be one of {', '.join(_MODES)}")
     if initial.ndim not in (1, 2) or initial.shape[-1] != STATE_SIZE:
         raise InputError(f"initial_state has shape {initial.shape}; it must be (7,) or (B, 7)")
-    if commands.ndim != initial.ndim + 1 or commands.shape[-1] != 2 or commands.shape[:-2] != initial.shape[:-1]:
+    if (
+        commands.ndim != initial.ndim + 1
+        or commands.shape[-1] != 2
+        or commands.shape[:-2] != initial.shape[:-1]
+    ):
         raise InputError(
-            f"controls have shape {commands.shape}; for initial_state of shape {initial.shape} they must be "
-            f"{(*initial.shape[:-1], 'T', 2)}"
+            f"controls have shape {commands.shape}; for initial_state of shape {initial.shape} they"
+            f" must be {(*initial.shape[:-1], 'T', 2)}"
         )
     if not np.isfinite(initial).all() or not np.isfinite(commands).all():
         raise InputError("initial_state and controls must be finite; found NaN or infinity")
@@ -392,7 +466,10 @@ def simulate(
     batch = np.atleast_2d(initial)
     rows = [params] * len(batch) if isinstance(params, VehicleParams) else list(params)
     if len(rows) != len(batch):
-        raise InputError(f"params holds {len(rows)} sets for {len(batch)} vehicles; give one set, or one for each")
+        raise InputError(
+            f"params holds {len(rows)} sets for {len(batch)} vehicles; give one set, or one for"
+            " each"
+        )
     states = np.empty((len(batch), commands.shape[-2] + 1, STATE_SIZE))
     states[:, 0] = batch
     _simulate(

@@ -16,8 +16,14 @@ PETTINGZOO_IDS = {
 
 GYMNASIUM_IDS = {
     "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
-    "pcs_racing/Match-v0": ("pcs_racing.envs.match:MatchEnv", "pcs_racing.envs.match:MatchVectorEnv"),
-    "pcs_racing/Drive-v1": ("pcs_racing.envs.drive:DriveEnv", "pcs_racing.envs.drive:DriveVectorEnv"),
+    "pcs_racing/Match-v0": (
+        "pcs_racing.envs.match:MatchEnv",
+        "pcs_racing.envs.match:MatchVectorEnv",
+    ),
+    "pcs_racing/Drive-v1": (
+        "pcs_racing.envs.drive:DriveEnv",
+        "pcs_racing.envs.drive:DriveVectorEnv",
+    ),
 }
 """Entry points of each environment and its vector environment, by id."""
 

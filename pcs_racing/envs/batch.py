@@ -57,7 +57,9 @@ def check_batch_size(episodes: int, threads: int | None) -> None:
         check_whole("threads", threads, 1)
 
 
-def read_numbers(options: Mapping[str, Any], name: str, shapes: Sequence[tuple[int | None, ...]], meaning: str) -> Any:
+def read_numbers(
+    options: Mapping[str, Any], name: str, shapes: Sequence[tuple[int | None, ...]], meaning: str
+) -> Any:
     """Return an option as finite numbers of one of the shapes, or None if it is not given.
 
     None in a shape matches any size.
@@ -69,11 +71,14 @@ def read_numbers(options: Mapping[str, Any], name: str, shapes: Sequence[tuple[i
     except (TypeError, ValueError):
         values = np.full((), np.nan)
     fits = any(
-        len(shape) == values.ndim and all(want in (None, size) for want, size in zip(shape, values.shape, strict=True))
+        len(shape) == values.ndim
+        and all(want in (None, size) for want, size in zip(shape, values.shape, strict=True))
         for shape in shapes
     )
     if not fits or not np.isfinite(values).all():
-        raise InputError(f"reset option {name!r} is {options[name]!r:.80}; it must be {meaning}, finite numbers")
+        raise InputError(
+            f"reset option {name!r} is {options[name]!r:.80}; it must be {meaning}, finite numbers"
+        )
     return values
 
 
@@ -94,7 +99,9 @@ def start_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> St
     return Starts(s.copy(), side.astype(np.int64))
 
 
-def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> NDArray[np.float64] | None:
+def poses_option(
+    options: Mapping[str, Any], episodes: int, cars: int = 2
+) -> NDArray[np.float64] | None:
     """Read the option "poses": x, y (m), heading (rad) and optionally speed (m/s) of all cars.
 
     The result has the shape (B, N, 4). In a single-car race a second pose is ignored.
@@ -103,7 +110,8 @@ def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> ND
     shapes = [(*first, row, size) for first in ((), (episodes,)) for row in rows for size in (3, 4)]
     whose, row = ("both cars", 2) if cars == 2 else ("all cars", cars)
     meaning = (
-        f"x, y, heading and, if not 0, speed of {whose}, shape ({row}, 3), ({row}, 4) or with {episodes} rows of these"
+        f"x, y, heading and, if not 0, speed of {whose}, shape ({row}, 3), ({row}, 4) or with"
+        f" {episodes} rows of these"
     )
     values = read_numbers(options, "poses", shapes, meaning)
     if values is None:
@@ -111,7 +119,9 @@ def poses_option(options: Mapping[str, Any], episodes: int, cars: int = 2) -> ND
     poses = np.zeros((episodes, cars, 4))
     poses[..., : values.shape[-1]] = values[..., :cars, :]
     if not ((poses[..., 3] >= 0.0) & (poses[..., 3] <= F1TENTH.v_max)).all():
-        raise InputError(f"a speed in the reset option 'poses' is not from 0 to {F1TENTH.v_max:g} m/s")
+        raise InputError(
+            f"a speed in the reset option 'poses' is not from 0 to {F1TENTH.v_max:g} m/s"
+        )
     return poses
 
 
@@ -127,10 +137,17 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
     settle(setup.track, setup.vehicles, state)
     wrong = np.flatnonzero(state.crashed)
     if len(wrong):
-        where, other = poses[wrong[0], :, :3].tolist(), "the other" if state.number == 2 else "another"
-        raise InputError(f"episode {wrong[0]}: at the poses {where} a car stands in a wall or in {other}")
+        where, other = (
+            poses[wrong[0], :, :3].tolist(),
+            "the other" if state.number == 2 else "another",
+        )
+        raise InputError(
+            f"episode {wrong[0]}: at the poses {where} a car stands in a wall or in {other}"
+        )
     length = setup.track.length
-    behind = np.mod(state.frenet[:, :1, 0] - state.frenet[..., 0] + 0.5 * length, length) - 0.5 * length
+    behind = (
+        np.mod(state.frenet[:, :1, 0] - state.frenet[..., 0] + 0.5 * length, length) - 0.5 * length
+    )
     state.progress[:] = behind.min(axis=1, keepdims=True) - behind
     return state
 
@@ -150,14 +167,21 @@ def check_part(name: str, given: Any, like: Any) -> None:
         fits = fits and (given.dtype, given.shape) == (like.dtype, like.shape)
         fits = fits and (like.dtype.kind != "f" or bool(np.isfinite(given).all()))
     elif isinstance(like, dict | list | tuple) and fits:
-        keys = [list(one) if isinstance(one, dict) else list(range(len(one))) for one in (given, like)]
-        wanted, found, fits = f"{wanted} with {keys[1]!r:.80}", f"{found} with {keys[0]!r:.80}", keys[0] == keys[1]
+        keys = [
+            list(one) if isinstance(one, dict) else list(range(len(one))) for one in (given, like)
+        ]
+        wanted, found, fits = (
+            f"{wanted} with {keys[1]!r:.80}",
+            f"{found} with {keys[0]!r:.80}",
+            keys[0] == keys[1],
+        )
         for key in keys[1] if fits else ():
             part = like._fields[key] if hasattr(like, "_fields") else key
             check_part(f"{name}.{part}", given[key], like[key])
     if not fits:
         raise InputError(
-            f"{name} is {found}; it must be {wanted}: use what get_state returned in an environment of equal arguments"
+            f"{name} is {found}; it must be {wanted}: use what get_state returned in an environment"
+            " of equal arguments"
         )
 
 
@@ -169,7 +193,9 @@ def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -
         raise InputError(f"{name} holds {values[wrong][0]}; it must be from {low:g} to {most:g}")
 
 
-def check_races(name: str, races: RaceState, config: RaceConfig, lengths: NDArray[np.float64]) -> None:
+def check_races(
+    name: str, races: RaceState, config: RaceConfig, lengths: NDArray[np.float64]
+) -> None:
     """Refuse races with a number out of its range; ``lengths`` are the track lengths, m."""
     for part, low, high in (
         ("tick", 0, config.ticks),

@@ -28,11 +28,15 @@ class Circuits:
     def __init__(self, source: Any, episodes: int) -> None:
         listed = source if isinstance(source, list | tuple) else [source]
         named = isinstance(source, str) and source == RANDOM
-        random = RandomCircuits() if named else source if isinstance(source, RandomCircuits) else None
-        if random is None and not (listed and all(isinstance(one, str | PathLike | Track) for one in listed)):
+        random = (
+            RandomCircuits() if named else source if isinstance(source, RandomCircuits) else None
+        )
+        if random is None and not (
+            listed and all(isinstance(one, str | PathLike | Track) for one in listed)
+        ):
             raise InputError(
-                f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of these, "
-                f"{RANDOM!r} or RandomCircuits"
+                f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a"
+                f" list of these, {RANDOM!r} or RandomCircuits"
             )
         #: shape (episodes,), int: Number of each episode's track: its index in the list, or the
         #: number of the random track.
@@ -50,7 +54,11 @@ class Circuits:
     @property
     def codes(self) -> Mapping[int, str]:
         """Names of the tracks by number."""
-        return _RandomNames() if self._builder else {i: track.name for i, track in enumerate(self._listed)}
+        return (
+            _RandomNames()
+            if self._builder
+            else {i: track.name for i, track in enumerate(self._listed)}
+        )
 
     def track(self, number: int) -> Track:
         """Return a track by its number."""
@@ -67,7 +75,9 @@ class Circuits:
         """
         if self._builder is None:
             if self.several:
-                self.number[rows] = [generator.integers(len(self._listed)) for generator in generators]
+                self.number[rows] = [
+                    generator.integers(len(self._listed)) for generator in generators
+                ]
             return
         # The generator is used once. Later tracks follow from the key, so they can be built early.
         for row, generator in zip(rows, generators, strict=True):

@@ -20,7 +20,9 @@ from pcs_racing.game.observation import observation_table
 from pcs_racing.race.state import MOST_CARS
 
 
-class DriveEnv(ScalarEnv, observation_table=observation_table(drive_elements(DriveOptions(beams=1)))):
+class DriveEnv(
+    ScalarEnv, observation_table=observation_table(drive_elements(DriveOptions(beams=1)))
+):
     """Control of one car against motion planners, or alone on the track.
 
     ## Description
@@ -167,10 +169,15 @@ class _SeveralAgents:
         own = {name: value for name, value in arguments.items() if name != "cars"}
         cars = check_whole("cars", arguments["cars"], 1, MOST_CARS)
         if arguments["opponent"] is not None and isinstance(self, BatchVectorEnv):
-            raise InputError(f"opponent is {arguments['opponent']!r}; it must be None here, give opponents instead")
+            raise InputError(
+                f"opponent is {arguments['opponent']!r}; it must be None here, give opponents"
+                " instead"
+            )
         opponents = len(rivals_of(arguments["opponent"], arguments["opponents"]))
         if opponents >= cars:
-            raise InputError(f"cars is {cars}, and there are {opponents} opponents; leave a car to an agent")
+            raise InputError(
+                f"cars is {cars}, and there are {opponents} opponents; leave a car to an agent"
+            )
         return own, cars - opponents
 
 
@@ -250,11 +257,16 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     {'car_0': (68,), 'car_1': (68,)}
     """
 
-    metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "drive_head_to_head_v0"}  # noqa: RUF012
+    metadata: dict[str, Any] = {
+        **ParallelBatchEnv.metadata,
+        "name": "drive_head_to_head_v0",
+    }  # noqa: RUF012
     batch_type = DriveBatch
     batch: DriveBatch
     declared = Declared(
-        HeadToHeadOptions, positional=("track", "race"), changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0}
+        HeadToHeadOptions,
+        positional=("track", "race"),
+        changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
     )
 
 

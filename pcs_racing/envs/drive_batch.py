@@ -36,10 +36,30 @@ from pcs_racing.envs.drive_kernel import (
     set_commands,
     step_races,
 )
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, rivals_of, samples_ahead, shares
-from pcs_racing.envs.infos import Result, all_poses, common_codes, pose_info, race_info, race_infos, race_results
+from pcs_racing.envs.drive_options import (
+    DriveOptions,
+    drive_elements,
+    make_sight,
+    rivals_of,
+    samples_ahead,
+    shares,
+)
+from pcs_racing.envs.infos import (
+    Result,
+    all_poses,
+    common_codes,
+    pose_info,
+    race_info,
+    race_infos,
+    race_results,
+)
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import MovingOpponents, draw_opponent, drive_opponents, shared_planner
+from pcs_racing.envs.opponents import (
+    MovingOpponents,
+    draw_opponent,
+    drive_opponents,
+    shared_planner,
+)
 from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
@@ -91,7 +111,9 @@ class DriveBatch:
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: Options of :meth:`restart`.
 
-    def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
+    def __init__(
+        self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any
+    ) -> None:
         check_batch_size(episodes, threads)
         options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
@@ -108,8 +130,8 @@ class DriveBatch:
         movers = [one for rivals in self.rivals for one in rivals if not one.policies]
         if self.cars > 2 and (movers or any(len(rivals) > 1 for rivals in self.rivals)):
             raise InputError(
-                f"opponents is {list(given)!r:.120}; in a race of {self.cars} cars each is one driver, no list, "
-                "and none makes moves"
+                f"opponents is {list(given)!r:.120}; in a race of {self.cars} cars each is one"
+                " driver, no list, and none makes moves"
             )
         self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
         #: Opponents of the only such car; with several cars nothing is drawn.
@@ -119,7 +141,11 @@ class DriveBatch:
         # The memory of late commands has the size of the longest delay, for all episodes.
         delay = self.randomization.ranges.most_delay
         self.setup = RaceSetup(
-            self.randomization.circuits.track(0), config, tuple(planners), self.randomization.cars, delay
+            self.randomization.circuits.track(0),
+            config,
+            tuple(planners),
+            self.randomization.cars,
+            delay,
         )
         #: Number of steps of an episode without an early end.
         self.horizon = -(-self.setup.config.ticks // options.ticks)
@@ -134,16 +160,23 @@ class DriveBatch:
         environments = self.episodes * players
         if environments * len(self.elements) > MOST_NUMBERS:
             raise InputError(
-                f"{environments} environments observe {len(self.elements)} numbers each; take fewer environments or "
-                f"beams: {MOST_NUMBERS} numbers are the limit"
+                f"{environments} environments observe {len(self.elements)} numbers each; take fewer"
+                f" environments or beams: {MOST_NUMBERS} numbers are the limit"
             )
-        noise = self.randomization.drawn.get("lidar_noise", np.full(self.episodes, float(options.lidar_noise)))
+        noise = self.randomization.drawn.get(
+            "lidar_noise", np.full(self.episodes, float(options.lidar_noise))
+        )
         sight = make_sight(options, self.cars, players, self.setup.track)
         # Observation of the players; its ``ahead`` depends on the track.
         self._sight = sight._replace(end_tick=self.setup.config.ticks, noise=noise)
         self._prepare_races(threads)
-        low, high = (bound * self._sight.gain + self._sight.shift for bound in (self._sight.low, self._sight.high))
-        self.observation_space = spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        low, high = (
+            bound * self._sight.gain + self._sight.shift
+            for bound in (self._sight.low, self._sight.high)
+        )
+        self.observation_space = spaces.Box(
+            low.astype(np.float32), high.astype(np.float32), dtype=np.float32
+        )
         turn, low_speed, top = self._limits
         units = [[-turn, low_speed], [turn, top]]
         ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else units, np.float32)
@@ -153,7 +186,9 @@ class DriveBatch:
         """Make the game of moves for opponents that change their policy during a race."""
         track, archive = self.randomization.circuits.track(0), load_archive(self.options.archive)
         rules = load_game_config(self.options.race)
-        return RaceGame(track, archive, rules, ego_planner=EXTERNAL, vehicles=self.randomization.cars[:2])
+        return RaceGame(
+            track, archive, rules, ego_planner=EXTERNAL, vehicles=self.randomization.cars[:2]
+        )
 
     @property
     def track(self) -> Track:
@@ -171,7 +206,11 @@ class DriveBatch:
         # Time to collision is slow to compute; only opponents that observe characteristics need it.
         if self._moving is None:
             settings = settings._replace(ittc_horizon=0.0)
-        return CircuitSetup(setup, grid, KernelInputs(setup.track.arrays, settings, self._sight._replace(ahead=ahead)))
+        return CircuitSetup(
+            setup,
+            grid,
+            KernelInputs(setup.track.arrays, settings, self._sight._replace(ahead=ahead)),
+        )
 
     def _prepare_races(self, threads: int | None) -> None:
         setup, races, options = self.setup, self.episodes, self.options
@@ -189,7 +228,10 @@ class DriveBatch:
         #: shape (races, cars): Faults already penalised, except a race-ending fault.
         self._paid = np.zeros((races, self.cars), np.int8)
         self.vehicles = self.randomization.vehicles
-        self._limits = max(car.steer_max for car in setup.vehicles[: self.players]), *options.limits[1:]
+        self._limits = (
+            max(car.steer_max for car in setup.vehicles[: self.players]),
+            *options.limits[1:],
+        )
         paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
         fault_loses = setup.config.crash_rule == "fault-loses"
         laps = np.inf if options.laps is None else float(options.laps)
@@ -200,9 +242,13 @@ class DriveBatch:
         self._varied = bool(randomization.codes or randomization.drawn or randomization.obstacles)
         self._in_python = any(planner.drive is not None for planner in setup.planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(races * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans) / US_OF_A_THREAD)
+        enough_for = int(
+            races * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans) / US_OF_A_THREAD
+        )
         #: Number of threads that share a step; each has enough work.
-        self.threads = 1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
+        self.threads = (
+            1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
+        )
         size = max(1, *(planner.scratch_size for planner in setup.planners))
         shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
         self._buffers = [tuple(np.zeros(shape) for shape in shapes) for _ in range(self.threads)]
@@ -222,13 +268,22 @@ class DriveBatch:
         :class:`pcs_racing.envs.drive.DriveEnv` describes the options.
         """
         count = len(rows)
-        starts, poses = start_option(options, count, self.cars), poses_option(options, count, self.cars)
+        starts, poses = (
+            start_option(options, count, self.cars),
+            poses_option(options, count, self.cars),
+        )
         if starts is not None and poses is not None:
-            raise InputError("reset options 'start' and 'poses' were both given; give one of the two")
+            raise InputError(
+                "reset options 'start' and 'poses' were both given; give one of the two"
+            )
         boxes = obstacles_option(options, len(rows))
         self.randomization.draw(rows, generators)
         groups = [(self.circuit(number), some) for number, some in self.randomization.groups(rows)]
-        places, seeds, at = np.zeros(count, np.int64), np.zeros(count, np.uint64), np.zeros((count, self.cars))
+        places, seeds, at = (
+            np.zeros(count, np.int64),
+            np.zeros(count, np.uint64),
+            np.zeros((count, self.cars)),
+        )
         grids: list[RaceState] = []
         # The order of draws does not depend on the options, so a seed gives the same episode.
         for circuit, some in groups:
@@ -309,7 +364,9 @@ class DriveBatch:
         for first, last in runs_of(inputs):
             one = inputs[first]
             sight, work = one.sight._replace(players=players), self._buffers[0][2:]
-            observe_races(one.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out)
+            observe_races(
+                one.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out
+            )
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2).
@@ -322,15 +379,23 @@ class DriveBatch:
                 raise TypeError  # numpy would drop the imaginary part
             values = np.asarray(actions, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise InputError(f"action {actions!r:.80} must be numbers of shape {wanted}: steering and speed") from error
+            raise InputError(
+                f"action {actions!r:.80} must be numbers of shape {wanted}: steering and speed"
+            ) from error
         if values.shape != wanted:
-            raise InputError(f"action has shape {values.shape}; it must be {wanted}: steering and speed in [-1, 1]")
+            raise InputError(
+                f"action has shape {values.shape}; it must be {wanted}: steering and speed in"
+                " [-1, 1]"
+            )
         values = np.ascontiguousarray(values.reshape(self.episodes, self.players, 2))
         if not all_finite(values):
             rows = values.reshape(-1, 2)
             i = int(np.flatnonzero(~np.isfinite(rows).all(axis=1))[0])
             where = f" of environment {i}" if shape else ""
-            raise InputError(f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in [-1, 1]")
+            raise InputError(
+                f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in"
+                " [-1, 1]"
+            )
         return values if self.options.normalized else shares(values, self._limits)
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
@@ -347,7 +412,9 @@ class DriveBatch:
         else:
             edges = [races * k // self.threads for k in range(self.threads + 1)]
             parts = [
-                self._pool.submit(self._step_part, actions, ticks, edges[k], edges[k + 1], k, results)
+                self._pool.submit(
+                    self._step_part, actions, ticks, edges[k], edges[k + 1], k, results
+                )
                 for k in range(1, self.threads)
             ]
             # This thread does the first part: waking another takes as long as stepping some races.
@@ -356,7 +423,9 @@ class DriveBatch:
                 part.result()
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
-        return BatchStep(results.observations, results.reward, results.terminated, results.truncated)
+        return BatchStep(
+            results.observations, results.reward, results.terminated, results.truncated
+        )
 
     def _results(self) -> StepResults:
         count = self.episodes * self.players
@@ -364,14 +433,26 @@ class DriveBatch:
         observations = np.empty((count, len(self.elements)), np.float32)
         if self.setup.config.contact != "end":
             self._paid[:] = self.state.fault
-        return StepResults(self.state.progress.copy(), self._paid, np.empty(count), ended, late, observations)
+        return StepResults(
+            self.state.progress.copy(), self._paid, np.empty(count), ended, late, observations
+        )
 
     def _step_part(
-        self, actions: NDArray[np.float64], ticks: int, first: int, last: int, worker: int, results: StepResults
+        self,
+        actions: NDArray[np.float64],
+        ticks: int,
+        first: int,
+        last: int,
+        worker: int,
+        results: StepResults,
     ) -> None:
         """Step a part of the races, on one thread."""
         # One kernel call steps a run of consecutive races on the same track.
-        runs = [(0, last - first)] if self._uniform or first == last else runs_of(self._inputs[first:last])
+        runs = (
+            [(0, last - first)]
+            if self._uniform or first == last
+            else runs_of(self._inputs[first:last])
+        )
         for low, high in runs:
             inputs = self._inputs[first + low]
             arguments = (
@@ -448,13 +529,20 @@ class DriveBatch:
         """Return the info of one player as plain numbers; faster than arrays of length one."""
         race, car = divmod(environment, self.players)
         info = race_info(self.state, race, car)
-        over = any(self.state.crash[race].tolist()) or self.state.tick.item(race) >= self.setup.config.ticks
+        over = (
+            any(self.state.crash[race].tolist())
+            or self.state.tick.item(race) >= self.setup.config.ticks
+        )
         if self.options.laps is not None:
             over = over or self.state.laps[race, :, LAPS].max() >= self.options.laps
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]
-        info |= pose_info(cars if car == 0 else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)]))
+        info |= pose_info(
+            cars
+            if car == 0
+            else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)])
+        )
         if self._varied:
             info.update(self.randomization.info(race))
         return info
@@ -469,14 +557,22 @@ class DriveBatch:
         names += [rivals[max(info["opponent"], 0)].name for rivals in self.rivals]
         if not self.alone:
             text += f"    lead of {names[0]} {info['lead']:+.1f} m"
-        plans = [np.full((1, 2), np.nan)] * self.players + list(self.state.path[race, self.players :])
+        plans = [np.full((1, 2), np.nan)] * self.players + list(
+            self.state.path[race, self.players :]
+        )
         renderer.show(self.randomization.track(race), half_sizes(self.vehicles[race]))
         return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of the races and of the opponents' indices, parameters and moves."""
         moving = None if self._moving is None else self._moving.get_state()
-        return self.state.copy(), self.drawn.copy(), self.theta.copy(), moving, self.randomization.get_state()
+        return (
+            self.state.copy(),
+            self.drawn.copy(),
+            self.theta.copy(),
+            moving,
+            self.randomization.get_state(),
+        )
 
     def check_state(self, state: tuple[Any, ...]) -> list[Track]:
         """Refuse a state that `get_state` can't have returned.

@@ -183,7 +183,9 @@ def _observe(track, state, vehicles, sight, race, car, row, seen, work):
             if hidden:
                 row[k : k + OPPONENT_ELEMENTS] = 0.0
             else:
-                _see_opponent(cars, frenet, state.progress, race, car, other, sine, cosine, seen, row, k)
+                _see_opponent(
+                    cars, frenet, state.progress, race, car, other, sine, cosine, seen, row, k
+                )
             k += OPPONENT_ELEMENTS
     if sight.time_left:
         row[k] = 1.0 - state.tick[race] / sight.end_tick
@@ -191,7 +193,11 @@ def _observe(track, state, vehicles, sight, race, car, row, seen, work):
     scan = row[k:]
     if scan.shape[0] == 0:
         return
-    x, y, psi = cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], cars[race, car, _vehicle.PSI]
+    x, y, psi = (
+        cars[race, car, _vehicle.X],
+        cars[race, car, _vehicle.Y],
+        cars[race, car, _vehicle.PSI],
+    )
     if scan_walls(track, sight.beams, x, y, psi, frenet[race, car, 0], work, scan):
         for other in range(number):
             if other != car:
@@ -211,7 +217,9 @@ def _observe(track, state, vehicles, sight, race, car, row, seen, work):
         for i in range(scan.shape[0]):
             scan[i] = 1.0 / scan[i]
     if sight.noise[race] > 0.0:
-        _noisy(scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range)
+        _noisy(
+            scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range
+        )
 
 
 @inner_kernel
@@ -289,7 +297,9 @@ def set_commands(actions, limits, state, vehicles, first, last):
             # The planner of a player's car only holds the command in its memory.
             memory, command = state.memory[race, car], state.command[race, car]
             memory[0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
-            memory[1] = min_speed + 0.5 * (top_speed - min_speed) * (1.0 + min(max(actions[race, car, 1], -1.0), 1.0))
+            memory[1] = min_speed + 0.5 * (top_speed - min_speed) * (
+                1.0 + min(max(actions[race, car, 1], -1.0), 1.0)
+            )
             if now:
                 command[1] = memory[1]
                 # Late commands follow the period of their queue.
@@ -382,7 +392,24 @@ def _end_step(state, end_tick, weights, sight, results, first, last):
 
 
 @kernel
-def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions, limits, weights, sight, rows, first, last, buffers, results):  # fmt: skip  # noqa: E501
+def step_races(
+    track,
+    state,
+    theta,
+    vehicles,
+    drivers,
+    settings,
+    ticks,
+    actions,
+    limits,
+    weights,
+    sight,
+    rows,
+    first,
+    last,
+    buffers,
+    results,
+):
     """Step races ``first`` to ``last - 1``: drive for ``ticks`` ticks, then reward and observe.
 
     - ``actions``, shape (B, players, 2): steering and speed, clipped to [-1, 1];
@@ -399,6 +426,10 @@ def step_races(track, state, theta, vehicles, drivers, settings, ticks, actions,
     """
     scratch, work, row, seen, scan_work = buffers
     set_commands(actions, limits, state, vehicles, first, last)
-    advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work)
+    advance_races(
+        track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
+    )
     _end_step(state, settings.end_tick, weights, sight, results, first, last)
-    observe_races(track, state, vehicles, sight, rows, first, last, row, seen, scan_work, results.observations)
+    observe_races(
+        track, state, vehicles, sight, rows, first, last, row, seen, scan_work, results.observations
+    )

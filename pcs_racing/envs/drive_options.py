@@ -1,4 +1,6 @@
-"""Arguments of the environments at the level of steering and speed, and the elements of their observations."""
+"""Arguments of the environments at the level of steering and speed, and the elements of their
+observations.
+"""
 
 import re
 from dataclasses import dataclass
@@ -32,7 +34,9 @@ def _source(kind: type) -> Checked:
 
     def check(name: str, value: Any) -> Any:
         if not isinstance(value, str | Path | kind):
-            raise ConfigError(f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}")
+            raise ConfigError(
+                f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}"
+            )
         return value
 
     return Checked(check)
@@ -64,18 +68,20 @@ class DriveOptions(EpisodeOptions):
     opponent: Annotated[
         Any,
         ANYTHING,
-        '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was trained here, or '
-        'its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or an agent of the game of moves '
-        '(:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an object, such as "cfr-argmax": it changes its '
-        "policy of the archive every 8 s. Of a list, in which entries may be (weight, opponent), one is drawn for "
-        "each episode; all must drive with the same planner. With None there is none: the agent is alone on the "
-        "track, and the elements of the second car are 0. With two agents or more it takes the last one's place.",
+        '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was'
+        ' trained here, or its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or'
+        " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
+        ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list,'
+        " in which entries may be (weight, opponent), one is drawn for each episode; all must drive"
+        " with the same planner. With None there is none: the agent is alone on the track, and the"
+        " elements of the second car are 0. With two agents or more it takes the last one's"
+        " place.",
     ] = "lattice"
     opponents: Annotated[
         tuple[Any, ...] | None,
         Checked(_opponents, "at most 7"),
-        "One driver for each other car, in place of `opponent`; they may have different planners. `opponent` in the "
-        "infos is -1 if there are several.",
+        "One driver for each other car, in place of `opponent`; they may have different planners."
+        " `opponent` in the infos is -1 if there are several.",
     ] = None
     race: Annotated[
         str | Path | RaceConfig,
@@ -92,11 +98,14 @@ class DriveOptions(EpisodeOptions):
         Interval(ge=1, le=1000),
         "Laps from the start line after which the first car ends a race; none by default.",
     ] = None
-    time_step: Annotated[float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."] = 0.1
+    time_step: Annotated[
+        float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."
+    ] = 0.1
     min_speed: Annotated[
         float,
         Interval(ge=F1TENTH.v_min, le=0.0),
-        "Target speed that the action -1 asks for, m/s; below 0 a car can reverse, for instance away from a wall.",
+        "Target speed that the action -1 asks for, m/s; below 0 a car can reverse, for instance"
+        " away from a wall.",
     ] = 0.0
     top_speed: Annotated[
         float,
@@ -118,22 +127,36 @@ class DriveOptions(EpisodeOptions):
     look_ahead: Annotated[
         tuple[Annotated[float, Interval(ge=0.0, le=1000.0)], ...],
         Len(0, 100),
-        "Distances at which curvature, speed and widths of the race line are observed, m; () for none.",
+        "Distances at which curvature, speed and widths of the race line are observed, m; () for"
+        " none.",
     ] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0)
     own_state: Annotated[bool, "Whether the numbers about the own car are observed."] = True
-    own_pose: Annotated[bool, "Whether x, y (m) and heading (rad) of the own car on the map follow them."] = False
+    own_pose: Annotated[
+        bool, "Whether x, y (m) and heading (rad) of the own car on the map follow them."
+    ] = False
     see_opponent: Annotated[
         str,
         OneOf(SEE_OPPONENT),
-        'When the opponent is observed. "in sight": its elements are 0 while a wall stands between the centres of the'
-        ' two cars, or they are further apart than `max_range`; "never": there are none',
+        'When the opponent is observed. "in sight": its elements are 0 while a wall stands between'
+        ' the centres of the two cars, or they are further apart than `max_range`; "never": there'
+        " are none",
     ] = "always"
-    time_left: Annotated[bool, "Whether an element before the beams tells the share of the race that is left."] = False
+    time_left: Annotated[
+        bool, "Whether an element before the beams tells the share of the race that is left."
+    ] = False
     normalize: Annotated[bool, "Whether observations are scaled to [-1, 1]."] = False
-    progress_reward: Annotated[float, Interval(ge=-1e6, le=1e6), "Reward for a metre of progress."] = 1.0
-    rivalry: Annotated[float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress that is taken off."] = 0.0
-    crash_penalty: Annotated[float, Interval(ge=0.0, le=1e6), "Penalty of a crash by own fault."] = 10.0
-    win_reward: Annotated[float, Interval(ge=0.0, le=1e6), "Reward of a win, and penalty of a defeat."] = 0.0
+    progress_reward: Annotated[
+        float, Interval(ge=-1e6, le=1e6), "Reward for a metre of progress."
+    ] = 1.0
+    rivalry: Annotated[
+        float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress that is taken off."
+    ] = 0.0
+    crash_penalty: Annotated[
+        float, Interval(ge=0.0, le=1e6), "Penalty of a crash by own fault."
+    ] = 10.0
+    win_reward: Annotated[
+        float, Interval(ge=0.0, le=1e6), "Reward of a win, and penalty of a defeat."
+    ] = 0.0
     start_lines: Annotated[int, ANYTHING, "Number of start lines to draw from."] = 100
     archive: Annotated[
         str | Path | PolicyArchive,
@@ -143,10 +166,16 @@ class DriveOptions(EpisodeOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.randomize is not None and self.randomize.lidar_noise is not None and self.beams == 0:
+        if (
+            self.randomize is not None
+            and self.randomize.lidar_noise is not None
+            and self.beams == 0
+        ):
             raise ConfigError("randomize holds lidar_noise, but beams is 0: there is no lidar")
         if self.opponents is not None and str(self.opponent) not in ("None", DriveOptions.opponent):
-            raise ConfigError(f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two")
+            raise ConfigError(
+                f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two"
+            )
 
     @property
     def ticks(self) -> int:
@@ -175,61 +204,131 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
             Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
             Element("target steering", "rad", -turn, turn, "what the last action asked for"),
-            Element("target speed", "m/s", float(options.min_speed), top, "what the last action asked for"),
-            Element("offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"),
+            Element(
+                "target speed",
+                "m/s",
+                float(options.min_speed),
+                top,
+                "what the last action asked for",
+            ),
+            Element(
+                "offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"
+            ),
             Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),
         ]
     if options.own_pose:
         elements += [Element(name, "m", -1e4, 1e4, "own place on the map") for name in ("x", "y")]
-        elements.append(Element("heading", "rad", -pi, pi, "own heading on the map, counter-clockwise from x"))
+        elements.append(
+            Element("heading", "rad", -pi, pi, "own heading on the map, counter-clockwise from x")
+        )
     for distance in options.look_ahead:
         at = f"{distance:g} m ahead"
         elements += [
-            Element(f"curvature {at}", "1/m", -5.0, 5.0, f"curvature of the race line {at}, positive to the left"),
-            Element(f"line speed {at}", "m/s", 0.0, top, f"speed of the race line {at}, at speed scale 1"),
+            Element(
+                f"curvature {at}",
+                "1/m",
+                -5.0,
+                5.0,
+                f"curvature of the race line {at}, positive to the left",
+            ),
+            Element(
+                f"line speed {at}",
+                "m/s",
+                0.0,
+                top,
+                f"speed of the race line {at}, at speed scale 1",
+            ),
             Element(f"left {at}", "m", 0.0, 10.0, f"free width left of the race line {at}"),
             Element(f"right {at}", "m", 0.0, 10.0, f"free width right of the race line {at}"),
         ]
     if options.see_opponent != "never":
         rival = [
             Element(
-                "opponent", "1", 0.0, 1.0, "1 if there is an opponent (in sight); else it and the next eight are 0"
+                "opponent",
+                "1",
+                0.0,
+                1.0,
+                "1 if there is an opponent (in sight); else it and the next eight are 0",
             ),
             Element(
-                "opponent gap", "m", -30.0, 30.0, "how far ahead the opponent is along the race line, the short way"
+                "opponent gap",
+                "m",
+                -30.0,
+                30.0,
+                "how far ahead the opponent is along the race line, the short way",
             ),
-            Element("opponent offset", "m", -20.0, 20.0, "its distance from the race line minus the own one"),
+            Element(
+                "opponent offset",
+                "m",
+                -20.0,
+                20.0,
+                "its distance from the race line minus the own one",
+            ),
             Element("opponent x", "m", -30.0, 30.0, "its position in the own car's frame, forward"),
-            Element("opponent y", "m", -30.0, 30.0, "its position in the own car's frame, to the left"),
+            Element(
+                "opponent y", "m", -30.0, 30.0, "its position in the own car's frame, to the left"
+            ),
             Element("opponent heading", "rad", -pi, pi, "its heading minus the own one"),
-            Element("opponent vx", "m/s", -30.0, 30.0, "its velocity minus the own one, forward in the own frame"),
-            Element("opponent vy", "m/s", -30.0, 30.0, "its velocity minus the own one, to the left in the own frame"),
+            Element(
+                "opponent vx",
+                "m/s",
+                -30.0,
+                30.0,
+                "its velocity minus the own one, forward in the own frame",
+            ),
+            Element(
+                "opponent vy",
+                "m/s",
+                -30.0,
+                30.0,
+                "its velocity minus the own one, to the left in the own frame",
+            ),
             Element("lead", "m", -1000.0, 1000.0, "own progress minus the opponent's"),
         ]
         # Of several opponents the nearest comes first.
         for k in range(max(1, cars - 1)):
             nth = f" {k + 1}" if k else ""
-            elements += [one._replace(name=re.sub("opponent|lead", rf"\g<0>{nth}", one.name)) for one in rival]
+            elements += [
+                one._replace(name=re.sub("opponent|lead", rf"\g<0>{nth}", one.name))
+                for one in rival
+            ]
     if options.time_left:
-        elements.append(Element("time left", "1", 0.0, 1.0, "share of the race's duration that is left"))
+        elements.append(
+            Element("time left", "1", 0.0, 1.0, "share of the race's duration that is left")
+        )
     elements += [
-        Element(f"beam {k}", "m", 0.0, float(options.max_range), f"range of beam {k}, counted counter-clockwise")
+        Element(
+            f"beam {k}",
+            "m",
+            0.0,
+            float(options.max_range),
+            f"range of beam {k}, counted counter-clockwise",
+        )
         for k in range(options.beams)
     ]
     if not elements:
-        raise InputError("nothing is observed; leave own_state on, or take look_ahead, see_opponent or beams")
+        raise InputError(
+            "nothing is observed; leave own_state on, or take look_ahead, see_opponent or beams"
+        )
     return elements
 
 
 def samples_ahead(options: DriveOptions, track: Track) -> NDArray[np.int64]:
     """Look-ahead distances in samples of a track's race line."""
-    return np.array([round(one / track.arrays.ds) % len(track.arrays.line) for one in options.look_ahead], np.int64)
+    return np.array(
+        [round(one / track.arrays.ds) % len(track.arrays.line) for one in options.look_ahead],
+        np.int64,
+    )
 
 
 def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> Sight:
-    """What players observe in races of so many cars on a track; noise and the end of the race are not known here."""
+    """What players observe in races of so many cars on a track; noise and the end of the race are
+    not known here.
+    """
     elements = drive_elements(options, cars)
-    low, high = (np.array([getattr(element, end) for element in elements]) for end in ("low", "high"))
+    low, high = (
+        np.array([getattr(element, end) for element in elements]) for end in ("low", "high")
+    )
     gain = 2.0 / (high - low) if options.normalize else np.ones(len(low))
     nothing = np.empty(0)
     nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then

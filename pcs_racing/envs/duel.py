@@ -45,7 +45,9 @@ class OverGames(OverBatch):
 
     def _show_step(self) -> None:
         # A window shows each drawn frame.
-        frames = len(list(self.batch.film(self._open_renderer(), self.batch.last_step(), WINDOW_TICKS)))
+        frames = len(
+            list(self.batch.film(self._open_renderer(), self.batch.last_step(), WINDOW_TICKS))
+        )
         if frames == 0:
             super()._show_step()
 
@@ -136,7 +138,9 @@ class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
     """
 
     metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
-    declared = Declared(GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig)
+    declared = Declared(
+        GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig
+    )
     _unseen: tuple[DrivenStep, ...] = ()  # steps not yet returned by `render`
 
     @property
@@ -255,7 +259,10 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
 
     metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "head_to_head_v1"}  # noqa: RUF012
     declared = Declared(
-        GameOptions, positional=("track", "archive", "race"), more=GameConfig, changed={"opponent": None}
+        GameOptions,
+        positional=("track", "archive", "race"),
+        more=GameConfig,
+        changed={"opponent": None},
     )
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:

@@ -23,9 +23,23 @@ from pcs_racing.envs.batch import (
     check_within,
     start_option,
 )
-from pcs_racing.envs.infos import Result, common_codes, of_players, race_info, race_infos, race_results
+from pcs_racing.envs.infos import (
+    Result,
+    common_codes,
+    of_players,
+    race_info,
+    race_infos,
+    race_results,
+)
 from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import Opponent, check_games, draw_opponent, parse_opponents, replies, shared_planner
+from pcs_racing.envs.opponents import (
+    Opponent,
+    check_games,
+    draw_opponent,
+    parse_opponents,
+    replies,
+    shared_planner,
+)
 from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
@@ -67,14 +81,16 @@ class GameOptions(EpisodeOptions):
     opponent: Annotated[
         Any,
         ANYTHING,
-        'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode and kept); '
-        '"always-<move>", for instance "always-aggressiveness +"; a driver such as "lane-switcher:3", which makes no '
-        'moves; or any agent of :mod:`pcs_racing_agents`, such as "cfr-argmax". As an object: an agent, a driver or a'
-        " policy; a model of Stable-Baselines3 or any object with its ``predict(observation, state, episode_start, "
-        "deterministic)``; an object with ``decide(game, state, car)``; or a function ``f(observation, generator) -> "
-        "move``. Of a list, in which entries may be (weight, opponent), one is drawn for each episode. The opponent "
-        "observes what car 1 observes, and may also stay, whatever moves the rules offer. With None a second agent "
-        "drives car 1, where the environment has one.",
+        'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode'
+        ' and kept); "always-<move>", for instance "always-aggressiveness +"; a driver such as'
+        ' "lane-switcher:3", which makes no moves; or any agent of :mod:`pcs_racing_agents`, such'
+        ' as "cfr-argmax". As an object: an agent, a driver or a policy; a model of'
+        " Stable-Baselines3 or any object with its ``predict(observation, state, episode_start,"
+        " deterministic)``; an object with ``decide(game, state, car)``; or a function"
+        " ``f(observation, generator) -> move``. Of a list, in which entries may be (weight,"
+        " opponent), one is drawn for each episode. The opponent observes what car 1 observes, and"
+        " may also stay, whatever moves the rules offer. With None a second agent drives car 1,"
+        " where the environment has one.",
     ] = "random-moves"
     race: Annotated[
         GameConfig | RaceConfig | str | Path,
@@ -83,8 +99,8 @@ class GameOptions(EpisodeOptions):
     ] = "paper"
     deterministic_opponent: Annotated[
         bool,
-        "Whether models take their best move; if not, they draw with a generator of their own, which no seed of this "
-        "environment reaches.",
+        "Whether models take their best move; if not, they draw with a generator of their own,"
+        " which no seed of this environment reaches.",
     ] = True
 
 
@@ -104,20 +120,32 @@ class GameBatch:
     cars = 2
     played_in = "games"  #: Noun for the games in messages.
 
-    def __init__(self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any) -> None:
+    def __init__(
+        self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any
+    ) -> None:
         check_batch_size(episodes, threads)
         own = {one.name for one in fields(self.options_type)}
-        options: Any = self.options_type(**{name: value for name, value in arguments.items() if name in own})
+        options: Any = self.options_type(
+            **{name: value for name, value in arguments.items() if name in own}
+        )
         if (options.opponent is None) is (players == 1):
             raise InputError(
                 f"opponent is {options.opponent!r}; "
-                + ("name one, for instance 'random-moves'" if players == 1 else "both cars belong to players here")
+                + (
+                    "name one, for instance 'random-moves'"
+                    if players == 1
+                    else "both cars belong to players here"
+                )
             )
         self.episodes, self.players = int(episodes), players
         self.randomization = EpisodeRandomization(self.episodes, options)
         if "lidar_noise" in self.randomization.drawn:
-            raise ConfigError("randomize holds lidar_noise; the cars of this environment have no lidar")
-        rules = load_game_config(options.race, **{name: value for name, value in arguments.items() if name not in own})
+            raise ConfigError(
+                "randomize holds lidar_noise; the cars of this environment have no lidar"
+            )
+        rules = load_game_config(
+            options.race, **{name: value for name, value in arguments.items() if name not in own}
+        )
         self._made_of = load_archive(options.archive), rules, options.opponent, threads
         #: Game and opponents on a track, by the track's number.
         self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
@@ -134,7 +162,10 @@ class GameBatch:
             **self.randomization.codes,
         }
         self._set_rules(options)
-        low, high = (np.array([getattr(e, end) for e in self.elements], np.float32) for end in ("low", "high"))
+        low, high = (
+            np.array([getattr(e, end) for e in self.elements], np.float32)
+            for end in ("low", "high")
+        )
         self.observation_space = spaces.Box(low, high, dtype=np.float32)
         self.action_space = spaces.Discrete(len(self.actions))
         self.state: GameState | None = None  #: State of the games; None before the first `restart`.
@@ -195,10 +226,16 @@ class GameBatch:
         self.randomization.draw(rows, generators)
         if self.randomization.obstacles is not None and starts is None:  # for the obstacles
             lines = [self.game_of(row).start_lines for row in rows]
-            drawn_lines = [line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)]
-            starts = Starts(np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64))
+            drawn_lines = [
+                line[gen.integers(len(line))] for line, gen in zip(lines, generators, strict=True)
+            ]
+            starts = Starts(
+                np.array(drawn_lines), np.array([gen.integers(2) for gen in generators], np.int64)
+            )
         # Without drawn obstacles the places are not used.
-        places = np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
+        places = (
+            np.zeros((len(rows), 2)) if starts is None else np.repeat(starts.s[:, None], 2, axis=1)
+        )
         self.randomization.place_obstacles(rows, places, generators, boxes)
         # A game is a function of this key and does not depend on later draws of the generator.
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
@@ -225,12 +262,16 @@ class GameBatch:
         for row in rows:
             self.memories[row] = None
 
-    def _read(self, options: Mapping[str, Any], count: int) -> tuple[Starts | None, NDArray[np.int64], Any]:
+    def _read(
+        self, options: Mapping[str, Any], count: int
+    ) -> tuple[Starts | None, NDArray[np.int64], Any]:
         """Return the starts, policies and obstacles in the options of a reset."""
         policies = check_policies(self.game.archive, options.get("policies"), count)
         return start_option(options, count), policies, obstacles_option(options, count)
 
-    def _draw_opponents(self, generators: Generators) -> tuple[NDArray[np.int64], list[Policy | None]]:
+    def _draw_opponents(
+        self, generators: Generators
+    ) -> tuple[NDArray[np.int64], list[Policy | None]]:
         """Draw the opponent of each new episode: its index, and its policy if it makes no moves."""
         drawn = np.zeros(len(generators), np.int64)
         if not self.opponents:
@@ -252,7 +293,10 @@ class GameBatch:
         state = self.started()
         moves = actions
         if self.players == 1:
-            moves = np.stack([actions[:, 0], self._replies(state, self._rows, generators, self.seen[:, 1])], axis=1)
+            moves = np.stack(
+                [actions[:, 0], self._replies(state, self._rows, generators, self.seen[:, 1])],
+                axis=1,
+            )
         self.before, self.state = state, self._apply(state, moves)
         self._begun = None
         self.moves = moves
@@ -270,7 +314,11 @@ class GameBatch:
         new = state.copy()
         for circuit, rows in groups:
             conditions = self.randomization.conditions(rows)
-            put_games(new, rows, self.game_on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions))
+            put_games(
+                new,
+                rows,
+                self.game_on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions),
+            )
         return new
 
     def _replies(
@@ -280,11 +328,17 @@ class GameBatch:
 
         ``seen`` are the observations of the opponents.
         """
-        asked = {"observation": seen, "memories": self.memories, "deterministic": self._deterministic}
+        asked = {
+            "observation": seen,
+            "memories": self.memories,
+            "deterministic": self._deterministic,
+        }
         moves = np.zeros(self.episodes, np.int64)
         for circuit, some in self.randomization.groups(rows):
             game, opponents = self.game_on(circuit)
-            moves += replies(opponents, self.drawn, game, state, rows[some], generators=generators, **asked)
+            moves += replies(
+                opponents, self.drawn, game, state, rows[some], generators=generators, **asked
+            )
         return moves
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
@@ -317,7 +371,10 @@ class GameBatch:
             "opponent_move": of_players(moves[:, ::-1], players),
             "policy": of_players(state.policy, players),
             "action_mask": of_players(self.game.action_mask(state), players).astype(np.int8),
-            **{name: np.repeat(values, players) for name, values in self.randomization.infos().items()},
+            **{
+                name: np.repeat(values, players)
+                for name, values in self.randomization.infos().items()
+            },
         }
 
     def info(self, environment: int) -> dict[str, Any]:
@@ -331,7 +388,9 @@ class GameBatch:
         info["result"] = int(self._results()[row, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(row) if self.opponents else -1
         for name, each in (("move", car), ("opponent_move", 1 - car)):
-            info[name] = NO_MOVE if state.policy.item(row, each) == OUTSIDE else self.moves.item(row, each)
+            info[name] = (
+                NO_MOVE if state.policy.item(row, each) == OUTSIDE else self.moves.item(row, each)
+            )
         info["policy"] = state.policy.item(row, car)
         info["action_mask"] = self.game.action_mask(state)[row, car].astype(np.int8)
         info.update(self.randomization.info(row))
@@ -352,7 +411,9 @@ class GameBatch:
         """Return the last step of the first game; this may be the step without moves."""
         return DrivenStep(self._pieces(), self.moves[0].copy())
 
-    def film(self, renderer: Renderer, step: DrivenStep, ticks: int) -> Iterator[NDArray[np.uint8] | None]:
+    def film(
+        self, renderer: Renderer, step: DrivenStep, ticks: int
+    ) -> Iterator[NDArray[np.uint8] | None]:
         """Drive a step of the first game again, and yield a frame every ``ticks`` ticks."""
         game, conditions = self.game_of(0), self.randomization.conditions(self._rows[:1])
         trail: list[NDArray[np.float64]] = []
@@ -361,7 +422,9 @@ class GameBatch:
             left = int(ends[np.searchsorted(ends, race.tick[0], side="right")] - race.tick[0])
             while left > 0:
                 drive, before = min(ticks, left), int(race.tick[0])
-                advance(game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions)
+                advance(
+                    game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions
+                )
                 if int(race.tick[0]) == before:
                     break  # end of the race
                 trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
@@ -392,14 +455,25 @@ class GameBatch:
         trails: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint8] | None:
         """Draw an episode of a batch of races, with the moves made."""
-        names = ("you", self.opponents[self.drawn[episode]].name) if self.opponents else ("car_0", "car_1")
+        names = (
+            ("you", self.opponents[self.drawn[episode]].name)
+            if self.opponents
+            else ("car_0", "car_1")
+        )
         codes = self.codes["move"]
         moves = " | ".join(f"{name}: {codes[int(made[car])]}" for car, name in enumerate(names))
-        text = f"{races.tick[episode] * DT:.1f} s | lead of {names[0]} {races.lead[episode]:+.1f} m | {moves}"
+        text = (
+            f"{races.tick[episode] * DT:.1f} s | lead of {names[0]} {races.lead[episode]:+.1f} m |"
+            f" {moves}"
+        )
         plans = [path[:, :2] for path in races.path[episode] if path.any()]
-        renderer.show(self.randomization.track(episode), half_sizes(self.randomization.vehicles[episode]))
+        renderer.show(
+            self.randomization.track(episode), half_sizes(self.randomization.vehicles[episode])
+        )
         shown = plans if len(plans) == 2 else None
-        return renderer.render(races.cars[episode], plans=shown, trails=trails, names=names, text=text)
+        return renderer.render(
+            races.cars[episode], plans=shown, trails=trails, names=names, text=text
+        )
 
     def value(self) -> Any:
         """Return the state of the games; None before the first `restart`."""
@@ -409,17 +483,29 @@ class GameBatch:
         """Return copies of all variables: games, opponents, last moves, memories, random draws."""
         value = self.value()
         kept = None if value is None else value.copy()
-        return kept, self.drawn.copy(), self.moves.copy(), copy.deepcopy(self.memories), self.randomization.get_state()
+        return (
+            kept,
+            self.drawn.copy(),
+            self.moves.copy(),
+            copy.deepcopy(self.memories),
+            self.randomization.get_state(),
+        )
 
     def check_state(self, values: tuple[Any, ...]) -> list[Track]:
         """Refuse a state that `get_state` can't have returned.
 
         Return the track of each episode, with its obstacles.
         """
-        check_part("the state", values, (FREE, self.drawn, self.moves, [FREE] * self.episodes, FREE))
+        check_part(
+            "the state", values, (FREE, self.drawn, self.moves, [FREE] * self.episodes, FREE)
+        )
         tracks = self.randomization.check_state(values[4])
         if values[0] is not None:
-            check_part(f"the state of {self.episodes} {self.played_in}", values[0], self.value() or self._blank())
+            check_part(
+                f"the state of {self.episodes} {self.played_in}",
+                values[0],
+                self.value() or self._blank(),
+            )
             self._check_value(values[0], np.array([track.length for track in tracks]))
         check_within("the state's opponents", values[1], 0, max(1, len(self.opponents)) - 1)
         check_within("the state's moves", values[2], NO_MOVE, len(self.game.competitor_moves) - 1)

@@ -126,7 +126,9 @@ def all_poses(cars: NDArray[np.float64], players: Iterable[int]) -> dict[str, ND
     number = cars.shape[1]
     order = [[player, *(car for car in range(number) if car != player)] for player in players]
     # The columns are selected first: gathering rows of three numbers is faster than rows of seven.
-    return {name: values[:, order].reshape(-1, number, 3) for name, values in pose_info(cars).items()}
+    return {
+        name: values[:, order].reshape(-1, number, 3) for name, values in pose_info(cars).items()
+    }
 
 
 def pose_info(cars: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
@@ -134,7 +136,9 @@ def pose_info(cars: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
     return {"poses": cars.take(_POSE, axis=-1), "velocities": cars.take(_MOTION, axis=-1)}
 
 
-def race_results(winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int) -> NDArray[np.int64]:
+def race_results(
+    winner: NDArray[np.int8], crashed: NDArray[np.bool_], players: int
+) -> NDArray[np.int64]:
     """Return the :class:`Result` of finished races for each player, shape (B, players)."""
     # A race without a winner was a tie or a no-contest crash.
     nobody = np.where(crashed, Result.CRASH, Result.TIE)
@@ -155,7 +159,8 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
     return {
         "time": races.tick.item(race) * DT,
         "progress": progress,
-        "lead": progress - max([races.progress.item(race, other) for other in others], default=progress),
+        "lead": progress
+        - max([races.progress.item(race, other) for other in others], default=progress),
         "crash": crashes[0],
         "opponent_crash": max(crashes[1:], default=0),
         "fault": races.fault.item(race, car),

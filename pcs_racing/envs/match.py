@@ -26,7 +26,11 @@ class OverMatches(OverGames):
         return self.batch.match
 
 
-class MatchEnv(OverMatches, DuelEnv, observation_table=observation_table(match_elements(AXES, MatchOptions().races))):
+class MatchEnv(
+    OverMatches,
+    DuelEnv,
+    observation_table=observation_table(match_elements(AXES, MatchOptions().races)),
+):
     """Match of several races against one opponent; the player chooses a policy before each race.
 
     ## Description

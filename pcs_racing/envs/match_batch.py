@@ -31,10 +31,11 @@ class MatchOptions(GameOptions):
     opponent: Annotated[
         Any,
         ANYTHING,
-        "As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes moves starts every"
-        " race of the match with the same policy of the archive, and makes its moves in the races. An object with "
-        "``choose(observation) -> policies`` chooses before each race, as the player does, and keeps its policy in "
-        "the race. With None a second agent drives car 1, where the environment has one.",
+        "As for :class:`pcs_racing.envs.duel.DuelEnv`; one is drawn for each match. One that makes"
+        " moves starts every race of the match with the same policy of the archive, and makes its"
+        " moves in the races. An object with ``choose(observation) -> policies`` chooses before"
+        " each race, as the player does, and keeps its policy in the race. With None a second agent"
+        " drives car 1, where the environment has one.",
     ] = "never-switch"
     races: Annotated[int, Interval(ge=1, le=100), "Races of a match."] = 3
     race_moves: Annotated[bool, "Whether the player also makes the moves of the races."] = False
@@ -54,7 +55,10 @@ class MatchBatch(GameBatch):
     def __init__(self, episodes: int, **arguments: Any) -> None:
         for name in UNUSED:
             if name in arguments:
-                raise InputError(f"{name} does not count in a match, which pays the score of each race; leave it out")
+                raise InputError(
+                    f"{name} does not count in a match, which pays the score of each race; leave"
+                    " it out"
+                )
         super().__init__(episodes, **arguments)
         self.codes = {**self.codes, "race_result": codes(Result)}
         self.played: MatchState | None = None  #: Matches; None before `restart`.
@@ -125,7 +129,9 @@ class MatchBatch(GameBatch):
             while (going := np.flatnonzero(played.racing)).size:
                 played = self._move(played, going, generators, None)
         self._follow(played)
-        rewards = np.ascontiguousarray(self.match.reward(before, played)[:, : self.players]).reshape(-1)
+        rewards = np.ascontiguousarray(
+            self.match.reward(before, played)[:, : self.players]
+        ).reshape(-1)
         done = np.repeat(self.match.done(played), self.players)
         return BatchStep(self._observations(), rewards, done, np.zeros(len(done), np.bool_))
 
@@ -143,7 +149,9 @@ class MatchBatch(GameBatch):
             for k, opponent in enumerate(self.game_on(circuit)[1]):
                 rows = on[self.drawn[on] == k]
                 if len(rows) and isinstance(opponent.competitor, Chooser):
-                    chosen = ask_choices(opponent.competitor, match, played, 1, rows=rows, memory=memory)
+                    chosen = ask_choices(
+                        opponent.competitor, match, played, 1, rows=rows, memory=memory
+                    )
                     choices[rows, 1] = chosen[rows]
             started = match.start(started, choices, on, conditions)
         # A new race is a new game for an opponent with a memory.
@@ -157,7 +165,9 @@ class MatchBatch(GameBatch):
             self.driven.append((grid, started.game.theta))
         return started
 
-    def _move(self, played: MatchState, rows: Rows, generators: Generators, actions: Rows | None) -> MatchState:
+    def _move(
+        self, played: MatchState, rows: Rows, generators: Generators, actions: Rows | None
+    ) -> MatchState:
         """Drive a step of the current races; without actions the players keep their policies."""
         game, stay = self.game, len(self.game.competitor_moves) - 1
         moves = np.full((self.episodes, 2), stay, np.int64)
@@ -195,7 +205,9 @@ class MatchBatch(GameBatch):
         masks = np.ones((self.episodes, 2, len(self.actions)), np.bool_)
         if self.match.race_moves:
             masks[:, :, :policies] = ~played.racing[:, None, None]
-            masks[:, :, policies:] = self.game.action_mask(played.game) & played.racing[:, None, None]
+            masks[:, :, policies:] = (
+                self.game.action_mask(played.game) & played.racing[:, None, None]
+            )
         return masks
 
     def infos(self) -> dict[str, NDArray[Any]]:
@@ -238,7 +250,9 @@ class MatchBatch(GameBatch):
         super()._check_value(played.game, lengths)
         check_within("the state's matches.race", played.race, 0, self.match.races)
         check_within("the state's matches.sides", played.sides, 0, 1)
-        check_within("the state's matches.policy", played.policy, OUTSIDE, len(self.game.archive) - 1)
+        check_within(
+            "the state's matches.policy", played.policy, OUTSIDE, len(self.game.archive) - 1
+        )
 
     def _blank(self) -> MatchState:
         # A policy of car 1 for each match, if its planner is not the archive's planner.

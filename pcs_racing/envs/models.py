@@ -19,7 +19,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Sight, observe_car
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements, make_sight, samples_ahead, shares
+from pcs_racing.envs.drive_options import (
+    DriveOptions,
+    drive_elements,
+    make_sight,
+    samples_ahead,
+    shares,
+)
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.state import MOST_CARS, RaceState
@@ -28,25 +34,66 @@ from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 KEPT = (
-    "time_step", "min_speed", "top_speed", "beams", "fov", "max_range", "lidar_noise", "look_ahead", "own_state",
-    "own_pose", "see_opponent", "time_left", "normalize", "normalized",
-)  # fmt: skip
+    "time_step",
+    "min_speed",
+    "top_speed",
+    "beams",
+    "fov",
+    "max_range",
+    "lidar_noise",
+    "look_ahead",
+    "own_state",
+    "own_pose",
+    "see_opponent",
+    "time_left",
+    "normalize",
+    "normalized",
+)
 """Arguments of an environment that define a model's observations and actions."""
 
 LIBRARIES = ("gymnasium", "stable_baselines3", "pettingzoo")
 HARMLESS = (
-    "Wrapper", "RewardWrapper", "VectorWrapper", "VectorRewardWrapper", "VecEnvWrapper", "BaseParallelWrapper",
-    "TimeLimit", "Autoreset", "OrderEnforcing", "PassiveEnvChecker", "Monitor", "RecordEpisodeStatistics",
-    "NormalizeReward", "RecordVideo", "RecordVideoParallel", "RenderCollection", "HumanRendering", "DictInfoToList",
-    "ClipAction", "VecMonitor", "VecCheckNan", "VecVideoRecorder", "DummyVecEnv", "SubprocVecEnv", "SyncVectorEnv",
+    "Wrapper",
+    "RewardWrapper",
+    "VectorWrapper",
+    "VectorRewardWrapper",
+    "VecEnvWrapper",
+    "BaseParallelWrapper",
+    "TimeLimit",
+    "Autoreset",
+    "OrderEnforcing",
+    "PassiveEnvChecker",
+    "Monitor",
+    "RecordEpisodeStatistics",
+    "NormalizeReward",
+    "RecordVideo",
+    "RecordVideoParallel",
+    "RenderCollection",
+    "HumanRendering",
+    "DictInfoToList",
+    "ClipAction",
+    "VecMonitor",
+    "VecCheckNan",
+    "VecVideoRecorder",
+    "DummyVecEnv",
+    "SubprocVecEnv",
+    "SyncVectorEnv",
     "AsyncVectorEnv",
-)  # fmt: skip
+)
 """Library classes that change no observation and no action; `ModelDriver` also clips actions."""
 
 CHANGING = (
-    "observation", "observations", "action", "actions", "step", "step_async", "step_wait", "reset", "reset_async",
+    "observation",
+    "observations",
+    "action",
+    "actions",
+    "step",
+    "step_async",
+    "step_wait",
+    "reset",
+    "reset_async",
     "reset_wait",
-)  # fmt: skip
+)
 """Methods of other wrapper classes that can change observations or actions."""
 
 
@@ -70,7 +117,9 @@ class ModelDriver:
         own = getattr(self.model, "content_hash", None)
         state = getattr(getattr(self.model, "policy", self.model), "state_dict", None)
         if own is None and not callable(state):
-            raise InputError(f"results of {self.name!r} can't be kept in a folder: give the model a content_hash")
+            raise InputError(
+                f"results of {self.name!r} can't be kept in a folder: give the model a content_hash"
+            )
         digest = hashlib.sha256(f"{own} {self.cars} {_plain(self.options)}".encode())
         for key, tensor in sorted(state().items()) if own is None else ():  # type: ignore[misc]
             digest.update(key.encode() + tensor.detach().cpu().numpy().tobytes())
@@ -89,7 +138,9 @@ class ModelDriver:
         vehicles: NDArray[np.float64],
         settings: KernelSettings,
     ) -> NDArray[np.float64]:
-        """Return steering angles (rad) and speeds (m/s) for one car of the races ``rows``, shape (n, 2)."""
+        """Return steering angles (rad) and speeds (m/s) for one car of the races ``rows``, shape
+        (n, 2).
+        """
         noise = np.full(state.races, float(self.options.lidar_noise))
         ahead = samples_ahead(self.options, track)
         sight = self._sight._replace(ahead=ahead, noise=noise, end_tick=settings.end_tick)
@@ -106,7 +157,10 @@ class ModelDriver:
         if hasattr(self.model, "predict"):
             answer, after = self.model.predict(seen, None, None, True)
             if after is not None:
-                raise InputError(f"model {self.name!r} keeps a state from step to step; such models can't race here")
+                raise InputError(
+                    f"model {self.name!r} keeps a state from step to step; such models can't race"
+                    " here"
+                )
         elif torch is not None and isinstance(self.model, torch.nn.Module):
             with torch.no_grad():
                 answer = self.model(torch.from_numpy(seen))
@@ -116,8 +170,9 @@ class ModelDriver:
         actions = np.asarray(answer, np.float64)
         if actions.shape != (len(seen), 2) or not np.isfinite(actions).all():
             raise InputError(
-                f"model {self.name!r} answered {answer!r:.80} to observations of shape {seen.shape}; it must give "
-                f"finite numbers of shape ({len(seen)}, 2): steering and speed"
+                f"model {self.name!r} answered {answer!r:.80} to observations of shape"
+                f" {seen.shape}; it must give finite numbers of shape ({len(seen)}, 2): steering"
+                " and speed"
             )
         # A last layer with a tanh returns shares of the action space in any unit.
         plain = self.options.normalized or getattr(self.model, "squash", False)
@@ -128,11 +183,23 @@ class ModelPlanner(Planner):
     """Planner of a model, without parameters; another process constructs it again."""
 
     def __reduce__(self) -> Any:
-        return ModelPlanner, (self.name, (), *[getattr(self, one) for one in ("plan", "control")], 0, 0, self.drive)
+        return ModelPlanner, (
+            self.name,
+            (),
+            *[getattr(self, one) for one in ("plan", "control")],
+            0,
+            0,
+            self.drive,
+        )
 
 
 def model_policy(
-    model: Any, *, name: str | None = None, cars: int | None = None, like: Any = None, **arguments: Any
+    model: Any,
+    *,
+    name: str | None = None,
+    cars: int | None = None,
+    like: Any = None,
+    **arguments: Any,
 ) -> Policy:
     """Return a model as a policy for races.
 
@@ -159,14 +226,24 @@ def model_policy(
     'straight'
     """
     given = dict(arguments)
-    if not given and (like is not None or (callable(getattr(model, "get_env", None)) and model.get_env() is not None)):
+    if not given and (
+        like is not None
+        or (callable(getattr(model, "get_env", None)) and model.get_env() is not None)
+    ):
         given = kept_arguments(model.get_env() if like is None else like)
     number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MOST_CARS)
     for key in given:
         if key not in (*KEPT, "vehicle"):
-            raise InputError(f"a model's argument {key!r} is unknown; there are cars, {', '.join(KEPT)}")
+            raise InputError(
+                f"a model's argument {key!r} is unknown; there are cars, {', '.join(KEPT)}"
+            )
     options = DriveOptions(**given)
-    name = name or getattr(model, "name", None) or getattr(model, "__name__", None) or type(model).__name__
+    name = (
+        name
+        or getattr(model, "name", None)
+        or getattr(model, "__name__", None)
+        or type(model).__name__
+    )
     return policy_of(model, str(name), options, number)
 
 
@@ -180,8 +257,9 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
         shape = getattr(getattr(model, space, None), "shape", None)
         if shape is not None and tuple(shape) != wanted:
             raise InputError(
-                f"model {name!r} has the {space} {tuple(shape)}; with these arguments of Drive it is {wanted}: "
-                "give those that it was trained with, model_policy(model, beams=..., ...)"
+                f"model {name!r} has the {space} {tuple(shape)}; with these arguments of Drive it"
+                f" is {wanted}: give those that it was trained with, model_policy(model, beams=...,"
+                " ...)"
             )
     driver: Any = ModelDriver(name, model, options, cars)
     return Policy(ModelPlanner(name, (), drive=driver), np.empty(0), name)
@@ -189,7 +267,9 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
 
 def _plain(options: DriveOptions) -> dict[str, Any]:
     """Return the saved arguments, in the form of a YAML file."""
-    values = {name: getattr(options, name) for name in KEPT} | {"look_ahead": list(options.look_ahead)}
+    values = {name: getattr(options, name) for name in KEPT} | {
+        "look_ahead": list(options.look_ahead)
+    }
     cars = options.vehicle if isinstance(options.vehicle, tuple) else (options.vehicle,)
     if any(car != F1TENTH for car in cars):
         values["vehicle"] = [asdict(car) for car in cars]
@@ -197,11 +277,15 @@ def _plain(options: DriveOptions) -> dict[str, Any]:
 
 
 def _changes(layer: Any) -> bool:
-    """Return whether a wrapper or environment may change observations or actions, by the methods of its class."""
+    """Return whether a wrapper or environment may change observations or actions, by the methods of
+    its class.
+    """
     for kind in type(layer).__mro__:
         library = kind.__module__.partition(".")[0]
         # Known classes, and their subclasses without overrides of these methods.
-        if library in ("pcs_racing", "pcs_racing_agents") or (library in LIBRARIES and kind.__name__ in HARMLESS):
+        if library in ("pcs_racing", "pcs_racing_agents") or (
+            library in LIBRARIES and kind.__name__ in HARMLESS
+        ):
             return False
         if any(name in vars(kind) for name in CHANGING):
             return True
@@ -221,12 +305,16 @@ def layers(env: Any, kept: Any = None) -> Iterator[Any]:
         if layer is not kept and (own.get("norm_obs") is not False if scaling else _changes(layer)):
             more = "only save_model keeps VecNormalize" if scaling else "train without it"
             raise InputError(
-                f"the model was trained behind {name}; {more}. A wrapper of rewards alone is a "
-                "gymnasium.RewardWrapper; if it changes no observation and no action, give the environment without it "
-                "as env= or like="
+                f"the model was trained behind {name}; {more}. A wrapper of rewards alone is a"
+                " gymnasium.RewardWrapper; if it changes no observation and no action, give the"
+                " environment without it as env= or like="
             )
         yield layer
-        inside += [*own.get("groups", ()), *own.get("envs", ()), *(own[key] for key in ("venv", "env") if key in own)]
+        inside += [
+            *own.get("groups", ()),
+            *own.get("envs", ()),
+            *(own[key] for key in ("venv", "env") if key in own),
+        ]
 
 
 def kept_arguments(env: Any, kept: Any = None) -> dict[str, Any]:
@@ -235,15 +323,19 @@ def kept_arguments(env: Any, kept: Any = None) -> dict[str, Any]:
     ``kept`` is as in `layers`.
     """
     batches = [getattr(layer, "__dict__", {}).get("batch") for layer in layers(env, kept)]
-    drives: list[Any] = [batch for batch in batches if isinstance(getattr(batch, "options", None), DriveOptions)]
+    drives: list[Any] = [
+        batch for batch in batches if isinstance(getattr(batch, "options", None), DriveOptions)
+    ]
     if not drives:
         raise InputError(
-            f"{type(env).__name__} is no environment of steering and speed that can be looked into; give env="
+            f"{type(env).__name__} is no environment of steering and speed that can be looked into;"
+            " give env="
         )
     found = [{"cars": int(batch.cars), **_plain(batch.options)} for batch in drives]
     for key in ("cars", *KEPT):
         if any(one[key] != found[0][key] for one in found):
             raise InputError(
-                f"the environments of {type(env).__name__} differ in {key}; give one of them as env= or like="
+                f"the environments of {type(env).__name__} differ in {key}; give one of them as"
+                " env= or like="
             )
     return found[0]

@@ -46,9 +46,13 @@ class Obstacles(Settings):
         Interval(ge=0.4, le=10.0),
         "Width that stays free between an obstacle and the wall on one of its sides, m.",
     ] = 1.0
-    apart: Annotated[float, Interval(ge=0.0, le=1000.0), "Distance between two of them along the race line, m."] = 5.0
+    apart: Annotated[
+        float, Interval(ge=0.0, le=1000.0), "Distance between two of them along the race line, m."
+    ] = 5.0
 
-    def draw(self, track: Track, starts: Sequence[float], generator: np.random.Generator) -> NDArray[np.float64]:
+    def draw(
+        self, track: Track, starts: Sequence[float], generator: np.random.Generator
+    ) -> NDArray[np.float64]:
         """Draw the obstacles of an episode, shape (K, 5); obstacles without room are left out.
 
         ``starts`` are the arc lengths of the cars (m). The track is free from 3 m before to 8 m
@@ -70,7 +74,10 @@ class Obstacles(Settings):
                 d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
                 free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach
                 near = min((abs(_around(s - other, length)) for other in places), default=np.inf)
-                away = all(not -BEFORE_START <= _around(s - start, length) <= AFTER_START for start in starts)
+                away = all(
+                    not -BEFORE_START <= _around(s - start, length) <= AFTER_START
+                    for start in starts
+                )
                 if free >= self.passage and near >= self.apart and away:
                     x, y, along = track.to_cartesian([s, d])
                     boxes.append([x, y, float(np.mod(along + heading, 2.0 * np.pi)), *sides])
@@ -84,7 +91,9 @@ def _around(s: float, length: float) -> float:
     return float(np.mod(s + 0.5 * length, length) - 0.5 * length)
 
 
-def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | None) -> Obstacles | None:
+def load_obstacles(
+    source: Obstacles | Mapping[str, Any] | int | str | Path | None,
+) -> Obstacles | None:
     """Return a configuration of obstacles, or None for none.
 
     The source is the configuration itself, a mapping, a YAML file, or the number of obstacles.
@@ -101,7 +110,9 @@ def load_obstacles(source: Obstacles | Mapping[str, Any] | int | str | Path | No
     return load_settings("obstacles", Obstacles(), source)  # type: ignore[arg-type]
 
 
-def obstacles_option(options: Mapping[str, Any], episodes: int) -> Sequence[NDArray[np.float64]] | None:
+def obstacles_option(
+    options: Mapping[str, Any], episodes: int
+) -> Sequence[NDArray[np.float64]] | None:
     """Read the option "obstacles" of a reset, for all episodes or for each.
 
     It holds boxes (x, y, heading, length, width). A width of 0 means a circle

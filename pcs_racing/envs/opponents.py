@@ -49,7 +49,9 @@ class Opponent:
         """Draw the fixed policy of an episode; None if the opponent makes moves."""
         if not self.policies:
             return None
-        return self.policies[0 if len(self.policies) == 1 else int(generator.integers(len(self.policies)))]
+        return self.policies[
+            0 if len(self.policies) == 1 else int(generator.integers(len(self.policies)))
+        ]
 
 
 def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
@@ -66,7 +68,10 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
     opponents = []
     for i, entry in enumerate(given):
         if isinstance(entry, list | tuple) and len(entry) != 2:
-            raise InputError(f"opponent {i} of the mixture is {entry!r}; it must be an opponent or (weight, opponent)")
+            raise InputError(
+                f"opponent {i} of the mixture is {entry!r}; it must be an opponent or (weight,"
+                " opponent)"
+            )
         weight, competitor = entry if isinstance(entry, list | tuple) else (1.0, entry)
         check_number(f"the weight of opponent {i}", weight, above=0.0)
         opponents.append(_opponent(competitor, float(weight), game))
@@ -95,7 +100,9 @@ def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) ->
     return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)
 
 
-def drive_opponents(given: Any, make_game: Callable[[], RaceGame], options: DriveOptions, cars: int) -> list[Opponent]:
+def drive_opponents(
+    given: Any, make_game: Callable[[], RaceGame], options: DriveOptions, cars: int
+) -> list[Opponent]:
     """Read the argument ``opponent`` of Drive; the game is made only if an opponent is no policy.
 
     ``options`` and ``cars`` define the observation of a model without its own arguments.
@@ -105,7 +112,9 @@ def drive_opponents(given: Any, make_game: Callable[[], RaceGame], options: Driv
     policies = [_as_policy(one, options, cars) for one in entries]
     if policies and all(isinstance(policy, Policy) for policy in policies):
         return [Opponent(policy.name, 1.0, policy, (policy,)) for policy in policies]
-    return parse_opponents(policies if isinstance(given, list | tuple) else policies[0], make_game())
+    return parse_opponents(
+        policies if isinstance(given, list | tuple) else policies[0], make_game()
+    )
 
 
 def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
@@ -114,7 +123,9 @@ def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
         return given[0], _as_policy(given[1], options, cars)
     if is_model(given) and not isinstance(given, str | Path):
         own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
-        return model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
+        return (
+            model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
+        )
     named = isinstance(given, str) and split_name(given)[0] in planner_names()
     return parse_policy(given) if named else given
 
@@ -131,14 +142,20 @@ def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
     for opponent, planner in zip(opponents, planners, strict=True):
         if planner is not planners[0]:
             raise InputError(
-                f"opponents {opponents[0].name!r} and {opponent.name!r} drive with planners {planners[0].name!r} and "
-                f"{planner.name!r}; the opponents of one environment must share a planner"
+                f"opponents {opponents[0].name!r} and {opponent.name!r} drive with planners"
+                f" {planners[0].name!r} and {planner.name!r}; the opponents of one environment must"
+                " share a planner"
             )
     return planners[0]
 
 
 def replies(
-    opponents: Sequence[Opponent], drawn: Rows, game: RaceGame, state: GameState, rows: Rows, **asked: Any
+    opponents: Sequence[Opponent],
+    drawn: Rows,
+    game: RaceGame,
+    state: GameState,
+    rows: Rows,
+    **asked: Any,
 ) -> NDArray[np.int64]:
     """Return the drawn opponents' moves in the games ``rows``, 0 in all others, shape (B,).
 
@@ -174,7 +191,9 @@ class MovingOpponents:
         policy = OUTSIDE if opponent.policies else int(generator.integers(len(self.game.archive)))
         self._games.policy[row, 1] = policy
 
-    def restart(self, rows: NDArray[np.int64], races: RaceState, theta: NDArray[np.float64]) -> None:
+    def restart(
+        self, rows: NDArray[np.int64], races: RaceState, theta: NDArray[np.float64]
+    ) -> None:
         """Begin the games of races on the grid, and set the parameters of their opponents."""
         games = self._games
         for array in (games.own, games.estimates, games.leads, games.step):
@@ -223,7 +242,9 @@ class MovingOpponents:
         """Return copies of all variables."""
         return self._games.copy(), self._before.copy(), list(self._memories)
 
-    def check_state(self, state: tuple[GameState, RaceState, list[Any]], lengths: NDArray[np.float64]) -> None:
+    def check_state(
+        self, state: tuple[GameState, RaceState, list[Any]], lengths: NDArray[np.float64]
+    ) -> None:
         """Refuse a state that `get_state` can't have returned; ``lengths`` are track lengths, m."""
         name = "the state's moves of the opponent"
         check_part(name, state, (self._games, self._before, [FREE] * len(self._memories)))

@@ -49,13 +49,22 @@ class Declared:
 
         The argument ``arguments`` of ``begin`` is left out.
         """
-        own = [one for name, one in signature(begin).parameters.items() if name not in ("self", "arguments")]
+        own = [
+            one
+            for name, one in signature(begin).parameters.items()
+            if name not in ("self", "arguments")
+        ]
         listed = [name for name in self.defaults if name not in self.positional]
         kinds = {one.name: one.type for one in fields(self.options)}
         # Positional arguments come first: the number of environments, the track, the opponent.
-        parameters = [one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"]
+        parameters = [
+            one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"
+        ]
         for names, way in ((self.positional, _BY_PLACE), (listed, _BY_NAME)):
-            parameters += [Parameter(name, way, default=self.defaults[name], annotation=kinds[name]) for name in names]
+            parameters += [
+                Parameter(name, way, default=self.defaults[name], annotation=kinds[name])
+                for name in names
+            ]
         parameters += [one.replace(kind=_BY_NAME) for one in own if one.name != "num_envs"]
         if self.more is not None:
             parameters.append(Parameter("settings", Parameter.VAR_KEYWORD, annotation=Any))
@@ -82,9 +91,12 @@ class Declared:
 
 
 LOOKS = {
-    "render_mode": '"rgb_array", for frames of `render`, or "human", for a window. In a duel a frame shows how a step '
-    'ended; with "rgb_array_list" it gets all frames since it was last called, or since the reset, 25 for each second '
-    "of racing (:class:`pcs_racing.envs.video.RecordRaces` makes a video of them).",
+    "render_mode": (
+        '"rgb_array", for frames of `render`, or "human", for a window. In a duel a frame shows how'
+        ' a step ended; with "rgb_array_list" it gets all frames since it was last called, or since'
+        " the reset, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes"
+        " a video of them)."
+    ),
     "view": '"track", "both" (all cars stay in sight), or "car_0" to "car_7": what a frame shows.',
     "render_size": "Width and height of a frame in pixels.",
     "max_cycles": "Steps after which an episode is truncated.",
@@ -100,7 +112,9 @@ def _listed(kind: Any) -> str:
         if name in parameters:
             lines += listed_argument(name, type_name(parameters[name].annotation), meaning)
     if declared.more is not None:
-        lines += listed_settings(declared.more, *declared.defaults, *declared.without, defaults=True)
+        lines += listed_settings(
+            declared.more, *declared.defaults, *declared.without, defaults=True
+        )
     return "\n".join(lines)
 
 
@@ -130,7 +144,10 @@ class OverBatch:
             cls.__signature__ = cls.declared.signature(cls._begin, cls.players)
             doc = cls.__doc__ or ""  # there is none with ``python -OO``
             if "{arguments}" in doc:
-                for mark, text in (("{observation_table}", observation_table), ("{arguments}", _listed(cls))):
+                for mark, text in (
+                    ("{observation_table}", observation_table),
+                    ("{arguments}", _listed(cls)),
+                ):
                     doc = doc.replace(mark, text.replace("\n", "\n    "))
                 cls.__doc__ = doc
 
@@ -199,7 +216,9 @@ class OverBatch:
         known = (*more, *REBUILDING, *self.batch.reset_options)
         for name in options:
             if name not in known:
-                raise UnknownNameError(f"reset option {name!r} is unknown; {choices(str(name), known)}")
+                raise UnknownNameError(
+                    f"reset option {name!r} is unknown; {choices(str(name), known)}"
+                )
         return {name: value for name, value in options.items() if value is not None}
 
     def _batch_for(self, options: dict[str, Any]) -> tuple[Batch, dict[str, Any]]:
@@ -246,7 +265,11 @@ class OverBatch:
         raise NotImplementedError
 
     def __reduce__(self) -> tuple[Any, ...]:
-        own = {name: getattr(self, name) for name in signature(self._begin).parameters if name != "arguments"}
+        own = {
+            name: getattr(self, name)
+            for name in signature(self._begin).parameters
+            if name != "arguments"
+        }
         return _rebuild, (type(self), {**self._arguments, **own}, self.get_state(), self._spec)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
@@ -259,7 +282,9 @@ class OverBatch:
     def _open_renderer(self) -> Renderer:
         """Return the renderer of the frames; it is made for the first frame."""
         if self.render_mode is None:
-            raise InputError("render_mode is None; make the environment with another one, such as 'rgb_array'")
+            raise InputError(
+                "render_mode is None; make the environment with another one, such as 'rgb_array'"
+            )
         self._check_started()
         if self._renderer is None:
             fps = float(self.metadata["render_fps"])

@@ -32,7 +32,9 @@ from pcs_racing.track.track import Track
 class Randomization(Settings):
     """Ranges of the uniform draws of each episode, for all cars; None keeps the value."""
 
-    friction: Annotated[tuple[float, float] | None, number_range(0.05, 5.0), "Friction coefficient."] = None
+    friction: Annotated[
+        tuple[float, float] | None, number_range(0.05, 5.0), "Friction coefficient."
+    ] = None
     mass: Annotated[
         tuple[float, float] | None,
         number_range(0.1, 1000.0),
@@ -41,12 +43,14 @@ class Randomization(Settings):
     steering_delay: Annotated[
         tuple[float, float] | None,
         number_range(0.0, MOST_DELAYED * COMMAND_PERIOD),
-        "Time by which steering commands are late, s; of its multiples of 0.02 s each is as likely.",
+        "Time by which steering commands are late, s; of its multiples of 0.02 s each is as"
+        " likely.",
     ] = None
     steering_noise: Annotated[
         tuple[float, float] | None,
         number_range(0.0, 0.4),
-        "Standard deviation of the disturbance of every steering command, in place of that of the rules, rad.",
+        "Standard deviation of the disturbance of every steering command, in place of that of the"
+        " rules, rad.",
     ] = None
     lidar_noise: Annotated[
         tuple[float, float] | None,
@@ -75,7 +79,8 @@ class Randomization(Settings):
         super().__post_init__()
         if self.steering_delay is not None and len(self._delays) == 0:
             raise ConfigError(
-                f"steering_delay is {self.steering_delay!r}; there is no multiple of {COMMAND_PERIOD:g} s in between"
+                f"steering_delay is {self.steering_delay!r}; there is no multiple of"
+                f" {COMMAND_PERIOD:g} s in between"
             )
 
     def draw(self, generator: np.random.Generator) -> dict[str, float]:
@@ -84,7 +89,9 @@ class Randomization(Settings):
         for name in self.names:
             if name == "steering_delay":
                 delays = self._delays
-                drawn[name] = float(round(int(delays[generator.integers(len(delays))]) * COMMAND_PERIOD, 2))
+                drawn[name] = float(
+                    round(int(delays[generator.integers(len(delays))]) * COMMAND_PERIOD, 2)
+                )
             else:
                 low, high = getattr(self, name)
                 drawn[name] = float(low + (high - low) * generator.random())
@@ -97,7 +104,10 @@ class Randomization(Settings):
         if "friction" in drawn:
             changes["mu"] = drawn["friction"]
         if "mass" in drawn:
-            changes |= {"m": drawn["mass"], "inertia": vehicle.inertia * (drawn["mass"] / vehicle.m)}
+            changes |= {
+                "m": drawn["mass"],
+                "inertia": vehicle.inertia * (drawn["mass"] / vehicle.m),
+            }
         if "steering_delay" in drawn:
             changes["steer_delay"] = drawn["steering_delay"]
         if "steering_noise" in drawn:
@@ -105,7 +115,9 @@ class Randomization(Settings):
         return replace(vehicle, **changes)
 
 
-def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | None) -> Randomization:
+def load_randomization(
+    source: Randomization | Mapping[str, Any] | str | Path | None,
+) -> Randomization:
     """Return ranges from a `Randomization`, a mapping or a YAML file; without ranges for None.
 
     Examples
@@ -117,7 +129,9 @@ def load_randomization(source: Randomization | Mapping[str, Any] | str | Path | 
 
 
 def _vehicles(_: str, value: Any) -> Any:
-    return tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
+    return (
+        tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,29 +141,33 @@ class EpisodeOptions(Settings):
     track: Annotated[
         Any,
         ANYTHING,
-        'Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each episode; with "random" '
-        "each episode is driven on a newly generated circuit, or as "
-        ":class:`pcs_racing.race.random_circuits.RandomCircuits` says. All races of a match are on the same circuit.",
+        "Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each"
+        ' episode; with "random" each episode is driven on a newly generated circuit, or as'
+        " :class:`pcs_racing.race.random_circuits.RandomCircuits` says. All races of a match are on"
+        " the same circuit.",
     ] = "Tarnfjord"
     vehicle: Annotated[
         Any,
         Checked(_vehicles),
-        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names those that differ from"
-        ' F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu": 0.8}``.',
+        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names"
+        ' those that differ from F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu":'
+        " 0.8}``.",
     ] = F1TENTH
     randomize: Annotated[
         Randomization | None,
         Checked(lambda _, value: load_randomization(value)),
-        "Ranges from which each episode draws friction, mass, steering delay, steering noise and, where there is one,"
-        " noise of the lidar (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as "
-        '``{"friction": [0.7, 1.1]}``.',
+        "Ranges from which each episode draws friction, mass, steering delay, steering noise and,"
+        " where there is one, noise of the lidar"
+        " (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as"
+        ' ``{"friction": [0.7, 1.1]}``.',
     ] = None
     obstacles: Annotated[
         Obstacles | None,
         Checked(lambda _, value: load_obstacles(value)),
-        "Boxes and circles that stand on the track, drawn for each episode: how many, or their settings "
-        "(:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file. The lidar sees them, a car that "
-        "touches one has crashed as into a wall, and the lattice planner avoids most.",
+        "Boxes and circles that stand on the track, drawn for each episode: how many, or their"
+        " settings (:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file. The"
+        " lidar sees them, a car that touches one has crashed as into a wall, and the lattice"
+        " planner avoids most.",
     ] = None
 
 
@@ -206,7 +224,10 @@ class EpisodeRandomization:
         self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
         if len(boxes):
             self._blocked = True
-            self._tracks[row], self.boxes[row] = with_obstacles(self.track(row), boxes), np.array(boxes)
+            self._tracks[row], self.boxes[row] = (
+                with_obstacles(self.track(row), boxes),
+                np.array(boxes),
+            )
 
     def draw(self, rows: NDArray[np.int64], generators: Sequence[np.random.Generator]) -> None:
         """Draw the random values of new episodes, each from its own generator."""
@@ -227,7 +248,11 @@ class EpisodeRandomization:
         tracks = None
         if self._blocked and any(self._tracks[row] is not None for row in rows):
             tracks = tuple(self.track(row) for row in rows)
-        return AS_THE_SETUP if vehicles is None and tracks is None else RaceConditions(vehicles, tracks)
+        return (
+            AS_THE_SETUP
+            if vehicles is None and tracks is None
+            else RaceConditions(vehicles, tracks)
+        )
 
     def groups(self, rows: NDArray[np.int64]) -> list[tuple[int, NDArray[np.int64]]]:
         """Return the track numbers of some episodes, each with its indices in ``rows``."""
@@ -257,16 +282,23 @@ class EpisodeRandomization:
 
         Return the track of each episode, with its obstacles.
         """
-        check_part("the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes))
+        check_part(
+            "the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes)
+        )
         circuits, vehicles, _, boxes = state
         check_within("the state's steering delays", vehicles[..., STEER_DELAY], 0, MOST_DELAYED)
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):
             check_part(
-                f"the state's obstacles of episode {row}", own, np.empty((len(own) if np.ndim(own) else 0, len(BOX)))
+                f"the state's obstacles of episode {row}",
+                own,
+                np.empty((len(own) if np.ndim(own) else 0, len(BOX))),
             )
-        return [with_obstacles(track, own) if len(own) else track for track, own in zip(tracks, boxes, strict=True)]
+        return [
+            with_obstacles(track, own) if len(own) else track
+            for track, own in zip(tracks, boxes, strict=True)
+        ]
 
     def set_state(self, state: tuple[Any, ...], tracks: Sequence[Track]) -> None:
         """Continue from a state of `get_state`, on the tracks returned by `check_state`."""
@@ -276,5 +308,7 @@ class EpisodeRandomization:
         for name, values in drawn.items():
             self.drawn[name][:] = values
         self.boxes = [np.array(own) for own in boxes]
-        self._tracks = [track if len(own) else None for track, own in zip(tracks, boxes, strict=True)]
+        self._tracks = [
+            track if len(own) else None for track, own in zip(tracks, boxes, strict=True)
+        ]
         self._blocked |= any(map(len, boxes))

@@ -28,7 +28,9 @@ try:
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
-    raise ImportError('pcs_racing.envs.sb3 needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
+    raise ImportError(
+        'pcs_racing.envs.sb3 needs Stable-Baselines3: pip install "pcs-racing[learning]"'
+    ) from error
 
 KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
@@ -110,10 +112,13 @@ class SB3VecEnv(VecEnv):
         check_whole("threads", threads, 1)
         self.groups: list[Any] = list(envs) if isinstance(envs, list | tuple) else [envs]
         for group in self.groups:
-            if not isinstance(group, BatchVectorEnv) or group.autoreset_mode is not AutoresetMode.SAME_STEP:
+            if (
+                not isinstance(group, BatchVectorEnv)
+                or group.autoreset_mode is not AutoresetMode.SAME_STEP
+            ):
                 raise InputError(
-                    f"envs hold a {type(group).__name__}; they must be environments such as DuelVectorEnv or "
-                    "DriveVectorEnv, with autoreset_mode='SAME_STEP'"
+                    f"envs hold a {type(group).__name__}; they must be environments such as"
+                    " DuelVectorEnv or DriveVectorEnv, with autoreset_mode='SAME_STEP'"
                 )
         first = self.groups[0]
         self._group_seeds, self._scale = seeds, reward_scale
@@ -124,7 +129,9 @@ class SB3VecEnv(VecEnv):
         self._lengths = np.zeros(len(self._returns), np.int64)
         self._began = time.time()
         self._each = [OneOfBatch(group, i) for group in self.groups for i in range(group.num_envs)]
-        super().__init__(len(self._returns), first.single_observation_space, first.single_action_space)
+        super().__init__(
+            len(self._returns), first.single_observation_space, first.single_action_space
+        )
 
     def reset(self) -> NDArray[np.float32]:
         """Begin new episodes in all environments, with the latest `seed` and `set_options`.
@@ -142,9 +149,14 @@ class SB3VecEnv(VecEnv):
                 options = self._options[self._edges[k] : self._edges[k + 1]]
                 shared = options[:: group.players]
                 for i, one in enumerate(options):
-                    if one and one is not shared[i // group.players] and repr(one) != repr(shared[i // group.players]):
+                    if (
+                        one
+                        and one is not shared[i // group.players]
+                        and repr(one) != repr(shared[i // group.players])
+                    ):
                         raise InputError(
-                            f"options of environment {self._edges[k] + i} differ from the options of its race"
+                            f"options of environment {self._edges[k] + i} differ from the options"
+                            " of its race"
                         )
                 seen, info = group.reset(seed=own, options=shared if any(shared) else None)
                 observations.append(seen)
@@ -160,11 +172,15 @@ class SB3VecEnv(VecEnv):
         """Store the actions for `step_wait`."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Make a step with the stored actions."""
         pieces = np.split(self._actions, self._edges[1:-1])
         steps = self._step_groups(pieces)
-        observations, rewards, terminated, truncated = (np.concatenate([step[i] for step in steps]) for i in range(4))
+        observations, rewards, terminated, truncated = (
+            np.concatenate([step[i] for step in steps]) for i in range(4)
+        )
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
@@ -202,7 +218,11 @@ class SB3VecEnv(VecEnv):
 
     def get_state(self) -> tuple[Any, ...]:
         """Return the full state of all episodes, with their returns and lengths."""
-        return [group.get_state() for group in self.groups], self._returns.copy(), self._lengths.copy()
+        return (
+            [group.get_state() for group in self.groups],
+            self._returns.copy(),
+            self._lengths.copy(),
+        )
 
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`."""
@@ -231,13 +251,19 @@ class SB3VecEnv(VecEnv):
         The environment's own attributes can't be changed.
         """
         if attr_name in SHARED or attr_name.startswith("_") or hasattr(OneOfBatch, attr_name):
-            raise InputError(f"{attr_name!r} can't be set for single environments of a batch; make another one")
+            raise InputError(
+                f"{attr_name!r} can't be set for single environments of a batch; make another one"
+            )
         for i in self._get_indices(indices):
             setattr(self._each[i], attr_name, value)
 
-    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
+    ) -> list[Any]:
         """Call a method of each requested environment."""
-        return [method(*method_args, **method_kwargs) for method in self.get_attr(method_name, indices)]
+        return [
+            method(*method_args, **method_kwargs) for method in self.get_attr(method_name, indices)
+        ]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Return whether each environment acts as wrapped: True only for Monitor and its bases."""
@@ -263,7 +289,8 @@ class OneOfBatch:
     def __getattr__(self, name: str) -> Any:
         if name not in SHARED:
             raise AttributeError(
-                f"one environment of a batch has no attribute {name!r}; its batch is in SB3VecEnv.groups"
+                f"one environment of a batch has no attribute {name!r}; its batch is in"
+                " SB3VecEnv.groups"
             )
         return getattr(self._group, name)
 

@@ -64,7 +64,10 @@ class SingleEnv(OverBatch):
                 self._change_to(batch, arguments)
             self._np_random, self._steps, self._running = generator, 0, True
         elif given or number is not None:
-            raise InputError("reset option 'state' was given with others or a seed; a state leaves nothing to choose")
+            raise InputError(
+                "reset option 'state' was given with others or a seed; a state leaves nothing to"
+                " choose"
+            )
         else:
             with self.unless_refused():
                 self._change_to(batch, arguments)
@@ -112,7 +115,9 @@ class SingleEnv(OverBatch):
     def set_state(self, state: EnvState) -> Any:
         """Continue from a state of `get_state`, from an environment with equal arguments."""
         if not isinstance(state, EnvState):
-            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+            raise InputError(
+                f"state is a {type(state).__name__}; it must be what get_state returned"
+            )
         check_flag("the state's running", state.running)
         begun = state.steps is not None
         if begun:
@@ -213,12 +218,16 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         self.action_spaces: dict[str, spaces.Space[Any]] = {
             name: copy.deepcopy(action) for name in self.possible_agents
         }
-        self.state_space = spaces.Box(np.tile(box.low, self.batch.cars), np.tile(box.high, self.batch.cars))
+        self.state_space = spaces.Box(
+            np.tile(box.low, self.batch.cars), np.tile(box.high, self.batch.cars)
+        )
 
     def _make_batch(self, arguments: dict[str, Any]) -> Batch:
         arguments, players = self._players(arguments)
         if self.possible_agents and len(self.possible_agents) != players:
-            raise InputError("reset option 'opponent' needs an environment that was made with an opponent")
+            raise InputError(
+                "reset option 'opponent' needs an environment that was made with an opponent"
+            )
         return super()._make_batch({**arguments, "players": players})
 
     def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
@@ -237,7 +246,9 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         """Return the action space of an agent; always the same object."""
         return self.action_spaces[self._known(agent)]
 
-    def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, Infos]:
         """Begin a new episode; a seed determines the episode."""
         self._restart(seed, options)
         return self._by_agent(self._observe()), self._infos()
@@ -248,7 +259,9 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         """Apply the actions of all agents, and drive a step."""
         agents = self.possible_agents
         if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
-            raise InputError(f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}")
+            raise InputError(
+                f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}"
+            )
         checked = self.batch.check_actions([actions[agent] for agent in agents], (len(agents),))
         observations, rewards, ended, late = self._advance(checked, self.max_cycles)
         return (
@@ -284,5 +297,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
 
     def _known(self, agent: str) -> str:
         if agent not in self.possible_agents:
-            raise InputError(f"agent {agent!r} is unknown; the agents are {', '.join(self.possible_agents)}")
+            raise InputError(
+                f"agent {agent!r} is unknown; the agents are {', '.join(self.possible_agents)}"
+            )
         return agent

@@ -15,7 +15,9 @@ from pcs_racing.envs.batch import FREE, MAX_STEPS, check_part, check_within, gen
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, Batch, OverBatch
 
-Step = tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
+Step = tuple[
+    NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+]
 
 
 class VectorState(NamedTuple):
@@ -54,7 +56,10 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Arguments of the single environment; `render` returns a frame for each environment.
     """
 
-    metadata: dict[str, Any] = {**OverBatch.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {
+        **OverBatch.metadata,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }  # noqa: RUF012
 
     def _begin(
         self,
@@ -75,7 +80,10 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             check_whole("max_episode_steps", max_episode_steps, 1)
         if is_whole(num_envs) and num_envs % players:
             wanted = "even" if players == 2 else f"a multiple of {players}"
-            raise InputError(f"num_envs is {num_envs}; it must be {wanted}: {players} environments belong to each game")
+            raise InputError(
+                f"num_envs is {num_envs}; it must be {wanted}: {players} environments belong to"
+                " each game"
+            )
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
         self.max_episode_steps, self.threads, self.num_envs = max_episode_steps, threads, num_envs
         self._use(self._make_batch(arguments), arguments)
@@ -120,22 +128,36 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         if isinstance(options, list):
             if len(options) != self.batch.episodes:
                 raise InputError(
-                    f"options list {len(options)} dicts; give one for each of {self.batch.episodes} episodes"
+                    f"options list {len(options)} dicts; give one for each of {self.batch.episodes}"
+                    " episodes"
                 )
             same = {id(one): one for one in options}  # one call for each dict
-            parts = [(np.flatnonzero([each is one for each in options]), self._options(one)) for one in same.values()]
+            parts = [
+                (np.flatnonzero([each is one for each in options]), self._options(one))
+                for one in same.values()
+            ]
         else:
             given = self._options(options, "reset_mask")
             parts = [(self._masked(given.pop("reset_mask", None)), given)]
-        changes = [{name: given.pop(name) for name in REBUILDING if name in given} for _, given in parts]
+        changes = [
+            {name: given.pop(name) for name in REBUILDING if name in given} for _, given in parts
+        ]
         rows = np.concatenate([some for some, _ in parts])
-        if any(change != changes[0] for change in changes) or (changes[0] and len(rows) < self.batch.episodes):
-            raise InputError("all environments share track and opponent; they can't be changed for some of them")
+        if any(change != changes[0] for change in changes) or (
+            changes[0] and len(rows) < self.batch.episodes
+        ):
+            raise InputError(
+                "all environments share track and opponent; they can't be changed for some of them"
+            )
         batch, arguments = self._batch_for(changes[0])
         # Stored only after all episodes have begun: a refused reset keeps the former seeds.
         seeds = _split_seeds(seed, batch.episodes)
         generators = [
-            seeding.np_random(one)[0] if not self._generators or one is not None else self._generators[i]
+            (
+                seeding.np_random(one)[0]
+                if not self._generators or one is not None
+                else self._generators[i]
+            )
             for i, one in enumerate(seeds)
         ]
         with self.unless_refused():
@@ -161,11 +183,16 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             )
         generators = self._generators
         if len(again):  # a finished episode must not draw from the generator of the next episode
-            generators = [np.random.default_rng(0) if over else generators[i] for i, over in enumerate(self._over)]
+            generators = [
+                np.random.default_rng(0) if over else generators[i]
+                for i, over in enumerate(self._over)
+            ]
         observations, rewards, terminated, truncated = self.batch.step(checked, generators)
         self._steps += 1
         if self.max_episode_steps is not None:
-            truncated |= np.repeat(self._steps >= self.max_episode_steps, self.players) & ~terminated
+            truncated |= (
+                np.repeat(self._steps >= self.max_episode_steps, self.players) & ~terminated
+            )
         # NEXT_STEP: the step after the end of an episode only begins the next episode.
         if len(again):
             self._restart(again, observations)
@@ -209,7 +236,9 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
     def get_state(self) -> VectorState:
         """Return the full state, which determines the current and all later episodes."""
         generators = [dict(generator.bit_generator.state) for generator in self._generators]
-        return VectorState(self.batch.get_state(), generators, self._over.copy(), self._steps.copy())
+        return VectorState(
+            self.batch.get_state(), generators, self._over.copy(), self._steps.copy()
+        )
 
     def check_state(self, state: VectorState) -> list[np.random.Generator]:
         """Refuse a state that `get_state` can't have returned; the batch is not checked.
@@ -217,12 +246,17 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Return the generators of the episodes.
         """
         if not isinstance(state, VectorState):
-            raise InputError(f"state is a {type(state).__name__}; it must be what get_state returned")
+            raise InputError(
+                f"state is a {type(state).__name__}; it must be what get_state returned"
+            )
         unused = isinstance(state.generators, list) and not state.generators
         count = 0 if unused else self.batch.episodes
         check_part("the state", state, VectorState(FREE, [FREE] * count, self._over, self._steps))
         check_within("the state's steps", state.steps, 0, MAX_STEPS)
-        return [generator_of(f"the state's generator {i}", given) for i, given in enumerate(state.generators)]
+        return [
+            generator_of(f"the state's generator {i}", given)
+            for i, given in enumerate(state.generators)
+        ]
 
     def set_state(self, state: VectorState) -> NDArray[np.float32]:
         """Continue from a state of `get_state`; return its observations, shape (num_envs, D)."""
@@ -245,8 +279,8 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         given = as_array(mask)
         if given.shape != (self.num_envs,) or given.dtype != np.bool_:
             raise InputError(
-                f"reset option 'reset_mask' has shape {given.shape} and type {given.dtype}; it must be bool of shape "
-                f"({self.num_envs},)"
+                f"reset option 'reset_mask' has shape {given.shape} and type {given.dtype}; it must"
+                f" be bool of shape ({self.num_envs},)"
             )
         self._check_started()
         return np.flatnonzero(given.reshape(-1, self.players).any(axis=1))
@@ -271,7 +305,12 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         for i in np.flatnonzero(over):
             last[i] = observations[i].copy()
         final_info = _with_masks(self.batch.infos(), over)
-        return {"final_obs": last, "_final_obs": over.copy(), "final_info": final_info, "_final_info": over.copy()}
+        return {
+            "final_obs": last,
+            "_final_obs": over.copy(),
+            "final_info": final_info,
+            "_final_info": over.copy(),
+        }
 
 
 def _with_masks(infos: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, Any]:
@@ -302,7 +341,14 @@ def _split_seeds(seed: Any, episodes: int) -> list[int | None]:
     try:
         seeds = list(seed)
     except TypeError:
-        raise InputError(f"seed is {seed!r}; it must be a whole number, a list of them, or None") from None
+        raise InputError(
+            f"seed is {seed!r}; it must be a whole number, a list of them, or None"
+        ) from None
     if len(seeds) != episodes:
-        raise InputError(f"there are {len(seeds)} seeds for {episodes} environments; give one for each")
-    return [None if one is None else check_seed(one, f"the seed of environment {i}") for i, one in enumerate(seeds)]
+        raise InputError(
+            f"there are {len(seeds)} seeds for {episodes} environments; give one for each"
+        )
+    return [
+        None if one is None else check_seed(one, f"the seed of environment {i}")
+        for i, one in enumerate(seeds)
+    ]

@@ -11,13 +11,21 @@ from typing import Any
 
 import gymnasium
 
-IDS = {"f110-v0": "pcs_racing.f1tenth.env:GenerationA", "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB"}
+IDS = {
+    "f110-v0": "pcs_racing.f1tenth.env:GenerationA",
+    "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB",
+}
 """Entry points of the environments, by name in Gymnasium."""
 
 _PLACES = {
-    "env": "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType LongitudinalActionEnum "
-    "SteerActionEnum",
-    "simulator": "Simulator RaceCar ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks vehicle_dynamics_st",
+    "env": (
+        "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType"
+        " LongitudinalActionEnum SteerActionEnum"
+    ),
+    "simulator": (
+        "Simulator RaceCar ScanSimulator2D pid pid_accl pid_steer vehicle_dynamics_ks"
+        " vehicle_dynamics_st"
+    ),
     "lines": "Track TrackSpec Raceline CubicSpline2D nearest_point_on_trajectory",
     "rendering": "EnvRenderer RenderSpec TrackRenderer make_renderer",
     "geometry": "get_vertices collision collision_multiple get_range ray_cast check_ttc_jit",
@@ -34,7 +42,9 @@ def register_environments() -> None:
     """
     for name, entry in IDS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=entry, disable_env_checker=True, order_enforce=False)
+            gymnasium.register(
+                name, entry_point=entry, disable_env_checker=True, order_enforce=False
+            )
 
 
 def __getattr__(name: str) -> Any:

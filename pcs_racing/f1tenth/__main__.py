@@ -12,7 +12,9 @@ def main(given: list[str]) -> int:
     """Run the program; an input error prints one line and returns status 2."""
     if not given or given[0] in ("-h", "--help") or not os.path.isfile(given[0]):
         print(
-            f"{__doc__}" if not given or given[0][0] == "-" else f"error: there is no program {given[0]}",
+            f"{__doc__}"
+            if not given or given[0][0] == "-"
+            else f"error: there is no program {given[0]}",
             file=sys.stderr,
         )
         return 2

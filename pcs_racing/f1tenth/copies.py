@@ -16,9 +16,18 @@ VARIABLE = "PCS_RACING_GYM_COPY"
 
 _PACKAGES = {"f110_gym": env.DEFAULTS_A, "f1tenth_gym": env.DEFAULTS_B}
 _NAMES = (
-    "seed", "num_agents", "timestep", "ego_idx", "integrator", "lidar_dist", "num_beams", "fov", "params", "model",
+    "seed",
+    "num_agents",
+    "timestep",
+    "ego_idx",
+    "integrator",
+    "lidar_dist",
+    "num_beams",
+    "fov",
+    "params",
+    "model",
     "control_input",
-)  # fmt: skip
+)
 _OF_CARS = ("num_beams", "fov", "integrator")
 _LARGEST = 1_000_000  # maximum bytes of a file
 
@@ -32,7 +41,11 @@ def find_copy(program: Path) -> Path | None:
     above = program.resolve().parents
     root = next((i for i, folder in enumerate(above) if (folder / ".git").exists()), 1)
     for folder in above[: root + 1]:
-        for pattern in (f"{start}{package}/envs/f110_env.py" for start in ("", "*/", "*/*/") for package in _PACKAGES):
+        for pattern in (
+            f"{start}{package}/envs/f110_env.py"
+            for start in ("", "*/", "*/*/")
+            for package in _PACKAGES
+        ):
             for found in sorted(folder.glob(pattern)):
                 return found.parents[1]
     return None
@@ -62,12 +75,21 @@ def read_defaults(copy: Path) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     files = {"base_classes": ("RaceCar", "Simulator"), "f110_env": ("F110Env",)}
-    for file, name in ((copy / "envs" / f"{file}.py", name) for file, names in files.items() for name in names):
+    for file, name in (
+        (copy / "envs" / f"{file}.py", name) for file, names in files.items() for name in names
+    ):
         with suppress(SyntaxError, ValueError, OSError, RecursionError):
             tree = ast.parse(read_limited(file, _LARGEST, "a file of a copy of the gym"))
-            pairs = [pair for node in tree.body if getattr(node, "name", "") == name for pair in _pairs(node)]
+            pairs = [
+                pair
+                for node in tree.body
+                if getattr(node, "name", "") == name
+                for pair in _pairs(node)
+            ]
             served = _NAMES if name == "F110Env" else _OF_CARS
-            found |= {key: value for key, value in _known(pairs) if key in served and value is not None}
+            found |= {
+                key: value for key, value in _known(pairs) if key in served and value is not None
+            }
     return found
 
 
@@ -79,12 +101,21 @@ def _pairs(cls: ast.stmt) -> Iterator[tuple[Any, ast.expr | None]]:
     for node in ast.walk(cls):
         if isinstance(node, ast.arguments):
             named = [*node.posonlyargs, *node.args]
-            yield from ((one.arg, value) for one, value in zip(named[::-1], node.defaults[::-1], strict=False))
-            yield from ((one.arg, value) for one, value in zip(node.kwonlyargs, node.kw_defaults, strict=True))
+            yield from (
+                (one.arg, value)
+                for one, value in zip(named[::-1], node.defaults[::-1], strict=False)
+            )
+            yield from (
+                (one.arg, value)
+                for one, value in zip(node.kwonlyargs, node.kw_defaults, strict=True)
+            )
         elif isinstance(node, ast.Assign):
             yield from ((getattr(target, "attr", None), node.value) for target in node.targets)
         elif isinstance(node, ast.Dict):
-            yield from ((getattr(key, "value", None), value) for key, value in zip(node.keys, node.values, strict=True))
+            yield from (
+                (getattr(key, "value", None), value)
+                for key, value in zip(node.keys, node.values, strict=True)
+            )
         elif isinstance(node, ast.Call):
             yield from ((keyword.arg, keyword.value) for keyword in node.keywords)
             if getattr(node.func, "attr", "") == "get" and len(node.args) == 2:
@@ -96,7 +127,11 @@ def _pairs(cls: ast.stmt) -> Iterator[tuple[Any, ast.expr | None]]:
 def _known(pairs: Iterable[tuple[Any, ast.expr | None]]) -> Iterator[tuple[Any, Any]]:
     """Yield names and values of plain expressions and of members of ``Integrator``."""
     for name, value in pairs:
-        if name == "integrator" and isinstance(value, ast.Attribute) and value.attr in ("RK4", "Euler"):
+        if (
+            name == "integrator"
+            and isinstance(value, ast.Attribute)
+            and value.attr in ("RK4", "Euler")
+        ):
             yield name, env.Integrator[value.attr]
         elif value is not None:
             with suppress(ValueError, TypeError, SyntaxError, MemoryError, RecursionError):

@@ -36,25 +36,50 @@ Callback = Callable[[Any], None]
 Integrator = Enum("Integrator", "RK4 Euler")
 
 _BOTH: dict[str, Any] = {
-    "seed": 12345, "params": DEFAULT_PARAMS, "num_agents": 2, "timestep": 0.01, "ego_idx": 0,
-    "num_beams": BEAMS, "fov": FIELD_OF_VIEW,
-}  # fmt: skip
+    "seed": 12345,
+    "params": DEFAULT_PARAMS,
+    "num_agents": 2,
+    "timestep": 0.01,
+    "ego_idx": 0,
+    "num_beams": BEAMS,
+    "fov": FIELD_OF_VIEW,
+}
 DEFAULTS_A: dict[str, Any] = {
-    **_BOTH, "map": "vegas", "map_ext": ".png", "lidar_dist": 0.0, "integrator": Integrator["RK4"]
-}  # fmt: skip
+    **_BOTH,
+    "map": "vegas",
+    "map_ext": ".png",
+    "lidar_dist": 0.0,
+    "integrator": Integrator["RK4"],
+}
 """Keywords of generation A; a program's own copy of the gym may have other defaults."""
 DEFAULTS_B: dict[str, Any] = {
-    **_BOTH, "map": "Spielberg", "integrator": "rk4", "model": "st", "control_input": ["speed", "steering_angle"],
-    "observation_config": {"type": None}, "reset_config": {"type": None},
-}  # fmt: skip
+    **_BOTH,
+    "map": "Spielberg",
+    "integrator": "rk4",
+    "model": "st",
+    "control_input": ["speed", "steering_angle"],
+    "observation_config": {"type": None},
+    "reset_config": {"type": None},
+}
 _PAIRS = ("accl", "steering_speed"), ("speed", "steering_angle")  # one implies its partner
 _BOUNDS = {"steering_angle": ("s_min", "s_max"), "steering_speed": ("sv_min", "sv_max")}
 _FACTS = {
-    "poses_x": k.AT_X, "poses_y": k.AT_Y, "poses_theta": k.AT_PSI, "collisions": k.CRASHED, "lap_times": k.LAP_TIME,
-    "lap_counts": k.LAPS, "toggle_list": k.TOGGLES, "start_xs": k.START_X, "start_ys": k.START_Y,
+    "poses_x": k.AT_X,
+    "poses_y": k.AT_Y,
+    "poses_theta": k.AT_PSI,
+    "collisions": k.CRASHED,
+    "lap_times": k.LAP_TIME,
+    "lap_counts": k.LAPS,
+    "toggle_list": k.TOGGLES,
+    "start_xs": k.START_X,
+    "start_ys": k.START_Y,
     "start_thetas": k.START_PSI,
-}  # fmt: skip
-_INSTEAD = {"action_type": "env.config['control_input']", "poses": "env.sim.agent_poses", "scan": "env.sim.agent_scans"}
+}
+_INSTEAD = {
+    "action_type": "env.config['control_input']",
+    "poses": "env.sim.agent_poses",
+    "scan": "env.sim.agent_scans",
+}
 """Replacements for missing attributes of the gym's environments."""
 _MODES = ["human", "human_fast", "rgb_array"]
 
@@ -77,13 +102,23 @@ def control_types(given: Any) -> tuple[str, str]:
     """Return the longitudinal and the steering input; a single input gets its partner."""
     for pair in _PAIRS:
         if isinstance(given, str) and given in pair:
-            warnings.warn(f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4)
+            warnings.warn(
+                f"control_input is {given!r}: taken for {list(pair)}", UserWarning, stacklevel=4
+            )
             return pair
-    listed = isinstance(given, list | tuple) and len(given) == 2 and all(isinstance(one, str) for one in given)
-    if not listed or given[0] not in ("accl", "speed") or given[1] not in ("steering_angle", "steering_speed"):
+    listed = (
+        isinstance(given, list | tuple)
+        and len(given) == 2
+        and all(isinstance(one, str) for one in given)
+    )
+    if (
+        not listed
+        or given[0] not in ("accl", "speed")
+        or given[1] not in ("steering_angle", "steering_speed")
+    ):
         raise ConfigError(
-            f"control_input is {given!r:.200}; it must be a list of 'speed' or 'accl', and 'steering_angle' or "
-            "'steering_speed'"
+            f"control_input is {given!r:.200}; it must be a list of 'speed' or 'accl', and"
+            " 'steering_angle' or 'steering_speed'"
         )
     return given[0], given[1]
 
@@ -104,21 +139,46 @@ class F110Env(gymnasium.Env[Any, Any]):
         made: Self = object.__new__(chosen if cls is F110Env else cls)
         return made
 
-    def _set_up(self, values: dict[str, Any], model: int, control: tuple[str, str], euler: bool, faithful: Any) -> None:
+    def _set_up(
+        self,
+        values: dict[str, Any],
+        model: int,
+        control: tuple[str, str],
+        euler: bool,
+        faithful: Any,
+    ) -> None:
         """Check the arguments of both generations, and make the cars."""
         self.num_agents = check_whole("num_agents", values["num_agents"], 1, MOST_CARS, ConfigError)
-        self.ego_idx = check_whole("ego_idx", values["ego_idx"], 0, self.num_agents - 1, ConfigError)
-        self.timestep = float(check_number("timestep", values["timestep"], 1e-4, 0.2, error=ConfigError))
-        self.lidar_dist = float(
-            check_number("lidar_dist", values.get("lidar_dist", 0.0), -10.0, 10.0, error=ConfigError)
+        self.ego_idx = check_whole(
+            "ego_idx", values["ego_idx"], 0, self.num_agents - 1, ConfigError
         )
-        self.faithful, self.seed = check_flag("faithful", faithful, ConfigError), check_seed(values["seed"])
+        self.timestep = float(
+            check_number("timestep", values["timestep"], 1e-4, 0.2, error=ConfigError)
+        )
+        self.lidar_dist = float(
+            check_number(
+                "lidar_dist", values.get("lidar_dist", 0.0), -10.0, 10.0, error=ConfigError
+            )
+        )
+        self.faithful, self.seed = (
+            check_flag("faithful", faithful, ConfigError),
+            check_seed(values["seed"]),
+        )
         self.params, self._control = merged_params(DEFAULT_PARAMS, values["params"]), control
         integrator, inputs = (
             k.EULER if euler and self.faithful else k.RK4,
             (control[0] == "accl", control[1][-1] == "d"),
         )
-        setup = k.Setup(model, integrator, *inputs, self.timestep, self.lidar_dist, self.ego_idx, self.faithful, False)
+        setup = k.Setup(
+            model,
+            integrator,
+            *inputs,
+            self.timestep,
+            self.lidar_dist,
+            self.ego_idx,
+            self.faithful,
+            False,
+        )
         beams = check_whole("num_beams", values["num_beams"], 2, 100_000, ConfigError)
         fov = float(check_number("fov", values["fov"], 1e-3, 2.0 * np.pi, error=ConfigError))
         self.sim = Simulator(self.params, self.num_agents, self.seed, setup, beams, fov)
@@ -130,14 +190,19 @@ class F110Env(gymnasium.Env[Any, Any]):
         most, low, high = self.params["a_max"], *_BOUNDS[steering]
         rows = [[self.params[low], -most], [self.params[high], most]]
         if along == "speed":
-            rows = [[self.params[low], self.params["v_min"]], [self.params[high], self.params["v_max"]]]
+            rows = [
+                [self.params[low], self.params["v_min"]],
+                [self.params[high], self.params["v_max"]],
+            ]
         ends = np.repeat(np.array(rows, np.float32)[:, None], self.num_agents, axis=1)
         self.action_space = gymnasium.spaces.Box(ends[0], ends[1], dtype=np.float32)
 
     def _advance(self, action: ArrayLike) -> tuple[bool, dict[str, Any]]:
         """Make a step; return whether the episode has ended, and the infos."""
         if not self.sim.started:
-            raise InputError("step() before reset(): the cars have no place yet; call reset() first")
+            raise InputError(
+                "step() before reset(): the cars have no place yet; call reset() first"
+            )
         done = self.sim.advance(action)
         infos: dict[str, Any] = {"checkpoint_done": self.sim.cars[:, k.TOGGLES] >= 4.0}
         if not self.faithful:
@@ -148,7 +213,9 @@ class F110Env(gymnasium.Env[Any, Any]):
         """Return a quantity of all cars under its name in the gym, shape (N,), or the time."""
         if "sim" not in self.__dict__ or name not in (*_FACTS, "current_time"):
             hint = f"; this is {_INSTEAD[name]}" if name in _INSTEAD else ""
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r} here{hint}")
+            raise AttributeError(
+                f"{type(self).__name__!r} object has no attribute {name!r} here{hint}"
+            )
         return self.sim.cars[:, _FACTS[name]] if name in _FACTS else self.sim.time
 
     near_starts = property(lambda self: self.sim.cars[:, k.AWAY] == 0.0)  #: Cars at their start.
@@ -156,13 +223,24 @@ class F110Env(gymnasium.Env[Any, Any]):
     @property
     def start_rot(self) -> Any:
         """Rotation into the frame of the ego's start, shape (2, 2)."""
-        sine, cosine = np.sin(-self.start_thetas[self.ego_idx]), np.cos(-self.start_thetas[self.ego_idx])
+        sine, cosine = (
+            np.sin(-self.start_thetas[self.ego_idx]),
+            np.cos(-self.start_thetas[self.ego_idx]),
+        )
         return np.array([[cosine, -sine], [sine, cosine]])
 
     @property
     def render_obs(self) -> dict[str, Any] | None:
         """Observation for the renderer; None before the first reset."""
-        names = ("ego_idx", "poses_x", "poses_y", "poses_theta", "lap_times", "lap_counts", "collisions")
+        names = (
+            "ego_idx",
+            "poses_x",
+            "poses_y",
+            "poses_theta",
+            "lap_times",
+            "lap_counts",
+            "collisions",
+        )
         more = {"steering_angles": self.sim.agent_steerings, "sim_time": self.sim.time}
         return {name: getattr(self, name) for name in names} | more if self.sim.started else None
 
@@ -198,23 +276,36 @@ class GenerationA(F110Env):
     metadata = {"render.modes": _MODES, "render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
     render_callbacks: list[Callback] = []  # noqa: RUF012 shared by all environments
 
-    def __init__(self, *, faithful: bool = True, render_mode: str | None = None, **named: Any) -> None:
+    def __init__(
+        self, *, faithful: bool = True, render_mode: str | None = None, **named: Any
+    ) -> None:
         warn_of_unknown("f110-v0", named, [*DEFAULTS_A, "faithful"])
         values, self.render_mode = {**DEFAULTS_A, **named}, render_mode
         self.integrator = values["integrator"]
         integrator = getattr(self.integrator, "name", None)
         if integrator not in ("RK4", "Euler"):
-            raise ConfigError(f"integrator is {self.integrator!r:.200}; it must be Integrator.RK4 or .Euler")
-        self._set_up(values, k.OLD_ST if faithful else k.ST, _PAIRS[1], integrator == "Euler", faithful)
+            raise ConfigError(
+                f"integrator is {self.integrator!r:.200}; it must be Integrator.RK4 or .Euler"
+            )
+        self._set_up(
+            values, k.OLD_ST if faithful else k.ST, _PAIRS[1], integrator == "Euler", faithful
+        )
         self.update_map(values["map"], values["map_ext"])
 
     def update_map(self, map_path: Any, map_ext: Any) -> None:
         """Switch to another map, given its path and the extension of its picture."""
         if not isinstance(map_path, str | os.PathLike) or not isinstance(map_ext, str):
-            raise ConfigError(f"map is {map_path!r:.200}, map_ext {map_ext!r:.80}; they must be a path and an ending")
+            raise ConfigError(
+                f"map is {map_path!r:.200}, map_ext {map_ext!r:.80}; they must be a path and an"
+                " ending"
+            )
         self._map = load_map(map_path, map_ext)
         self.sim.set_map(self._map)
-        self.map_name, self.map_ext, self.map_path = os.fspath(map_path), map_ext, str(self._map.file)
+        self.map_name, self.map_ext, self.map_path = (
+            os.fspath(map_path),
+            map_ext,
+            str(self._map.file),
+        )
 
     def reset(self, poses: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
         """Place the cars at poses, shape (N, 3) in m and rad, and make a step with zero actions."""
@@ -228,14 +319,20 @@ class GenerationA(F110Env):
         columns, scans = self.sim.cars.T, list(self.sim.agent_scans)
         obs = {"ego_idx": self.ego_idx, "scans": scans, "linear_vels_y": [0.0] * self.num_agents}
         obs |= {name: list(columns[column]) for name, column in ORIGINAL.items()}
-        obs |= {"lap_times": columns[k.LAP_TIME], "lap_counts": columns[k.LAPS], "collisions": columns[k.CRASHED]}
+        obs |= {
+            "lap_times": columns[k.LAP_TIME],
+            "lap_counts": columns[k.LAPS],
+            "collisions": columns[k.CRASHED],
+        }
         F110Env.current_obs = obs
         return obs, self.timestep, done, infos
 
     def render(self, mode: str = "human") -> Any:
         """Show the cars in a window; without a window, only call the callbacks."""
         check_choice("mode", mode, _MODES)
-        renderer = GenerationA.renderer = self._shown(lambda: EnvRenderer(self._map, window=mode != "rgb_array"))
+        renderer = GenerationA.renderer = self._shown(
+            lambda: EnvRenderer(self._map, window=mode != "rgb_array")
+        )
         renderer.show_map(self._map)
         renderer.update_obs(self.render_obs, self.sim.states)
         for callback in GenerationA.render_callbacks:
@@ -254,7 +351,12 @@ class GenerationB(F110Env):
     metadata = {"render_modes": _MODES, "render_fps": 100}  # noqa: RUF012
 
     def __init__(
-        self, config: Any = None, render_mode: str | None = None, *, faithful: bool = True, **named: Any
+        self,
+        config: Any = None,
+        render_mode: str | None = None,
+        *,
+        faithful: bool = True,
+        **named: Any,
     ) -> None:
         warn_of_unknown("f1tenth-v0", named, ["config", "render_mode", "faithful"])
         self.config = self.default_config()
@@ -262,9 +364,12 @@ class GenerationB(F110Env):
         values = self.config
         if values["model"] not in ("st", "ks"):
             raise ConfigError(
-                f"model is {values['model']!r:.200}; there are 'st' (dynamic) and 'ks' (kinematic), no multi-body model"
+                f"model is {values['model']!r:.200}; there are 'st' (dynamic) and 'ks' (kinematic),"
+                " no multi-body model"
             )
-        self.integrator = check_choice("integrator", values["integrator"], ("rk4", "euler"), ConfigError)
+        self.integrator = check_choice(
+            "integrator", values["integrator"], ("rk4", "euler"), ConfigError
+        )
         self.model, model = values["model"], k.KS if values["model"] == "ks" else k.ST
         control = control_types(values["control_input"])
         self._set_up(values, model, control, self.integrator == "euler", faithful)
@@ -273,7 +378,10 @@ class GenerationB(F110Env):
         self.agent_ids = [f"agent_{i}" for i in range(self.num_agents)]
         self.observation_config = values["observation_config"]
         self.observation_type = Observation(self, self.observation_config)
-        self.observation_space, self._observe = self.observation_type.space(), self.observation_type._observe
+        self.observation_space, self._observe = (
+            self.observation_type.space(),
+            self.observation_type._observe,
+        )
         if render_mode is not None:
             check_choice("render_mode", render_mode, _MODES, ConfigError)
         self.render_mode, self.render_spec = render_mode, RenderSpec()
@@ -288,8 +396,9 @@ class GenerationB(F110Env):
     def _merge(self, config: Any) -> None:
         if config is not None and not isinstance(config, Mapping):
             raise ConfigError(
-                f"config is of type {type(config).__name__}; give a dictionary such as {{'num_agents': 2}} (EnvConfig "
-                "belongs to the development line of the gym, which is not served)"
+                f"config is of type {type(config).__name__}; give a dictionary such as"
+                " {'num_agents': 2} (EnvConfig belongs to the development line of the gym, which"
+                " is not served)"
             )
         warn_of_unknown("config", config or {}, DEFAULTS_B)
         merged_params(DEFAULT_PARAMS, (config or {}).get("params", {}))
@@ -316,16 +425,25 @@ class GenerationB(F110Env):
         """
         super().reset(seed=seed)
         if options is not None and not isinstance(options, Mapping):
-            raise InputError(f"options is {options!r:.200}; it must be a dictionary such as {{'poses': ...}}, or None")
+            raise InputError(
+                f"options is {options!r:.200}; it must be a dictionary such as {{'poses': ...}}, or"
+                " None"
+            )
         poses = (options or {}).get("poses")
         if poses is None:
-            poses = starting_poses(self.track, self.num_agents, self.config["reset_config"], self.np_random)
-        self.sim.reset(poses, None if self.faithful else np.random.default_rng(self.np_random.integers(2**62)))
+            poses = starting_poses(
+                self.track, self.num_agents, self.config["reset_config"], self.np_random
+            )
+        self.sim.reset(
+            poses, None if self.faithful else np.random.default_rng(self.np_random.integers(2**62))
+        )
         obs, _, _, _, infos = self.step(np.zeros((self.num_agents, 2)))
         return obs, infos
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Make a step with the steering and the longitudinal input of each car, shape (N, 2), in this order."""
+        """Make a step with the steering and the longitudinal input of each car, shape (N, 2), in
+        this order.
+        """
         # Observed laps are one step old.
         laps = self.sim.cars if self.faithful else None
         done, infos = self._advance(action)
@@ -337,5 +455,7 @@ class GenerationB(F110Env):
             return None
         fps = self.metadata["render_fps"] * (10.0 if self.render_mode == "human_fast" else 1.0)
         window = self.render_mode != "rgb_array"
-        self.renderer = self._shown(lambda: TrackRenderer(self.track.loaded, self.render_spec, window=window, fps=fps))
+        self.renderer = self._shown(
+            lambda: TrackRenderer(self.track.loaded, self.render_spec, window=window, fps=fps)
+        )
         return self.renderer.draw(self.sim.states, self.sim.time, self.render_callbacks)

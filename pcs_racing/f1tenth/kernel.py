@@ -13,19 +13,67 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.collision import Rectangle, contact_fault, inside_wall, rectangles_overlap
 from pcs_racing.car.lidar_kernel import Beams, draw_rectangle, scan_into
-from pcs_racing.car.vehicle import BETA, DELTA, GRAVITY, PSI, PSI_DOT, STATE_SIZE, Handling, V, X, Y, derivative
+from pcs_racing.car.vehicle import (
+    BETA,
+    DELTA,
+    GRAVITY,
+    PSI,
+    PSI_DOT,
+    STATE_SIZE,
+    Handling,
+    V,
+    X,
+    Y,
+    derivative,
+)
 from pcs_racing.track.frenet import TrackArrays, locate
 from pcs_racing.track.grid import cast
 
 # Columns of a car's parameters, in the gym's order.
-(MU, C_SF, C_SR, LF, LR, H, M, INERTIA, S_MIN, S_MAX, SV_MIN, SV_MAX, V_SWITCH, A_MAX, V_MIN, V_MAX, WIDTH, LENGTH) = (
-    range(18)
-)
+(
+    MU,
+    C_SF,
+    C_SR,
+    LF,
+    LR,
+    H,
+    M,
+    INERTIA,
+    S_MIN,
+    S_MAX,
+    SV_MIN,
+    SV_MAX,
+    V_SWITCH,
+    A_MAX,
+    V_MIN,
+    V_MAX,
+    WIDTH,
+    LENGTH,
+) = range(18)
 
 # Columns of a car: its state, its pose before a wall stopped it, the delayed steering, the index of
 # the car in contact (-1 for none), laps, its start, and its place on the race line.
-(AT_X, AT_Y, AT_PSI, FIRST, SECOND, CRASHED, CONTACT, WALL, AT_FAULT, AWAY, TOGGLES, LAP_TIME, LAPS, START_X, START_Y,
- START_PSI, PLACE, PROGRESS, COLUMNS) = range(STATE_SIZE, STATE_SIZE + 19)  # fmt: skip
+(
+    AT_X,
+    AT_Y,
+    AT_PSI,
+    FIRST,
+    SECOND,
+    CRASHED,
+    CONTACT,
+    WALL,
+    AT_FAULT,
+    AWAY,
+    TOGGLES,
+    LAP_TIME,
+    LAPS,
+    START_X,
+    START_Y,
+    START_PSI,
+    PLACE,
+    PROGRESS,
+    COLUMNS,
+) = range(STATE_SIZE, STATE_SIZE + 19)
 
 KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST (generation A) differs below 0.5 m/s
 RK4, EULER = range(2)
@@ -92,8 +140,16 @@ def write_rates(state, rate, acceleration, p, car, model, out):
     wheelbase = p[LF] + p[LR]
     slope = tangent(delta)
     sine, cosine = sine_cosine(psi)
-    out[X], out[Y], out[DELTA], out[V], out[PSI] = v * cosine, v * sine, rate, a, v / wheelbase * slope
-    out[PSI_DOT] = (a * slope + v * (1.0 + slope * slope) * rate) / wheelbase if model == OLD_ST else 0.0
+    out[X], out[Y], out[DELTA], out[V], out[PSI] = (
+        v * cosine,
+        v * sine,
+        rate,
+        a,
+        v / wheelbase * slope,
+    )
+    out[PSI_DOT] = (
+        (a * slope + v * (1.0 + slope * slope) * rate) / wheelbase if model == OLD_ST else 0.0
+    )
     out[BETA] = 0.0
 
 
@@ -105,10 +161,21 @@ def handling(p):
     """
     slip_gain = p[MU] / (p[LF] + p[LR])
     return Handling(
-        np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH], p[LF], p[LR],
-        p[C_SF] * GRAVITY * p[LR], p[C_SF] * p[H], p[C_SR] * GRAVITY * p[LF], p[C_SR] * p[H],
-        slip_gain * p[M] / p[INERTIA], slip_gain,
-    )  # fmt: skip
+        np.inf,
+        np.inf,
+        p[V_MIN],
+        p[V_MAX],
+        p[A_MAX],
+        p[V_SWITCH],
+        p[LF],
+        p[LR],
+        p[C_SF] * GRAVITY * p[LR],
+        p[C_SF] * p[H],
+        p[C_SR] * GRAVITY * p[LF],
+        p[C_SR] * p[H],
+        slip_gain * p[M] / p[INERTIA],
+        slip_gain,
+    )
 
 
 @kernel
@@ -122,7 +189,12 @@ def pid_steer(steer, current_steer, max_sv):
 def pid_accl(speed, current_speed, max_a, max_v, min_v):
     """Return the acceleration towards a speed, m/s^2."""
     difference = speed - current_speed
-    return (10.0 if current_speed > 0.0 else 2.0) * max_a / (max_v if difference > 0.0 else -min_v) * difference
+    return (
+        (10.0 if current_speed > 0.0 else 2.0)
+        * max_a
+        / (max_v if difference > 0.0 else -min_v)
+        * difference
+    )
 
 
 @inner_kernel
@@ -134,7 +206,11 @@ def _drive(state, steer, longitudinal, p, setup, work):
         if not setup.faithful:  # exact arrival, without chatter and within the limit
             error = min(max(steer, p[S_MIN]), p[S_MAX]) - state[DELTA]
             rate = min(max(error / setup.dt, p[SV_MIN]), p[SV_MAX])
-    a = longitudinal if setup.acceleration else pid_accl(longitudinal, state[V], p[A_MAX], p[V_MAX], p[V_MIN])
+    a = (
+        longitudinal
+        if setup.acceleration
+        else pid_accl(longitudinal, state[V], p[A_MAX], p[V_MAX], p[V_MIN])
+    )
     car = handling(p)
     k, total, probe = work[0], work[1], work[2]
     write_rates(state, rate, a, p, car, setup.model, k)
@@ -190,7 +266,10 @@ def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):
     inside = 1.0 <= u < columns - 1.0 and 1.0 <= v < rows - 1.0
     out[:] = reach if grid.open_outside else 0.0
     for k in range(out.shape[0] if inside else 0):
-        s, c = sine * beams.cos[k] + cosine * beams.sin[k], cosine * beams.cos[k] - sine * beams.sin[k]
+        s, c = (
+            sine * beams.cos[k] + cosine * beams.sin[k],
+            cosine * beams.cos[k] - sine * beams.sin[k],
+        )
         cells, i, j, side = cast(grid.free, u, v, c, s, reach / grid.cell)
         i, j = i + (side == 2) - (side == 0), j + (side == 1) - (side == 3)
         framed = side >= 0 and (i == 0 or j == 0 or i == rows - 1 or j == columns - 1)
@@ -219,7 +298,10 @@ def _stops(world, x, y, psi, v, noise, scan):
     for k in range(scan.shape[0]):
         if abs(scan[k] + noise[k] - sides[k]) < near:
             i = int(index)
-            found = _march(grid, x, y, world.tables[0, i], world.tables[1, i], beams.max_range) + noise[k]
+            found = (
+                _march(grid, x, y, world.tables[0, i], world.tables[1, i], beams.max_range)
+                + noise[k]
+            )
             time = (found - sides[k]) / (v * beams.cos[k])
             if 0.0 <= time < STOP_TIME:
                 return True
@@ -252,7 +334,13 @@ def _touches_wall(grid, body):
 @inner_kernel
 def _body(cars, params, i):
     """Return the outline of a car at its pose before a wall stopped it."""
-    return Rectangle(cars[i, AT_X], cars[i, AT_Y], cars[i, AT_PSI], 0.5 * params[i, LENGTH], 0.5 * params[i, WIDTH])
+    return Rectangle(
+        cars[i, AT_X],
+        cars[i, AT_Y],
+        cars[i, AT_PSI],
+        0.5 * params[i, LENGTH],
+        0.5 * params[i, WIDTH],
+    )
 
 
 @inner_kernel
@@ -280,9 +368,17 @@ def _measure(world, cars, i, noise, inverse, work, scan):
         if j != i:
             other = _body(cars, world.params, j)
             draw_rectangle(
-                world.beams, other.x - x, other.y - y, other.psi, other.half_length, other.half_width, cosine, sine,
-                work, inverse,
-            )  # fmt: skip
+                world.beams,
+                other.x - x,
+                other.y - y,
+                other.psi,
+                other.half_length,
+                other.half_width,
+                cosine,
+                sine,
+                work,
+                inverse,
+            )
     for k in range(np.uint64(scan.shape[0])):
         scan[k] += noise[k]
         scan[k] = 1.0 / inverse[k] if inverse[k] * scan[k] > 1.0 else scan[k]

@@ -22,7 +22,9 @@ SPACING = 0.1  # distance between the points of a line without a file, m
 CELL = 0.05  # side of a cell of a map without walls, m
 
 
-def nearest_point_on_trajectory(point: ArrayLike, trajectory: ArrayLike) -> tuple[Floats, float, float, int]:
+def nearest_point_on_trajectory(
+    point: ArrayLike, trajectory: ArrayLike
+) -> tuple[Floats, float, float, int]:
     """Return the nearest point of a polyline, shape (N, 2), its distance (m), share and segment."""
     corners = np.asarray(trajectory)
     ways = np.diff(corners, axis=0)
@@ -41,9 +43,13 @@ class CubicSpline2D:
         from scipy.interpolate import CubicSpline
 
         points = np.stack([np.asarray(x, np.float64), np.asarray(y, np.float64)], axis=1)
-        self.points = points if np.array_equal(points[0], points[-1]) else np.vstack([points, points[:1]])
+        self.points = (
+            points if np.array_equal(points[0], points[-1]) else np.vstack([points, points[:1]])
+        )
         #: Length along the chords at each point, m.
-        self.s = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))])
+        self.s = np.concatenate(
+            [[0.0], np.cumsum(np.linalg.norm(np.diff(self.points, axis=0), axis=1))]
+        )
         if not (np.diff(self.s) > 0.0).all():
             raise InputError("a line repeats a point; its points must differ from one to the next")
         self.spline = CubicSpline(self.s, self.points, bc_type="periodic")
@@ -78,12 +84,30 @@ class Raceline:
     """
 
     def __init__(
-        self, xs: Floats, ys: Floats, velxs: Floats, ss: Any = None, psis: Any = None, kappas: Any = None,
-        accxs: Any = None, spline: CubicSpline2D | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        xs: Floats,
+        ys: Floats,
+        velxs: Floats,
+        ss: Any = None,
+        psis: Any = None,
+        kappas: Any = None,
+        accxs: Any = None,
+        spline: CubicSpline2D | None = None,
+    ) -> None:
         if not xs.shape == ys.shape == velxs.shape:
-            raise InputError(f"xs, ys and velxs have shapes {xs.shape}, {ys.shape}, {velxs.shape}; they must be equal")
-        self.xs, self.ys, self.vxs, self.ss, self.yaws, self.ks, self.axs = xs, ys, velxs, ss, psis, kappas, accxs
+            raise InputError(
+                f"xs, ys and velxs have shapes {xs.shape}, {ys.shape}, {velxs.shape}; they must be"
+                " equal"
+            )
+        self.xs, self.ys, self.vxs, self.ss, self.yaws, self.ks, self.axs = (
+            xs,
+            ys,
+            velxs,
+            ss,
+            psis,
+            kappas,
+            accxs,
+        )
         self.n, self.length = len(xs), float(np.hypot(np.diff(xs), np.diff(ys)).sum())
         self.spline = spline or CubicSpline2D(xs, ys)
 
@@ -102,9 +126,13 @@ class Raceline:
         spline = CubicSpline2D(x, y)
         s = np.arange(0.0, spline.s[-1], SPACING)
         at = spline.spline(s)
-        nearest = [int(np.argmin(np.hypot(np.asarray(x) - px, np.asarray(y) - py))) for px, py in at]
+        nearest = [
+            int(np.argmin(np.hypot(np.asarray(x) - px, np.asarray(y) - py))) for px, py in at
+        ]
         rows = [s, *at.T, [spline.calc_yaw(k) for k in s], [spline.calc_curvature(k) for k in s]]
-        return cls.from_columns(np.stack([*rows, np.asarray(speeds)[nearest], 0.0 * s], axis=1), spline)
+        return cls.from_columns(
+            np.stack([*rows, np.asarray(speeds)[nearest], 0.0 * s], axis=1), spline
+        )
 
     def render_waypoints(self, e: Any) -> None:
         """Draw the line, as a render callback."""
@@ -139,7 +167,9 @@ class Track:
     def from_track_name(cls, track: Any) -> Self:
         """Load a track by name (see :func:`pcs_racing.f1tenth.maps.find_yaml`) or path."""
         if not isinstance(track, str | Path):
-            raise MapError(f"map is {track!r:.200}; it must be the name or the path of a map, or a Track")
+            raise MapError(
+                f"map is {track!r:.200}; it must be the name or the path of a map, or a Track"
+            )
         loaded = load_map(track)
         assert loaded.file is not None
         assert loaded.picture is not None
@@ -154,9 +184,13 @@ class Track:
         elif loaded.circuit is not None and center is None:
             line = loaded.circuit.line
             s = np.arange(len(line)) * loaded.circuit.arrays.ds
-            race = Raceline.from_columns(np.stack([s, *line[:, [0, 1, PSI, KAPPA, SPEED]].T, 0.0 * s], axis=1))
+            race = Raceline.from_columns(
+                np.stack([s, *line[:, [0, 1, PSI, KAPPA, SPEED]].T, 0.0 * s], axis=1)
+            )
         path, ending = loaded.picture.with_suffix(""), loaded.picture.suffix
-        return cls(spec, str(path), ending, _levels(loaded.free), center or race, race or center, loaded)
+        return cls(
+            spec, str(path), ending, _levels(loaded.free), center or race, race or center, loaded
+        )
 
     from_track_path = from_track_name
 
@@ -164,10 +198,14 @@ class Track:
     def from_refline(cls, x: ArrayLike, y: ArrayLike, velx: ArrayLike) -> Self:
         """Make a track without walls from points to follow, shape (N,) each, m and m/s."""
         xs, ys, speeds = (
-            check_array(name, values, (None,)) for name, values in zip(("x", "y", "velx"), (x, y, velx), strict=True)
+            check_array(name, values, (None,))
+            for name, values in zip(("x", "y", "velx"), (x, y, velx), strict=True)
         )
         if not 4 <= len(xs) <= 100_000 or not len(xs) == len(ys) == len(speeds):
-            raise InputError(f"x, y, velx hold {len(xs)}, {len(ys)}, {len(speeds)} numbers; give 4 or more of each")
+            raise InputError(
+                f"x, y, velx hold {len(xs)}, {len(ys)}, {len(speeds)} numbers; give 4 or more of"
+                " each"
+            )
         line = Raceline.through(xs, ys, speeds)
         low, high = np.array([[of(line.xs), of(line.ys)] for of in (np.min, np.max)], np.float64)
         size = high - low
@@ -175,8 +213,18 @@ class Track:
             raise InputError(f"the line is {size.max():g} m across; it must be at most 500")
         x0, y0 = (low - 0.1 * size).tolist()
         free = np.ones(np.maximum(1.2 * size[::-1] / CELL, 1.0).astype(int), np.bool_)
-        loaded = GymMap("empty", None, None, CELL, (x0, y0), free, framed(free, CELL, (x0, y0)), None)
-        return cls(TrackSpec(None, None, CELL, (x0, y0, 0.0)), None, None, _levels(free), line, line, loaded)
+        loaded = GymMap(
+            "empty", None, None, CELL, (x0, y0), free, framed(free, CELL, (x0, y0)), None
+        )
+        return cls(
+            TrackSpec(None, None, CELL, (x0, y0, 0.0)),
+            None,
+            None,
+            _levels(free),
+            line,
+            line,
+            loaded,
+        )
 
     def frenet_to_cartesian(self, s: float, ey: float, ephi: float) -> tuple[float, float, float]:
         """Return x, y (m) and heading (rad) from a length along the centre line.
@@ -187,7 +235,9 @@ class Track:
         (x, y), psi = line.calc_position(s), line.calc_yaw(s)
         return float(x - ey * math.sin(psi)), float(y + ey * math.cos(psi)), psi + ephi
 
-    def cartesian_to_frenet(self, x: float, y: float, phi: float, s_guess: float = 0.0) -> tuple[float, float, float]:
+    def cartesian_to_frenet(
+        self, x: float, y: float, phi: float, s_guess: float = 0.0
+    ) -> tuple[float, float, float]:
         """Return the length along the centre line (m), offset to its left (m) and turn (rad)."""
         line = self._line()
         s, _ = line.calc_arclength(x, y)
@@ -197,7 +247,10 @@ class Track:
 
     def _line(self) -> CubicSpline2D:
         if self.centerline is None:
-            raise InputError("this map has no centre line and no race line beside it: it has no Frenet coordinates")
+            raise InputError(
+                "this map has no centre line and no race line beside it: it has no Frenet"
+                " coordinates"
+            )
         return self.centerline.spline
 
 
@@ -214,30 +267,47 @@ def _levels(free: NDArray[np.bool_]) -> Floats:
 _LENGTHS = {"min_dist": 1.5, "max_dist": 2.5, "start_width": 1.0}  # m
 
 
-def starting_poses(track: Track, cars: int, config: Any, rng: np.random.Generator) -> NDArray[np.float64]:
+def starting_poses(
+    track: Track, cars: int, config: Any, rng: np.random.Generator
+) -> NDArray[np.float64]:
     """Draw start poses, shape (N, 3), according to a ``reset_config``."""
     if not isinstance(config, Mapping) or config.keys() - {"type", *_LENGTHS}:
-        raise ConfigError(f"reset_config is {config!r:.200}; its keys are type, {', '.join(_LENGTHS)}")
+        raise ConfigError(
+            f"reset_config is {config!r:.200}; its keys are type, {', '.join(_LENGTHS)}"
+        )
     kind = config.get("type") or "rl_grid_static"
     words = kind.split("_") if isinstance(kind, str) else []
     choices = (("cl", "rl"), ("grid", "random"), ("static", "random"))
-    if len(words) != 3 or any(word not in known for word, known in zip(words, choices, strict=True)):
+    if len(words) != 3 or any(
+        word not in known for word, known in zip(words, choices, strict=True)
+    ):
         raise ConfigError(
-            f"reset_config: type is {kind!r:.80}; it must be 'cl' or 'rl', 'grid' or 'random', 'static' or 'random', "
-            "joined by '_'"
+            f"reset_config: type is {kind!r:.80}; it must be 'cl' or 'rl', 'grid' or 'random',"
+            " 'static' or 'random', joined by '_'"
         )
     low, high, width = (
-        check_number(f"reset_config: {name}", config.get(name, default), 0.01, 100.0, error=ConfigError)
+        check_number(
+            f"reset_config: {name}", config.get(name, default), 0.01, 100.0, error=ConfigError
+        )
         for name, default in _LENGTHS.items()
     )
     if high < low:
-        raise ConfigError(f"reset_config: max_dist is {high:g} m; it must not be below min_dist, {low:g} m")
+        raise ConfigError(
+            f"reset_config: max_dist is {high:g} m; it must not be below min_dist, {low:g} m"
+        )
     line = track.centerline if words[0] == "cl" else track.raceline
     if line is None:
-        raise InputError("this map has no centre line and no race line: give poses, reset(options={'poses': ...})")
+        raise InputError(
+            "this map has no centre line and no race line: give poses, reset(options={'poses':"
+            " ...})"
+        )
     # From a point of the line onwards, each car is a random distance ahead of the previous car, on
     # alternating sides.
-    at = int(rng.integers(line.n if words[1] == "random" else max(int(width / (line.length / line.n)), 1)))
+    at = int(
+        rng.integers(
+            line.n if words[1] == "random" else max(int(width / (line.length / line.n)), 1)
+        )
+    )
     points = np.stack([line.xs, line.ys], axis=1).astype(np.float64)
     ways = np.linalg.norm(np.roll(points, -1, axis=0) - points, axis=1)
     side = float(rng.choice([-1.0, 1.0])) / cars if words[0] == "cl" and cars > 1 else 0.0

@@ -42,7 +42,11 @@ def find_yaml(name: str | os.PathLike[str]) -> Path:
     Names are the folders in ``$PCS_RACING_MAPS`` and the shipped tracks; case does not matter.
     """
     text = os.fspath(name)
-    places = [Path(folder, f"{text}{end}") for folder in (Path(), *own_folders) for end in (".yaml", "_map.yaml")]
+    places = [
+        Path(folder, f"{text}{end}")
+        for folder in (Path(), *own_folders)
+        for end in (".yaml", "_map.yaml")
+    ]
     for path in (Path(text), *places):
         if path.suffix in (".yaml", ".yml") and os.path.isfile(path):
             return path
@@ -57,9 +61,10 @@ def find_yaml(name: str | os.PathLike[str]) -> Path:
         return find_map(find_shipped(text)).yaml
     except UnknownNameError:
         raise MapError(
-            f"map {text!r:.200}: there is no file {text:.200}.yaml, and no circuit of that name here "
-            f"({', '.join(list_tracks())}) or in $PCS_RACING_MAPS; the gym's own maps (vegas, berlin, skirk, levine, "
-            "Spielberg) are not shipped: give the path of the map's yaml file without its ending"
+            f"map {text!r:.200}: there is no file {text:.200}.yaml, and no circuit of that name"
+            f" here ({', '.join(list_tracks())}) or in $PCS_RACING_MAPS; the gym's own maps (vegas,"
+            " berlin, skirk, levine, Spielberg) are not shipped: give the path of the map's yaml"
+            " file without its ending"
         ) from None
 
 
@@ -70,7 +75,9 @@ def load_map(name: str | os.PathLike[str], ending: str | None = None) -> GymMap:
     """
     file = find_yaml(name)
     beside = Path(f"{file.with_suffix('')}.{(ending or '').removeprefix('.')}")
-    return _load(file, beside if ending and os.path.isfile(beside) else None, file.stat().st_mtime_ns)
+    return _load(
+        file, beside if ending and os.path.isfile(beside) else None, file.stat().st_mtime_ns
+    )
 
 
 def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> MapGrid:
@@ -79,20 +86,32 @@ def framed(free: NDArray[np.bool_], resolution: float, origin: tuple[float, floa
 
     walls = not free.all()
     # Without a wall every distance is infinite: any number above all ranges is enough.
-    distance = resolution * ndimage.distance_transform_edt(free) if walls else np.full(free.shape, 1e3)
+    distance = (
+        resolution * ndimage.distance_transform_edt(free) if walls else np.full(free.shape, 1e3)
+    )
     return MapGrid(
-        np.pad(free, 1), np.pad(distance, 1), float(origin[0]), float(origin[1]), resolution, bool(free[-1, -1])
+        np.pad(free, 1),
+        np.pad(distance, 1),
+        float(origin[0]),
+        float(origin[1]),
+        resolution,
+        bool(free[-1, -1]),
     )
 
 
 @lru_cache(maxsize=8)
 def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
-    values: dict[Any, Any] = parse_yaml(file, read_limited(file, MAX_YAML, "the file of a map", MapError))
+    values: dict[Any, Any] = parse_yaml(
+        file, read_limited(file, MAX_YAML, "the file of a map", MapError)
+    )
     # Some files name a picture other than the adjacent picture, or none.
     ros = parse_ros_yaml(file, yaml.safe_dump({"image": "-"} | values).encode())
     picture = picture or file.parent / ros["image"]
     if not os.path.isfile(picture):
-        raise MapError(f"{file}: the picture {picture.name!r:.200} is not beside it; map_ext must be its ending")
+        raise MapError(
+            f"{file}: the picture {picture.name!r:.200} is not beside it; map_ext must be its"
+            " ending"
+        )
     level = (255 - FREE_ABOVE - 0.5) / 255.0
     rule = ros | {"negate": False, "occupied_thresh": level, "free_thresh": level}
     picture_bytes = read_limited(picture, MAX_BYTES, "the picture of a map", MapError)

@@ -48,7 +48,11 @@ class Wrapper(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *args: Any, **named: Any) -> Any:
         """Reset the wrapped environment, with any arguments."""
         answer = self.env.reset(*args, **named)
-        return (self.observation(answer[0]), *answer[1:]) if isinstance(answer, tuple) else self.observation(answer)
+        return (
+            (self.observation(answer[0]), *answer[1:])
+            if isinstance(answer, tuple)
+            else self.observation(answer)
+        )
 
     def step(self, action: Any) -> Any:
         """Step the wrapped environment."""
@@ -69,7 +73,9 @@ class TimeLimit(Wrapper):
 
     def __init__(self, env: Any, max_episode_steps: int | None = None) -> None:
         super().__init__(env)
-        self._most = max_episode_steps or getattr(env.spec, "max_episode_steps", None) or sys.maxsize
+        self._most = (
+            max_episode_steps or getattr(env.spec, "max_episode_steps", None) or sys.maxsize
+        )
         self._left = self._most
 
     def reset(self, *args: Any, **named: Any) -> Any:
@@ -116,13 +122,21 @@ class RescaleAction(Wrapper):
     def __init__(self, env: Any, min_action: Any, max_action: Any) -> None:
         super().__init__(env)
         space = env.action_space
-        self.min_action, self.max_action = (np.zeros_like(space.low) + bound for bound in (min_action, max_action))
-        self.action_space = gymnasium.spaces.Box(self.min_action, self.max_action, dtype=space.dtype)
+        self.min_action, self.max_action = (
+            np.zeros_like(space.low) + bound for bound in (min_action, max_action)
+        )
+        self.action_space = gymnasium.spaces.Box(
+            self.min_action, self.max_action, dtype=space.dtype
+        )
 
     def action(self, action: Any) -> Any:
         """Return the action in the wrapped environment's bounds."""
         low, high = self.env.action_space.low, self.env.action_space.high  # type: ignore[attr-defined]
-        return np.clip(low + (high - low) * (action - self.min_action) / (self.max_action - self.min_action), low, high)
+        return np.clip(
+            low + (high - low) * (action - self.min_action) / (self.max_action - self.min_action),
+            low,
+            high,
+        )
 
 
 class FlattenObservation(TransformObservation):
@@ -130,7 +144,9 @@ class FlattenObservation(TransformObservation):
 
     def __init__(self, env: Any) -> None:
         space = env.observation_space
-        super().__init__(env, partial(gymnasium.spaces.flatten, space), gymnasium.spaces.flatten_space(space))
+        super().__init__(
+            env, partial(gymnasium.spaces.flatten, space), gymnasium.spaces.flatten_space(space)
+        )
 
 
 class FilterObservation(TransformObservation):
@@ -138,8 +154,12 @@ class FilterObservation(TransformObservation):
 
     def __init__(self, env: Any, filter_keys: Sequence[str] | None = None) -> None:
         kept = env.observation_space.spaces
-        kept = {key: value for key, value in kept.items() if filter_keys is None or key in filter_keys}
-        super().__init__(env, lambda obs: {key: obs[key] for key in kept}, gymnasium.spaces.Dict(kept))
+        kept = {
+            key: value for key, value in kept.items() if filter_keys is None or key in filter_keys
+        }
+        super().__init__(
+            env, lambda obs: {key: obs[key] for key in kept}, gymnasium.spaces.Dict(kept)
+        )
 
 
 class FrameStack(Wrapper):
@@ -147,7 +167,11 @@ class FrameStack(Wrapper):
 
     def __init__(self, env: Any, num_stack: int, lz4_compress: bool = False) -> None:
         super().__init__(env)
-        self.num_stack, self.frames, one = num_stack, deque[Any](maxlen=num_stack), env.observation_space
+        self.num_stack, self.frames, one = (
+            num_stack,
+            deque[Any](maxlen=num_stack),
+            env.observation_space,
+        )
         low, high = (np.repeat(bound[None], num_stack, axis=0) for bound in (one.low, one.high))
         self.observation_space = gymnasium.spaces.Box(low, high, dtype=one.dtype)
 
@@ -199,25 +223,44 @@ class RecordEpisodeStatistics(Wrapper):
 
     def __init__(self, env: Any, deque_size: int = 100) -> None:
         super().__init__(env)
-        self.num_envs, self.many = getattr(env, "num_envs", 1), bool(getattr(env, "is_vector_env", False))
-        self.return_queue, self.length_queue = deque[Any](maxlen=deque_size), deque[Any](maxlen=deque_size)
+        self.num_envs, self.many = (
+            getattr(env, "num_envs", 1),
+            bool(getattr(env, "is_vector_env", False)),
+        )
+        self.return_queue, self.length_queue = (
+            deque[Any](maxlen=deque_size),
+            deque[Any](maxlen=deque_size),
+        )
         self.t0, self.episode_count = time.perf_counter(), 0
-        self.episode_returns, self.episode_lengths = np.zeros(self.num_envs, np.float32), np.zeros(self.num_envs, int)
+        self.episode_returns, self.episode_lengths = (
+            np.zeros(self.num_envs, np.float32),
+            np.zeros(self.num_envs, int),
+        )
 
     def reset(self, *args: Any, **named: Any) -> Any:
         """Begin an episode."""
-        self.episode_returns, self.episode_lengths = 0.0 * self.episode_returns, 0 * self.episode_lengths
+        self.episode_returns, self.episode_lengths = (
+            0.0 * self.episode_returns,
+            0 * self.episode_lengths,
+        )
         return super().reset(*args, **named)
 
     def step(self, action: Any) -> Any:
         """Step the environment, and add up the episode."""
         obs, rewards, done, *rest, infos = super().step(action)
-        self.episode_returns, self.episode_lengths = self.episode_returns + rewards, self.episode_lengths + 1
+        self.episode_returns, self.episode_lengths = (
+            self.episode_returns + rewards,
+            self.episode_lengths + 1,
+        )
         listed = [dict(info) for info in (infos if self.many else [infos])]
         ended = np.asarray(done) | np.any(rest, axis=0) if rest else np.asarray(done)
         for i in np.flatnonzero(ended | np.zeros(self.num_envs, np.bool_)):
             total, length = self.episode_returns[i], int(self.episode_lengths[i])
-            listed[i]["episode"] = {"r": total, "l": length, "t": round(time.perf_counter() - self.t0, 6)}
+            listed[i]["episode"] = {
+                "r": total,
+                "l": length,
+                "t": round(time.perf_counter() - self.t0, 6),
+            }
             self.return_queue.append(total)
             self.length_queue.append(length)
             self.episode_count += 1
@@ -236,15 +279,21 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
     def __init__(self, env_fns: Sequence[Callable[[], Any]], *args: Any, **named: Any) -> None:
         self.envs = [make() for make in env_fns]
         self.num_envs, first = len(self.envs), self.envs[0]
-        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.single_observation_space, self.single_action_space = (
+            first.observation_space,
+            first.action_space,
+        )
         self.observation_space, self.action_space = (
-            batch_space(space, self.num_envs) for space in (first.observation_space, first.action_space)
+            batch_space(space, self.num_envs)
+            for space in (first.observation_space, first.action_space)
         )
 
     def seed(self, seeds: Any = None) -> None:
         """Seed the environments with a list of seeds, or with one seed and its successors."""
         each = (
-            seeds if isinstance(seeds, list) else [None if seeds is None else seeds + i for i in range(self.num_envs)]
+            seeds
+            if isinstance(seeds, list)
+            else [None if seeds is None else seeds + i for i in range(self.num_envs)]
         )
         for env, seed in zip(self.envs, each, strict=True):
             env.seed(seed)
@@ -261,7 +310,12 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
                 answer[-1] = {**answer[-1], "terminal_observation": answer[0]}
                 answer[0] = _observed(env.reset())
         rewards, done = (np.array([answer[i] for answer in answers]) for i in (1, 2))
-        return self._together([answer[0] for answer in answers]), rewards, done, tuple(one[-1] for one in answers)
+        return (
+            self._together([answer[0] for answer in answers]),
+            rewards,
+            done,
+            tuple(one[-1] for one in answers),
+        )
 
     def close(self) -> None:
         """Close all environments."""
@@ -273,7 +327,9 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
         return concatenate(self.single_observation_space, observations, out)
 
 
-def make_vector(id: str, num_envs: int = 1, asynchronous: bool = True, **named: Any) -> SyncVectorEnv:  # noqa: A002
+def make_vector(
+    id: str, num_envs: int = 1, asynchronous: bool = True, **named: Any
+) -> SyncVectorEnv:  # noqa: A002
     """Make several environments of one name, stepped together."""
     return SyncVectorEnv([partial(gymnasium.make, id, **named)] * num_envs)
 
@@ -286,13 +342,28 @@ def _observed(answer: Any) -> Any:
 WRAPPERS: dict[str, Any] = {
     cls.__name__: cls
     for cls in (
-        Wrapper, TimeLimit, TransformObservation, TransformReward, ClipAction, RescaleAction, FlattenObservation,
-        FilterObservation, FrameStack, NormalizeObservation, NormalizeReward, RecordEpisodeStatistics,
+        Wrapper,
+        TimeLimit,
+        TransformObservation,
+        TransformReward,
+        ClipAction,
+        RescaleAction,
+        FlattenObservation,
+        FilterObservation,
+        FrameStack,
+        NormalizeObservation,
+        NormalizeReward,
+        RecordEpisodeStatistics,
     )
-}  # fmt: skip
-WRAPPERS |= dict.fromkeys(("ObservationWrapper", "RewardWrapper", "ActionWrapper", "OrderEnforcing"), Wrapper)
+}
+WRAPPERS |= dict.fromkeys(
+    ("ObservationWrapper", "RewardWrapper", "ActionWrapper", "OrderEnforcing"), Wrapper
+)
 WRAPPERS["RunningMeanStd"] = RunningMeanStd
-MODULES = "time_limit transform_observation transform_reward clip_action rescale_action flatten_observation "
+MODULES = (
+    "time_limit transform_observation transform_reward clip_action rescale_action"
+    " flatten_observation "
+)
 MODULES += "filter_observation frame_stack normalize record_episode_statistics order_enforcing"
 
 
@@ -320,7 +391,9 @@ class Today(gymnasium.Wrapper[Any, Any, Any, Any]):
 def _arguments(env: Any) -> Collection[str]:
     """Return the argument names of a reset; a wrapper that passes on any is looked through."""
     listed = signature(env.reset).parameters
-    handed_on = any(one.kind is Parameter.VAR_KEYWORD for one in listed.values()) and isinstance(env, gymnasium.Wrapper)
+    handed_on = any(one.kind is Parameter.VAR_KEYWORD for one in listed.values()) and isinstance(
+        env, gymnasium.Wrapper
+    )
     return _arguments(env.env) if handed_on else listed
 
 
@@ -332,7 +405,11 @@ class _Adapter(MetaPathFinder):
     ) -> ModuleSpec | None:
         """Find a module, and adapt its entrance after its execution."""
         name = _ENTRANCES.get(fullname.removeprefix("stable_baselines3.common."))
-        spec = PathFinder.find_spec(fullname, path) if name and fullname.startswith("stable_baselines3.") else None
+        spec = (
+            PathFinder.find_spec(fullname, path)
+            if name and fullname.startswith("stable_baselines3.")
+            else None
+        )
         if spec is not None and spec.loader is not None:
             execute = spec.loader.exec_module
 

@@ -55,7 +55,9 @@ class _Painter:
         high, rows = low + 2.0 * half / self._map.resolution, self._picture.height
         box = (low[0], rows - high[1], high[0], rows - low[1])
         size = (camera.width, camera.height)
-        image = self._picture.transform(size, Image.Transform.EXTENT, box, fillcolor=255).convert("RGB")
+        image = self._picture.transform(size, Image.Transform.EXTENT, box, fillcolor=255).convert(
+            "RGB"
+        )
         self._pen = ImageDraw.Draw(image, "RGBA")
         return image
 
@@ -70,7 +72,9 @@ class _Painter:
 
     def _line(self, points: NDArray[np.float64], colour: Colour, width: int) -> None:
         if self._pen is not None and len(points) > 1:
-            self._pen.line(self._camera.pixels(points).ravel().tolist(), fill=tuple(colour), width=width)
+            self._pen.line(
+                self._camera.pixels(points).ravel().tolist(), fill=tuple(colour), width=width
+            )
 
     def _end(self, image: Image.Image, text: str, show: bool) -> Frame | None:
         """Return the frame, or show it."""
@@ -121,10 +125,14 @@ class TrackRenderer(_Painter):
         """Draw the cars of :meth:`update`, and return the frame unless it is shown."""
         x, y, theta = (np.asarray(self._state[f"poses_{name}"]) for name in ("x", "y", "theta"))
         still = 0.0 * x
-        states = np.stack([x, y, self._state.get("steering_angles", still), still, theta, still, still], axis=1)
+        states = np.stack(
+            [x, y, self._state.get("steering_angles", still), still, theta, still, still], axis=1
+        )
         return self.draw(states, float(self._state.get("sim_time", 0.0)), self._callbacks)
 
-    def draw(self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]) -> Frame | None:
+    def draw(
+        self, states: NDArray[np.float64], now: float, callbacks: list[Callable[[Any], None]]
+    ) -> Frame | None:
         """Draw the cars and the drawings of callbacks; return the frame unless it is shown."""
         self.cars, self.sim_time = states, now
         visible, focus = self._window is not None or not self._shown, self.render_spec.focus_on
@@ -141,15 +149,23 @@ class TrackRenderer(_Painter):
             callback(self)
         return self._end(image, f"{now:.2f} s", self._shown) if visible else None
 
-    def render_points(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
+    def render_points(
+        self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1
+    ) -> None:
         """Draw points, shape (N, 2), m."""
-        self._points(np.asarray(points, np.float64).reshape(-1, np.shape(points)[-1]), color, FINER * max(size, 1.0))
+        self._points(
+            np.asarray(points, np.float64).reshape(-1, np.shape(points)[-1]),
+            color,
+            FINER * max(size, 1.0),
+        )
 
     def render_lines(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
         """Draw a line through points, shape (N, 2), m."""
         self._line(np.asarray(points, np.float64), color, FINER * max(int(size), 1))
 
-    def render_closed_lines(self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1) -> None:
+    def render_closed_lines(
+        self, points: ArrayLike, color: Colour = (0, 0, 255), size: float = 1
+    ) -> None:
         """Draw a line through points and back to the first."""
         self.render_lines(np.concatenate([points, np.asarray(points)[:1]]), color, size)
 
@@ -159,7 +175,11 @@ def make_renderer(
 ) -> tuple[TrackRenderer | None, RenderSpec]:
     """Return a renderer of a track, or None without a mode, and its settings."""
     spec, window = RenderSpec(), render_mode != "rgb_array"
-    made = TrackRenderer(track.loaded, spec, window=window, fps=render_fps) if render_mode is not None else None
+    made = (
+        TrackRenderer(track.loaded, spec, window=window, fps=render_fps)
+        if render_mode is not None
+        else None
+    )
     return made, spec
 
 
@@ -205,9 +225,16 @@ class EnvRenderer(_Painter):
     ``left``, ``right``, ``top`` and ``bottom`` are the bounds of the visible area.
     """
 
-    def __init__(self, loaded: GymMap, *, window: bool, width: int = 1000, height: int = 800) -> None:
+    def __init__(
+        self, loaded: GymMap, *, window: bool, width: int = 1000, height: int = 800
+    ) -> None:
         super().__init__(loaded, width, height, window, 1000.0)
-        self.left, self.right, self.bottom, self.top = -0.5 * width, 0.5 * width, -0.5 * height, 0.5 * height
+        self.left, self.right, self.bottom, self.top = (
+            -0.5 * width,
+            0.5 * width,
+            -0.5 * height,
+            0.5 * height,
+        )
         self.zoom_level, self.batch, self.score_label = 1.2, Batch(), Drawing()
         self.cars: list[Drawing] = []
         self.poses: Any = None
@@ -223,7 +250,9 @@ class EnvRenderer(_Painter):
         if len(self.cars) != len(self.poses):
             self.cars = [Drawing() for _ in self.poses]
         for car, pose in zip(self.cars, self.poses, strict=True):
-            car.vertices = (PIXELS * get_vertices(pose, F1TENTH.length, F1TENTH.width)).ravel().tolist()
+            car.vertices = (
+                (PIXELS * get_vertices(pose, F1TENTH.length, F1TENTH.width)).ravel().tolist()
+            )
         count = obs["lap_counts"][self.ego_idx]
         self.score_label.text = f"Lap Time: {obs['lap_times'][0]:.2f}, Ego Lap Count: {count:.0f}"
 
@@ -231,7 +260,10 @@ class EnvRenderer(_Painter):
         """Show the frame, or return it in mode "rgb_array"; skip it if no window could show it."""
         if mode != "rgb_array" and self._window is None:
             return None
-        across, high = max(self.right - self.left, 1.0) / PIXELS, max(self.top - self.bottom, 1.0) / PIXELS
+        across, high = (
+            max(self.right - self.left, 1.0) / PIXELS,
+            max(self.top - self.bottom, 1.0) / PIXELS,
+        )
         x, y = 0.5 * (self.left + self.right) / PIXELS, 0.5 * (self.bottom + self.top) / PIXELS
         image = self._begin(x, y, FINER * min(self.width / across, self.height / high))
         for drawing in self.batch.lists.values():
@@ -248,7 +280,9 @@ class EnvRenderer(_Painter):
         if drawing.mode == 0:
             self._points(points, colour, FINER)
         elif drawing.mode in (2, 3):  # a closed line, a line
-            self._line(np.concatenate([points, points[:1]]) if drawing.mode == 2 else points, colour, FINER)
+            self._line(
+                np.concatenate([points, points[:1]]) if drawing.mode == 2 else points, colour, FINER
+            )
         elif drawing.mode == 1:  # pairs
             for pair in points[: len(points) // 2 * 2].reshape(-1, 2, 2):
                 self._line(pair, colour, FINER)

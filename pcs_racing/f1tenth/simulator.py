@@ -14,7 +14,16 @@ from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.geometry import check_ttc_jit, collision_multiple, get_vertices, ray_cast
-from pcs_racing.f1tenth.kernel import KS, OLD_ST, ST, handling, pid_accl, pid_steer, scan_map, write_rates
+from pcs_racing.f1tenth.kernel import (
+    KS,
+    OLD_ST,
+    ST,
+    handling,
+    pid_accl,
+    pid_steer,
+    scan_map,
+    write_rates,
+)
 from pcs_racing.f1tenth.maps import GymMap, load_map
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
@@ -22,12 +31,33 @@ from pcs_racing.track.maps import list_tracks
 Floats = NDArray[np.float64]
 
 DEFAULT_PARAMS = {
-    "mu": 1.0489, "C_Sf": 4.718, "C_Sr": 5.4562, "lf": 0.15875, "lr": 0.17145, "h": 0.074, "m": 3.74, "I": 0.04712,
-    "s_min": -0.4189, "s_max": 0.4189, "sv_min": -3.2, "sv_max": 3.2, "v_switch": 7.319, "a_max": 9.51, "v_min": -5.0,
-    "v_max": 20.0, "width": 0.31, "length": 0.58,
-}  # fmt: skip
+    "mu": 1.0489,
+    "C_Sf": 4.718,
+    "C_Sr": 5.4562,
+    "lf": 0.15875,
+    "lr": 0.17145,
+    "h": 0.074,
+    "m": 3.74,
+    "I": 0.04712,
+    "s_min": -0.4189,
+    "s_max": 0.4189,
+    "sv_min": -3.2,
+    "sv_max": 3.2,
+    "v_switch": 7.319,
+    "a_max": 9.51,
+    "v_min": -5.0,
+    "v_max": 20.0,
+    "width": 0.31,
+    "length": 0.58,
+}
 _POSITIVE = (1e-6, 1e5)
-_ENDS = {"s_min": (-1.5, 0.0), "s_max": (0.0, 1.5), "sv_min": (-1e3, 0.0), "sv_max": (0.0, 1e3), "v_min": (-1e3, -1e-3)}
+_ENDS = {
+    "s_min": (-1.5, 0.0),
+    "s_max": (0.0, 1.5),
+    "sv_min": (-1e3, 0.0),
+    "sv_max": (0.0, 1e3),
+    "v_min": (-1e3, -1e-3),
+}
 NOISE = 0.01  # m
 BEAMS, FIELD_OF_VIEW, RANGE = 1080, 4.7, 30.0
 MOST_CARS = 64
@@ -70,7 +100,9 @@ def old_dynamics_st(x, u_init, *params):
 @compiled
 def pid(speed, steer, current_speed, current_steer, max_sv, max_a, max_v, min_v):
     """Return acceleration (m/s^2) and steering rate (rad/s) towards a speed and an angle."""
-    return pid_accl(speed, current_speed, max_a, max_v, min_v), pid_steer(steer, current_steer, max_sv)
+    return pid_accl(speed, current_speed, max_a, max_v, min_v), pid_steer(
+        steer, current_steer, max_sv
+    )
 
 
 _MAP_FACTS: dict[str, Callable[[GymMap], Any]] = {
@@ -91,12 +123,23 @@ class ScanSimulator2D:
     """Lidar on a map; the ray march's ``eps`` and ``theta_dis`` are ignored: ranges are exact."""
 
     def __init__(
-        self, num_beams: int, fov: float, eps: float = 1e-4, theta_dis: int = 2000, max_range: float = 30.0
+        self,
+        num_beams: int,
+        fov: float,
+        eps: float = 1e-4,
+        theta_dis: int = 2000,
+        max_range: float = 30.0,
     ) -> None:
         self._some_track = load_track(list_tracks()[0])
         self._lidar = Lidar(self._some_track, num_beams, fov, max_range)
         self._map: GymMap | None = None
-        self.num_beams, self.fov, self.max_range, self.eps, self.theta_dis = num_beams, fov, max_range, eps, theta_dis
+        self.num_beams, self.fov, self.max_range, self.eps, self.theta_dis = (
+            num_beams,
+            fov,
+            max_range,
+            eps,
+            theta_dis,
+        )
         self.angle_increment = self.get_increment()
         self.theta_index_increment = theta_dis * self.angle_increment / (2.0 * np.pi)
         turn = np.linspace(0.0, 2.0 * np.pi, theta_dis)
@@ -122,7 +165,17 @@ class ScanSimulator2D:
         on, out = self._map.circuit, np.empty(self.num_beams)
         x, y, psi = check_array("pose", pose, (3,), minimum=-1e6, maximum=1e6).tolist()
         track = (on or self._some_track).arrays
-        scan_map(self._map.grid, track, on is not None, self._lidar.kernel, x, y, psi, np.empty(WORK_SHAPE), out)
+        scan_map(
+            self._map.grid,
+            track,
+            on is not None,
+            self._lidar.kernel,
+            x,
+            y,
+            psi,
+            np.empty(WORK_SHAPE),
+            out,
+        )
         return out if rng is None else out + rng.normal(0.0, std_dev, len(out))
 
     def get_increment(self) -> float:
@@ -133,11 +186,16 @@ class ScanSimulator2D:
 def merged_params(base: Mapping[str, float], params: Any) -> dict[str, float]:
     """Return a car's parameters with checked changes."""
     if not isinstance(params, Mapping):
-        raise ConfigError(f"params is {params!r:.200}; it must be a dictionary of a car's parameters, such as mu: 1.0")
+        raise ConfigError(
+            f"params is {params!r:.200}; it must be a dictionary of a car's parameters, such as"
+            " mu: 1.0"
+        )
     warn_of_unknown("params", params, DEFAULT_PARAMS)
     known = {name: value for name, value in params.items() if name in DEFAULT_PARAMS}
     for name, value in known.items():
-        known[name] = float(check_number(f"params: {name}", value, *_ENDS.get(name, _POSITIVE), error=ConfigError))
+        known[name] = float(
+            check_number(f"params: {name}", value, *_ENDS.get(name, _POSITIVE), error=ConfigError)
+        )
     return {**base, **known}
 
 
@@ -145,7 +203,8 @@ def warn_of_unknown(where: str, given: Mapping[Any, Any], known: Iterable[str]) 
     """Warn of each unknown name: programs of the gym continue, because the gym ignored it."""
     for name in (name for name in given if name not in known):
         text = (
-            f"{where}: {name!r:.100} is ignored, as in the gym{did_you_mean(name, known)}; there are {', '.join(known)}"
+            f"{where}: {name!r:.100} is ignored, as in the gym{did_you_mean(name, known)}; there"
+            f" are {', '.join(known)}"
         )
         warnings.warn(text, UserWarning, stacklevel=4)
 
@@ -155,7 +214,11 @@ class RaceCar:
 
     def __init__(self, simulator: "Simulator", index: int) -> None:
         self._simulator, self._index, self.params = simulator, index, dict(simulator.params)
-        self.num_beams, self.fov, self.scan_angles = simulator.lidar.beams, simulator.lidar.fov, simulator.lidar.angles
+        self.num_beams, self.fov, self.scan_angles = (
+            simulator.lidar.beams,
+            simulator.lidar.fov,
+            simulator.lidar.angles,
+        )
         self.cosines, self.seed = np.cos(self.scan_angles), simulator.seed
         self.is_ego = index == simulator.setup.ego
 
@@ -189,7 +252,10 @@ class RaceCar:
 
     def reset(self, pose: ArrayLike) -> None:
         """Place this car at a pose, at rest."""
-        at, row = check_array("pose", pose, (3,), minimum=-1e6, maximum=1e6), self._simulator.cars[self._index]
+        at, row = (
+            check_array("pose", pose, (3,), minimum=-1e6, maximum=1e6),
+            self._simulator.cars[self._index],
+        )
         row[: k.CONTACT] = 0.0
         row[[k.X, k.Y, k.PSI]] = row[k.AT_X : k.AT_PSI + 1] = at
         row[k.WALL] = 0.0
@@ -197,7 +263,9 @@ class RaceCar:
     def ray_cast_agents(self, scan: Floats) -> Floats:
         """Shorten the ranges of a scan, in place, by the other cars."""
         for pose in self.opp_poses:
-            ray_cast(self.state[[0, 1, 4]], scan, self.scan_angles, get_vertices(pose, *self._size()))
+            ray_cast(
+                self.state[[0, 1, 4]], scan, self.scan_angles, get_vertices(pose, *self._size())
+            )
         return scan
 
     def check_ttc(self, current_scan: Floats) -> bool:
@@ -261,9 +329,14 @@ class Simulator:
     agent_scans: Floats  #: shape (N, beams): Ranges, m.
 
     def __init__(
-        self, params: dict[str, float], cars: int, seed: int, setup: k.Setup, beams: int = BEAMS,
+        self,
+        params: dict[str, float],
+        cars: int,
+        seed: int,
+        setup: k.Setup,
+        beams: int = BEAMS,
         fov: float = FIELD_OF_VIEW,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.params, self.num_agents, self.seed, self.setup = params, cars, seed, setup
         self._some_track = load_track(list_tracks()[0])  # unused, but required by compiled code
         self.lidar = Lidar(self._some_track, beams, fov, RANGE)
@@ -292,7 +365,9 @@ class Simulator:
         self.scan_simulator.set_map(loaded)
         self.map, self.track = loaded, loaded.circuit or self._some_track
         self.setup = self.setup._replace(on_circuit=loaded.circuit is not None)
-        self._grid = loaded.grid if self.setup.faithful else loaded.grid._replace(open_outside=False)
+        self._grid = (
+            loaded.grid if self.setup.faithful else loaded.grid._replace(open_outside=False)
+        )
         self._build()
 
     def update_params(self, params: Any, agent_idx: int = -1) -> None:
@@ -315,7 +390,9 @@ class Simulator:
         angles = self.lidar.angles
         with np.errstate(divide="ignore"):
             # The gym uses the axles as the ends of the car.
-            sides = np.minimum(half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles)))
+            sides = np.minimum(
+                half_width / np.abs(np.sin(angles)), half_length / np.abs(np.cos(angles))
+            )
         arrays, beams = self.track.arrays, self.lidar.kernel
         self._world = k.World(self._grid, arrays, self.setup, beams, self._tables, sides, rows)
 
@@ -326,9 +403,13 @@ class Simulator:
         """
         at = check_array("poses", poses, (self.num_agents, 3), minimum=-1e6, maximum=1e6)
         if (np.abs(at[:, 2]) > 900.0).any():
-            raise InputError(f"poses: heading {np.abs(at[:, 2]).max():g} rad; it must be from -900 to 900")
+            raise InputError(
+                f"poses: heading {np.abs(at[:, 2]).max():g} rad; it must be from -900 to 900"
+            )
         before, self.cars = self.cars, np.zeros((self.num_agents, k.COLUMNS))
-        self.cars[:, [0, 1, 4]] = self.cars[:, k.AT_X : k.AT_PSI + 1] = self.cars[:, k.START_X : k.START_PSI + 1] = at
+        self.cars[:, [0, 1, 4]] = self.cars[:, k.AT_X : k.AT_PSI + 1] = self.cars[
+            :, k.START_X : k.START_PSI + 1
+        ] = at
         if self.setup.faithful:  # the gym reports the old laps once more
             self.cars[:, k.LAP_TIME : k.LAPS + 1] = before[:, k.LAP_TIME : k.LAPS + 1]
         elif self.setup.on_circuit:
@@ -339,13 +420,24 @@ class Simulator:
     def step(self, control_inputs: ArrayLike) -> dict[str, Any]:
         """Advance all cars by one step; return the result of generation A: no laps and no end."""
         self.advance(control_inputs)
-        columns = {"poses_x": k.X, "poses_y": k.Y, "poses_theta": k.PSI, "linear_vels_x": k.V, "ang_vels_z": k.PSI_DOT}
+        columns = {
+            "poses_x": k.X,
+            "poses_y": k.Y,
+            "poses_theta": k.PSI,
+            "linear_vels_x": k.V,
+            "ang_vels_z": k.PSI_DOT,
+        }
         seen = {name: list(self.cars[:, column]) for name, column in columns.items()}
-        seen |= {"ego_idx": self.ego_idx, "scans": list(self.agent_scans), "linear_vels_y": [0.0] * self.num_agents}
+        seen |= {
+            "ego_idx": self.ego_idx,
+            "scans": list(self.agent_scans),
+            "linear_vels_y": [0.0] * self.num_agents,
+        }
         return seen | {"collisions": self.collisions}
 
     def advance(self, control_inputs: ArrayLike) -> bool:
-        """Advance all cars by one step with actions of shape (N, 2): steering, then speed or acceleration.
+        """Advance all cars by one step with actions of shape (N, 2): steering, then speed or
+        acceleration.
 
         Return whether the episode ends.
         """
@@ -356,7 +448,8 @@ class Simulator:
         if actions.shape != (self.num_agents, 2) or not all_finite(actions):
             given = " ".join(repr(control_inputs).split())
             raise InputError(
-                f"action is {given:.200}; it must be finite numbers of shape ({self.num_agents}, 2), steering and speed"
+                f"action is {given:.200}; it must be finite numbers of shape ({self.num_agents},"
+                " 2), steering and speed"
             )
         if self.setup.faithful:
             number, at = divmod(self.steps, SameNoise.BLOCK)
@@ -367,7 +460,16 @@ class Simulator:
             noise = NOISE * self.rng.standard_normal(self.agent_scans.shape)
         self.steps, self.time = self.steps + 1, self.time + self.setup.dt
         self.cars, self.agent_scans = self.cars.copy(), np.empty(self.agent_scans.shape)
-        arguments = (self._world, self.cars, actions, noise, self.time, self.agent_scans, self._inverse, self._work)
+        arguments = (
+            self._world,
+            self.cars,
+            actions,
+            noise,
+            self.time,
+            self.agent_scans,
+            self._inverse,
+            self._work,
+        )
         if _advance is None:
             _compile(arguments)
         return bool(_advance(*arguments))

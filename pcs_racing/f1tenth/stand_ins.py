@@ -27,22 +27,31 @@ class NotServedError(InputError, ImportError):
     """Error for an unsupported name of the gym."""
 
     def __init__(self, module: str, name: str) -> None:
-        hint = " (EnvConfig and its like belong to the gym's development line: use a dictionary as config)"
+        hint = (
+            " (EnvConfig and its like belong to the gym's development line: use a dictionary as"
+            " config)"
+        )
         hint = hint if "f1tenth_gym" in module else ""
-        super().__init__(f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs use{hint}")
+        super().__init__(
+            f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs"
+            f" use{hint}"
+        )
 
 
 _A = "f110_env base_classes dynamic_models collision_models laser_models rendering"
 _B = (
-    "f110_env base_classes action integrator dynamic_models collision_models laser_models observation reset utils "
-    "rendering rendering.renderer track track.track track.raceline track.cubic_spline track.utils"
+    "f110_env base_classes action integrator dynamic_models collision_models laser_models"
+    " observation reset utils rendering rendering.renderer track track.track track.raceline"
+    " track.cubic_spline track.utils"
 )
 _GL = (
-    "GL_POINTS GL_LINES GL_LINE_LOOP GL_LINE_STRIP GL_TRIANGLES GL_TRIANGLE_STRIP GL_TRIANGLE_FAN GL_QUADS "
-    "GL_QUAD_STRIP GL_POLYGON GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH GL_POINT_SMOOTH "
-    "GL_LINE_SMOOTH_HINT GL_NICEST"
+    "GL_POINTS GL_LINES GL_LINE_LOOP GL_LINE_STRIP GL_TRIANGLES GL_TRIANGLE_STRIP GL_TRIANGLE_FAN"
+    " GL_QUADS GL_QUAD_STRIP GL_POLYGON GL_BLEND GL_SRC_ALPHA GL_ONE_MINUS_SRC_ALPHA GL_LINE_SMOOTH"
+    " GL_POINT_SMOOTH GL_LINE_SMOOTH_HINT GL_NICEST"
 )
-_CALLS = "glPointSize glLineWidth glEnable glDisable glBlendFunc glClearColor glHint glColor3f glColor4f"
+_CALLS = (
+    "glPointSize glLineWidth glEnable glDisable glBlendFunc glClearColor glHint glColor3f glColor4f"
+)
 
 
 def _ignored(*args: Any, **named: Any) -> None:
@@ -55,7 +64,10 @@ def _contents() -> dict[str, dict[str, Any]]:
     track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
     shared = "Env Space make register spaces logger"
     gym = {name: getattr(gymnasium, name) for name in shared.split()} | {"__version__": "0.21.0"}
-    vector = {"make": old_gym.make_vector, **dict.fromkeys(("SyncVectorEnv", "AsyncVectorEnv"), old_gym.SyncVectorEnv)}
+    vector = {
+        "make": old_gym.make_vector,
+        **dict.fromkeys(("SyncVectorEnv", "AsyncVectorEnv"), old_gym.SyncVectorEnv),
+    }
     gym |= old_gym.WRAPPERS
     wrappers = [f"gym.wrappers.{name}" for name in old_gym.MODULES.split()]
     own = ("gym.spaces", "gym.error", "gym.utils", "gym.utils.seeding", "gym.envs.registration")
@@ -63,13 +75,26 @@ def _contents() -> dict[str, dict[str, Any]]:
     b = known | track | {"F110Env": env.GenerationB}
     return {
         **dict.fromkeys(("gym", "gym.core", "gym.wrappers", "gym.envs", *wrappers), gym),
-        **dict.fromkeys(("gym.vector", "gym.vector.sync_vector_env", "gym.vector.async_vector_env"), vector),
+        **dict.fromkeys(
+            ("gym.vector", "gym.vector.sync_vector_env", "gym.vector.async_vector_env"), vector
+        ),
         **{name: vars(import_module(name.replace("gym", "gymnasium", 1))) for name in own},
         "gym.logger": vars(gymnasium.logger) | dict.fromkeys(("set_level", "setLevel"), _ignored),
-        **dict.fromkeys(("f110_gym", "f110_gym.envs", *(f"f110_gym.envs.{name}" for name in _A.split())), a),
-        **dict.fromkeys(("f1tenth_gym", "f1tenth_gym.envs", *(f"f1tenth_gym.envs.{name}" for name in _B.split())), b),
+        **dict.fromkeys(
+            ("f110_gym", "f110_gym.envs", *(f"f110_gym.envs.{name}" for name in _A.split())), a
+        ),
+        **dict.fromkeys(
+            (
+                "f1tenth_gym",
+                "f1tenth_gym.envs",
+                *(f"f1tenth_gym.envs.{name}" for name in _B.split()),
+            ),
+            b,
+        ),
         "pyglet": {"options": {}, "version": "1.4"},
-        "pyglet.gl": dict(zip(_GL.split(), range(17), strict=True)) | dict.fromkeys(_CALLS.split(), _ignored),
+        "pyglet.gl": (
+            dict(zip(_GL.split(), range(17), strict=True)) | dict.fromkeys(_CALLS.split(), _ignored)
+        ),
         "pyglet.graphics": {"Batch": rendering.Batch},
         "pyglet.text": {"Label": rendering.Drawing},
         "pyglet.window": {},
@@ -85,7 +110,12 @@ class _Refuser(MetaPathFinder):
     ) -> ModuleSpec | None:
         """Raise an error for unsupported modules; return None for all other modules."""
         package, _, rest = fullname.partition(".")
-        if package == "gym" and rest and find_spec("gymnasium") and not rest.startswith("wrappers."):
+        if (
+            package == "gym"
+            and rest
+            and find_spec("gymnasium")
+            and not rest.startswith("wrappers.")
+        ):
             sys.modules[fullname] = import_module(f"gymnasium.{rest}")
             return sys.modules[fullname].__spec__
         if package in ("gym", "f110_gym", "f1tenth_gym") and rest:
@@ -101,7 +131,9 @@ def install() -> None:
     for name, values in contents.items():
         module = ModuleType(name, f"What programs use of {name}, by pcs_racing.f1tenth.")
         module.__path__ = []
-        module.__dict__.update({key: value for key, value in values.items() if not key.startswith("__")})
+        module.__dict__.update(
+            {key: value for key, value in values.items() if not key.startswith("__")}
+        )
         if not name.startswith("pyglet"):
             module.__getattr__ = _missing(name)  # type: ignore[method-assign]
         sys.modules[name] = module
@@ -128,10 +160,24 @@ def _missing(module: str) -> Any:
 
 
 _REMOVED = {
-    "float": float, "int": int, "complex": complex, "object": object, "str": str, "float_": np.float64, "Inf": np.inf,
-    "infty": np.inf, "NaN": np.nan, "product": np.prod, "in1d": np.isin, "row_stack": np.vstack, "bool8": np.bool_,
-}  # fmt: skip
-_TAKE_ARRAYS = "acos asin atan ceil cos degrees exp fabs floor log radians sin sqrt tan atan2 copysign fmod pow"
+    "float": float,
+    "int": int,
+    "complex": complex,
+    "object": object,
+    "str": str,
+    "float_": np.float64,
+    "Inf": np.inf,
+    "infty": np.inf,
+    "NaN": np.nan,
+    "product": np.prod,
+    "in1d": np.isin,
+    "row_stack": np.vstack,
+    "bool8": np.bool_,
+}
+_TAKE_ARRAYS = (
+    "acos asin atan ceil cos degrees exp fabs floor log radians sin sqrt tan atan2 copysign"
+    " fmod pow"
+)
 
 
 def restore_numpy() -> None:
@@ -145,7 +191,9 @@ def restore_numpy() -> None:
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
     module = ModuleType("math", math.__doc__)
-    module.__dict__.update({name: value for name, value in vars(math).items() if not name.startswith("__")})
+    module.__dict__.update(
+        {name: value for name, value in vars(math).items() if not name.startswith("__")}
+    )
     sys.modules["math"] = module
     for name in _TAKE_ARRAYS.split():
         _replace(module, name, getattr(math, name))
@@ -155,7 +203,9 @@ def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> Non
     from numba.extending import overload
 
     def call(*values: Any) -> Any:
-        return function(*[v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in values])
+        return function(
+            *[v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in values]
+        )
 
     # In compiled code, ``math.sin`` is the real function.
     def one(x):

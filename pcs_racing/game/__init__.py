@@ -1,1 +1,3 @@
-"""The game on top of the race: characteristics, archives of policies, moves in Policy Characteristic Space."""
+"""The game on top of the race: characteristics, archives of policies, moves in Policy
+Characteristic Space.
+"""

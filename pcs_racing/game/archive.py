@@ -1,7 +1,7 @@
 """Archives of policies: parameter vectors and their coordinates in the Policy Characteristic Space.
 
-Metres and seconds share no scale, so distances are taken in normalised coordinates: 0 at the archive's nadir point (the
-worst value on each axis) and 1 at its ideal point (the best).
+Metres and seconds share no scale, so distances are taken in normalised coordinates: 0 at the
+archive's nadir point (the worst value on each axis) and 1 at its ideal point (the best).
 """
 
 import hashlib
@@ -14,7 +14,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_facts, check_names, check_text, check_whole_array
+from pcs_racing.base.checks import (
+    check_array,
+    check_facts,
+    check_names,
+    check_text,
+    check_whole_array,
+)
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Planner, Policy
@@ -107,15 +113,22 @@ class PolicyArchive:
         for axis, low, high in zip(self.characteristics, self.nadir, self.ideal, strict=True):
             if not low < high:
                 raise InputError(
-                    f"{where}: {axis} reaches from {low:g} (nadir) to {high:g} (ideal); the ideal must be the larger"
+                    f"{where}: {axis} reaches from {low:g} (nadir) to {high:g} (ideal); the ideal"
+                    " must be the larger"
                 )
 
     def _set_array(
-        self, key: str, shape: tuple[int | None, ...], default: Floats | None = None, minimum: float | None = None
+        self,
+        key: str,
+        shape: tuple[int | None, ...],
+        default: Floats | None = None,
+        minimum: float | None = None,
     ) -> None:
         given: Any = default if getattr(self, key) is None else getattr(self, key)
         lowest = -LARGEST if minimum is None else minimum
-        array = check_array(f"archive {self.name!r}: {key}", given, shape, minimum=lowest, maximum=LARGEST)
+        array = check_array(
+            f"archive {self.name!r}: {key}", given, shape, minimum=lowest, maximum=LARGEST
+        )
         array.setflags(write=False)
         object.__setattr__(self, key, array)
 
@@ -128,7 +141,10 @@ class PolicyArchive:
         if len(self.characteristics) > 1:
             together = ", ".join(f"{value:+.2f}" for value in self.correlations.values())
             axes += f" (correlation {together})"
-        return f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset {self.preset!r}>"
+        return (
+            f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset"
+            f" {self.preset!r}>"
+        )
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle by value (a read-only mapping can't be pickled)."""
@@ -151,7 +167,9 @@ class PolicyArchive:
 
     @property
     def normalised(self) -> Floats:
-        """Normalised coordinates of the policies, shape (K, G): 0 at the nadir, 1 at the ideal point."""
+        """Normalised coordinates of the policies, shape (K, G): 0 at the nadir, 1 at the ideal
+        point.
+        """
         return self.normalise(self.coordinates)
 
     @property
@@ -161,12 +179,16 @@ class PolicyArchive:
         At -1 or 1 the two axes are equivalent, and half of the moves duplicate the other half. It
         is NaN if all policies have the same value on an axis.
         """
-        # Written out: numpy's corrcoef warns where an axis has no spread, and may leave -1 to 1 by a bit.
+        # Written out: numpy's corrcoef warns where an axis has no spread, and may leave -1 to 1 by
+        # a bit.
         pairs = list(combinations(range(len(self.characteristics)), 2))
         away = self.coordinates - self.coordinates.mean(axis=0)
         extent = np.sqrt((away**2).sum(axis=0))
         with np.errstate(invalid="ignore"):
-            values = [float(np.clip(away[:, i] @ away[:, j] / (extent[i] * extent[j]), -1.0, 1.0)) for i, j in pairs]
+            values = [
+                float(np.clip(away[:, i] @ away[:, j] / (extent[i] * extent[j]), -1.0, 1.0))
+                for i, j in pairs
+            ]
         return {
             (self.characteristics[i], self.characteristics[j]): value
             for (i, j), value in zip(pairs, values, strict=True)
@@ -185,13 +207,16 @@ class PolicyArchive:
         points = np.asarray(points, np.float64)
         axes = len(self.characteristics)
         if points.ndim == 0 or points.shape[-1] != axes:
-            raise InputError(f"points have shape {points.shape}; archive {self.name!r} needs (..., {axes})")
+            raise InputError(
+                f"points have shape {points.shape}; archive {self.name!r} needs (..., {axes})"
+            )
         if not np.isfinite(points).all():
             raise InputError("points hold NaN or infinity; they must be finite")
         flat = points.reshape(-1, axes)
         nearest = np.empty(len(flat), np.int64)
         for first in range(0, len(flat), 4096):  # bounded memory for any number of points
-            # Differences, not a matrix product: equal distances stay equal, and the lowest index wins everywhere.
+            # Differences, not a matrix product: equal distances stay equal, and the lowest index
+            # wins everywhere.
             offsets = flat[first : first + 4096, None, :] - self.normalised
             nearest[first : first + 4096] = np.argmin(np.sum(offsets * offsets, axis=-1), axis=1)
         return nearest.reshape(points.shape[:-1])
@@ -204,8 +229,8 @@ class PolicyArchive:
         unknown = [name for name in self.parameter_names if name not in planner.parameter_names]
         if unknown:
             raise InputError(
-                f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner {self.planner!r} "
-                f"has {', '.join(planner.parameter_names)}"
+                f"archive {self.name!r} holds parameters {', '.join(self.parameter_names)}; planner"
+                f" {self.planner!r} has {', '.join(planner.parameter_names)}"
             )
         for i, theta in enumerate(self.complete(self.parameters)):
             Policy(planner, theta, f"{self.name}[{i}]")
@@ -221,18 +246,30 @@ class PolicyArchive:
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
         at = int(check_whole_array("policy index", index, (), minimum=0, maximum=len(self) - 1))
-        return Policy(get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]")
+        return Policy(
+            get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]"
+        )
 
     def explored_policy(self, index: int) -> Policy:
         """Return one of the explored policies."""
         explored: Any = self.explored_parameters
-        at = int(check_whole_array("explored policy index", index, (), minimum=0, maximum=len(explored) - 1))
-        return Policy(get_planner(self.planner), self.complete(explored[[at]])[0], f"{self.name}:explored[{at}]")
+        at = int(
+            check_whole_array(
+                "explored policy index", index, (), minimum=0, maximum=len(explored) - 1
+            )
+        )
+        return Policy(
+            get_planner(self.planner),
+            self.complete(explored[[at]])[0],
+            f"{self.name}:explored[{at}]",
+        )
 
     @property
     def explored(self) -> Explored:
         """All policies evaluated during the synthesis; may be empty."""
-        return Explored(self.explored_parameters, self.explored_coordinates, self.explored_own_crash)
+        return Explored(
+            self.explored_parameters, self.explored_coordinates, self.explored_own_crash
+        )
 
     def select(self, by: str = "middle") -> int:
         """Return the index of the policy with the max of a characteristic.
@@ -261,12 +298,15 @@ class PolicyArchive:
         try:
             import pandas
         except ModuleNotFoundError:
-            raise ModuleNotFoundError('a table needs pandas: pip install "pcs-racing[tables]"') from None
+            raise ModuleNotFoundError(
+                'a table needs pandas: pip install "pcs-racing[tables]"'
+            ) from None
         columns = dict(zip(self.parameter_names, self.parameters.T, strict=True))
         columns |= dict(zip(self.characteristics, self.coordinates.T, strict=True))
         if self.spread is not None:
             columns |= {
-                f"{name}_error": values for name, values in zip(self.characteristics, self.spread.T, strict=True)
+                f"{name}_error": values
+                for name, values in zip(self.characteristics, self.spread.T, strict=True)
             }
         if self.own_crash is not None:
             columns["own_crash"] = self.own_crash
@@ -275,6 +315,7 @@ class PolicyArchive:
     def _axis(self, name: str) -> int:
         if name not in self.characteristics:
             raise UnknownNameError(
-                f"archive {self.name!r} has no characteristic {name!r}; it has {', '.join(self.characteristics)}"
+                f"archive {self.name!r} has no characteristic {name!r}; it has"
+                f" {', '.join(self.characteristics)}"
             )
         return self.characteristics.index(name)

@@ -15,7 +15,14 @@ from pcs_racing.planners.registry import get_planner
 
 _TEXTS = ("name", "planner", "preset")
 _NAMES = ("parameter_names", "characteristics")
-_ARRAYS = ("parameters", "coordinates", "ideal", "nadir", "explored_parameters", "explored_coordinates")
+_ARRAYS = (
+    "parameters",
+    "coordinates",
+    "ideal",
+    "nadir",
+    "explored_parameters",
+    "explored_coordinates",
+)
 _OPTIONAL_ARRAYS = ("spread", "own_crash", "explored_own_crash")  # present if measured
 
 ARCHIVE_FORMAT = ArtifactFormat(
@@ -66,8 +73,8 @@ def load_archive(source: str | os.PathLike[str] | PolicyArchive) -> PolicyArchiv
         raise InputError(f"{file} is no archive: {error}") from None
     if set(arrays) - set(_OPTIONAL_ARRAYS) != set(_ARRAYS):
         raise InputError(
-            f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)} and perhaps "
-            f"{', '.join(_OPTIONAL_ARRAYS)}"
+            f"{file} holds {', '.join(sorted(arrays))}; an archive holds {', '.join(_ARRAYS)} and"
+            f" perhaps {', '.join(_OPTIONAL_ARRAYS)}"
         )
     try:
         get_planner(fields["planner"])

@@ -1,7 +1,9 @@
-"""Policy characteristics: numbers that describe how a policy drives, estimated from its trajectories.
+"""Policy characteristics: numbers that describe how a policy drives, estimated from its
+trajectories.
 
-A characteristic maps a segment of racing (the states before and after it) to one value per race and car; a policy's
-coordinate in the Policy Characteristic Space is the mean over races (Remark 1 of the paper).
+A characteristic maps a segment of racing (the states before and after it) to one value per race and
+car; a policy's coordinate in the Policy Characteristic Space is the mean over races (Remark 1 of
+the paper).
 """
 
 from collections.abc import Callable, Sequence
@@ -24,7 +26,8 @@ class Segment:
     """A segment of a batch of races: each car's progress and running sums between two moments."""
 
     progress: NDArray[np.float64]  #: shape (B, 2): Progress of each car during the segment, m.
-    sums: NDArray[np.float64]  #: shape (B, 2, 9): Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
+    #: shape (B, 2, 9): Growth of the running sums (:data:`pcs_racing.race.state.SUMS`).
+    sums: NDArray[np.float64]
     #: shape (B,): Time driven, s; shorter than ``duration`` after a crash.
     time: NDArray[np.float64]
     duration: float  #: Requested time, s.
@@ -42,7 +45,9 @@ class Segment:
     @classmethod
     def so_far(cls, state: RaceState, duration: float) -> "Segment":
         """Return the segment from the start of races."""
-        return cls(state.progress, state.sums, np.asarray(state.tick * DT, np.float64), float(duration))
+        return cls(
+            state.progress, state.sums, np.asarray(state.tick * DT, np.float64), float(duration)
+        )
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,9 @@ def _blocking(segment: Segment) -> NDArray[np.float64]:
 
 
 def _cornering(segment: Segment) -> NDArray[np.float64]:
-    return np.sqrt(segment.sums[..., _state.LATERAL] / np.maximum(segment.sums[..., _state.TIME], 0.5))
+    return np.sqrt(
+        segment.sums[..., _state.LATERAL] / np.maximum(segment.sums[..., _state.TIME], 0.5)
+    )
 
 
 def _speed(segment: Segment) -> NDArray[np.float64]:
@@ -89,40 +96,63 @@ def _speed(segment: Segment) -> NDArray[np.float64]:
 
 
 def _reaction(segment: Segment) -> NDArray[np.float64]:
-    behind, profile_behind = segment.sums[..., _state.TIME_BEHIND], segment.sums[..., _state.PROFILE_BEHIND]
-    ahead, profile_ahead = segment.sums[..., _state.TIME] - behind, segment.sums[..., _state.PROFILE] - profile_behind
-    difference = profile_behind / np.maximum(behind, BOTH_SIDES) - profile_ahead / np.maximum(ahead, BOTH_SIDES)
+    behind, profile_behind = (
+        segment.sums[..., _state.TIME_BEHIND],
+        segment.sums[..., _state.PROFILE_BEHIND],
+    )
+    ahead, profile_ahead = (
+        segment.sums[..., _state.TIME] - behind,
+        segment.sums[..., _state.PROFILE] - profile_behind,
+    )
+    difference = profile_behind / np.maximum(behind, BOTH_SIDES) - profile_ahead / np.maximum(
+        ahead, BOTH_SIDES
+    )
     return np.where(np.minimum(behind, ahead) >= BOTH_SIDES, difference, 0.0)
 
 
 _registered = {
     one.name: one
     for one in (
-        Characteristic("aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead),
         Characteristic(
-            "pace", "m", "progress gained over the opponent per time driven, scaled to the full duration", _pace
+            "aggressiveness", "m", "progress gained over the opponent (the paper's g_agg)", _lead
         ),
         Characteristic(
-            "restraint", "s", "mean of the minimum instantaneous time to collision (the paper's g_res)", _restraint
+            "pace",
+            "m",
+            "progress gained over the opponent per time driven, scaled to the full duration",
+            _pace,
+        ),
+        Characteristic(
+            "restraint",
+            "s",
+            "mean of the minimum instantaneous time to collision (the paper's g_res)",
+            _restraint,
         ),
         Characteristic("smoothness", "rad/s", "minus the mean steering rate", _smoothness),
-        Characteristic("blocking", "1", "share of the time spent just ahead and in the opponent's way", _blocking),
+        Characteristic(
+            "blocking",
+            "1",
+            "share of the time spent just ahead and in the opponent's way",
+            _blocking,
+        ),
         Characteristic(
             "speed",
             "1",
-            "speed along the race line, in parts of its profile at pace 1: time that the profile takes for what was "
-            "driven, per time driven",
+            "speed along the race line, in parts of its profile at pace 1: time that the profile"
+            " takes for what was driven, per time driven",
             _speed,
         ),
         Characteristic(
             "reaction",
             "1",
-            "reaction to the lead: how much faster behind than in front, in parts of the profile at pace 1; 0 before "
-            f"both lasted {BOTH_SIDES:g} s",
+            "reaction to the lead: how much faster behind than in front, in parts of the profile"
+            f" at pace 1; 0 before both lasted {BOTH_SIDES:g} s",
             _reaction,
             pooled=True,
         ),
-        Characteristic("cornering", "m/s^2", "root mean square of the lateral acceleration", _cornering),
+        Characteristic(
+            "cornering", "m/s^2", "root mean square of the lateral acceleration", _cornering
+        ),
     )
 }
 
@@ -130,7 +160,9 @@ _registered = {
 def register_characteristic(characteristic: Characteristic) -> None:
     """Register a characteristic under its name; repeating an equal registration does nothing."""
     if _registered.setdefault(characteristic.name, characteristic) != characteristic:
-        raise InputError(f"a characteristic named {characteristic.name!r} exists already; choose another name")
+        raise InputError(
+            f"a characteristic named {characteristic.name!r} exists already; choose another name"
+        )
 
 
 def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
@@ -140,7 +172,9 @@ def get_characteristics(names: Sequence[str]) -> tuple[Characteristic, ...]:
         raise InputError(f"characteristics are {list(names)!r:.200}; name at least one, each once")
     for name in names:
         if name not in _registered:
-            raise UnknownNameError(f"characteristic {name!r} is unknown; known are {', '.join(_registered)}")
+            raise UnknownNameError(
+                f"characteristic {name!r} is unknown; known are {', '.join(_registered)}"
+            )
     return tuple(_registered[name] for name in names)
 
 
@@ -150,5 +184,7 @@ def measure(
     """Evaluate characteristics on a segment, (B, 2, |G|); pooled ones on ``so_far``, if given."""
     values = np.empty((*segment.progress.shape, len(characteristics)))
     for k, characteristic in enumerate(characteristics):
-        values[..., k] = characteristic.evaluate(so_far if so_far is not None and characteristic.pooled else segment)
+        values[..., k] = characteristic.evaluate(
+            so_far if so_far is not None and characteristic.pooled else segment
+        )
     return values

@@ -89,7 +89,11 @@ class SameMove:
     move: int
 
     def predict(
-        self, observation: Observation, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Observation,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.int64], None]:
         """Return the move for each observation."""
         return np.full(len(observation), self.move), None
@@ -129,7 +133,11 @@ def is_model(candidate: Any) -> bool:
         return str(candidate).endswith(".zip")
     torch = sys.modules.get("torch")
     space = getattr(candidate, "action_space", None)
-    plain = torch is not None and isinstance(candidate, torch.nn.Module) and not hasattr(candidate, "predict")
+    plain = (
+        torch is not None
+        and isinstance(candidate, torch.nn.Module)
+        and not hasattr(candidate, "predict")
+    )
     return plain or (hasattr(candidate, "predict") and getattr(space, "shape", None) == (2,))
 
 
@@ -139,13 +147,15 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
     The check calls the competitor's method ``check_fits(game)``, if there is one, and compares
     ``observation_space`` and ``action_space`` of a model.
     """
-    if isinstance(competitor, type | np.ndarray | np.generic) or not (  # arrays have a method `choose`, too
-        isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser) or callable(competitor)
+    # arrays have a method `choose`, too
+    if isinstance(competitor, type | np.ndarray | np.generic) or not (
+        isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser)
+        or callable(competitor)
     ):
         raise InputError(
-            f"{competitor!r} is not a competitor; it must be a policy, have predict(observation, state, "
-            "episode_start, deterministic), decide(game, state, car) or choose(observation), or be a PolicySet or a "
-            "function of (observation, generator)"
+            f"{competitor!r} is not a competitor; it must be a policy, have predict(observation,"
+            " state, episode_start, deterministic), decide(game, state, car) or"
+            " choose(observation), or be a PolicySet or a function of (observation, generator)"
         )
     if hasattr(competitor, "check_fits"):
         competitor.check_fits(game)
@@ -155,14 +165,14 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
     shape = getattr(getattr(model, "observation_space", None), "shape", None)
     if shape is not None and tuple(shape) != (size,):
         raise InputError(
-            f"competitor {competitor_name(competitor)!r} takes observations of shape {tuple(shape)}; in this game they "
-            f"have shape ({size},)"
+            f"competitor {competitor_name(competitor)!r} takes observations of shape"
+            f" {tuple(shape)}; in this game they have shape ({size},)"
         )
     count = getattr(getattr(model, "action_space", None), "n", None)
     if count is not None and int(count) > len(moves):
         raise InputError(
-            f"competitor {competitor_name(competitor)!r} has {int(count)} moves; this game has {len(moves)} "
-            f"({', '.join(moves)})"
+            f"competitor {competitor_name(competitor)!r} has {int(count)} moves; this game has"
+            f" {len(moves)} ({', '.join(moves)})"
         )
 
 
@@ -203,7 +213,10 @@ def ask_moves(
     with one_line(player):  # any error of their code
         if isinstance(competitor, RandomMoves):
             allowed = [np.flatnonzero(mask) for mask in game.action_mask(state)[rows, car]]
-            drawn = [each[generators[row].integers(len(each))] for row, each in zip(rows, allowed, strict=True)]  # type: ignore[index]
+            drawn = [
+                each[generators[row].integers(len(each))]
+                for row, each in zip(rows, allowed, strict=True)
+            ]  # type: ignore[index]
             answer = np.array(drawn)
         elif isinstance(competitor, Decider):
             answer = competitor.decide(game, take_games(state, rows), car)
@@ -215,13 +228,19 @@ def ask_moves(
             if isinstance(competitor, Predictor):
                 answer = _predicted(competitor, seen, rows, memories, deterministic)
             else:
-                answer = [competitor(one, generators[row]) for row, one in zip(rows, seen, strict=True)]  # type: ignore[index]
+                answer = [
+                    competitor(one, generators[row]) for row, one in zip(rows, seen, strict=True)
+                ]  # type: ignore[index]
     moves[rows] = check_moves(answer, names, rows.shape, ("game",), rows=rows, player=player)
     return moves
 
 
 def _predicted(
-    competitor: Predictor, seen: Observation, rows: NDArray[np.int64], memories: list[Any] | None, deterministic: bool
+    competitor: Predictor,
+    seen: Observation,
+    rows: NDArray[np.int64],
+    memories: list[Any] | None,
+    deterministic: bool,
 ) -> Any:
     """Return the moves of a predictor.
 
@@ -235,13 +254,19 @@ def _predicted(
             return moves
     asked: list[Any] = []
     for row, one, memory in zip(rows, seen, kept, strict=True):
-        move, memories[row] = _answer(competitor, one[None], memory, np.array([memory is None]), deterministic)  # type: ignore[index]
+        move, memories[row] = _answer(
+            competitor, one[None], memory, np.array([memory is None]), deterministic
+        )  # type: ignore[index]
         asked.append(move[0])
     return asked
 
 
 def _answer(
-    competitor: Predictor, seen: Observation, memory: Any, first: NDArray[np.bool_], deterministic: bool
+    competitor: Predictor,
+    seen: Observation,
+    memory: Any,
+    first: NDArray[np.bool_],
+    deterministic: bool,
 ) -> tuple[NDArray[Any], Any]:
     answer = competitor.predict(seen, memory, first, deterministic)
     try:
@@ -249,8 +274,8 @@ def _answer(
         return np.asarray(moves).reshape(len(seen)), after
     except (TypeError, ValueError):
         raise InputError(
-            f"competitor {competitor_name(competitor)!r}: predict returned {answer!r:.80}; it must return a pair: "
-            f"{len(seen)} moves, and a state or None"
+            f"competitor {competitor_name(competitor)!r}: predict returned {answer!r:.80}; it must"
+            f" return a pair: {len(seen)} moves, and a state or None"
         ) from None
 
 
@@ -264,16 +289,20 @@ def competitor_names(game: RaceGame) -> list[str]:
     names = {NEVER_SWITCH, RANDOM_MOVES, *planner_names()}
     names |= {ALWAYS + move for move in game.competitor_moves}
     for collection in collections():
-        names |= {name for name in collection.names(game.archive, game.config) if not name.startswith(ALWAYS)}
+        names |= {
+            name
+            for name in collection.names(game.archive, game.config)
+            if not name.startswith(ALWAYS)
+        }
     return sorted(names)
 
 
 def make_competitor(text: str, game: RaceGame) -> Competitor:
     """Make a competitor for a game from its name.
 
-    "never-switch": a policy of the archive, drawn for each game and kept; "random-moves"; "always-<move>"; a policy
-    such as "lattice:pace=0.8"; or the name of a registered competitor, such as "cfr-argmax", with its options, or a
-    model's file, "model.zip".
+    "never-switch": a policy of the archive, drawn for each game and kept; "random-moves";
+    "always-<move>"; a policy such as "lattice:pace=0.8"; or the name of a registered competitor,
+    such as "cfr-argmax", with its options, or a model's file, "model.zip".
     """
     if text == RANDOM_MOVES:
         return RandomMoves()

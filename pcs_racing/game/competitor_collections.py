@@ -22,7 +22,10 @@ def register_competitors(name: str, module: str) -> None:
     The module, as ``"package.module"``, is imported when a name is not known otherwise.
     """
     if _registered.setdefault(name, module) != module:
-        raise InputError(f"there are competitors {name!r} already, of {_registered[name]}; give yours another name")
+        raise InputError(
+            f"there are competitors {name!r} already, of {_registered[name]}; give yours another"
+            " name"
+        )
 
 
 def collections() -> list[Any]:
@@ -32,7 +35,9 @@ def collections() -> list[Any]:
         try:
             modules.append(resolve_name(place))
         except Exception as error:  # any error of a third-party module at its import
-            raise InputError(f"the competitors {name!r} can't be loaded from {place}: {error}") from error
+            raise InputError(
+                f"the competitors {name!r} can't be loaded from {place}: {error}"
+            ) from error
     return modules
 
 

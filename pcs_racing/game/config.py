@@ -1,4 +1,6 @@
-"""The rules of the game that is played on top of a race: how long, which moves, and the utility of an outcome."""
+"""The rules of the game that is played on top of a race: how long, which moves, and the utility of
+an outcome.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,7 +21,10 @@ from pcs_racing.race.config import PAPER, RaceConfig, check_steps, load_race_con
 UTILITIES = {
     "lead": "lead in m at the horizon; after a crash 0 for both",
     "lead-at-crash": "lead in m when the race ended, be it by a crash",
-    "win": "1 for the winner and -1 for the other; 0 for a tie; after a crash as the race's crash_rule says",
+    "win": (
+        "1 for the winner and -1 for the other; 0 for a tie; after a crash as the race's crash_rule"
+        " says"
+    ),
 }
 """Utilities of the outcome of a game for a car; the other car gets the negative."""
 
@@ -27,7 +32,9 @@ UTILITIES = {
 def _race(name: str, value: Any) -> RaceConfig:
     """Return rules of a race from rules, a preset's name or a YAML file."""
     if not isinstance(value, str | Path | RaceConfig):
-        raise InputError(f"{name} is {value!r}; it must be a preset's name, a YAML file or a RaceConfig")
+        raise InputError(
+            f"{name} is {value!r}; it must be a preset's name, a YAML file or a RaceConfig"
+        )
     return load_race_config(value)
 
 
@@ -60,13 +67,15 @@ class GameConfig(Settings):
     race: Annotated[
         RaceConfig,
         Checked(_race),
-        "Rules of the race, a preset's name or a YAML file; its duration is replaced by the sum of all steps.",
+        "Rules of the race, a preset's name or a YAML file; its duration is replaced by the sum of"
+        " all steps.",
     ] = PAPER
     moves: Annotated[
         int,
         Interval(ge=1, le=100),
-        "Moves of each player; one step without moves precedes the first. With moves, step_seconds and first_steps "
-        "all None the steps are those of the race; if one of them is given, 4 moves, 8 s and () stand for the others.",
+        "Moves of each player; one step without moves precedes the first. With moves, step_seconds"
+        " and first_steps all None the steps are those of the race; if one of them is given, 4"
+        " moves, 8 s and () stand for the others.",
     ] = None  # type: ignore[assignment]
     step_seconds: Annotated[
         float,
@@ -77,13 +86,14 @@ class GameConfig(Settings):
     first_steps: Annotated[
         tuple[float, ...],
         FIRST_STEPS,
-        "Lengths of the first steps, s, where they are not step_seconds: with [0, 2], players move before the start, "
-        "2 s after it, and then every step_seconds.",
+        "Lengths of the first steps, s, where they are not step_seconds: with [0, 2], players move"
+        " before the start, 2 s after it, and then every step_seconds.",
     ] = None  # type: ignore[assignment]
     epsilon: Annotated[
         float | tuple[float, ...],
         STEP_SIZES,
-        "Length of a move, in units of the archive's range; each of several values has its own moves.",
+        "Length of a move, in units of the archive's range; each of several values has its own"
+        " moves.",
     ] = EPSILON
     stay: Annotated[
         bool | None,
@@ -92,7 +102,8 @@ class GameConfig(Settings):
     utility: Annotated[
         str | None,
         OneOf(UTILITIES),
-        'Utility of an outcome; None takes the paper\'s "lead", or "win" if the crash rule names a loser.',
+        'Utility of an outcome; None takes the paper\'s "lead", or "win" if the crash rule names a'
+        " loser.",
     ] = None
     fault_penalty: Annotated[
         float,
@@ -111,7 +122,8 @@ class GameConfig(Settings):
     ] = None
     mask_duplicates: Annotated[
         bool,
-        "Whether the action mask rules out a move that leads where an earlier one, or no move, leads.",
+        "Whether the action mask rules out a move that leads where an earlier one, or no move,"
+        " leads.",
     ] = True
 
     def __post_init__(self) -> None:
@@ -126,11 +138,14 @@ class GameConfig(Settings):
         self._set(utility="lead" if self.race.crash_rule == "nobody" else "win")
         if len(self.first_steps) > self.moves:
             raise ConfigError(
-                f"first_steps is {list(self.first_steps)}; with {self.moves} moves it may have {self.moves} lengths, "
-                "since the step after the last move takes step_seconds"
+                f"first_steps is {list(self.first_steps)}; with {self.moves} moves it may have"
+                f" {self.moves} lengths, since the step after the last move takes step_seconds"
             )
         if self.horizon > 3600.0:
-            raise ConfigError(f"{self.moves} moves of {self.step_seconds:g} s make a race of over 3600 s; take fewer")
+            raise ConfigError(
+                f"{self.moves} moves of {self.step_seconds:g} s make a race of over 3600 s; take"
+                " fewer"
+            )
 
     def _set(self, **values: Any) -> None:
         """Give fields that are None a value."""
@@ -140,7 +155,9 @@ class GameConfig(Settings):
 
     @property
     def ends(self) -> tuple[float, ...]:
-        """Time at which each of the ``moves + 1`` steps ends, s: a move is made at all of them but the last."""
+        """Time at which each of the ``moves + 1`` steps ends, s: a move is made at all of them but
+        the last.
+        """
         return tuple(float(tick) / 100.0 for tick in self.end_ticks)
 
     @cached_property
@@ -160,15 +177,21 @@ class GameConfig(Settings):
         return replace(self.race, duration=self.horizon)
 
 
-def load_game_config(source: "str | Path | RaceConfig | GameConfig" = "paper", **changes: Any) -> GameConfig:
-    """Return game rules from game rules, race rules, a race preset's name or a race's YAML file, with fields changed.
+def load_game_config(
+    source: "str | Path | RaceConfig | GameConfig" = "paper", **changes: Any
+) -> GameConfig:
+    """Return game rules from game rules, race rules, a race preset's name or a race's YAML file,
+    with fields changed.
 
     Examples
     --------
     >>> load_game_config("contest", moves=2).utility
     'win'
     """
-    if not isinstance(source, GameConfig):  # what the race decides is not decided before its rules are known
+    # what the race decides is not decided before its rules are known
+    if not isinstance(source, GameConfig):
         own = ("moves", "step_seconds", "first_steps")
-        source = GameConfig(changes.pop("race", source), **{name: changes.pop(name, None) for name in own})
+        source = GameConfig(
+            changes.pop("race", source), **{name: changes.pop(name, None) for name in own}
+        )
     return load_settings("game", source, **changes)

@@ -19,7 +19,8 @@ class GameIdentity(NamedTuple):
     compared.
     """
 
-    elements: tuple[str, ...]  #: Names of the numbers of an observation, in order: the encoding of a history.
+    #: Names of the numbers of an observation, in order: the encoding of a history.
+    elements: tuple[str, ...]
     moves: tuple[str, ...]  #: Names of the moves, in order.
     epsilon: tuple[float, ...]  #: Lengths of the moves, in units of the archive's range.
     archive: str  #: Name of the archive of policies.
@@ -53,7 +54,9 @@ def game_identity(game: _HasRules) -> GameIdentity:
     )
 
 
-def check_same_game(own: GameIdentity, other: GameIdentity, owner: str, other_owner: str = "the game") -> None:
+def check_same_game(
+    own: GameIdentity, other: GameIdentity, owner: str, other_owner: str = "the game"
+) -> None:
     """Check that two games have the same number of moves, observations, moves and archive.
 
     The other game may have the move "stay" in addition. The preset and the archive's name may
@@ -61,15 +64,23 @@ def check_same_game(own: GameIdentity, other: GameIdentity, owner: str, other_ow
     artifacts or games in the message.
     """
     if own.decisions and other.decisions and own.decisions != other.decisions:
-        raise InputError(f"{owner} was made for games of {own.decisions} moves; {other_owner} has {other.decisions}")
+        raise InputError(
+            f"{owner} was made for games of {own.decisions} moves; {other_owner} has"
+            f" {other.decisions}"
+        )
     if own.elements and own.elements != other.elements:
-        raise InputError(f"{owner} {_difference(own.elements, other.elements, 'sees', other_owner)}")
+        raise InputError(
+            f"{owner} {_difference(own.elements, other.elements, 'sees', other_owner)}"
+        )
     # The move "stay" can always be offered: a player that never stays plays the same game.
     if own.moves and other.moves not in (own.moves, (*own.moves, STAY)):
-        raise InputError(f"{owner} {_difference(own.moves, other.moves, 'values moves', other_owner)}")
+        raise InputError(
+            f"{owner} {_difference(own.moves, other.moves, 'values moves', other_owner)}"
+        )
     if own.epsilon != other.epsilon:
         raise InputError(
-            f"{owner} was made for moves of epsilon {_list(own.epsilon)}; {other_owner} has {_list(other.epsilon)}"
+            f"{owner} was made for moves of epsilon {_list(own.epsilon)}; {other_owner} has"
+            f" {_list(other.epsilon)}"
         )
     if own.archive_sha256 != other.archive_sha256:
         raise InputError(
@@ -91,4 +102,8 @@ def _difference(own: tuple[str, ...], other: tuple[str, ...], verb: str, other_o
 
 
 def _short(names: tuple[str, ...]) -> str:
-    return f"{len(names)} ({_list(names)})" if len(names) <= 6 else f"{len(names)} ({names[0]} to {names[-1]})"
+    return (
+        f"{len(names)} ({_list(names)})"
+        if len(names) <= 6
+        else f"{len(names)} ({names[0]} to {names[-1]})"
+    )

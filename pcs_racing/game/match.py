@@ -64,7 +64,8 @@ class MatchState(NamedTuple):
     #: steps, weighted by their time.
     measured: Floats
     leads: Floats  #: shape (B, R): Lead of car 0 at the end of each race, m.
-    driven: Floats  #: shape (B, R): Share of its duration that each race lasted; 0 until it is over.
+    #: shape (B, R): Share of its duration that each race lasted; 0 until it is over.
+    driven: Floats
     scores: Floats  #: shape (B, 2, R): Score of each car in each race: 1, 1/2 or 0.
 
     @property
@@ -101,7 +102,9 @@ class MatchGame:
         elements = match_elements(self.game.characteristics, self.races)
         if not self.race_moves:
             return elements
-        racing = ObservationElement("racing", "1", 0.0, 1.0, "1 while a race goes on; else the numbers below are 0")
+        racing = ObservationElement(
+            "racing", "1", 0.0, 1.0, "1 while a race goes on; else the numbers below are 0"
+        )
         return (*elements, racing, *self.game.observation_elements)
 
     # Start of a match
@@ -130,13 +133,23 @@ class MatchGame:
         bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
         drawn = (bits[:, 0, 2:4] % np.uint64(len(game.archive))).astype(np.int64)
         policy = np.where(outside, OUTSIDE, np.where(first == DRAW, drawn, first))
-        drawn_lines = game.start_lines[(bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)]
-        places = np.array(np.broadcast_to(drawn_lines if lines is None else np.asarray(lines), (count, races)))
-        side = (bits[:, 0, 1] % np.uint64(2)).astype(np.int64) if sides is None else np.asarray(sides, np.int64)
+        drawn_lines = game.start_lines[
+            (bits[:, :, 0] % np.uint64(len(game.start_lines))).astype(np.int64)
+        ]
+        places = np.array(
+            np.broadcast_to(drawn_lines if lines is None else np.asarray(lines), (count, races))
+        )
+        side = (
+            (bits[:, 0, 1] % np.uint64(2)).astype(np.int64)
+            if sides is None
+            else np.asarray(sides, np.int64)
+        )
         # Places swap from race to race, so that neither side of the grid decides a match.
         turns = (side[:, None] + np.arange(races)) % 2
         axes = len(game.characteristics)
-        grid = game.empty_state(start_races(game.setup, Starts(places[:, 0], turns[:, 0]), bits[:, 0, 4]))
+        grid = game.empty_state(
+            start_races(game.setup, Starts(places[:, 0], turns[:, 0]), bits[:, 0, 4])
+        )
         grid.policy[:] = policy
         return MatchState(
             game=grid,
@@ -183,7 +196,9 @@ class MatchGame:
         policy = np.where(outside | (choices[rows] == KEEP), state.policy[rows], choices[rows])
         starts = Starts(state.starts[rows, race], state.sides[rows, race])
         noise = state.noise[rows, race]
-        games = self.game.start(policy, starts, noise, state.theta[rows], outside, conditions.take(rows))
+        games = self.game.start(
+            policy, starts, noise, state.theta[rows], outside, conditions.take(rows)
+        )
         put_games(new.game, rows, games)
         new.policy[rows] = policy
         new.racing[rows] = True
@@ -191,7 +206,11 @@ class MatchGame:
         return new
 
     def move(
-        self, state: MatchState, moves: Indices, rows: Indices | None = None, conditions: RaceConditions = AS_THE_SETUP
+        self,
+        state: MatchState,
+        moves: Indices,
+        rows: Indices | None = None,
+        conditions: RaceConditions = AS_THE_SETUP,
     ) -> MatchState:
         """Let both players move in the running races, or only in ``rows``, and drive a step.
 
@@ -218,7 +237,9 @@ class MatchGame:
         # The last step of a crash is shorter than the others and counts less.
         begins = np.append(0, config.end_ticks[:-1])
         ticks = game.race.tick[:, None] - begins
-        weights = np.clip(ticks, 0, config.end_ticks - begins) / np.maximum(game.race.tick, 1)[:, None]
+        weights = (
+            np.clip(ticks, 0, config.end_ticks - begins) / np.maximum(game.race.tick, 1)[:, None]
+        )
         # Step by step, in an order that depends neither on the batch nor on the processor.
         for step in range(config.moves + 1):
             weight = weights[:, step, None, None]
@@ -245,7 +266,9 @@ class MatchGame:
         # After the last race there is no next side; the index stays inside the array and is masked.
         side = state.sides[np.arange(state.matches), np.minimum(state.race, self.races - 1)]
         front = np.stack([side == 0, side == 1], axis=1) & between[:, None]
-        return encode_match(state.own, state.measured, state.leads, state.scores, state.driven, state.race, front)
+        return encode_match(
+            state.own, state.measured, state.leads, state.scores, state.driven, state.race, front
+        )
 
     def observation(self, state: MatchState) -> NDArray[np.float32]:
         """Return each player's observation, shape (B, 2, D).
@@ -287,13 +310,14 @@ def ask_choices(
     count, name = len(match.game.archive), f"competitor {competitor_name(competitor)!r}"
     if answer.shape != rows.shape or answer.dtype.kind not in "iu":
         raise InputError(
-            f"{name}: choose returned shape {answer.shape} and type {answer.dtype}; it must return whole numbers of "
-            f"shape {rows.shape}, policies from 0 to {count - 1}"
+            f"{name}: choose returned shape {answer.shape} and type {answer.dtype}; it must return"
+            f" whole numbers of shape {rows.shape}, policies from 0 to {count - 1}"
         )
     wrong = np.flatnonzero((answer < 0) | (answer >= count))
     if len(wrong):
         raise InputError(
-            f"{name}, match {rows[wrong[0]]}: it chose policy {answer[wrong[0]]}; there are policies 0 to {count - 1}"
+            f"{name}, match {rows[wrong[0]]}: it chose policy {answer[wrong[0]]}; there are"
+            f" policies 0 to {count - 1}"
         )
     choices[rows] = answer
     return choices

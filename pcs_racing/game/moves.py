@@ -25,18 +25,23 @@ STAY = "stay"
 MOST_NAMES = 24  # max number of moves that an error lists by name
 
 
-def move(archive: PolicyArchive, index: ArrayLike, axis: int, sign: ArrayLike, epsilon: float) -> Indices:
-    """Return the index of the policy that a move leads to; policies and signs broadcast against each other.
+def move(
+    archive: PolicyArchive, index: ArrayLike, axis: int, sign: ArrayLike, epsilon: float
+) -> Indices:
+    """Return the index of the policy that a move leads to; policies and signs broadcast against
+    each other.
 
-    The move starts from policy ``index`` and asks for more (``sign`` 1) or less (-1) of the characteristic ``axis``, by
-    ``epsilon`` in normalised units.
+    The move starts from policy ``index`` and asks for more (``sign`` 1) or less (-1) of the
+    characteristic ``axis``, by ``epsilon`` in normalised units.
     """
     targets = archive.normalised[np.asarray(index)]
     targets[..., axis] += np.asarray(sign) * epsilon
     return archive.nearest(targets)
 
 
-def move_table(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False) -> Indices:
+def move_table(
+    archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False
+) -> Indices:
     """Return the policy that every move leads to from every policy, shape (K, M).
 
     The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less,
@@ -92,12 +97,19 @@ def duplicate_moves(table: Indices) -> NDArray[np.bool_]:
 
 def check_epsilon(epsilon: Any) -> tuple[float, ...]:
     """Return the step sizes of the moves as a tuple of different positive numbers."""
-    several = isinstance(epsilon, list | tuple) or (isinstance(epsilon, np.ndarray) and epsilon.ndim == 1)
+    several = isinstance(epsilon, list | tuple) or (
+        isinstance(epsilon, np.ndarray) and epsilon.ndim == 1
+    )
     given = list(epsilon) if several else [epsilon]
-    lengths = [length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length for length in given]
+    lengths = [
+        length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length
+        for length in given
+    ]
     steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
     if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):
-        raise InputError(f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones")
+        raise InputError(
+            f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones"
+        )
     return steps
 
 
@@ -132,4 +144,6 @@ def check_moves(
     at = tuple(int(i) for i in np.argwhere(wrong)[0])
     index = at if rows is None else (int(rows[at[0]]), *at[1:])
     where = ", ".join(f"{axis} {i}" for axis, i in zip(axes, index, strict=False))
-    raise InputError(f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}")
+    raise InputError(
+        f"{by}{f'{where}: ' if where else ''}move {given[at]} is not one of the moves {known}"
+    )

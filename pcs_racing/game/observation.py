@@ -31,7 +31,9 @@ class ObservationElement(NamedTuple):
     meaning: str
 
 
-def observation_elements(characteristics: Sequence[Characteristic], moves: int) -> tuple[ObservationElement, ...]:
+def observation_elements(
+    characteristics: Sequence[Characteristic], moves: int
+) -> tuple[ObservationElement, ...]:
     """Return the elements of an observation, for these axes and this number of moves."""
     elements = []
     for k in range(moves + 1):
@@ -40,12 +42,19 @@ def observation_elements(characteristics: Sequence[Characteristic], moves: int) 
             elements.append(ObservationElement(f"own_{axis.name}_{k}", "range", LOW, HIGH, meaning))
         for axis in characteristics:
             meaning = f"the opponent's {axis.name} as measured in step {k} alone"
-            elements.append(ObservationElement(f"opponent_{axis.name}_{k}", "range", LOW, HIGH, meaning))
+            elements.append(
+                ObservationElement(f"opponent_{axis.name}_{k}", "range", LOW, HIGH, meaning)
+            )
         meaning = f"own lead at the end of step {k}"
-        elements.append(ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+        elements.append(
+            ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning)
+        )
         meaning = f"1 once step {k} is over; until then it and the numbers above are 0"
         elements.append(ObservationElement(f"seen_{k}", "1", 0.0, 1.0, meaning))
-    return (*elements, ObservationElement("step", "1", 0.0, 1.0, "share of the moves that have been made"))
+    return (
+        *elements,
+        ObservationElement("step", "1", 0.0, 1.0, "share of the moves that have been made"),
+    )
 
 
 def observation_table(elements: Sequence[ObservationElement], moves: int | None = None) -> str:
@@ -57,16 +66,24 @@ def observation_table(elements: Sequence[ObservationElement], moves: int | None 
     if moves is not None:
         block = (len(elements) - 1) // (moves + 1)
         shared = [
-            element._replace(name=element.name[:-1] + "k", meaning=element.meaning.replace("step 0", "step k"))
+            element._replace(
+                name=element.name[:-1] + "k", meaning=element.meaning.replace("step 0", "step k")
+            )
             for element in elements[:block]
         ]
         rows = [(f"{block}k + {i}", *element) for i, element in enumerate(shared)] + rows[-1:]
     head = ("index", "name", "unit", "low", "high", "meaning")
-    cells = [head, ("---",) * len(head), *((*row[:3], f"{row[3]:g}", f"{row[4]:g}", row[5]) for row in rows)]
+    cells = [
+        head,
+        ("---",) * len(head),
+        *((*row[:3], f"{row[3]:g}", f"{row[4]:g}", row[5]) for row in rows),
+    ]
     return "\n".join(f"| {' | '.join(row)} |" for row in cells)
 
 
-def encode_observation(own: Floats, estimates: Floats, leads: Floats, step: Indices) -> NDArray[np.float32]:
+def encode_observation(
+    own: Floats, estimates: Floats, leads: Floats, step: Indices
+) -> NDArray[np.float32]:
     """Encode the players' observations in the order of :func:`observation_elements`, (B, 2, D).
 
     The arrays are fields of :class:`pcs_racing.game.state.GameState`, for ``N = moves + 1`` steps;
@@ -102,26 +119,41 @@ class RaceMemory(NamedTuple):
     driven: Floats
 
 
-def match_elements(characteristics: Sequence[Characteristic], races: int) -> tuple[ObservationElement, ...]:
+def match_elements(
+    characteristics: Sequence[Characteristic], races: int
+) -> tuple[ObservationElement, ...]:
     """Return the elements of an observation between races, for these axes and number of races."""
     elements = []
     for r in range(races):
         for axis in characteristics:
             meaning = f"the own policy's {axis.name} in race {r}, from the archive"
-            elements.append(ObservationElement(f"race_{r}_own_{axis.name}", "range", LOW, HIGH, meaning))
+            elements.append(
+                ObservationElement(f"race_{r}_own_{axis.name}", "range", LOW, HIGH, meaning)
+            )
         for axis in characteristics:
             meaning = f"the opponent's {axis.name} as measured over race {r}"
-            elements.append(ObservationElement(f"race_{r}_opponent_{axis.name}", "range", LOW, HIGH, meaning))
+            elements.append(
+                ObservationElement(f"race_{r}_opponent_{axis.name}", "range", LOW, HIGH, meaning)
+            )
         meaning = f"own lead at the end of race {r}"
-        elements.append(ObservationElement(f"race_{r}_lead", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning))
+        elements.append(
+            ObservationElement(
+                f"race_{r}_lead", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning
+            )
+        )
         meaning = f"1 if race {r} was won, 0.5 if it was a tie"
         elements.append(ObservationElement(f"race_{r}_score", "1", 0.0, 1.0, meaning))
-        meaning = f"share of its duration that race {r} lasted; until it is over it and the numbers above are 0"
+        meaning = (
+            f"share of its duration that race {r} lasted; until it is over it and the numbers above"
+            " are 0"
+        )
         elements.append(ObservationElement(f"race_{r}_driven", "1", 0.0, 1.0, meaning))
     return (
         *elements,
         ObservationElement("races_left", "1", 0.0, 1.0, "share of the races that are not over"),
-        ObservationElement("front", "1", 0.0, 1.0, "1 if the own car starts the next race on the left or in front"),
+        ObservationElement(
+            "front", "1", 0.0, 1.0, "1 if the own car starts the next race on the left or in front"
+        ),
     )
 
 
@@ -145,14 +177,20 @@ def encode_match(
     shared = np.broadcast_to(driven[:, None, :, None], (matches, 2, races, 1))
     # 0.0 - lead, not -lead: a lead of 0 must not become -0.0, whose bits differ.
     leads_of_cars = np.stack([lead, 0.0 - lead], axis=1)[..., None]
-    parts = np.concatenate([own, measured[:, ::-1], leads_of_cars, scores[..., None], shared], axis=-1)
+    parts = np.concatenate(
+        [own, measured[:, ::-1], leads_of_cars, scores[..., None], shared], axis=-1
+    )
     left = np.broadcast_to(((races - race) / races)[:, None, None], (matches, 2, 1))
-    return np.concatenate([parts.reshape(matches, 2, -1), left, front[..., None]], axis=-1).astype(np.float32)
+    return np.concatenate([parts.reshape(matches, 2, -1), left, front[..., None]], axis=-1).astype(
+        np.float32
+    )
 
 
 def decode_match(observation: NDArray[np.float32], races: int, axes: int) -> RaceMemory:
     """Return the earlier races in observations of shape (B, D)."""
     width = 2 * axes + AFTER_AXES
-    blocks = np.asarray(observation[:, : races * width], np.float64).reshape(len(observation), races, width)
+    blocks = np.asarray(observation[:, : races * width], np.float64).reshape(
+        len(observation), races, width
+    )
     rest = (blocks[:, :, 2 * axes + i] for i in range(AFTER_AXES))
     return RaceMemory(blocks[:, :, :axes], blocks[:, :, axes : 2 * axes], *rest)

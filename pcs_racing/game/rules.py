@@ -34,7 +34,13 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move_table
-from pcs_racing.game.observation import HIGH, LOW, ObservationElement, encode_observation, observation_elements
+from pcs_racing.game.observation import (
+    HIGH,
+    LOW,
+    ObservationElement,
+    encode_observation,
+    observation_elements,
+)
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
 from pcs_racing.game.state import GameState, put_games
@@ -77,7 +83,10 @@ class RaceGame:
     most_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.config.characteristics is not None and self.config.characteristics != self.archive.characteristics:
+        if (
+            self.config.characteristics is not None
+            and self.config.characteristics != self.archive.characteristics
+        ):
             object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
         # Reject unknown planners and a track without start lines here, not when games begin.
         _ = self.start_lines
@@ -104,7 +113,9 @@ class RaceGame:
             get_planner(planner) if isinstance(planner, str) else planner or family
             for planner in (self.ego_planner, self.opponent_planner)
         )
-        return RaceSetup(self.track, self.config.race_rules, (first, second), self.vehicles, self.most_delay)
+        return RaceSetup(
+            self.track, self.config.race_rules, (first, second), self.vehicles, self.most_delay
+        )
 
     @cached_property
     def _theta(self) -> Floats:
@@ -130,13 +141,17 @@ class RaceGame:
 
     @cached_property
     def points(self) -> Floats:
-        """Normalised coordinates of the archive's policies as the players observe them, shape (K, G)."""
+        """Normalised coordinates of the archive's policies as the players observe them, shape (K,
+        G).
+        """
         return np.clip(self.archive.normalised, LOW, HIGH)
 
     @cached_property
     def start_lines(self) -> Floats:
         """Arc lengths of the start lines of :meth:`reset`, m; train places, which no table uses."""
-        return start_lines(self.track, self.setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train")
+        return start_lines(
+            self.track, self.setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train"
+        )
 
     @cached_property
     def move_names(self) -> tuple[str, ...]:
@@ -206,7 +221,9 @@ class RaceGame:
         first = check_policies(self.archive, policies, count)
         outside, theta = self.outside_drivers((egos, opponents), count)
         if starts is not None and len(starts) != count:
-            raise InputError(f"there are {count} games but {len(starts)} starts; give one start for each game")
+            raise InputError(
+                f"there are {count} games but {len(starts)} starts; give one start for each game"
+            )
         drawn = (first == DRAW) & ~outside
         first[outside] = OUTSIDE
 
@@ -215,7 +232,9 @@ class RaceGame:
             drawn_policies = (bits[:, 2:4] % np.uint64(len(self.archive))).astype(np.int64)
             policy = np.where(drawn[rows], drawn_policies, first[rows])
             grid = self._starts(bits) if starts is None else starts.take(rows)
-            return self.start(policy, grid, bits[:, 4], theta[rows], outside[rows], conditions.take(rows))
+            return self.start(
+                policy, grid, bits[:, 4], theta[rows], outside[rows], conditions.take(rows)
+            )
 
         state = begin(np.arange(count), 0)
         # A fully specified game would crash again.
@@ -233,7 +252,9 @@ class RaceGame:
         The shapes are (games, 2) and (games, 2, P).
         """
         drivers = [
-            driver_parameters(self.archive, self.setup.planners[car], car, drivers, games, self.setup.theta_size)
+            driver_parameters(
+                self.archive, self.setup.planners[car], car, drivers, games, self.setup.theta_size
+            )
             for car, drivers in enumerate(given)
         ]
         outside, theta = (np.stack(pair, axis=1) for pair in zip(*drivers, strict=True))
@@ -284,7 +305,9 @@ class RaceGame:
         """
         attempts = [random_bits(key, attempt) for attempt in range(REDRAWS + 1)]
         bits = next(bits for bits in attempts if bits[0, 4] == noise[0])
-        return start_races(self.setup, self._starts(bits) if starts is None else starts, noise, conditions)
+        return start_races(
+            self.setup, self._starts(bits) if starts is None else starts, noise, conditions
+        )
 
     def empty_state(self, races: RaceState) -> GameState:
         """Return games with these races on the grid; every other number is 0."""
@@ -308,9 +331,13 @@ class RaceGame:
         of a policy from outside the archive has no effect. Finished games do not change. The given
         state is not modified.
         """
-        return self.apply(state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car")))
+        return self.apply(
+            state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car"))
+        )
 
-    def apply(self, state: GameState, moves: Indices, conditions: RaceConditions = AS_THE_SETUP) -> GameState:
+    def apply(
+        self, state: GameState, moves: Indices, conditions: RaceConditions = AS_THE_SETUP
+    ) -> GameState:
         """Do the work of :meth:`step` with checked moves, indices in :attr:`competitor_moves`.
 
         The conditions are as in :meth:`reset`.
@@ -387,7 +414,9 @@ class RaceGame:
 
     # A step of driving
 
-    def _drive(self, state: GameState, going: NDArray[np.bool_], conditions: RaceConditions) -> None:
+    def _drive(
+        self, state: GameState, going: NDArray[np.bool_], conditions: RaceConditions
+    ) -> None:
         """Drive a step in place, and record the observable values of games that were running."""
         estimates = self._advance(state.race, state.theta, conditions)
         self.record_step(state, np.flatnonzero(going), estimates)
@@ -405,28 +434,55 @@ class RaceGame:
         )
         state.leads[rows, now] = state.race.lead[rows]
 
-    def _advance(self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP) -> Floats:
-        before = races._replace(progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy())
+    def _advance(
+        self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP
+    ) -> Floats:
+        before = races._replace(
+            progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy()
+        )
         self.drive_step(races, theta, conditions)
         return self.measure(before, races)
 
     def drive_step(
-        self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP, *, ittc: bool = True
+        self,
+        races: RaceState,
+        theta: Floats,
+        conditions: RaceConditions = AS_THE_SETUP,
+        *,
+        ittc: bool = True,
     ) -> None:
         """Drive each race in place to the end of its next step; finished races do not change."""
         ends = self.config.end_ticks
-        lengths = np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
+        lengths = (
+            np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
+        )
         lengths[races.crashed] = 0
         different = np.unique(lengths[lengths > 0])
         if len(different) == 1:
             # Steps of a usual batch are equally long: no races are taken out and put back. Finished
             # races do not move.
-            advance(self.setup, races, theta, int(different[0]), threads=self.threads, ittc=ittc, conditions=conditions)
+            advance(
+                self.setup,
+                races,
+                theta,
+                int(different[0]),
+                threads=self.threads,
+                ittc=ittc,
+                conditions=conditions,
+            )
             return
         for ticks in different:
             rows = np.flatnonzero(lengths == ticks)
             some, own = take(races, rows), conditions.take(rows)
-            advance(self.setup, some, theta[rows], int(ticks), threads=self.threads, ittc=ittc, conditions=own)
+            advance(
+                self.setup,
+                some,
+                theta[rows],
+                int(ticks),
+                threads=self.threads,
+                ittc=ittc,
+                conditions=own,
+            )
             for name, driven in some._asdict().items():
                 getattr(races, name)[rows] = driven
 

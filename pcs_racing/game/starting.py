@@ -19,16 +19,28 @@ DRAW = -1
 def game_keys(seeds: ArrayLike | None, games: int | None, seed: int) -> NDArray[np.uint64]:
     """Return the key of each game: the given seeds, or keys derived from one seed."""
     if seeds is None:
-        return race_seeds(check_whole("seed", seed), 1 if games is None else check_whole("games", games))
+        return race_seeds(
+            check_whole("seed", seed), 1 if games is None else check_whole("games", games)
+        )
     if games is not None:
-        raise InputError(f"games is {games!r}, but there are seeds, one for each game; give one of the two")
+        raise InputError(
+            f"games is {games!r}, but there are seeds, one for each game; give one of the two"
+        )
     keys = np.atleast_1d(as_array(seeds))
-    if keys.ndim != 1 or keys.dtype.kind not in "iu" or (keys.dtype.kind == "i" and (keys < 0).any()):
-        raise InputError(f"seeds are {seeds!r}; they must be whole numbers from 0, one for each game")
+    if (
+        keys.ndim != 1
+        or keys.dtype.kind not in "iu"
+        or (keys.dtype.kind == "i" and (keys < 0).any())
+    ):
+        raise InputError(
+            f"seeds are {seeds!r}; they must be whole numbers from 0, one for each game"
+        )
     return keys.astype(np.uint64)
 
 
-def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: int) -> NDArray[np.int64]:
+def check_policies(
+    archive: PolicyArchive, policies: ArrayLike | None, games: int
+) -> NDArray[np.int64]:
     """Return the first policy of each car, shape (games, 2); :data:`DRAW` if it will be drawn."""
     if policies is None:
         return np.full((games, 2), DRAW, np.int64)
@@ -38,8 +50,8 @@ def check_policies(archive: PolicyArchive, policies: ArrayLike | None, games: in
     if wrong.any():
         game, car = (int(i) for i in np.argwhere(wrong)[0])
         raise InputError(
-            f"game {game}, car {car}: policy {indices[game, car]} is not in archive {archive.name!r}; it must lie in 0 "
-            f"to {len(archive) - 1}, or be -1 to be drawn"
+            f"game {game}, car {car}: policy {indices[game, car]} is not in archive"
+            f" {archive.name!r}; it must lie in 0 to {len(archive) - 1}, or be -1 to be drawn"
         )
     return indices
 
@@ -60,20 +72,24 @@ def driver_parameters(
     role = ("ego", "opponent")[car]
     given = [drivers] * games if drivers is None or isinstance(drivers, Policy) else list(drivers)
     if len(given) != games:
-        raise InputError(f"there are {games} games but {len(given)} {role}s; give one {role} for each game")
+        raise InputError(
+            f"there are {games} games but {len(given)} {role}s; give one {role} for each game"
+        )
     theta = np.zeros((games, size))
     in_archive = planner is get_planner(archive.planner)
     for i, driver in enumerate(given):
         if driver is None and not in_archive:
             raise InputError(
-                f"game {i}: car {car} is driven by planner {planner.name!r}, which the archive holds no policy of; "
-                f"give {role}s"
+                f"game {i}: car {car} is driven by planner {planner.name!r}, which the archive"
+                f" holds no policy of; give {role}s"
             )
         if driver is not None and (not isinstance(driver, Policy) or driver.planner is not planner):
-            found = f"planner {driver.planner.name!r}" if isinstance(driver, Policy) else repr(driver)
+            found = (
+                f"planner {driver.planner.name!r}" if isinstance(driver, Policy) else repr(driver)
+            )
             raise InputError(
-                f"game {i}: the {role} is of {found}; this game's car {car} takes policies of planner "
-                f"{planner.name!r} (make the game with {role}_planner=...)"
+                f"game {i}: the {role} is of {found}; this game's car {car} takes policies of"
+                f" planner {planner.name!r} (make the game with {role}_planner=...)"
             )
         if driver is not None:
             theta[i, : len(driver.parameters)] = driver.parameters

@@ -43,7 +43,10 @@ class GameState(NamedTuple):
 def take_games(state: GameState, indices: ArrayLike) -> GameState:
     """Return copies of some games, in the given order (a game may be taken more than once)."""
     chosen = np.asarray(indices)
-    return GameState(take_races(state.race, chosen), *(np.ascontiguousarray(array[chosen]) for array in state[1:]))
+    return GameState(
+        take_races(state.race, chosen),
+        *(np.ascontiguousarray(array[chosen]) for array in state[1:]),
+    )
 
 
 def put_games(state: GameState, indices: ArrayLike, values: GameState) -> None:

@@ -82,12 +82,14 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
             dispatcher.compile(arguments)
         except NumbaError as error:
             said = " ".join(str(error).split())
-            raise InputError(f"a planner's {python.__name__!r} can't be compiled: {said}") from error
+            raise InputError(
+                f"a planner's {python.__name__!r} can't be compiled: {said}"
+            ) from error
     code = dispatcher.overloads[arguments]
     if code.signature.return_type != types.none:
         raise InputError(
-            f"a planner's {python.__name__!r} returns {code.signature.return_type}; it must write its results into its "
-            "arguments and return nothing"
+            f"a planner's {python.__name__!r} returns {code.signature.return_type}; it must write"
+            " its results into its arguments and return nothing"
         )
     _kept.append(code)
     return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
@@ -108,7 +110,13 @@ def _renamed(python: Any, what: str) -> FunctionType:
 
     Under a shared name, numba would take code with other options from its cache.
     """
-    own = FunctionType(python.__code__, python.__globals__, python.__name__, python.__defaults__, python.__closure__)
+    own = FunctionType(
+        python.__code__,
+        python.__globals__,
+        python.__name__,
+        python.__defaults__,
+        python.__closure__,
+    )
     own.__module__, own.__qualname__ = python.__module__, f"{python.__qualname__}.{what}"
     return own
 
@@ -117,7 +125,9 @@ _kept: list[Any] = []
 """Machine code with addresses in use."""
 
 
-def _call(wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]) -> tuple[Any, Callable[..., Any]]:
+def _call(
+    wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]
+) -> tuple[Any, Callable[..., Any]]:
     """Return the signature and the code generator of a call.
 
     The call is numba's own, with the address of a function compiled by numba.

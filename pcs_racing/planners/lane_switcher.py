@@ -39,21 +39,53 @@ from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import project, to_cartesian
 
 PARAMETERS = (
-    Parameter("speed", 0.65, 0.86, 0.82, "share of the profile's speed at the race's fastest scale"),
+    Parameter(
+        "speed", 0.65, 0.86, 0.82, "share of the profile's speed at the race's fastest scale"
+    ),
     Parameter("lookahead_slow", 0.3, 1.0, 0.5, "look-ahead distance at standstill, m"),
     Parameter("lookahead_fast", 1.0, 1.7, 1.3, "look-ahead distance at 7 m/s, m"),
     Parameter("gain_slow", 0.4, 1.0, 0.7, "steering per pursuit error at standstill, rad m"),
     Parameter("gain_fast", 0.3, 0.6, 0.4, "steering per pursuit error at 7 m/s, rad m"),
     Parameter("gain_corner", 0.2, 0.6, 0.3, "steering per pursuit error in corners, rad m"),
-    Parameter("derivative", 1.0, 4.0, 2.0, "steering per change of the error within 0.02 s, rad m; outside corners"),
-    Parameter("blocking_distance", 0.2, 0.6, 0.3, "distance of the opponent's box from a lane that blocks it, m"),
-    Parameter("notice_time", 0.5, 2.0, 1.0, "time within which the opponent could be reached, at 3 m/s or more, s"),
-    Parameter("return_count", 1.0, 20.0, 7.0, "decisions that the race line must be free before returning to it"),
-    Parameter("follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed at which it is followed"),
-    Parameter("other_lane_factor", 0.5, 1.0, 0.6, "share of the race line's speed on the overtaking lane"),
+    Parameter(
+        "derivative",
+        1.0,
+        4.0,
+        2.0,
+        "steering per change of the error within 0.02 s, rad m; outside corners",
+    ),
+    Parameter(
+        "blocking_distance",
+        0.2,
+        0.6,
+        0.3,
+        "distance of the opponent's box from a lane that blocks it, m",
+    ),
+    Parameter(
+        "notice_time",
+        0.5,
+        2.0,
+        1.0,
+        "time within which the opponent could be reached, at 3 m/s or more, s",
+    ),
+    Parameter(
+        "return_count",
+        1.0,
+        20.0,
+        7.0,
+        "decisions that the race line must be free before returning to it",
+    ),
+    Parameter(
+        "follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed at which it is followed"
+    ),
+    Parameter(
+        "other_lane_factor", 0.5, 1.0, 0.6, "share of the race line's speed on the overtaking lane"
+    ),
 )
 SPEED_SHARE, LOOKAHEAD_SLOW, LOOKAHEAD_FAST, GAIN_SLOW, GAIN_FAST, GAIN_CORNER = range(6)
-DERIVATIVE, BLOCKING_DISTANCE, NOTICE_TIME, RETURN_COUNT, FOLLOW_FACTOR, OTHER_LANE_FACTOR = range(6, len(PARAMETERS))
+DERIVATIVE, BLOCKING_DISTANCE, NOTICE_TIME, RETURN_COUNT, FOLLOW_FACTOR, OTHER_LANE_FACTOR = range(
+    6, len(PARAMETERS)
+)
 
 VARIANTS = 20
 VARIATION = 0.5  # share of the range from the default to the bounds, filled by the variants
@@ -142,7 +174,9 @@ def _blocked(track, theta, view, memory, lane):
 
 @compiled
 def _choose_lane(track, theta, view, memory):
-    """Return the lane to drive on, and update the count, the side and the speed limit in the memory."""
+    """Return the lane to drive on, and update the count, the side and the speed limit in the
+    memory.
+    """
     s = view[_view.OWN_S]
     gap = gap_ahead(track, view)
     ahead = 0.0 < gap < theta[NOTICE_TIME] * max(view[_view.OWN_V], NOTICE_SPEED)
@@ -157,7 +191,9 @@ def _choose_lane(track, theta, view, memory):
             memory[_MOST_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
         elif ahead and side_air(view) < IN_THE_WAY:
             # Still crossing: a speed that leaves the time for it.
-            memory[_MOST_SPEED] = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_DISTANCE), 0.0)
+            memory[_MOST_SPEED] = max(
+                view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_DISTANCE), 0.0
+            )
         if beside and line_blocked:
             return OVERTAKING
         free = memory[_FREE_COUNT] >= theta[RETURN_COUNT]
@@ -185,7 +221,12 @@ def _lookahead(theta, v):
 @compiled(forceinline=True)
 def _speed(track, theta, view, memory, s):
     factor = theta[OTHER_LANE_FACTOR] if memory[_LANE] == OVERTAKING else 1.0
-    speed = factor * theta[SPEED_SHARE] * view[_view.SPEED_HIGH] * track.line[line_index(track, s), _frenet.SPEED]
+    speed = (
+        factor
+        * theta[SPEED_SHARE]
+        * view[_view.SPEED_HIGH]
+        * track.line[line_index(track, s), _frenet.SPEED]
+    )
     return min(speed, memory[_MOST_SPEED]) if memory[_MOST_SPEED] >= 0.0 else speed
 
 
@@ -214,7 +255,9 @@ def control(track, theta, view, memory, scratch, path, command):
     s0 = view[_view.OWN_S]
     s = s0 + _lookahead(theta, v)
     crossed = 0.02 * CROSSING_SPEED
-    memory[_PLACE] += min(max(_lane_d(track, memory, memory[_LANE], s) - memory[_PLACE], -crossed), crossed)
+    memory[_PLACE] += min(
+        max(_lane_d(track, memory, memory[_LANE], s) - memory[_PLACE], -crossed), crossed
+    )
     x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN))
     ahead = track.line[line_index(track, s), _frenet.KAPPA]
     error = pursuit_arc(view, x, y, ahead)
@@ -227,7 +270,9 @@ def control(track, theta, view, memory, scratch, path, command):
         if view[_view.TIME] > 0.0:
             steer += theta[DERIVATIVE] * (error - memory[_ERROR])
     memory[_ERROR] = error
-    command[1], acceleration = calm_speed(v, _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v))
+    command[1], acceleration = calm_speed(
+        v, _speed(track, theta, view, memory, s0 + SPEED_PREVIEW * v)
+    )
     steer += (view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration) * v * v * kappa
     command[0] = min(max(steer, -STEER_LIMIT), STEER_LIMIT)
 
@@ -248,13 +293,20 @@ def _variants() -> dict[str, tuple[float, ...]]:
         for j, parameter in enumerate(PARAMETERS):
             place = 2.0 * ((0.5 + (i + 1) * ratio ** -(j + 1.0)) % 1.0) - 1.0
             bound = parameter.high if place > 0.0 else parameter.low
-            values.append(round(parameter.default + VARIATION * abs(place) * (bound - parameter.default), 3))
+            values.append(
+                round(parameter.default + VARIATION * abs(place) * (bound - parameter.default), 3)
+            )
         values[RETURN_COUNT] = round(values[RETURN_COUNT])
         variants[str(i)] = tuple(values)
     return variants
 
 
 LANE_SWITCHER = Planner(
-    name="lane-switcher", parameters=PARAMETERS, plan=plan, control=control, memory_size=MEMORY, variants=_variants()
+    name="lane-switcher",
+    parameters=PARAMETERS,
+    plan=plan,
+    control=control,
+    memory_size=MEMORY,
+    variants=_variants(),
 )
 """Planner with two lanes, after the winner of ICRA 2022."""

@@ -113,20 +113,51 @@ _WEIGHTS = (
         -0.5,
         "nearness to the predicted opponent: discounted mean of 0.3 / (distance^2 + 0.3 m^2)",
     ),
-    ("overtaking", -1.0, 2.0, 1.0, "how far behind the predicted opponent the candidate ends, in 5 m"),
-    ("blocking", -2.0, 1.0, -0.5, "distance from the line of an opponent that closes from behind, m"),
+    (
+        "overtaking",
+        -1.0,
+        2.0,
+        1.0,
+        "how far behind the predicted opponent the candidate ends, in 5 m",
+    ),
+    (
+        "blocking",
+        -2.0,
+        1.0,
+        -0.5,
+        "distance from the line of an opponent that closes from behind, m",
+    ),
 )
 LENGTH, MAX_CURVATURE, MEAN_CURVATURE, CURVATURE_RATE, LATERAL, BRAKE, SIMILARITY = range(7)
 PROGRESS, DEVIATION, WALLS, PROXIMITY, OVERTAKING, BLOCKING = range(7, len(_WEIGHTS))
 PACE, ATTACK, SIDE_MARGIN, PACE_BEHIND = range(len(_WEIGHTS), len(_WEIGHTS) + 4)
 
 PARAMETERS = (
-    *(Parameter(name, low, high, default, f"log10 weight of {what}") for name, low, high, default, what in _WEIGHTS),
-    Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("attack", 0.0, 0.3, 0.2, "share by which a car that wants to pass tops the profile on straights"),
+    *(
+        Parameter(name, low, high, default, f"log10 weight of {what}")
+        for name, low, high, default, what in _WEIGHTS
+    ),
+    Parameter(
+        "pace",
+        0.0,
+        1.0,
+        0.5,
+        "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+    ),
+    Parameter(
+        "attack",
+        0.0,
+        0.3,
+        0.2,
+        "share by which a car that wants to pass tops the profile on straights",
+    ),
     Parameter("side_margin", 0.2, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
-        "pace_behind", -0.5, 0.5, 0.15, "what is added to the pace while the opponent leads; the sum stays in [0, 1]"
+        "pace_behind",
+        -0.5,
+        0.5,
+        0.15,
+        "what is added to the pace while the opponent leads; the sum stays in [0, 1]",
     ),
 )
 
@@ -141,8 +172,12 @@ MEMORY = 7
 # length relative to the line, and the slow-down by its bends; air along the race line and along the
 # move, nearness to walls, min air to a wall, cost independent of the speed. Then, for all
 # candidates, costs without the opponent and costs; then points and air at the ends of all segments.
-_GOAL_D, _LENGTH, _A, _B, _KAPPA, _MAX_KAPPA, _MEAN_KAPPA, _KAPPA_RATE, _SIDEWAYS = (GOALS * k for k in range(9))
-_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _LEAST = (GOALS * k for k in range(9, 17))
+_GOAL_D, _LENGTH, _A, _B, _KAPPA, _MAX_KAPPA, _MEAN_KAPPA, _KAPPA_RATE, _SIDEWAYS = (
+    GOALS * k for k in range(9)
+)
+_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _LEAST = (
+    GOALS * k for k in range(9, 17)
+)
 _COSTS = _LEAST + CANDIDATES
 _POINT_X = _COSTS + CANDIDATES
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
@@ -214,7 +249,9 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):
         fast = min(top * top * square, lateral / max(abs(line[i, _frenet.KAPPA]), 1e-6))
         # Bends between these metres count by the profile, which never exceeds an attack.
         scratch[row] = (
-            max(min(fast, scratch[beyond] + 2.0 * BRAKING), scratch[row + 1]) if attack > 0.0 else scratch[row + 1]
+            max(min(fast, scratch[beyond] + 2.0 * BRAKING), scratch[row + 1])
+            if attack > 0.0
+            else scratch[row + 1]
         )
         scratch[_RIGHT + k] = line[i, _frenet.RIGHT]
         scratch[_LEFT + k] = line[i, _frenet.LEFT]
@@ -239,7 +276,9 @@ def _speed_ahead(scratch, f, k, share):
 def _power_of_ten(x):
     """Return 10**x for x in [-2, 2] to a relative 1e-7, cheaper than the library's power."""
     t = x * (2.302585092994046 / 16.0)
-    t = 1.0 + t * (1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040))))))
+    t = 1.0 + t * (
+        1.0 + t * (1 / 2 + t * (1 / 6 + t * (1 / 24 + t * (1 / 120 + t * (1 / 720 + t / 5040)))))
+    )
     t *= t
     t *= t
     t *= t
@@ -387,9 +426,13 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 stretch = max(1.0 - kappa * at_d, 0.25)
                 bent = kappa / stretch + _lateral_bend(u, a, b) * per_length * per_length
                 scratch[_STRETCH + g] += stretch * (1.0 / SEGMENTS)
-                scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (1.0 / SEGMENTS)
+                scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (
+                    1.0 / SEGMENTS
+                )
                 scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], right, left)
-                scratch[_MOVE_AIR + g] = min(scratch[_MOVE_AIR + g], right + at_d + back, left - at_d - back)
+                scratch[_MOVE_AIR + g] = min(
+                    scratch[_MOVE_AIR + g], right + at_d + back, left - at_d - back
+                )
                 least = min(least_right + at_d + back, least_left - at_d - back)
                 scratch[_MIN_AIR + g] = min(scratch[_MIN_AIR + g], least)
                 scratch[_POINT_X + j * GOALS + g] = x - (at_d + back) * sine
@@ -460,7 +503,9 @@ def _predict(s, v, follows, keep, steps, scratch):
             target = _speed_ahead(scratch, f, row, share)
             if f == FOLLOWS and follows:
                 target = min(target, _following_speed(scratch, own_s, k))
-            own_v += min(max(target - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
+            own_v += min(
+                max(target - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP
+            )
             own_s += own_v * HORIZON_STEP
             row, share = _metre_at(own_s - s)
             scratch[_NOW_S + f] = own_s
@@ -497,7 +542,23 @@ def _predict_opponent(view, s, gap, gives_way, beside, scratch):
 
 
 @inner_kernel
-def _meet_opponent(scratch, f, g, s0, gap, side, reach, unsure, side_reach, body, rejects, wrong, later, w_near, most):
+def _meet_opponent(
+    scratch,
+    f,
+    g,
+    s0,
+    gap,
+    side,
+    reach,
+    unsure,
+    side_reach,
+    body,
+    rejects,
+    wrong,
+    later,
+    w_near,
+    most,
+):
     """Return the cost of the predicted opponent for the move ``g`` at the speed ``f``.
 
     Overlaps cost, and nearness costs. ``gap`` and ``side`` are the present distances along and
@@ -587,7 +648,9 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
 
 
 @inner_kernel
-def _write_path(line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path):
+def _write_path(
+    line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path
+):
     """Write the beginning of the move ``g`` and the way back onto it, at the speed ``f``.
 
     Bends limit the speed.
@@ -660,7 +723,21 @@ def _search(track, theta, view, memory, scratch, path, slack):
     d, slope, bend, since, remembered = _plan_by_now(memory, s0, track.length, d0, slope0)
     aside = LED_BACK * (d0 - d)
     aside_slope = LED_BACK * (slope0 - slope) * _return_length(v)
-    _lay_moves(line, track.ds, s0, v, scale, grip, view[_view.OWN_WIDTH], d, slope, bend, aside, aside_slope, scratch)
+    _lay_moves(
+        line,
+        track.ds,
+        s0,
+        v,
+        scale,
+        grip,
+        view[_view.OWN_WIDTH],
+        d,
+        slope,
+        bend,
+        aside,
+        aside_slope,
+        scratch,
+    )
     _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
 
     gap = view[_view.GAP]
@@ -686,7 +763,9 @@ def _search(track, theta, view, memory, scratch, path, slack):
     attack = theta[ATTACK] if attacks else 0.0
     # Side by side, each car keeps its lane.
     beside = abs(gap) < long_reach and abs(d0 - view[_view.OPP_D]) > 0.8 * body
-    carried = view[_view.OPP_V] / max(line[_sample_at(line, per_ds, view[_view.OPP_S]), _frenet.SPEED], 0.5)
+    carried = view[_view.OPP_V] / max(
+        line[_sample_at(line, per_ds, view[_view.OPP_S]), _frenet.SPEED], 0.5
+    )
     if beside:
         # The opponent speeds up as the own car will.
         carried = max(carried, scale * min(view[_view.OPP_V] / max(view[_view.OWN_V], 0.5), 1.0))
@@ -694,7 +773,13 @@ def _search(track, theta, view, memory, scratch, path, slack):
     steps = HORIZON_STEPS if meets else ALONE_STEPS
     far = steps * HORIZON_STEP * (v + 0.5 * steps * HORIZON_STEP * ACCELERATION)
     if meets:
-        far = max(far, gap + steps * HORIZON_STEP * (view[_view.OPP_V] + 0.5 * steps * HORIZON_STEP * ACCELERATION))
+        far = max(
+            far,
+            gap
+            + steps
+            * HORIZON_STEP
+            * (view[_view.OPP_V] + 0.5 * steps * HORIZON_STEP * ACCELERATION),
+        )
     metres = int(min(far + BRAKES_EARLIER, METRES - 1.0)) + 1
     _lay_profiles(line, per_ds, s0, metres, attack, scratch)
     cap = np.inf
@@ -732,7 +817,9 @@ def _search(track, theta, view, memory, scratch, path, slack):
         share *= share
         for g in range(GOALS):
             sideways = share * scratch[_SIDEWAYS + g]
-            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(driven, scratch[_LENGTH + g])
+            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(
+                driven, scratch[_LENGTH + g]
+            )
             behind = ahead - driven - gained
             scratch[_LEAST + f * GOALS + g] = (
                 speed_cost
@@ -759,9 +846,22 @@ def _search(track, theta, view, memory, scratch, path, slack):
             wrong = WRONG_WAY if gives_way != falls_back else 1.0  # one falls back, one goes on
             later_on = 0.0 if falls_back else later
             cost += _meet_opponent(
-                scratch, c // GOALS, c % GOALS, s0, gap, d - view[_view.OPP_D], long_reach, unsure, body + margin, body,
-                reject_steps, wrong, later_on, w_proximity, best + slack - cost,
-            )  # fmt: skip
+                scratch,
+                c // GOALS,
+                c % GOALS,
+                s0,
+                gap,
+                d - view[_view.OPP_D],
+                long_reach,
+                unsure,
+                body + margin,
+                body,
+                reject_steps,
+                wrong,
+                later_on,
+                w_proximity,
+                best + slack - cost,
+            )
         scratch[_COSTS + c] = cost
         if cost < best:
             best = cost
@@ -774,7 +874,19 @@ def _search(track, theta, view, memory, scratch, path, slack):
     memory[_M_A] = scratch[_A + best_goal]
     memory[_M_B] = scratch[_B + best_goal]
     _write_path(
-        line, track.ds, track.length, view, scratch, best_goal, best_speed, cap, grip, attacks, aside, aside_slope, path
+        line,
+        track.ds,
+        track.length,
+        view,
+        scratch,
+        best_goal,
+        best_speed,
+        cap,
+        grip,
+        attacks,
+        aside,
+        aside_slope,
+        path,
     )
 
 
@@ -791,7 +903,10 @@ def _weigh_all(track, theta, view, memory, scratch, path):
 
 
 def candidates(
-    track: _frenet.TrackArrays, theta: NDArray[np.float64], view: NDArray[np.float64], memory: NDArray[np.float64]
+    track: _frenet.TrackArrays,
+    theta: NDArray[np.float64],
+    view: NDArray[np.float64],
+    memory: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return all candidates of ``plan``, for pictures.
 

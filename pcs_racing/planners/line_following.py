@@ -11,19 +11,43 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import IN_THE_WAY, WALL_MARGIN, line_index, side_air, within_walls
+from pcs_racing.planners.field.pure_pursuit import (
+    IN_THE_WAY,
+    WALL_MARGIN,
+    line_index,
+    side_air,
+    within_walls,
+)
 from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.pursuit import BRAKING, steady_course
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
 
-PACE = Parameter("pace", 0.0, 1.0, 0.5, "speed scale between the slowest (0) and fastest (1) of the race's speed range")
+PACE = Parameter(
+    "pace",
+    0.0,
+    1.0,
+    0.5,
+    "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+)
 TRAILING = (
     PACE,
-    Parameter("trailing_gap", 0.8, 4.0, 1.5, "distance between the cars' middles to keep while trailing, m"),
+    Parameter(
+        "trailing_gap",
+        0.8,
+        4.0,
+        1.5,
+        "distance between the cars' middles to keep while trailing, m",
+    ),
     Parameter("trailing_p", 0.1, 3.0, 0.5, "closing speed per metre beyond that distance, 1/s"),
-    Parameter("trailing_d", 0.0, 1.0, 0.2, "how much of the difference of speeds is taken off while trailing"),
+    Parameter(
+        "trailing_d",
+        0.0,
+        1.0,
+        0.2,
+        "how much of the difference of speeds is taken off while trailing",
+    ),
 )
 """First parameters of planners that use `trailing_speed`; the values are from [1]_.
 
@@ -97,7 +121,10 @@ def follow_line(track, theta, view, gap, sight, lane):
     d = within_walls(track, view[_view.OWN_S], view[_view.OWN_D], WALL_MARGIN) if waits else 0.0
     lane[:LANE_POINTS] = d
     # Air at the car's position, and on the race line.
-    air = min(side_air(view), abs(view[_view.OPP_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]))
+    air = min(
+        side_air(view),
+        abs(view[_view.OPP_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]),
+    )
     ahead = 0.0 < gap < sight and air < IN_THE_WAY
     return trailing_speed(theta, view, gap) if waits or ahead else np.inf
 
@@ -158,7 +185,9 @@ def lay_lane(view, d, along, across, lane):
         u = min((x - before_s) / width, 1.0)
         rise = across[k] - before_d
         lane[j] = (
-            before_d + u * rise + u * (1.0 - u) * ((slope * width - rise) * (1.0 - u) + (rise - next_slope * width) * u)
+            before_d
+            + u * rise
+            + u * (1.0 - u) * ((slope * width - rise) * (1.0 - u) + (rise - next_slope * width) * u)
         )
 
 
@@ -224,8 +253,14 @@ def _keep_off_walls(track, s0, step, lane):
         u = (s0 + j * step) / ANCHOR_STEP - first
         k = min(max(int(u), 1), ANCHORS - 2)
         u -= k
-        before, here, after = lane[LANE_POINTS + k - 1], lane[LANE_POINTS + k], lane[LANE_POINTS + k + 1]
-        push = 0.5 * ((1.0 - u) * (1.0 - u) * before + (1.0 + 2.0 * u * (1.0 - u)) * here + u * u * after)
+        before, here, after = (
+            lane[LANE_POINTS + k - 1],
+            lane[LANE_POINTS + k],
+            lane[LANE_POINTS + k + 1],
+        )
+        push = 0.5 * (
+            (1.0 - u) * (1.0 - u) * before + (1.0 + 2.0 * u * (1.0 - u)) * here + u * u * after
+        )
         lane[j] += push * max(1.0 - abs(lane[j]) / OFF_LINE, 0.0)
 
 
@@ -256,7 +291,9 @@ def ease_onto(track, view, scale, cap, lane, path):
         j = LANE_POINTS - 1 - i
         sample = line[line_index(track, s0 + j * step)]
         inner = min(max(j, BEND), LANE_POINTS - 1 - BEND)
-        d_bend = (lane[inner + BEND] - 2.0 * lane[inner] + lane[inner - BEND]) / (BEND * BEND * step * step)
+        d_bend = (lane[inner + BEND] - 2.0 * lane[inner] + lane[inner - BEND]) / (
+            BEND * BEND * step * step
+        )
         kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane[j], 0.25) + d_bend
         square = min(square + braking, grip / max(abs(kappa), 1e-6))
         if j < PATH_POINTS:

@@ -120,7 +120,11 @@ def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
 
 
 def make_network_planner(
-    name: str, hidden: tuple[int, ...], hold: int, parameters: tuple[Parameter, ...], frozen: bytes | None = None
+    name: str,
+    hidden: tuple[int, ...],
+    hold: int,
+    parameters: tuple[Parameter, ...],
+    frozen: bytes | None = None,
 ) -> Planner:
     """Return a planner with weights as parameters, or with frozen weights (float64, as bytes)."""
     return Planner(
@@ -139,7 +143,10 @@ def driver_weight_count(hidden: Sequence[int]) -> int:
 
 
 def network_planner(
-    name: str, hidden: Sequence[int] = (16,), weights: ArrayLike | None = None, hold: int = CALL_STEPS
+    name: str,
+    hidden: Sequence[int] = (16,),
+    weights: ArrayLike | None = None,
+    hold: int = CALL_STEPS,
 ) -> Planner:
     """Make a planner whose parameters are the weights of a network.
 
@@ -168,7 +175,8 @@ def network_planner(
     for width in hidden:
         if not is_whole(width) or width < 1:
             raise InputError(
-                f"network {name!r} has a hidden layer of width {width!r}; it must be a whole number from 1 on"
+                f"network {name!r} has a hidden layer of width {width!r}; it must be a whole number"
+                " from 1 on"
             )
     widths = tuple(int(width) for width in hidden)
     count = driver_weight_count(widths)
@@ -190,23 +198,29 @@ def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hol
     """
     if (sizes[0], sizes[-1]) != (len(INPUTS), OUTPUTS):
         raise InputError(
-            f"network {name!r} has {sizes[0]} inputs and {sizes[-1]} outputs; a driver has {len(INPUTS)} and "
-            f"{OUTPUTS}, steering and speed"
+            f"network {name!r} has {sizes[0]} inputs and {sizes[-1]} outputs; a driver has"
+            f" {len(INPUTS)} and {OUTPUTS}, steering and speed"
         )
     count = weight_count(sizes)
     if count > MOST_WEIGHTS:
-        raise InputError(f"network {name!r} would have {count} weights; {MOST_WEIGHTS} is the limit")
+        raise InputError(
+            f"network {name!r} would have {count} weights; {MOST_WEIGHTS} is the limit"
+        )
     values = np.asarray(weights, np.float64)
     if values.shape != (count,):
-        raise InputError(f"network {name!r} has weights of shape {values.shape}; its layers take ({count},)")
+        raise InputError(
+            f"network {name!r} has weights of shape {values.shape}; its layers take ({count},)"
+        )
     wrong = values[~(np.abs(values) <= WEIGHT_LIMIT)]  # NaN, too
     if len(wrong):
         raise InputError(
-            f"network {name!r} has a weight of {wrong[0]:g}; it must lie in [{-WEIGHT_LIMIT:g}, {WEIGHT_LIMIT:g}]"
+            f"network {name!r} has a weight of {wrong[0]:g}; it must lie in [{-WEIGHT_LIMIT:g},"
+            f" {WEIGHT_LIMIT:g}]"
         )
     if not is_whole(hold) or not 2 <= hold <= 100 or hold % 2:
         raise InputError(
-            f"network {name!r} holds its decisions for {hold!r} steps; it must be an even number, 2 to 100"
+            f"network {name!r} holds its decisions for {hold!r} steps; it must be an even number, 2"
+            " to 100"
         )
 
 
@@ -214,6 +228,8 @@ def _weight_names(hidden: tuple[int, ...]) -> list[str]:
     below = list(INPUTS)
     names = []
     for layer, width in enumerate((*hidden, OUTPUTS)):
-        names += [f"layer{layer}_{source}_neuron{i}" for source in ("bias", *below) for i in range(width)]
+        names += [
+            f"layer{layer}_{source}_neuron{i}" for source in ("bias", *below) for i in range(width)
+        ]
         below = [f"neuron{i}" for i in range(width)]
     return names

@@ -60,12 +60,24 @@ class Run:
         self._folders, self._known_path = [str(path.resolve().parent)], list[str]()
         self._owned: dict[str, bool] = {}
         self._draws = self._active = False
-        self._seed, torch = int(np.random.SeedSequence(seed).generate_state(1)[0]), sys.modules.get("torch")
-        states = random.Random(self._seed).getstate(), np.random.MT19937(self._seed), {"has_gauss": 0}
-        tensor = torch.Generator().manual_seed(self._seed).get_state() if torch is not None else None
+        self._seed, torch = (
+            int(np.random.SeedSequence(seed).generate_state(1)[0]),
+            sys.modules.get("torch"),
+        )
+        states = (
+            random.Random(self._seed).getstate(),
+            np.random.MT19937(self._seed),
+            {"has_gauss": 0},
+        )
+        tensor = (
+            torch.Generator().manual_seed(self._seed).get_state() if torch is not None else None
+        )
         self._generators: Any = *states, tensor, lambda size: random.getrandbits(size)
         self._outside: Any = None  # the generators of this process while the file's code runs
-        self._stand_ins = {"argparse": _over(argparse, ArgumentParser=_Parser), **ros_nodes.modules()}
+        self._stand_ins = {
+            "argparse": _over(argparse, ArgumentParser=_Parser),
+            **ros_nodes.modules(),
+        }
         self._stand_ins["importlib"] = _over(importlib, import_module=self._import_module)
         if number:
             self._stand_ins["time"] = self._time()
@@ -73,7 +85,9 @@ class Run:
         self.module = self._load()
 
     def _load(self) -> ModuleType:
-        spec = spec_from_file_location(self.name, self.path, submodule_search_locations=self._folders)
+        spec = spec_from_file_location(
+            self.name, self.path, submodule_search_locations=self._folders
+        )
         if not self.path.is_file() or spec is None or not isinstance(spec.loader, SourceFileLoader):
             raise InputError(f"there is no Python file {self.path}")
         loader = spec.loader = _Loader(self.name, self.file)
@@ -120,7 +134,9 @@ class Run:
     def _note_folders(self) -> None:
         """Add the folders that the file's code added to ``sys.path`` to the run's folders."""
         if sys.path != self._known_path:
-            added = [one for one in sys.path if one not in self._known_path and one not in self._folders]
+            added = [
+                one for one in sys.path if one not in self._known_path and one not in self._folders
+            ]
             self._folders += added
             self._owned.clear()
 
@@ -133,15 +149,25 @@ class Run:
         if self._active:
             self._note_folders()
         if head not in self._owned:
-            spec = None if head in _SHARED else PathFinder.find_spec(f"{self.name}.{head}", self._folders)
-            if spec is not None and spec.origin is None:  # a folder without __init__.py gives way to a package
+            spec = (
+                None
+                if head in _SHARED
+                else PathFinder.find_spec(f"{self.name}.{head}", self._folders)
+            )
+            # a folder without __init__.py gives way to a package
+            if spec is not None and spec.origin is None:
                 other = PathFinder.find_spec(head)
                 spec = None if other is not None and other.origin is not None else spec
             self._owned[head] = spec is not None
         return self._owned[head]
 
     def import_own(
-        self, name: str, names: Any = None, local: Any = None, fromlist: Sequence[str] | None = (), level: int = 0
+        self,
+        name: str,
+        names: Any = None,
+        local: Any = None,
+        fromlist: Sequence[str] | None = (),
+        level: int = 0,
     ) -> Any:
         """Import as ``__import__`` does, with the run's own modules under the run's name.
 
@@ -164,11 +190,19 @@ class Run:
         if self.name != self.template and head.startswith("pcs_racing"):
             offered: Any = fromlist or getattr(module, "__all__", ())
             shown = [one for one in offered if one.startswith("register_")]
-            return _over(module, **dict.fromkeys(shown, lambda *given, **named: None)) if shown else module
+            return (
+                _over(module, **dict.fromkeys(shown, lambda *given, **named: None))
+                if shown
+                else module
+            )
         return module
 
     def _import_module(self, name: str, package: str | None = None) -> Any:
-        return importlib.import_module(name, package) if name[0] == "." else self.import_own(name, fromlist=("x",))
+        return (
+            importlib.import_module(name, package)
+            if name[0] == "."
+            else self.import_own(name, fromlist=("x",))
+        )
 
     def draw(self) -> None:
         """Give the file's code its own generators from now on: it may draw random numbers."""
@@ -190,14 +224,18 @@ class Run:
 
         seconds = ["time", "monotonic", "perf_counter", "process_time", "thread_time"]
         own: dict[str, Any] = dict.fromkeys(seconds, self.read_clock)
-        return _over(time, sleep=sleep, **own, **dict.fromkeys([f"{name}_ns" for name in seconds], in_ns))
+        return _over(
+            time, sleep=sleep, **own, **dict.fromkeys([f"{name}_ns" for name in seconds], in_ns)
+        )
 
 
 class _Parser(argparse.ArgumentParser):
     """Parser in a file without arguments; a missing argument is an error of the file."""
 
     def error(self, message: str) -> NoReturn:
-        raise SystemExit(f"it reads arguments of a command line, and there are none for it: {message}")
+        raise SystemExit(
+            f"it reads arguments of a command line, and there are none for it: {message}"
+        )
 
 
 def _over(real: ModuleType, **own: Any) -> ModuleType:
@@ -212,7 +250,13 @@ def _swap(given: Any) -> Any:
     torch, (state, bits, gauss, torch_state, randbits) = sys.modules.get("torch"), given
     tensor = torch.get_rng_state() if torch is not None else None
     theirs: Any = np.random  # numpy's global generator has no type
-    was = random.getstate(), theirs.get_bit_generator(), theirs.get_state(legacy=False), tensor, _entropy.randbits
+    was = (
+        random.getstate(),
+        theirs.get_bit_generator(),
+        theirs.get_state(legacy=False),
+        tensor,
+        _entropy.randbits,
+    )
     random.setstate(state)
     theirs.set_bit_generator(bits)
     if gauss["has_gauss"]:
@@ -274,7 +318,9 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        spec = PathFinder.find_spec(fullname, path, target) if fullname.startswith(_PREFIX) else None
+        spec = (
+            PathFinder.find_spec(fullname, path, target) if fullname.startswith(_PREFIX) else None
+        )
         if spec is not None and isinstance(spec.loader, SourceFileLoader):
             spec.loader = _Loader(fullname, spec.loader.path)
         return spec

@@ -33,9 +33,15 @@ class Parameter:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.low) and np.isfinite(self.high) and self.low < self.high):
-            raise InputError(f"parameter {self.name!r} has bounds [{self.low}, {self.high}]; low must be below high")
+            raise InputError(
+                f"parameter {self.name!r} has bounds [{self.low}, {self.high}]; low must be below"
+                " high"
+            )
         if not self.low <= self.default <= self.high:
-            raise InputError(f"parameter {self.name!r} has default {self.default}, outside [{self.low}, {self.high}]")
+            raise InputError(
+                f"parameter {self.name!r} has default {self.default}, outside [{self.low},"
+                f" {self.high}]"
+            )
 
 
 @dataclass(frozen=True)
@@ -116,7 +122,9 @@ class Planner:
 
     def pointers(self) -> tuple[Any, Any]:
         """Return the addresses of the compiled ``plan`` and ``control``, for the race kernel."""
-        plan, control = (self.plan, self.control) if self.drive is None else (leave_path, hold_command)
+        plan, control = (
+            (self.plan, self.control) if self.drive is None else (leave_path, hold_command)
+        )
         return plan_address(plan), control_address(control)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
@@ -124,7 +132,8 @@ class Planner:
         for name in names:
             if name not in self.parameter_names:
                 raise UnknownNameError(
-                    f"planner {self.name!r} has no parameter {name!r}; it has {', '.join(self.parameter_names)}"
+                    f"planner {self.name!r} has no parameter {name!r}; it has"
+                    f" {', '.join(self.parameter_names)}"
                 )
         return np.array([self.parameter_names.index(name) for name in names], np.int64)
 
@@ -154,7 +163,9 @@ class Planner:
         return self.complete(names, rng.uniform(bounds[:, 0], bounds[:, 1])[None])[0]
 
     def policy(
-        self, parameters: ArrayLike | Mapping[str, float] | str | None = None, name: str | None = None
+        self,
+        parameters: ArrayLike | Mapping[str, float] | str | None = None,
+        name: str | None = None,
     ) -> "Policy":
         """Make a policy from a vector, named values over the defaults, or a variant's name."""
         if parameters is None:
@@ -164,8 +175,12 @@ class Planner:
                 return Policy(self, self.default, name or self.name)
             if parameters not in self.variants:
                 known = choices(parameters, ["default", *self.variants])
-                raise UnknownNameError(f"planner {self.name!r} has no variant {parameters!r}; {known}")
-            return Policy(self, np.array(self.variants[parameters]), name or f"{self.name}:{parameters}")
+                raise UnknownNameError(
+                    f"planner {self.name!r} has no variant {parameters!r}; {known}"
+                )
+            return Policy(
+                self, np.array(self.variants[parameters]), name or f"{self.name}:{parameters}"
+            )
         if isinstance(parameters, Mapping):
             parameters = self._vector(parameters)
         return Policy(self, np.asarray(parameters, dtype=np.float64), name or self.name)
@@ -184,17 +199,20 @@ class Policy:
         expected = len(self.planner.parameters)
         if theta.shape != (expected,):
             raise InputError(
-                f"policy {self.name!r} has parameters of shape {theta.shape}; planner {self.planner.name!r} takes "
-                f"({expected},)"
+                f"policy {self.name!r} has parameters of shape {theta.shape}; planner"
+                f" {self.planner.name!r} takes ({expected},)"
             )
         for parameter, value in zip(self.planner.parameters, theta, strict=True):
             if not np.isfinite(value):
-                raise InputError(f"policy {self.name!r}: parameter {parameter.name!r} is {value}; it must be finite")
+                raise InputError(
+                    f"policy {self.name!r}: parameter {parameter.name!r} is {value}; it must be"
+                    " finite"
+                )
             slack = 1e-9 * (parameter.high - parameter.low)
             if not parameter.low - slack <= value <= parameter.high + slack:
                 raise InputError(
-                    f"policy {self.name!r}: parameter {parameter.name!r} is {value:g}; it must lie in "
-                    f"[{parameter.low:g}, {parameter.high:g}]"
+                    f"policy {self.name!r}: parameter {parameter.name!r} is {value:g}; it must lie"
+                    f" in [{parameter.low:g}, {parameter.high:g}]"
                 )
         theta.setflags(write=False)
         object.__setattr__(self, "parameters", theta)

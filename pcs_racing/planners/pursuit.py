@@ -62,7 +62,10 @@ def pursuit_steering(view, x, y, kappa, acceleration):
     """
     arc = pursuit_arc(view, x, y, kappa)
     understeer = view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
-    steer = arctangent(view[_view.WHEELBASE] * arc) + understeer * view[_view.OWN_V] * view[_view.OWN_V] * kappa
+    steer = (
+        arctangent(view[_view.WHEELBASE] * arc)
+        + understeer * view[_view.OWN_V] * view[_view.OWN_V] * kappa
+    )
     return min(max(steer, -view[_view.STEER_MAX]), view[_view.STEER_MAX])
 
 
@@ -119,7 +122,9 @@ def follow_path(track, theta, view, memory, scratch, path, command):
         after = (path[j + 1, _view.PATH_X] - x) ** 2 + (path[j + 1, _view.PATH_Y] - y) ** 2
         if not speed_found and after >= preview * preview:
             w = _share_of_gap(before, after, preview)
-            speed = path[j, _view.PATH_SPEED] + w * (path[j + 1, _view.PATH_SPEED] - path[j, _view.PATH_SPEED])
+            speed = path[j, _view.PATH_SPEED] + w * (
+                path[j + 1, _view.PATH_SPEED] - path[j, _view.PATH_SPEED]
+            )
             speed_found = True
         if after >= reach * reach:
             w = _share_of_gap(before, after, reach)

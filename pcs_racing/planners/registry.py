@@ -32,7 +32,11 @@ def register_planner(planner: Planner | str, *, name: str | None = None) -> None
     if isinstance(planner, Planner):
         name = planner.name
     # The name of a file is its path, with any characters.
-    if not isinstance(name, str) or not name or (name[-3:] != ".py" and any(sign in name for sign in ":=, \t\n")):
+    if (
+        not isinstance(name, str)
+        or not name
+        or (name[-3:] != ".py" and any(sign in name for sign in ":=, \t\n"))
+    ):
         raise InputError(f"planner name {name!r} must be text without ':', '=', ',' and spaces")
     if isinstance(planner, Planner):
         taken = name in planner_names() and get_planner(name) is not planner
@@ -59,7 +63,10 @@ def get_planner(name: str) -> Planner:
         except Exception as error:  # any error from the import of a third-party module
             raise InputError(f"planner {name!r} can't be loaded from {place}: {error}") from error
         if not isinstance(planner, Planner):
-            raise InputError(f"planner {name!r}: {place} is of type {type(planner).__name__}; it must be a Planner")
+            raise InputError(
+                f"planner {name!r}: {place} is of type {type(planner).__name__}; it must be a"
+                " Planner"
+            )
         _planners[name] = planner
     return _planners[name]
 
@@ -86,7 +93,9 @@ def parse_policy(text: str) -> Policy:
             raise InputError(f"policy {text!r}: {setting!r} is not of the form parameter=value")
         if key not in planner.parameter_names:
             suggestion = choices(key, planner.parameter_names)
-            raise UnknownNameError(f"policy {text!r}: planner {name!r} has no parameter {key!r}; {suggestion}")
+            raise UnknownNameError(
+                f"policy {text!r}: planner {name!r} has no parameter {key!r}; {suggestion}"
+            )
         if key in values:
             raise InputError(f"policy {text!r} sets parameter {key!r} twice")
         try:

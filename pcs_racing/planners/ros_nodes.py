@@ -15,11 +15,31 @@ from types import ModuleType, SimpleNamespace
 from typing import Any
 
 _PACKAGES = (
-    "ackermann_msgs", "builtin_interfaces", "geometry_msgs", "nav_msgs", "rcl_interfaces", "sensor_msgs", "std_msgs",
+    "ackermann_msgs",
+    "builtin_interfaces",
+    "geometry_msgs",
+    "nav_msgs",
+    "rcl_interfaces",
+    "sensor_msgs",
+    "std_msgs",
     "visualization_msgs",
-)  # fmt: skip
-_RCLPY = ("clock", "callback_groups", "duration", "executors", "logging", "node", "parameter", "qos", "time")
-_VALUES = [f"{kind}{end}_value" for kind in ("bool", "integer", "double", "string", "byte") for end in ("", "_array")]
+)
+_RCLPY = (
+    "clock",
+    "callback_groups",
+    "duration",
+    "executors",
+    "logging",
+    "node",
+    "parameter",
+    "qos",
+    "time",
+)
+_VALUES = [
+    f"{kind}{end}_value"
+    for kind in ("bool", "integer", "double", "string", "byte")
+    for end in ("", "_array")
+]
 
 
 class Free:
@@ -88,15 +108,21 @@ class Node:
 
     def __init__(self, node_name: str = "node", **other: Any) -> None:
         # One attribute, with a name that a derived class will not use.
-        self._in_race = SimpleNamespace(name=node_name, now=0.0, command=(0.0, 0.0), heard=[], timers=[], parameters={})
+        self._in_race = SimpleNamespace(
+            name=node_name, now=0.0, command=(0.0, 0.0), heard=[], timers=[], parameters={}
+        )
 
     def __getattr__(self, name: str) -> Any:
         """Return an object that does nothing, in place of a node's other methods."""
-        if not name.startswith(("add_", "count_", "create_", "destroy_", "get_", "remove_", "resolve_")):
+        if not name.startswith(
+            ("add_", "count_", "create_", "destroy_", "get_", "remove_", "resolve_")
+        ):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         return Free()
 
-    def create_subscription(self, msg_type: Any, topic: str, callback: Any, *other: Any, **named: Any) -> Any:
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Any, *other: Any, **named: Any
+    ) -> Any:
         """Register a callback for the messages of a type."""
         self._in_race.heard.append((msg_type.__name__, topic, callback))
         return Free()
@@ -106,15 +132,27 @@ class Node:
 
         def publish(message: Any) -> None:
             if type(message).__name__.startswith("AckermannDrive"):
-                drive = vars(message.drive if type(message).__name__.endswith("Stamped") else message)
-                self._in_race.command = float(drive.get("steering_angle", 0.0)), float(drive.get("speed", 0.0))
+                drive = vars(
+                    message.drive if type(message).__name__.endswith("Stamped") else message
+                )
+                self._in_race.command = (
+                    float(drive.get("steering_angle", 0.0)),
+                    float(drive.get("speed", 0.0)),
+                )
 
         return SimpleNamespace(publish=publish, topic_name=topic, get_subscription_count=lambda: 1)
 
-    def create_timer(self, timer_period_sec: float, callback: Callable[[], Any], *other: Any, **named: Any) -> Any:
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], Any], *other: Any, **named: Any
+    ) -> Any:
         """Register a callback, called once per period (s)."""
-        timer = SimpleNamespace(period=max(float(timer_period_sec), 1e-3), due=None, callback=callback, on=True)
-        timer.cancel, timer.reset = partial(setattr, timer, "on", False), partial(setattr, timer, "on", True)
+        timer = SimpleNamespace(
+            period=max(float(timer_period_sec), 1e-3), due=None, callback=callback, on=True
+        )
+        timer.cancel, timer.reset = (
+            partial(setattr, timer, "on", False),
+            partial(setattr, timer, "on", True),
+        )
         self._in_race.timers.append(timer)
         return timer
 
@@ -124,7 +162,9 @@ class Node:
 
     def declare_parameters(self, namespace: str, parameters: Any, *other: Any) -> list[Any]:
         """Declare several parameters: names, or tuples that begin with name and default."""
-        return [self.declare_parameter(*([one] if isinstance(one, str) else one)) for one in parameters]
+        return [
+            self.declare_parameter(*([one] if isinstance(one, str) else one)) for one in parameters
+        ]
 
     def get_parameter(self, name: str) -> Any:
         """Return a parameter; an undeclared parameter has no value."""
@@ -144,10 +184,17 @@ class Node:
 
 
 def ask_node(
-    node: Node, now: float, ranges: Any, odometry: Mapping[str, float], opponent: Mapping[str, float]
+    node: Node,
+    now: float,
+    ranges: Any,
+    odometry: Mapping[str, float],
+    opponent: Mapping[str, float],
 ) -> tuple[float, float]:
     """Send messages to a node at a time (s), and return its last steering angle and speed."""
-    own, kinds = node._in_race, ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan")
+    own, kinds = (
+        node._in_race,
+        ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan"),
+    )
     own.now, stamp = now, _time(seconds=now).to_msg()
     for wanted in kinds:
         for kind, topic, callback in [one for one in own.heard if one[0] == wanted]:
@@ -165,8 +212,15 @@ def ask_node(
 def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> Any:
     """Return a message of the lidar, or of a pose."""
     if kind == "LaserScan":
-        beams = {"angle_min": -2.35, "angle_max": 2.35, "angle_increment": 4.7 / (len(ranges) - 1), "range_min": 0.0}
-        return Free(header=header, ranges=array("f", ranges), range_max=30.0, scan_time=0.02, **beams)
+        beams = {
+            "angle_min": -2.35,
+            "angle_max": 2.35,
+            "angle_increment": 4.7 / (len(ranges) - 1),
+            "range_min": 0.0,
+        }
+        return Free(
+            header=header, ranges=array("f", ranges), range_max=30.0, scan_time=0.02, **beams
+        )
     half = 0.5 * seen["pose_theta"]
     at = Free(x=seen["pose_x"], y=seen["pose_y"], z=0.0)
     pose = Free(position=at, orientation=Free(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)))
@@ -178,7 +232,10 @@ def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> An
 def _euler_from_quaternion(quaternion: Any, *axes: Any) -> tuple[float, float, float]:
     x, y, z, w = quaternion
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    roll, yaw = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)), 2.0 * (w * z + x * y)
+    roll, yaw = (
+        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
+        2.0 * (w * z + x * y),
+    )
     return roll, pitch, math.atan2(yaw, 1.0 - 2.0 * (y * y + z * z))
 
 
@@ -209,7 +266,9 @@ def modules() -> dict[str, ModuleType]:
     nothing = dict.fromkeys(["init", "shutdown", "spin", "spin_once", "try_shutdown"], Free())
     made = {name: _module(name) for name in _PACKAGES}
     made["rclpy"] = _module("rclpy", ok=lambda **named: False, create_node=Node, **nothing)
-    made["tf_transformations"] = _module("tf_transformations", euler_from_quaternion=_euler_from_quaternion)
+    made["tf_transformations"] = _module(
+        "tf_transformations", euler_from_quaternion=_euler_from_quaternion
+    )
     for name, module in children.items():
         parent, _, child = name.partition(".")
         setattr(made[parent], child, module)

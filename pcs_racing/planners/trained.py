@@ -41,7 +41,9 @@ def trained_planner(name: str, layers: DenseLayers, hold: int) -> Planner:
     return make_network_planner(name, layers.hidden, hold, (), flat.tobytes())
 
 
-def save_driver(folder: str | Path, layers: DenseLayers, *, name: str, hold: int, training: Mapping[str, Any]) -> Path:
+def save_driver(
+    folder: str | Path, layers: DenseLayers, *, name: str, hold: int, training: Mapping[str, Any]
+) -> Path:
     """Save a trained planner in a folder, which is created if missing.
 
     ``layers`` and ``hold`` are as for :func:`trained_planner`. ``training`` describes the training:
@@ -65,7 +67,8 @@ def read_driver(source: str | Path = NAME) -> tuple[DenseLayers, dict[str, Any]]
     fields, content = DRIVER_FORMAT.load(folder)
     if fields["inputs"] != list(INPUTS) or fields["top_speed"] != TOP_SPEED:
         raise InputError(
-            f"{folder / MANIFEST}: the driver was made for other inputs or another top speed than this release has"
+            f"{folder / MANIFEST}: the driver was made for other inputs or another top speed than"
+            " this release has"
         )
     if not isinstance(fields["name"], str) or not isinstance(fields["training"], dict):
         raise InputError(f"{folder / MANIFEST}: name must be a text and training a mapping")

@@ -37,10 +37,38 @@ VIEW: dict[str, str] = {
 
 VIEW_SIZE = len(VIEW)
 (
-    TIME, OWN_X, OWN_Y, OWN_DELTA, OWN_V, OWN_PSI, OWN_PSI_DOT, OWN_BETA, OWN_S, OWN_D, OPP_X, OPP_Y, OPP_V, OPP_PSI,
-    OPP_BETA, OPP_S, OPP_D, OPP_D_DOT, GAP, OWN_LENGTH, OWN_WIDTH, WHEELBASE, STEER_MAX, UNDERSTEER, UNDERSTEER_GAIN,
-    REAR_SLIP, REAR_AXLE, OPP_LENGTH, OPP_WIDTH, SPEED_LOW, SPEED_HIGH,
-) = range(VIEW_SIZE)  # fmt: skip
+    TIME,
+    OWN_X,
+    OWN_Y,
+    OWN_DELTA,
+    OWN_V,
+    OWN_PSI,
+    OWN_PSI_DOT,
+    OWN_BETA,
+    OWN_S,
+    OWN_D,
+    OPP_X,
+    OPP_Y,
+    OPP_V,
+    OPP_PSI,
+    OPP_BETA,
+    OPP_S,
+    OPP_D,
+    OPP_D_DOT,
+    GAP,
+    OWN_LENGTH,
+    OWN_WIDTH,
+    WHEELBASE,
+    STEER_MAX,
+    UNDERSTEER,
+    UNDERSTEER_GAIN,
+    REAR_SLIP,
+    REAR_AXLE,
+    OPP_LENGTH,
+    OPP_WIDTH,
+    SPEED_LOW,
+    SPEED_HIGH,
+) = range(VIEW_SIZE)
 
 PATH_POINTS = 12
 """Number of points of a planned path: rows of x, y (m), speed (m/s) and curvature (1/m)."""

@@ -1,7 +1,9 @@
-"""How fast a circuit may be driven, and where two cars may start on it: found by driving, once for each race preset.
+"""How fast a circuit may be driven, and where two cars may start on it: found by driving, once for
+each race preset.
 
-Shipped circuits carry their calibration. Any other circuit is calibrated when a preset asks for it; the result is kept
-in the cache folder (see `pcs_racing.track.cache`) and depends on nothing but the circuit and the preset.
+Shipped circuits carry their calibration. Any other circuit is calibrated when a preset asks for it;
+the result is kept in the cache folder (see `pcs_racing.track.cache`) and depends on nothing but the
+circuit and the preset.
 """
 
 import json
@@ -30,13 +32,15 @@ from pcs_racing.track.frenet import SPEED, X, Y
 from pcs_racing.track.track import Calibration, Track, calibration_from_values, calibration_values
 
 SCALES = tuple(np.round(np.arange(0.60, 1.801, 0.05), 2).tolist())
-FRICTION_SCALE = 1.43  # where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2
+# where the bends of the race line ask for all that the tyres' friction gives: mu g = 10.3 m/s^2
+FRICTION_SCALE = 1.43
 HAZARD_WITHOUT_NOISE, WIDTH_WITHOUT_NOISE = 0.10, 0.30
 HAZARD_WITH_NOISE, WIDTH_WITH_NOISE = 0.50, 0.40
 CRASH_AIM = 0.08  # max share of races of two cars that crash without noise ...
 ALLOWED_OF_PAIRS = 0.07  # ... and of the races that are counted, whose share errs by 0.005
 PAIR_STEP, PAIR_STEPS = 0.05, 6  # by which the speed scales fall where more do, and how often
-SPACING_STEP, SPACING_STEPS = 0.1, 4  # m; other distances across the track are tried in such steps up and down
+# m; other distances across the track are tried in such steps up and down
+SPACING_STEP, SPACING_STEPS = 0.1, 4
 NARROWEST = {"side-by-side": 0.5, "staggered": 0.0, "rolling": 0.0}  # m between the cars' centres
 SCAN_CARS, SCAN_SECONDS = 160, 40.0
 
@@ -64,17 +68,24 @@ class CalibrationReport:
             f"start places: {', '.join(counts)}; cars {self.calibration.start_spacing:g} m apart",
             "scale  own crash per 40 s",
         ]
-        lines += [f"{s:5.2f}  {h:6.1%}  {'#' * round(40 * h)}" for s, h in zip(self.scales, self.hazard, strict=True)]
+        lines += [
+            f"{s:5.2f}  {h:6.1%}  {'#' * round(40 * h)}"
+            for s, h in zip(self.scales, self.hazard, strict=True)
+        ]
         return "\n".join(lines)
 
 
 def preset_of(config: RaceConfig) -> RaceConfig:
-    """The preset whose calibration serves a configuration: the one of its name, else one that is as noisy."""
+    """The preset whose calibration serves a configuration: the one of its name, else one that is as
+    noisy.
+    """
     return PRESETS.get(config.name) or (CONTEST if config.steering_noise > 0.0 else PAPER)
 
 
 def _scan_settings(config: RaceConfig, speed_range: tuple[float, float]) -> KernelSettings:
-    """Settings under which a crash ends a race, whatever it does under the rules: crashes are what is counted."""
+    """Settings under which a crash ends a race, whatever it does under the rules: crashes are what
+    is counted.
+    """
     return kernel_settings(config, speed_range)._replace(contact=END, most_faults=0)
 
 
@@ -91,9 +102,10 @@ def hazard_scan(
 ) -> NDArray[np.float64]:
     """Probability that a car alone crashes within 40 s, at each of some ascending speed scales.
 
-    Cars with the default lattice policy start on the race line at its speed, spread evenly around the circuit, and
-    drive for some seconds; each race holds two of them, half a lap apart, so their number is even. The steering noise
-    of the rules is what makes the hazard smooth. The scan ends after the first scale whose hazard is above ``enough``.
+    Cars with the default lattice policy start on the race line at its speed, spread evenly around
+    the circuit, and drive for some seconds; each race holds two of them, half a lap apart, so their
+    number is even. The steering noise of the rules is what makes the hazard smooth. The scan ends
+    after the first scale whose hazard is above ``enough``.
     """
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
@@ -117,8 +129,18 @@ def hazard_scan(
             state.cars[:, car, _vehicle.V] = scale * track.arrays.line[sample, SPEED]
             state.frenet[:, car, 0] = s
             state.progress[:, car] = 0.5 * car * track.length
-        drive(track, settings, (LATTICE, LATTICE), (F1TENTH, F1TENTH), state, theta, settings.end_tick, threads=threads)
-        # A race ends for both cars at the first crash, so count crashes per time driven rather than per car.
+        drive(
+            track,
+            settings,
+            (LATTICE, LATTICE),
+            (F1TENTH, F1TENTH),
+            state,
+            theta,
+            settings.end_tick,
+            threads=threads,
+        )
+        # A race ends for both cars at the first crash, so count crashes per time driven rather than
+        # per car.
         driven = 2.0 * DT * float(state.tick.sum())
         hazards.append(1.0 - float(exponential(-40.0 * float((state.crash == 1).sum()) / driven)))
         if hazards[-1] > enough:
@@ -126,17 +148,20 @@ def hazard_scan(
     return np.array(hazards)
 
 
-def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: int = 0) -> CalibrationReport:
+def calibrate(
+    track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: int = 0
+) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
-    Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below. Without steering noise
-    (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale of 10 %, and pace 0 lies 0.30 below; both
-    are lowered in steps of 0.05 until pairs of cars rarely crash, and a line says where that can't be met. No pace asks
-    for more than the friction of the tyres: the vehicle model would give it, a road would not.
+    Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below.
+    Without steering noise (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale
+    of 10 %, and pace 0 lies 0.30 below; both are lowered in steps of 0.05 until pairs of cars
+    rarely crash, and a line says where that can't be met. No pace asks for more than the friction
+    of the tyres: the vehicle model would give it, a road would not.
 
-    Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`). Where none is left
-    with the configuration's distance across the track, the nearest distance that works is taken. A circuit that is too
-    tight for these cars is an error.
+    Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`).
+    Where none is left with the configuration's distance across the track, the nearest distance that
+    works is taken. A circuit that is too tight for these cars is an error.
     """
     noisy = config.steering_noise > 0.0
     allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
@@ -144,8 +169,8 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
     scales = np.array(SCALES[: len(hazard)])
     if hazard[0] > allowed:
         raise InputError(
-            f"track {track.name!r}: at speed scale {scales[0]:.2f} a car alone crashes in {hazard[0]:.0%} of 40 s; "
-            "widen the track or lower steering_noise"
+            f"track {track.name!r}: at speed scale {scales[0]:.2f} a car alone crashes in"
+            f" {hazard[0]:.0%} of 40 s; widen the track or lower steering_noise"
         )
     high = min(_crossing(scales, hazard, allowed), FRICTION_SCALE)
     width = WIDTH_WITH_NOISE if noisy else WIDTH_WITHOUT_NOISE
@@ -156,7 +181,8 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
 
     fit = fit_places(track, config, settings_at(0), _spacings(config))
     step, crashes = 0, 0.0 if noisy else crashes_of_pairs(track, config, settings_at(0), *fit)
-    # Without noise, speeds that are safe for a car alone may not be safe in pairs: then the range falls.
+    # Without noise, speeds that are safe for a car alone may not be safe in pairs: then the range
+    # falls.
     while crashes > ALLOWED_OF_PAIRS and step < PAIR_STEPS:
         step += 1
         crashes = crashes_of_pairs(track, config, settings_at(step), *fit)
@@ -164,8 +190,9 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
         fit = fit_places(track, config, settings_at(step), _spacings(config))
     if crashes > CRASH_AIM:
         say(
-            f"track {track.name!r}: two cars crash in {crashes:.0%} of the races of {config.name!r}, in more than the "
-            f"aim of {CRASH_AIM:.0%}, even with speeds lowered by {step * PAIR_STEP:g} of the speed profile"
+            f"track {track.name!r}: two cars crash in {crashes:.0%} of the races of"
+            f" {config.name!r}, in more than the aim of {CRASH_AIM:.0%}, even with speeds lowered"
+            f" by {step * PAIR_STEP:g} of the speed profile"
         )
     speed_range = (settings_at(step).speed_low, settings_at(step).speed_high)
     return CalibrationReport(
@@ -178,9 +205,11 @@ def calibrate(track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: 
 
 
 def calibration_of(track: Track, config: RaceConfig) -> Calibration:
-    """The calibration of a circuit for a race configuration: the circuit's own, a cached one, or a new one.
+    """The calibration of a circuit for a race configuration: the circuit's own, a cached one, or a
+    new one.
 
-    A configuration takes the calibration of the preset that it changes, or of one that is as noisy (:func:`preset_of`).
+    A configuration takes the calibration of the preset that it changes, or of one that is as noisy
+    (:func:`preset_of`).
     """
     preset = preset_of(config)
     own = track.calibration.get(preset.name)
@@ -188,28 +217,40 @@ def calibration_of(track: Track, config: RaceConfig) -> Calibration:
         return own
     memo = (track.content_hash, preset.name)
     if memo not in _known:
-        _known[memo] = _cached(track, preset, "speeds and start places", lambda: calibrate(track, preset).calibration)
+        _known[memo] = _cached(
+            track, preset, "speeds and start places", lambda: calibrate(track, preset).calibration
+        )
     return _known[memo]
 
 
 def starts_for(track: Track, config: RaceConfig) -> Calibration:
     """The calibration that says where a configuration starts.
 
-    It is the preset's if the configuration starts as its preset does; another kind of start is tried out by driving,
-    once, and kept in the cache.
+    It is the preset's if the configuration starts as its preset does; another kind of start is
+    tried out by driving, once, and kept in the cache.
     """
     calibration = calibration_of(track, config)
     if start_layout(config) == start_layout(preset_of(config)):
         return calibration
     # Speeds decide who gets away: a track of the same content may bring others.
-    memo = (track.content_hash, calibration.speed_range, preset_of(config).name, *start_layout(config))
+    memo = (
+        track.content_hash,
+        calibration.speed_range,
+        preset_of(config).name,
+        *start_layout(config),
+    )
     if memo not in _known:
 
         def find() -> Calibration:
             settings = _scan_settings(preset_of(config), calibration.speed_range)
-            return Calibration(calibration.speed_range, *fit_places(track, config, settings, [config.start_spacing]))
+            return Calibration(
+                calibration.speed_range,
+                *fit_places(track, config, settings, [config.start_spacing]),
+            )
 
-        _known[memo] = _cached(track, config, f"places for a {config.start} start", find, calibration.speed_range)
+        _known[memo] = _cached(
+            track, config, f"places for a {config.start} start", find, calibration.speed_range
+        )
     return _known[memo]
 
 
@@ -222,10 +263,16 @@ def start_layout(config: RaceConfig) -> tuple[object, ...]:
 
 
 def _spacings(config: RaceConfig) -> list[float]:
-    """The usual distance across the track, then others, the nearest first, the wider one of two that are as near."""
+    """The usual distance across the track, then others, the nearest first, the wider one of two
+    that are as near.
+    """
     steps = sorted(range(-SPACING_STEPS, SPACING_STEPS + 1), key=lambda step: (abs(step), -step))
     spacings = [round(config.start_spacing + step * SPACING_STEP, 3) for step in steps]
-    return [spacing for spacing in spacings if spacing >= NARROWEST[config.start] or spacing == config.start_spacing]
+    return [
+        spacing
+        for spacing in spacings
+        if spacing >= NARROWEST[config.start] or spacing == config.start_spacing
+    ]
 
 
 def _cached(
@@ -235,9 +282,13 @@ def _cached(
     find: Callable[[], Calibration],
     speed_range: tuple[float, float] | None = None,
 ) -> Calibration:
-    """Take a calibration (for a given range of speeds) from the cache on disk, or make it, say so, and put it there."""
+    """Take a calibration (for a given range of speeds) from the cache on disk, or make it, say so,
+    and put it there.
+    """
     preset = preset_of(config)
-    rules = json.dumps([preset.name, preset.steering_noise, preset.noise_time, *start_layout(config), speed_range])
+    rules = json.dumps(
+        [preset.name, preset.steering_noise, preset.noise_time, *start_layout(config), speed_range]
+    )
     parts = {"track": track.content_hash.encode(), "rules": rules.encode()}
     key = cache_key(parts, CALIBRATION)
     found = load_cached(CALIBRATION, key)
@@ -253,15 +304,24 @@ def _cached(
     calibration = find()
     seconds = time.monotonic() - start
     low, high = calibration.speed_range
-    moved = "" if calibration.start_spacing == config.start_spacing else f", not {config.start_spacing:g} m,"
+    moved = (
+        ""
+        if calibration.start_spacing == config.start_spacing
+        else f", not {config.start_spacing:g} m,"
+    )
     apart = f"cars start {calibration.start_spacing:g} m{moved} apart"
-    say(f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile; {apart} ({seconds:.1f} s)")
+    say(
+        f"track {track.name!r}: pace 0 to 1 is {low:.2f} to {high:.2f} of its speed profile;"
+        f" {apart} ({seconds:.1f} s)"
+    )
     store(CALIBRATION, key, {"values": np.array(json.dumps(calibration_values(calibration)))})
     return calibration
 
 
 def _crossing(scales: NDArray[np.float64], hazard: NDArray[np.float64], level: float) -> float:
-    """Scale at which a hazard that begins below a level first exceeds it; the last scale if it never does."""
+    """Scale at which a hazard that begins below a level first exceeds it; the last scale if it
+    never does.
+    """
     above = np.flatnonzero(hazard > level)
     if len(above) == 0:
         return float(scales[-1])

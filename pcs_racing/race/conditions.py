@@ -36,7 +36,10 @@ class RaceConditions:
             return vehicle_rows(vehicles, races)
         wanted = (races, len(vehicles), PARAMS_SIZE)
         if self.vehicles.shape != wanted:
-            raise InputError(f"vehicles have shape {self.vehicles.shape}; for {races} races they must have {wanted}")
+            raise InputError(
+                f"vehicles have shape {self.vehicles.shape}; for {races} races they must have"
+                f" {wanted}"
+            )
         return self.vehicles
 
     def runs(self, track: Track, races: int) -> list[tuple[Track, int, int]]:
@@ -44,7 +47,9 @@ class RaceConditions:
         if self.tracks is None:
             return [(track, 0, races)]
         if len(self.tracks) != races:
-            raise InputError(f"there are {len(self.tracks)} tracks for {races} races; give one for each")
+            raise InputError(
+                f"there are {len(self.tracks)} tracks for {races} races; give one for each"
+            )
         return [(self.tracks[first], first, last) for first, last in runs_of(self.tracks)]
 
 

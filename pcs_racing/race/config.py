@@ -26,13 +26,22 @@ def _speed_range(name: str, value: Any) -> tuple[float, float]:
 
 
 def check_steps(name: str, value: Any, minimum: int = 2) -> tuple[float, ...]:
-    """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the first one may be 0."""
+    """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the
+    first one may be 0.
+    """
     lengths = value if isinstance(value, list | tuple) else [None]
-    whole_tenths = [is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths]
+    whole_tenths = [
+        is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths
+    ]
     if len(lengths) < minimum or not all(whole_tenths):
-        raise InputError(f"{name} is {value!r:.80}; it must list {minimum} or more lengths in whole tenths of 1 s")
+        raise InputError(
+            f"{name} is {value!r:.80}; it must list {minimum} or more lengths in whole tenths"
+            " of 1 s"
+        )
     if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
-        raise InputError(f"{name} is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0")
+        raise InputError(
+            f"{name} is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0"
+        )
     return tuple(map(float, lengths))
 
 
@@ -45,10 +54,13 @@ class RaceConfig(Settings):
     """How cars race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
 
     name: Annotated[Text, "Name of the rules in archives, trees, networks and results."] = "paper"
-    duration: Annotated[float, Interval(ge=0.1, le=3600.0), MultipleOf(0.1), "Length of a race, s."] = 40.0
+    duration: Annotated[
+        float, Interval(ge=0.1, le=3600.0), MultipleOf(0.1), "Length of a race, s."
+    ] = 40.0
     start: Annotated[
         Literal["side-by-side", "staggered", "rolling"],
-        "Both cars on one line; one start_gap behind the other; or the same at the speed of the race line.",
+        "Both cars on one line; one start_gap behind the other; or the same at the speed of the"
+        " race line.",
     ] = "side-by-side"
     start_gap: Annotated[
         float,
@@ -58,10 +70,12 @@ class RaceConfig(Settings):
     start_spacing: Annotated[
         float,
         Interval(ge=0.0, le=10.0),
-        "Distance between their centres across the track, m; on a circuit where that is impossible, a preset takes "
-        "the nearest possible distance.",
+        "Distance between their centres across the track, m; on a circuit where that is impossible,"
+        " a preset takes the nearest possible distance.",
     ] = 0.9
-    start_speed: Annotated[float, Interval(ge=0.0, le=15.0), "Speed at the start, m/s; not for rolling starts."] = 4.0
+    start_speed: Annotated[
+        float, Interval(ge=0.0, le=15.0), "Speed at the start, m/s; not for rolling starts."
+    ] = 4.0
     start_lines: Annotated[
         int,
         Interval(ge=1, le=1000),
@@ -70,23 +84,28 @@ class RaceConfig(Settings):
     steering_noise: Annotated[
         float,
         Interval(ge=0.0, le=0.4),
-        "Standard deviation of the AR(1) disturbance added to every steering command, rad; 0 for none.",
+        "Standard deviation of the AR(1) disturbance added to every steering command, rad; 0 for"
+        " none.",
     ] = 0.0
-    noise_time: Annotated[float, Interval(ge=0.01, le=60.0), "Correlation time of that disturbance, s."] = 0.28
+    noise_time: Annotated[
+        float, Interval(ge=0.01, le=60.0), "Correlation time of that disturbance, s."
+    ] = 0.28
     speed_range: Annotated[
         tuple[float, float] | None,
         Checked(_speed_range, "0.1 <= low < high <= 3"),
-        "Speed scales of pace 0 and pace 1; None takes the circuit's calibrated range for this preset.",
+        "Speed scales of pace 0 and pace 1; None takes the circuit's calibrated range for this"
+        " preset.",
     ] = None
     crash_rule: Annotated[
         Literal["nobody", "fault-loses"],
-        "Reward after a crash: none for either car (the paper), or only for the car that was not at fault.",
+        "Reward after a crash: none for either car (the paper), or only for the car that was not at"
+        " fault.",
     ] = "nobody"
     aggressiveness: Annotated[
         Literal["lead", "pace", "speed"],
-        "First axis of an archive: mean lead in m (the paper); lead per time driven scaled to the full duration, "
-        "which does not charge a crash twice; or speed in parts of the speed profile, which does not depend on the "
-        "opponent.",
+        "First axis of an archive: mean lead in m (the paper); lead per time driven scaled to the"
+        " full duration, which does not charge a crash twice; or speed in parts of the speed"
+        " profile, which does not depend on the opponent.",
     ] = "lead"
     ittc_horizon: Annotated[
         float,
@@ -95,33 +114,40 @@ class RaceConfig(Settings):
     ] = 10.0
     contact: Annotated[
         Literal["end", "stop", "restart"],
-        "What a contact does: it ends the race; the car at fault, or in a wall, stands still where it was; or it is "
-        "put back on the race line at rest, 2 m behind the other car, or where it was if it hit a wall.",
+        "What a contact does: it ends the race; the car at fault, or in a wall, stands still where"
+        " it was; or it is put back on the race line at rest, 2 m behind the other car, or where it"
+        " was if it hit a wall.",
     ] = "end"
     most_faults: Annotated[
         int,
         Interval(ge=0, le=100),
-        "Faults with which a car is out and has lost, where contacts do not end the race; 0 for no limit.",
+        "Faults with which a car is out and has lost, where contacts do not end the race; 0 for no"
+        " limit.",
     ] = 0
     heats: Annotated[
         int,
         Interval(ge=1, le=99),
-        "Races from both sides in turn that count as one in the scores of a tournament: best of so many.",
+        "Races from both sides in turn that count as one in the scores of a tournament: best of so"
+        " many.",
     ] = 1
     stay_move: Annotated[bool, "Whether the game offers a move that keeps the policy."] = False
     steps: Annotated[
         tuple[float, ...],
         Checked(check_steps),
-        "Lengths of the steps of the game, s, with a move of both players between two of them; after a first step of "
-        "0 s players move before the start.",
+        "Lengths of the steps of the game, s, with a move of both players between two of them;"
+        " after a first step of 0 s players move before the start.",
     ] = (8.0,) * 5
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.start == "side-by-side" and self.start_spacing < 0.4:
-            raise ConfigError(f"start_spacing is {self.start_spacing!r} m; cars side by side need at least 0.4 m")
+            raise ConfigError(
+                f"start_spacing is {self.start_spacing!r} m; cars side by side need at least 0.4 m"
+            )
         if self.start != "side-by-side" and self.start_gap < 0.8:
-            raise ConfigError(f"start_gap is {self.start_gap!r} m; a {self.start} start needs at least 0.8 m")
+            raise ConfigError(
+                f"start_gap is {self.start_gap!r} m; a {self.start} start needs at least 0.8 m"
+            )
 
     @property
     def ticks(self) -> int:
@@ -158,16 +184,19 @@ ROBORACER = RaceConfig.known(
     stay_move=True,
     steps=CONTEST.steps,
 )
-"""Head-to-head races of the RoboRacer league: from rest, a car's width apart; three faults are too many; best of 3."""
+"""Head-to-head races of the RoboRacer league: from rest, a car's width apart; three faults are too
+many; best of 3.
+"""
 
 PRESETS = {preset.name: preset for preset in (PAPER, CONTEST, ROBORACER)}
 
 
 def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceConfig:
-    """Return rules of a race from a preset's name, a YAML file or other rules, with some fields changed.
+    """Return rules of a race from a preset's name, a YAML file or other rules, with some fields
+    changed.
 
-    A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the default, and
-    ``preset`` names the preset that the defaults come from.
+    A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the
+    default, and ``preset`` names the preset that the defaults come from.
 
     Examples
     --------

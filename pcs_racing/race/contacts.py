@@ -5,7 +5,16 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
-from pcs_racing.planners.view import OWN_D, OWN_LENGTH, OWN_PSI, OWN_S, OWN_WIDTH, OWN_X, OWN_Y, VIEW_SIZE
+from pcs_racing.planners.view import (
+    OWN_D,
+    OWN_LENGTH,
+    OWN_PSI,
+    OWN_S,
+    OWN_WIDTH,
+    OWN_X,
+    OWN_Y,
+    VIEW_SIZE,
+)
 from pcs_racing.race import state as _state
 from pcs_racing.race.positions import body, gap_to, move_along, overlap
 from pcs_racing.track import frenet as _frenet
@@ -53,11 +62,15 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):
     if mode == STOP:
         cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y] = view[OWN_X], view[OWN_Y]
         cars[race, car, _vehicle.PSI] = view[OWN_PSI]
-        cars[race, car, _vehicle.V] = cars[race, car, _vehicle.PSI_DOT] = cars[race, car, _vehicle.BETA] = 0.0
+        cars[race, car, _vehicle.V] = cars[race, car, _vehicle.PSI_DOT] = cars[
+            race, car, _vehicle.BETA
+        ] = 0.0
         s, d = view[OWN_S], view[OWN_D]
     else:
         s = _stand_on_line(near, track.line, track.ds, cars, race, car, s, vehicles)
-    move_along(track.length, state.frenet, state.progress, state.laps, state.tick[race], race, car, s, d)
+    move_along(
+        track.length, state.frenet, state.progress, state.laps, state.tick[race], race, car, s, d
+    )
 
 
 @inner_kernel

@@ -91,7 +91,11 @@ def drive(
         _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
     # The compiled loop stops before every command, so that Python can give the command.
-    holds = [getattr(planner.drive, "hold", CONTROL_EVERY) for planner in planners if planner.drive is not None]
+    holds = [
+        getattr(planner.drive, "hold", CONTROL_EVERY)
+        for planner in planners
+        if planner.drive is not None
+    ]
     while ticks > 0:
         for run in runs:
             _ask_python_drivers(run, settings, planners, cars, state, theta)
@@ -115,14 +119,17 @@ def _drive_compiled(
     wanted = (races, len(planners), max(1, *(len(planner.parameters) for planner in planners)))
     if theta.shape != wanted or theta.dtype != np.float64 or not theta.flags.c_contiguous:
         raise InputError(
-            f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64 of shape {wanted}"
+            f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64"
+            f" of shape {wanted}"
         )
     size = max(1, *(planner.scratch_size for planner in planners))
 
     def part(arrays: TrackArrays, first: int, last: int) -> None:  # `drivers` is bound below
         scratch, work = np.empty(size), np.zeros(WORK_SIZE)
         try:
-            advance_races(arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work)
+            advance_races(
+                arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work
+            )
         except Exception as error:
             raise driver_error(error, planners, work) from error
 
@@ -143,13 +150,20 @@ def _drive_compiled(
         list(pool.map(part, *zip(*pieces, strict=True)))
 
 
-def driver_error(error: Exception, planners: Sequence[Planner], work: NDArray[np.float64]) -> InputError:
+def driver_error(
+    error: Exception, planners: Sequence[Planner], work: NDArray[np.float64]
+) -> InputError:
     """Return an error with race, car and planner for an exception of a compiled planner."""
     race, car = map(int, work[ASKED:])
-    return InputError(f"race {race}, car {car}: planner {planners[car].name!r} raised {type(error).__name__}: {error}")
+    return InputError(
+        f"race {race}, car {car}: planner {planners[car].name!r} raised {type(error).__name__}:"
+        f" {error}"
+    )
 
 
-def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2) -> list[tuple[TrackArrays, int, int]]:
+def _pieces(
+    runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2
+) -> list[tuple[TrackArrays, int, int]]:
     """Cut runs into pieces of work; a thread takes the next piece after it has finished one.
 
     Many pieces consist of whole groups, which are driven in lockstep. If there are few pieces, they
@@ -161,7 +175,9 @@ def _pieces(runs: list[Run], races: int, ticks: int, workers: int, cars: int = 2
     if rounds < FEW_ROUNDS:
         size = -(-races // (workers * rounds))
     pieces = [
-        (track.arrays, at, min(at + size, last)) for track, first, last in runs for at in range(first, last, size)
+        (track.arrays, at, min(at + size, last))
+        for track, first, last in runs
+        for at in range(first, last, size)
     ]
     # Neighbouring pieces are not driven at the same time: their states share cache lines.
     return pieces[::2] + pieces[1::2]
@@ -215,7 +231,7 @@ def _ask_python_drivers(
                 command = np.array(np.nan)
             if command.shape != (2,) or not np.isfinite(command).all():
                 raise InputError(
-                    f"{who} returned {answer!r:.80}; it must return two finite numbers, steering angle (rad) and speed "
-                    "(m/s)"
+                    f"{who} returned {answer!r:.80}; it must return two finite numbers, steering"
+                    " angle (rad) and speed (m/s)"
                 )
             memory[:COMMAND_SLOTS] = command

@@ -21,7 +21,12 @@ _TRAIL = 2.0  # s
 
 
 def replay_frames(
-    replay: Replay, renderer: Renderer | None = None, *, fps: float = 20.0, speed: float = 1.0, candidates: bool = False
+    replay: Replay,
+    renderer: Renderer | None = None,
+    *,
+    fps: float = 20.0,
+    speed: float = 1.0,
+    candidates: bool = False,
 ) -> Iterator[np.ndarray]:
     """Yield frames of a recorded race, uint8 of shape (height, width, 3), for any video writer.
 
@@ -37,7 +42,9 @@ def replay_frames(
     return _frames(replay, renderer, speed / fps, candidates)
 
 
-def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -> Iterator[np.ndarray]:
+def _frames(
+    replay: Replay, renderer: Renderer, step: float, candidates: bool
+) -> Iterator[np.ndarray]:
     for k in range(int(replay.duration / step + 1e-9) + 1):
         # A product, not a sum of steps: rounding errors would shift the last frames.
         time = k * step
@@ -49,7 +56,12 @@ def _frames(replay: Replay, renderer: Renderer, step: float, candidates: bool) -
         plan = int(time / replay.plan_dt + 1e-6)
         if replay.paths is not None and len(replay.paths):
             shown["plans"] = replay.paths[min(plan, len(replay.paths) - 1)]
-        if candidates and replay.candidates is not None and replay.costs is not None and len(replay.costs):
+        if (
+            candidates
+            and replay.candidates is not None
+            and replay.costs is not None
+            and len(replay.costs)
+        ):
             row = min(plan, len(replay.costs) - 1)
             shown |= {"candidates": replay.candidates[row], "costs": replay.costs[row]}
         frame = renderer.render(
@@ -81,20 +93,32 @@ def write_gif(
     if path.suffix != ".gif":
         raise InputError(f"write_gif writes .gif files, got {path.name!r}")
     check_number("fps", fps, maximum=50.0, above=0.0)
-    frames = replay_frames(replay, renderer or Renderer(replay, 640, 420), fps=fps, speed=speed, candidates=candidates)
+    frames = replay_frames(
+        replay, renderer or Renderer(replay, 640, 420), fps=fps, speed=speed, candidates=candidates
+    )
     first = Image.fromarray(next(frames)).quantize(128)
     # One palette for all frames: a smaller file, faster, no flicker.
-    rest = (Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames)
+    rest = (
+        Image.fromarray(frame).quantize(palette=first, dither=Image.Dither.NONE) for frame in frames
+    )
     write_atomically(
         path,
         lambda file: first.save(
-            file, "GIF", save_all=True, append_images=rest, duration=round(100 / fps) * 10, loop=0, optimize=False
+            file,
+            "GIF",
+            save_all=True,
+            append_images=rest,
+            duration=round(100 / fps) * 10,
+            loop=0,
+            optimize=False,
         ),
     )
     return path
 
 
-def write_video(replay: Replay, path: str | os.PathLike[str], *, fps: float = 25.0, speed: float = 1.0) -> Path:
+def write_video(
+    replay: Replay, path: str | os.PathLike[str], *, fps: float = 25.0, speed: float = 1.0
+) -> Path:
     """Write a recorded race as an MP4 of 960 x 640 pixels; needs imageio-ffmpeg (the extra video).
 
     ``fps`` and ``speed`` are as for :func:`replay_frames`.
@@ -128,7 +152,11 @@ def write_track_picture(track: Track, path: str | os.PathLike[str]) -> Path:
     if path.suffix != ".png":
         raise InputError(f"write_track_picture writes .png files, got {path.name!r}")
     low, high = (of(track.arrays.walls.reshape(-1, 2), axis=0) for of in (np.min, np.max))
-    width, height = np.clip(960.0 * (high - low + 2.0) / (high - low + 2.0).max(), 320.0, 960.0).astype(int).tolist()
+    width, height = (
+        np.clip(960.0 * (high - low + 2.0) / (high - low + 2.0).max(), 320.0, 960.0)
+        .astype(int)
+        .tolist()
+    )
     car = np.zeros((1, _vehicle.STATE_SIZE))
     car[0, [_vehicle.X, _vehicle.Y, _vehicle.PSI]] = track.line[0, [X, Y, PSI]]
     frame = Renderer(track, width, height).render(car, text=f"{track.name}: {track.length:.0f} m")

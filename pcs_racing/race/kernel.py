@@ -12,7 +12,15 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.ittc import rectangle_ittc, walls_ittc
-from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
+from pcs_racing.car.lanes import (
+    LANES,
+    LANES_SIZE,
+    load_car,
+    set_target,
+    step_lanes,
+    step_slow_car,
+    store_car,
+)
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.race import state as _state
@@ -67,7 +75,10 @@ def _fill_fixed(own, settings, view):
     view[_view.UNDERSTEER_GAIN] = (
         own[_vehicle.H]
         / (grip * _vehicle.GRAVITY)
-        * (1.0 / (own[_vehicle.C_SF] * own[_vehicle.LR]) + 1.0 / (own[_vehicle.C_SR] * own[_vehicle.LF]))
+        * (
+            1.0 / (own[_vehicle.C_SF] * own[_vehicle.LR])
+            + 1.0 / (own[_vehicle.C_SR] * own[_vehicle.LF])
+        )
     )
     view[_view.REAR_SLIP] = 1.0 / (grip * own[_vehicle.C_SR])
     view[_view.REAR_AXLE] = own[_vehicle.LR]
@@ -130,7 +141,9 @@ def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles,
     view[_view.OPP_D] = frenet[race, other, 1]
     i = _part_at(frenet[race, other, 0], ds, line.shape[0])
     sine, cosine = sine_cosine(cars[race, other, _vehicle.PSI] + cars[race, other, _vehicle.BETA])
-    view[_view.OPP_D_DOT] = cars[race, other, _vehicle.V] * (sine * line[i, COS] - cosine * line[i, SIN])
+    view[_view.OPP_D_DOT] = cars[race, other, _vehicle.V] * (
+        sine * line[i, COS] - cosine * line[i, SIN]
+    )
     view[_view.GAP] = progress[race, other] - progress[race, car]
 
 
@@ -150,7 +163,19 @@ def fill_view(track, state, race, car, vehicles, settings, view):
     cars, frenet, number = state.cars, state.frenet, state.cars.shape[1]
     _fill_fixed(vehicles[car], settings, view)
     _fill_own(state.tick[race], cars, frenet, race, car, view)
-    _fill_other(track.line, track.ds, track.length, cars, frenet, state.progress, race, car, number, vehicles, view)
+    _fill_other(
+        track.line,
+        track.ds,
+        track.length,
+        cars,
+        frenet,
+        state.progress,
+        race,
+        car,
+        number,
+        vehicles,
+        view,
+    )
 
 
 @inner_kernel(forceinline=True)
@@ -180,7 +205,10 @@ def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number
     # other cars.
     for car in range(number):
         sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
-        work[car], work[LANES + car] = cars[race, car, _vehicle.V] * cosine, cars[race, car, _vehicle.V] * sine
+        work[car], work[LANES + car] = (
+            cars[race, car, _vehicle.V] * cosine,
+            cars[race, car, _vehicle.V] * sine,
+        )
     for car in range(number):
         x = cars[race, car, _vehicle.X]
         y = cars[race, car, _vehicle.Y]
@@ -203,7 +231,9 @@ def measure_ittc(near, cars, frenet, sums, race, vehicles, horizon, work, number
 
 
 @inner_kernel(forceinline=True)
-def _measure_driving(line, ds, speed_high, cars, frenet, progress, sums, race, vehicles, before, number):
+def _measure_driving(
+    line, ds, speed_high, cars, frenet, progress, sums, race, vehicles, before, number
+):
     """Add the contribution of one control period to the running sums.
 
     ``before`` begins with the steering angles of the cars before the period, followed by their
@@ -236,7 +266,9 @@ def _measure_driving(line, ds, speed_high, cars, frenet, progress, sums, race, v
 
 
 @kernel
-def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work):
+def advance_races(
+    track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
+):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
     A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups
@@ -255,8 +287,19 @@ def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     line, ds, length = track.line, track.ds, track.length
     cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
-    crash, fault, leader, overtakes, laps = state.crash, state.fault, state.leader, state.overtakes, state.laps
-    commands, disturbances, paths, memories = state.command, state.disturbance, state.path, state.memory
+    crash, fault, leader, overtakes, laps = (
+        state.crash,
+        state.fault,
+        state.leader,
+        state.overtakes,
+        state.laps,
+    )
+    commands, disturbances, paths, memories = (
+        state.command,
+        state.disturbance,
+        state.path,
+        state.memory,
+    )
     # A number of cars known at compile time makes races of two cars faster: `pointers_of` provides
     # it.
     number = len(drivers) // 2
@@ -278,7 +321,9 @@ def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first
                     work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
                 view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
                 _fill_fixed(vehicles[race, car], settings, view)
-            work[_LEFT + race - start] = 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
+            work[_LEFT + race - start] = (
+                0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
+            )
         # One iteration is one step of all races of the group that still drive.
         driving = True
         while driving:
@@ -291,23 +336,55 @@ def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first
                 if tick % CONTROL_EVERY == 0:
                     for car in range(number):
                         lane = number * (race - start) + car
-                        view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
-                        path, memory, command = paths[race, car], memories[race, car], commands[race, car]
+                        view = work[
+                            _VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE
+                        ]
+                        path, memory, command = (
+                            paths[race, car],
+                            memories[race, car],
+                            commands[race, car],
+                        )
                         work[ASKED], work[ASKED + 1] = race, car
                         _fill_own(tick, cars, frenet, race, car, view)
-                        _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles[race], view)
+                        _fill_other(
+                            line,
+                            ds,
+                            length,
+                            cars,
+                            frenet,
+                            progress,
+                            race,
+                            car,
+                            number,
+                            vehicles[race],
+                            view,
+                        )
                         if tick % PLAN_EVERY == 0:
-                            call_plan(drivers[2 * car], track, theta[race, car], view, memory, scratch, path)
+                            call_plan(
+                                drivers[2 * car],
+                                track,
+                                theta[race, car],
+                                view,
+                                memory,
+                                scratch,
+                                path,
+                            )
                         control = drivers[2 * car + 1]
-                        call_control(control, track, theta[race, car], view, memory, scratch, path, command)
+                        call_control(
+                            control, track, theta[race, car], view, memory, scratch, path, command
+                        )
                         if not np.isfinite(command[0] + command[1]):
                             raise FloatingPointError("its command is not finite")
                         # First the disturbance, then the delay: a command is disturbed when it is
                         # sent, and reaches the car late.
                         noise_sd = steering_sd(settings, vehicles[race, car])
                         if noise_sd > 0.0:
-                            draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
-                            disturbances[race, car] = settings.noise_keep * disturbances[race, car] + draw
+                            draw = (
+                                noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
+                            )
+                            disturbances[race, car] = (
+                                settings.noise_keep * disturbances[race, car] + draw
+                            )
                             command[0] += disturbances[race, car]
                         delay = vehicles[race, car, _vehicle.STEER_DELAY]
                         if delay > 0.0:
@@ -339,10 +416,22 @@ def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first
                 if tick % CONTROL_EVERY == 0:
                     for car in range(number):
                         work[_PROGRESS_BEFORE + place + car] = progress[race, car]
-                        update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, car)
+                        update_progress(
+                            line, ds, length, cars, frenet, progress, laps, tick, race, car
+                        )
                     before = work[_STEERING_BEFORE + place :]
                     _measure_driving(
-                        line, ds, settings.speed_high, cars, frenet, progress, sums, race, params, before, number
+                        line,
+                        ds,
+                        settings.speed_high,
+                        cars,
+                        frenet,
+                        progress,
+                        sums,
+                        race,
+                        params,
+                        before,
+                        number,
                     )
                     if settings.contact != END:
                         before = work[_VIEWS + _view.VIEW_SIZE * place :]
@@ -358,5 +447,13 @@ def advance_races(track, state, theta, vehicles, drivers, settings, ticks, first
                     _count_overtakes(progress, leader, overtakes, state.ahead, race, params, number)
                 if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
                     measure_ittc(
-                        near, cars, frenet, sums, race, params, settings.ittc_horizon, work[_VELOCITIES:], number
+                        near,
+                        cars,
+                        frenet,
+                        sums,
+                        race,
+                        params,
+                        settings.ittc_horizon,
+                        work[_VELOCITIES:],
+                        number,
                     )

@@ -19,15 +19,37 @@ Colours = Mapping[str, Colour]
 
 # The light colours of replay.html; names are darker: letters need more contrast than cars.
 _CODES = {
-    "ground": "#e3e8ed", "asphalt": "#fdfdfe", "wall": "#7c8897", "ink": "#17202b", "tyre": "#1c232c",
-    "slow": "#9a5fc0", "mid": "#6f8fd0", "fast": "#2fb3a0",
-    "best": "#00695c", "worst": "#c9d3d6", "rejected": "#d12c4c",
-    "car0": "#1b6fd8", "car1": "#e08700", "car2": "#22964f", "car3": "#c03fa0",
-    "car4": "#8a5a2b", "car5": "#008fa6", "car6": "#8c8f00", "car7": "#5b6775",
-    "name0": "#1559b0", "name1": "#945900", "name2": "#0f5a2c", "name3": "#7a2466",
-    "name4": "#553517", "name5": "#005765", "name6": "#555700", "name7": "#323a44",
-}  # fmt: skip
-COLOURS: Colours = {name: tuple(int(code[i : i + 2], 16) for i in (1, 3, 5)) for name, code in _CODES.items()}
+    "ground": "#e3e8ed",
+    "asphalt": "#fdfdfe",
+    "wall": "#7c8897",
+    "ink": "#17202b",
+    "tyre": "#1c232c",
+    "slow": "#9a5fc0",
+    "mid": "#6f8fd0",
+    "fast": "#2fb3a0",
+    "best": "#00695c",
+    "worst": "#c9d3d6",
+    "rejected": "#d12c4c",
+    "car0": "#1b6fd8",
+    "car1": "#e08700",
+    "car2": "#22964f",
+    "car3": "#c03fa0",
+    "car4": "#8a5a2b",
+    "car5": "#008fa6",
+    "car6": "#8c8f00",
+    "car7": "#5b6775",
+    "name0": "#1559b0",
+    "name1": "#945900",
+    "name2": "#0f5a2c",
+    "name3": "#7a2466",
+    "name4": "#553517",
+    "name5": "#005765",
+    "name6": "#555700",
+    "name7": "#323a44",
+}
+COLOURS: Colours = {
+    name: tuple(int(code[i : i + 2], 16) for i in (1, 3, 5)) for name, code in _CODES.items()
+}
 """Colours by purpose."""
 
 # Shapes in units of half a car's length and width, x to the front.
@@ -58,7 +80,9 @@ class Camera(NamedTuple):
         return origin + (points[..., :2] - (self.x, self.y)) * (self.scale, -self.scale)
 
 
-def paint_track(camera: Camera, walls: Sequence[np.ndarray], line: np.ndarray, speed: np.ndarray | None) -> Image.Image:
+def paint_track(
+    camera: Camera, walls: Sequence[np.ndarray], line: np.ndarray, speed: np.ndarray | None
+) -> Image.Image:
     """Return a picture of the surface, the walls (polylines) and the race line.
 
     The line is coloured by its speed if that is known. Where walls form closed loops, the track
@@ -81,9 +105,16 @@ def paint_track(camera: Camera, walls: Sequence[np.ndarray], line: np.ndarray, s
         stops = [COLOURS[name] for name in ("slow", "mid", "fast")]
         share = (speed - speed.min()) / max(float(np.ptp(speed)), 1e-9)
         for i, (start, end) in enumerate(pairwise(closed)):
-            pen.line([*start, *end], fill=_between(stops, float(share[i])), width=round(1.5 * FINER))
+            pen.line(
+                [*start, *end], fill=_between(stops, float(share[i])), width=round(1.5 * FINER)
+            )
     for wall in walls:
-        pen.line(_flat(camera.pixels(wall)), fill=COLOURS["wall"], width=round(1.6 * FINER), joint="curve")
+        pen.line(
+            _flat(camera.pixels(wall)),
+            fill=COLOURS["wall"],
+            width=round(1.6 * FINER),
+            joint="curve",
+        )
     return image
 
 
@@ -97,7 +128,9 @@ def paint_trails(pen: ImageDraw.ImageDraw, camera: Camera, trails: np.ndarray) -
             pen.line([*points[i], *points[i + 1]], fill=(*COLOURS[f"car{car}"], alpha), width=width)
 
 
-def paint_candidates(pen: ImageDraw.ImageDraw, camera: Camera, paths: np.ndarray, costs: np.ndarray) -> None:
+def paint_candidates(
+    pen: ImageDraw.ImageDraw, camera: Camera, paths: np.ndarray, costs: np.ndarray
+) -> None:
     """Paint rejected paths in red, other paths shaded by rank of cost, the best on top."""
     order = np.argsort(-costs, kind="stable")
     kept = int(np.count_nonzero(np.isfinite(costs)))
@@ -119,7 +152,11 @@ def paint_plan(pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, plan: n
 
 
 def paint_car(
-    pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, state: np.ndarray, half_size: np.ndarray
+    pen: ImageDraw.ImageDraw,
+    camera: Camera,
+    colour: Colour,
+    state: np.ndarray,
+    half_size: np.ndarray,
 ) -> None:
     """Paint a car with turned front wheels, or an arrow if the car would be too small to see."""
     half_length, half_width = half_size
@@ -144,12 +181,26 @@ def paint_car(
         along = np.array([0.2 * half_length * np.cos(turn), 0.2 * half_length * np.sin(turn)])
         across = np.array([-0.17 * half_width * np.sin(turn), 0.17 * half_width * np.cos(turn)])
         centre = np.array([at_x * half_length, at_y * half_width])
-        corners = [centre + along + across, centre - along + across, centre - along - across, centre + along - across]
-        pen.polygon(place([corner / (half_length, half_width) for corner in corners]), fill=COLOURS["tyre"])
+        corners = [
+            centre + along + across,
+            centre - along + across,
+            centre - along - across,
+            centre + along - across,
+        ]
+        pen.polygon(
+            place([corner / (half_length, half_width) for corner in corners]), fill=COLOURS["tyre"]
+        )
     pen.polygon(place(_BODY), fill=colour)
     for front, width in ((0.92, 0.72), (-0.9, 0.8)):
         pen.polygon(
-            place(((front + 0.05, width), (front - 0.05, width), (front - 0.05, -width), (front + 0.05, -width))),
+            place(
+                (
+                    (front + 0.05, width),
+                    (front - 0.05, width),
+                    (front - 0.05, -width),
+                    (front + 0.05, -width),
+                )
+            ),
             fill=colour,
         )
     pen.polygon(place(_COCKPIT), fill=COLOURS["tyre"])

@@ -47,7 +47,14 @@ def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, 
     The arguments are single arrays: the reference counts of whole named tuples cost more than the
     work of a small function.
     """
-    s, d = foot(line, ds, length, cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y], frenet[race, car, 0])
+    s, d = foot(
+        line,
+        ds,
+        length,
+        cars[race, car, _vehicle.X],
+        cars[race, car, _vehicle.Y],
+        frenet[race, car, 0],
+    )
     move_along(length, frenet, progress, laps, tick, race, car, s, d)
 
 
@@ -73,7 +80,9 @@ def nearest_car(length, frenet, race, car):
 def body(state, vehicle):
     """Return the rectangle of a car."""
     half_length, half_width = 0.5 * vehicle[_vehicle.LENGTH], 0.5 * vehicle[_vehicle.WIDTH]
-    return Rectangle(state[_vehicle.X], state[_vehicle.Y], state[_vehicle.PSI], half_length, half_width)
+    return Rectangle(
+        state[_vehicle.X], state[_vehicle.Y], state[_vehicle.PSI], half_length, half_width
+    )
 
 
 @inner_kernel
@@ -85,7 +94,10 @@ def _latch(cars, crash, fault, race, vehicles, walls):
             fault[race, first] = 1
             continue
         for second in range(first + 1, cars.shape[1]):
-            one, two = body(cars[race, first], vehicles[first]), body(cars[race, second], vehicles[second])
+            one, two = (
+                body(cars[race, first], vehicles[first]),
+                body(cars[race, second], vehicles[second]),
+            )
             if walls >> second & 1 or not rectangles_overlap(one, two):
                 continue
             fault0, fault1 = contact_fault(cars[race, first], cars[race, second], one, two)
@@ -100,7 +112,9 @@ def _latch(cars, crash, fault, race, vehicles, walls):
 @inner_kernel
 def overlap(cars, race, one, other, vehicles):
     """Return whether two cars of a race overlap."""
-    return rectangles_overlap(body(cars[race, one], vehicles[one]), body(cars[race, other], vehicles[other]))
+    return rectangles_overlap(
+        body(cars[race, one], vehicles[one]), body(cars[race, other], vehicles[other])
+    )
 
 
 @inner_kernel(forceinline=True)
@@ -126,7 +140,11 @@ def place_cars(track, state, vehicles):
     for race in range(state.tick.shape[0]):
         number = state.cars.shape[1]
         for car in range(number):
-            s, d = locate(track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y])
+            s, d = locate(
+                track, state.cars[race, car, _vehicle.X], state.cars[race, car, _vehicle.Y]
+            )
             state.frenet[race, car, 0] = s
             state.frenet[race, car, 1] = d
-        collide(near, state.cars, state.frenet, state.crash, state.fault, race, vehicles[race], number)
+        collide(
+            near, state.cars, state.frenet, state.crash, state.fault, race, vehicles[race], number
+        )

@@ -41,10 +41,13 @@ class RaceSetup:
     most_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.planners) <= MOST_CARS or len(self.vehicles) not in (0, len(self.planners)):
+        if not 1 <= len(self.planners) <= MOST_CARS or len(self.vehicles) not in (
+            0,
+            len(self.planners),
+        ):
             raise InputError(
-                f"there are {len(self.planners)} planners and {len(self.vehicles)} cars; a race has 1 to {MOST_CARS} "
-                "planners, and a car for each of them"
+                f"there are {len(self.planners)} planners and {len(self.vehicles)} cars; a race has"
+                f" 1 to {MOST_CARS} planners, and a car for each of them"
             )
         object.__setattr__(self, "vehicles", self.vehicles or (F1TENTH,) * len(self.planners))
 
@@ -52,7 +55,9 @@ class RaceSetup:
     def memory_size(self) -> int:
         """Size of each car's memory in the state: planner memory and queue of delayed commands."""
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
-        return max(planner.memory_total for planner in self.planners) + round(delay / COMMAND_PERIOD)
+        return max(planner.memory_total for planner in self.planners) + round(
+            delay / COMMAND_PERIOD
+        )
 
     @cached_property
     def theta_size(self) -> int:
@@ -97,11 +102,15 @@ def start_lines(
         wanted = [left, config.start_lines - left]
     else:  # a side with a single place has no place in one split
         wanted = [config.start_lines if len(side) > 0 else 0 for side in sides]
-    chosen = np.concatenate([_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)])
+    chosen = np.concatenate(
+        [_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)]
+    )
     return chosen[rng.permutation(config.start_lines)]
 
 
-def _spread(places: NDArray[np.float64], number: int, rng: np.random.Generator) -> NDArray[np.float64]:
+def _spread(
+    places: NDArray[np.float64], number: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
     """Return a random place from each of ``number`` equal parts: no repetition if there is room."""
     edges = np.linspace(0.0, len(places), number + 1)
     at = rng.uniform(edges[:-1], edges[1:]).astype(np.intp)
@@ -120,29 +129,45 @@ def draw_starts(
 
 
 def starts_of(
-    track: Track, config: RaceConfig, index: ArrayLike, seed: int, *, split: str = "test", cars: int = 2
+    track: Track,
+    config: RaceConfig,
+    index: ArrayLike,
+    seed: int,
+    *,
+    split: str = "test",
+    cars: int = 2,
 ) -> Starts:
     """Return the starts of some races of the batch of :func:`draw_starts`, by their indices."""
-    lines = start_lines(track, config, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split)
+    lines = start_lines(
+        track, config, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split
+    )
     index, places = np.asarray(index, np.int64), places_of_grid(cars)
     return Starts(lines[(index // places) % len(lines)], index % places)
 
 
 def start_races(
-    setup: RaceSetup, starts: Starts, seeds: NDArray[np.uint64], conditions: RaceConditions = AS_THE_SETUP
+    setup: RaceSetup,
+    starts: Starts,
+    seeds: NDArray[np.uint64],
+    conditions: RaceConditions = AS_THE_SETUP,
 ) -> RaceState:
     """Put the cars of all races on the grid (:func:`pcs_racing.race.start_grid.place_on_grid`)."""
     if len(starts) != len(seeds):
-        raise InputError(f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race")
+        raise InputError(
+            f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race"
+        )
     track, config, spacing = setup.track, setup.config, setup.start_spacing
     slowest = setup.speed_range[0]
-    state = place_on_grid(track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size, conditions)
+    state = place_on_grid(
+        track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size, conditions
+    )
     state.seed[:] = seeds
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
-            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand in a wall or in "
-            f"another car; choose another line or a smaller start_spacing than {spacing:g} m"
+            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand"
+            " in a wall or in another car; choose another line or a smaller start_spacing than"
+            f" {spacing:g} m"
         )
     return state
 
@@ -294,8 +319,18 @@ def run_races(
     """
     counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy | str)]
     if len(set(counts)) > 1:
-        raise InputError(f"there are {counts[0]} egos but {counts[1]} opponents; give one opponent for each ego")
-    return run_field(track, (egos, opponents), config, seed=seed, starts=starts, vehicles=vehicles, threads=threads)
+        raise InputError(
+            f"there are {counts[0]} egos but {counts[1]} opponents; give one opponent for each ego"
+        )
+    return run_field(
+        track,
+        (egos, opponents),
+        config,
+        seed=seed,
+        starts=starts,
+        vehicles=vehicles,
+        threads=threads,
+    )
 
 
 def run_field(
@@ -317,12 +352,16 @@ def run_field(
     given = [len(one) for one in policies if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)
     if any(number != races for number in given):
-        raise InputError(f"cars have {given} drivers; give each car one driver, or one for each race")
+        raise InputError(
+            f"cars have {given} drivers; give each car one driver, or one for each race"
+        )
     cars = [[one] * races if isinstance(one, Policy) else list(one) for one in policies]
     if starts is None:
         starts = draw_starts(track, config, races, seed, cars=len(cars))
     if len(starts) != races:
-        raise InputError(f"there are {races} races but {len(starts)} starts; give one start for each race")
+        raise InputError(
+            f"there are {races} races but {len(starts)} starts; give one start for each race"
+        )
     seeds = race_seeds(seed, races)
     # All races of one call of the loop have the same planners, so races are grouped by planners.
     groups: dict[tuple[int, ...], list[int]] = {}
@@ -332,13 +371,19 @@ def run_field(
     for members in groups.values():
         setup = RaceSetup(track, config, tuple(car[members[0]].planner for car in cars), vehicles)
         state = start_races(setup, starts.take(members), seeds[members])
-        theta = np.stack([pad_parameters([car[i] for i in members], setup.theta_size) for car in cars], axis=1)
+        theta = np.stack(
+            [pad_parameters([car[i] for i in members], setup.theta_size) for car in cars], axis=1
+        )
         advance(setup, state, theta, config.ticks, threads=threads)
         parts.append((members, state))
     # Joined states need memories of equal size: planners with less memory leave the rest 0.
     widest = max((state.memory.shape[2] for _, state in parts), default=0)
     joined = [_widen_memory(state, widest) for _, state in parts] or [empty_state(0, 0, len(cars))]
-    order = np.argsort(np.concatenate([members for members, _ in parts])) if parts else np.array([], np.intp)
+    order = (
+        np.argsort(np.concatenate([members for members, _ in parts]))
+        if parts
+        else np.array([], np.intp)
+    )
     return RaceResult(config, take(concatenate(joined), order), starts)
 
 
@@ -351,4 +396,8 @@ def _policies(given: Drivers) -> Policy | list[Policy]:
 
 def _widen_memory(state: RaceState, size: int) -> RaceState:
     extra = size - state.memory.shape[2]
-    return state._replace(memory=np.pad(state.memory, ((0, 0), (0, 0), (0, extra)))) if extra else state
+    return (
+        state._replace(memory=np.pad(state.memory, ((0, 0), (0, 0), (0, extra))))
+        if extra
+        else state
+    )

@@ -36,21 +36,28 @@ class RandomCircuits(Settings):
         Interval(ge=1, le=1_000_000),
         "Episodes of an environment before it gets another circuit.",
     ] = 1
-    count: Annotated[int, Interval(ge=1, le=2**31), "How many different circuits there are."] = 10_000
+    count: Annotated[int, Interval(ge=1, le=2**31), "How many different circuits there are."] = (
+        10_000
+    )
     style: Annotated[
         str | None,
         OneOf(STYLES),
         "Style of the generator (`pcs-racing track generate`); None mixes all of them.",
     ] = None
     width: Annotated[float, Interval(ge=1.6, le=10.0), "Width of the track, m."] = 2.2
-    shortest: Annotated[float, Interval(ge=16.0, le=1000.0), "Shortest length of the centre line, m."] = 60.0
-    longest: Annotated[float, Interval(ge=16.0, le=1000.0), "Longest length of the centre line, m."] = 120.0
+    shortest: Annotated[
+        float, Interval(ge=16.0, le=1000.0), "Shortest length of the centre line, m."
+    ] = 60.0
+    longest: Annotated[
+        float, Interval(ge=16.0, le=1000.0), "Longest length of the centre line, m."
+    ] = 120.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 10.0 * self.width <= self.shortest < self.longest:
             raise ConfigError(
-                f"shortest is {self.shortest:g} and longest {self.longest:g} m; they must ascend from 10 widths"
+                f"shortest is {self.shortest:g} and longest {self.longest:g} m; they must ascend"
+                " from 10 widths"
             )
 
 
@@ -76,9 +83,16 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
                 attempts=100,
             )
             track = build_track(
-                f"random-{index}", made.occupied, made.resolution, made.origin, made.centerline, made.raceline
+                f"random-{index}",
+                made.occupied,
+                made.resolution,
+                made.origin,
+                made.centerline,
+                made.raceline,
             )
-            track.calibration.update({name: _calibration(track, preset) for name, preset in PRESETS.items()})
+            track.calibration.update(
+                {name: _calibration(track, preset) for name, preset in PRESETS.items()}
+            )
         except MapError as error:
             refusal = error
             continue
@@ -95,7 +109,9 @@ def _calibration(track: Track, preset: RaceConfig) -> Calibration:
     fit = bend < BENDS
     if not fit.any():
         raise MapError(f"track {track.name!r} has no straight to start from")
-    return Calibration(SPEED_RANGES[preset.name], preset.start_spacing, {"front": stretches_of(fit)})
+    return Calibration(
+        SPEED_RANGES[preset.name], preset.start_spacing, {"front": stretches_of(fit)}
+    )
 
 
 class CircuitBuilder:

@@ -95,9 +95,14 @@ def record_drive(
     """
     if len(start) != 1:
         raise InputError(f"there are {len(start)} starts; a recording is of one race")
-    if len(ends) != len(theta) - 1 or any(tick % PLAN_EVERY for tick in ends) or list(ends) != sorted(ends):
+    if (
+        len(ends) != len(theta) - 1
+        or any(tick % PLAN_EVERY for tick in ends)
+        or list(ends) != sorted(ends)
+    ):
         raise InputError(
-            f"ends are {list(ends)}; {len(theta)} steps have {len(theta) - 1} of them, rising multiples of {PLAN_EVERY}"
+            f"ends are {list(ends)}; {len(theta)} steps have {len(theta) - 1} of them, rising"
+            f" multiples of {PLAN_EVERY}"
         )
     names = tell_apart(names)
     state = start_races(setup, start, np.array([noise], np.uint64))
@@ -125,7 +130,9 @@ def record_drive(
 
 def tell_apart(names: tuple[str, ...]) -> tuple[str, ...]:
     """Return distinct names: equal names get the number of the car, as in ``"lattice (car 0)"``."""
-    return tuple(name if names.count(name) == 1 else f"{name} (car {car})" for car, name in enumerate(names))
+    return tuple(
+        name if names.count(name) == 1 else f"{name} (car {car})" for car, name in enumerate(names)
+    )
 
 
 @dataclass(frozen=True)
@@ -140,7 +147,9 @@ class _Log:
     events: list[ReplayEvent] = field(default_factory=list)
 
 
-def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int], candidates: bool) -> _Log:
+def _drive(
+    setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int], candidates: bool
+) -> _Log:
     """Drive a race to its end, in place, and log frames, plans and events."""
     log = _Log()
     ittc = None
@@ -160,7 +169,11 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int
             # Called before the step: after it the planner's memory already holds this plan.
             log.choices.append([_choices(setup, state, theta, car) for car in range(state.number)])
         # Sums and counts are cumulative: the contribution of this period is their difference.
-        sums, overtakes, faults = state.sums[0].copy(), state.overtakes[0].copy(), state.fault[0].copy()
+        sums, overtakes, faults = (
+            state.sums[0].copy(),
+            state.overtakes[0].copy(),
+            state.fault[0].copy(),
+        )
         advance(setup, state, theta, CONTROL_EVERY, threads=1)
         if plans:
             log.paths.append(_followed(state.path[0]))
@@ -173,7 +186,9 @@ def _drive(setup: RaceSetup, state: RaceState, steps: Floats, ends: Sequence[int
         log.events.extend(_happened(state, overtakes, faults))
 
 
-def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tuple[Floats, Floats] | None:
+def _choices(
+    setup: RaceSetup, state: RaceState, theta: Floats, car: int
+) -> tuple[Floats, Floats] | None:
     """Return the paths that a planner is about to choose from, and their costs."""
     planner = setup.planners[car]
     if planner.candidates is None:
@@ -187,7 +202,9 @@ def _choices(setup: RaceSetup, state: RaceState, theta: Floats, car: int) -> tup
         setup.track.arrays, theta[0, car, : len(planner.parameters)].copy(), view, memory
     )
     # Several speeds on one path look alike: only the cheapest is recorded.
-    _, first, place = np.unique(points.reshape(len(points), -1), axis=0, return_index=True, return_inverse=True)
+    _, first, place = np.unique(
+        points.reshape(len(points), -1), axis=0, return_index=True, return_inverse=True
+    )
     cheapest = np.full(len(first), np.inf)
     np.minimum.at(cheapest, place.ravel(), costs)
     return points[first], cheapest
@@ -237,7 +254,9 @@ def _happened(
     other = "the other car" if state.number == 2 else "another car"
     for car in range(state.number):
         if state.fault[0, car] > faults_before[car]:
-            into = "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else other
+            into = (
+                "the wall" if WALL_CRASH in (state.crash[0, car], state.contact[0, car]) else other
+            )
             events.append(ReplayEvent(time, car, "crash", f"crashes into {into}"))
     return events
 
@@ -254,4 +273,8 @@ def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
         return f"{what} after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
     if len(names) == 1:
         return f"{progress[0]:.1f} m in {time:.0f} s"
-    return f"{prize} by {abs(lead):.1f} m after {time:.0f} s" if winner >= 0 else f"a tie after {time:.0f} s"
+    return (
+        f"{prize} by {abs(lead):.1f} m after {time:.0f} s"
+        if winner >= 0
+        else f"a tie after {time:.0f} s"
+    )

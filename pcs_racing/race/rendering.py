@@ -80,8 +80,14 @@ class Renderer:
         fps: float = 20.0,
     ) -> None:
         cars = len(scene.car_names) if isinstance(scene, Replay) else MOST_CARS
-        self.mode, self.view = check_choice("mode", mode, MODES), check_choice("view", view, views(cars))
-        self.width, self.height = check_whole("width", width, 64, 4096), check_whole("height", height, 64, 4096)
+        self.mode, self.view = (
+            check_choice("mode", mode, MODES),
+            check_choice("view", view, views(cars)),
+        )
+        self.width, self.height = (
+            check_whole("width", width, 64, 4096),
+            check_whole("height", height, 64, 4096),
+        )
         self.fps = fps
         self._shown: Track | Replay | None = None
         self.show(scene, half_sizes)
@@ -134,8 +140,16 @@ class Renderer:
             Frame; None in a window (``mode="human"``).
         """
         cars = np.asarray(cars, float)
-        if cars.ndim != 2 or not 1 <= len(cars) <= MOST_CARS or cars.shape[1] != 7 or not np.all(np.isfinite(cars)):
-            raise InputError(f"cars must be finite and have shape (1, 7) to ({MOST_CARS}, 7), got shape {cars.shape}")
+        if (
+            cars.ndim != 2
+            or not 1 <= len(cars) <= MOST_CARS
+            or cars.shape[1] != 7
+            or not np.all(np.isfinite(cars))
+        ):
+            raise InputError(
+                f"cars must be finite and have shape (1, 7) to ({MOST_CARS}, 7), got shape"
+                f" {cars.shape}"
+            )
         camera = self._aim(cars)
         image = self._background(camera)
         pen = ImageDraw.Draw(image, "RGBA")
@@ -199,7 +213,9 @@ class Renderer:
             place = (0, 0)
         key = (*place, camera.scale)
         if self._ground is None or self._ground[0] != key:
-            middle = (column, row) if self.view == "track" else (place[0] * step_x, place[1] * step_y)
+            middle = (
+                (column, row) if self.view == "track" else (place[0] * step_x, place[1] * step_y)
+            )
             at = middle[0] / camera.scale, middle[1] / camera.scale
             region = Camera(*at, camera.scale, width + step_x, height + step_y)
             self._ground = key, paint_track(region, self._walls, self._line, self._line_speed)
@@ -224,7 +240,9 @@ class Window:
                 pygame.display.init()
                 self._surface = pygame.display.set_mode(self._size)
             except pygame.error as error:
-                raise RuntimeError(f"can't open a window ({error}); mode='rgb_array' needs no display") from None
+                raise RuntimeError(
+                    f"can't open a window ({error}); mode='rgb_array' needs no display"
+                ) from None
             pygame.display.set_caption("pcs-racing")
             self._clock = pygame.time.Clock()
         pygame.event.pump()
@@ -244,7 +262,9 @@ def half_sizes(vehicles: np.ndarray) -> np.ndarray:
     return 0.5 * np.asarray(vehicles)[..., [LENGTH, WIDTH]]
 
 
-def _scene(scene: Union["Track", Replay]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
+def _scene(
+    scene: Union["Track", Replay],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, np.ndarray]:
     """Return the walls, the race line, the speed on it and the half sizes of the cars."""
     if isinstance(scene, Replay):
         return scene.walls, scene.line, scene.line_speed, np.asarray(scene.half_sizes)
@@ -259,4 +279,6 @@ def _import_pygame() -> Any:
     try:
         return import_module("pygame")
     except ImportError:
-        raise ImportError("mode='human' needs pygame-ce: pip install \"pcs-racing[window]\"") from None
+        raise ImportError(
+            "mode='human' needs pygame-ce: pip install \"pcs-racing[window]\""
+        ) from None

@@ -40,9 +40,11 @@ class Replay:
     title: str  #: Title, shown in the page's header with the track's name.
     track_name: str
     car_names: tuple[str, ...]  #: Names of the policies of the C cars, 1 to 8.
-    #: shape (T, C, 7): States x, y, delta, v, psi, psi_dot, beta of the cars every ``frame_dt`` (m, rad, s).
+    #: shape (T, C, 7): States x, y, delta, v, psi, psi_dot, beta of the cars every ``frame_dt`` (m,
+    #: rad, s).
     cars: np.ndarray
-    progress: np.ndarray  #: shape (T, C): Cumulative arc length driven along the line in m; its difference is the lead.
+    #: shape (T, C): Cumulative arc length driven along the line in m; its difference is the lead.
+    progress: np.ndarray
     #: shape (S, 4): Wall segments x0, y0, x1, y1 in m. Where they form closed loops, the track is
     #: filled between them.
     walls: np.ndarray
@@ -72,8 +74,13 @@ class Replay:
         """Copy and check all fields once, so that no other code has to check them."""
         for name in ("title", "track_name", "outcome"):
             _check_text(getattr(self, name), name)
-        if not isinstance(self.car_names, tuple | list) or not 1 <= len(self.car_names) <= MOST_CARS:
-            raise InputError(f"car_names must be 1 to {MOST_CARS} names, got {self.car_names!r:.80}")
+        if (
+            not isinstance(self.car_names, tuple | list)
+            or not 1 <= len(self.car_names) <= MOST_CARS
+        ):
+            raise InputError(
+                f"car_names must be 1 to {MOST_CARS} names, got {self.car_names!r:.80}"
+            )
         count = len(self.car_names)
         for name in self.car_names:
             _check_text(name, "car_names")
@@ -118,8 +125,12 @@ class Replay:
     def _set(self, name: str, value: object) -> None:
         object.__setattr__(self, name, value)
 
-    def _set_array(self, name: str, shape: tuple[int | str, ...], sizes: dict[str, int], allow: str = "") -> None:
-        """Replace a field by a read-only copy of the expected shape; letters take their sizes from ``sizes``."""
+    def _set_array(
+        self, name: str, shape: tuple[int | str, ...], sizes: dict[str, int], allow: str = ""
+    ) -> None:
+        """Replace a field by a read-only copy of the expected shape; letters take their sizes from
+        ``sizes``.
+        """
         if getattr(self, name) is None:
             return
         try:
@@ -131,8 +142,16 @@ class Replay:
         if array.ndim != len(wanted) or any(
             isinstance(w, int) and w != n for w, n in zip(wanted, array.shape, strict=True)
         ):
-            raise InputError(f"{name} must have shape ({', '.join(map(str, wanted))}), got {array.shape}")
-        sizes.update({letter: n for letter, n in zip(shape, array.shape, strict=True) if isinstance(letter, str)})
+            raise InputError(
+                f"{name} must have shape ({', '.join(map(str, wanted))}), got {array.shape}"
+            )
+        sizes.update(
+            {
+                letter: n
+                for letter, n in zip(shape, array.shape, strict=True)
+                if isinstance(letter, str)
+            }
+        )
         known = array
         if allow == "nan":
             missing = np.asarray(np.isnan(array).any(axis=-1))
@@ -149,7 +168,9 @@ class Replay:
 
 def _check_text(value: object, name: str) -> None:
     if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
-        raise InputError(f"{name} must be text of at most {_LONGEST_TEXT} characters, got {value!r:.80}")
+        raise InputError(
+            f"{name} must be text of at most {_LONGEST_TEXT} characters, got {value!r:.80}"
+        )
     try:
         value.encode()
     except UnicodeEncodeError:
@@ -157,7 +178,9 @@ def _check_text(value: object, name: str) -> None:
 
 
 def _checked_events(events: object, cars: int) -> tuple[ReplayEvent, ...]:
-    if not isinstance(events, tuple | list) or not all(isinstance(event, ReplayEvent) for event in events):
+    if not isinstance(events, tuple | list) or not all(
+        isinstance(event, ReplayEvent) for event in events
+    ):
         raise InputError("events must be a tuple of ReplayEvent")
     for event in events:
         check_number("the time of an event", event.time, 0.0, 1e6)
@@ -178,12 +201,13 @@ _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>'
 
 
 def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
-    """Write a race as a page (``.html``) or as bare JSON (``.json``), in one step; `read_replay` reads both.
+    """Write a race as a page (``.html``) or as bare JSON (``.json``), in one step; `read_replay`
+    reads both.
 
-    Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for candidates and walls.
-    The page is one file, needs no network, and opens from a disk. A link may name a moment:
-    ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or ``track``; also ``play=1``,
-    ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
+    Numbers are rounded: to 1 mm, 1 mm/s, 1 mrad and 1 ms for cars, plans and line, to 1 cm for
+    candidates and walls. The page is one file, needs no network, and opens from a disk. A link may
+    name a moment: ``race.html#t=12.5&follow=1&candidates=1`` (``follow``: ``0``, ``1``, ``both`` or
+    ``track``; also ``play=1``, ``speed=0.5``, ``plans=0``, ``zoom=2``, ``theme=dark``).
     """
     path = Path(path)
     if path.suffix not in (".html", ".json"):
@@ -196,7 +220,10 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
 def replay_page(replay: Replay) -> str:
     """Return the page that :func:`save_replay` writes, for use inside another page."""
     template = files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
-    parts = {"<!--title-->": html.escape(replay.title), "<!--replay-->": safe_json(_to_values(replay))}
+    parts = {
+        "<!--title-->": html.escape(replay.title),
+        "<!--replay-->": safe_json(_to_values(replay)),
+    }
     # In one pass: a title that looks like a placeholder is not replaced.
     return re.sub("|".join(parts), lambda match: parts[match.group()], template)
 
@@ -235,7 +262,9 @@ def plain_parts(replay: Replay) -> dict[str, Any]:
         **{name: getattr(replay, name) for name in _PLAIN},
         "car_names": list(replay.car_names),
         "half_sizes": np.asarray(replay.half_sizes).tolist(),
-        "events": [[round(event.time, 3), event.car, event.kind, event.text] for event in replay.events],
+        "events": [
+            [round(event.time, 3), event.car, event.kind, event.text] for event in replay.events
+        ],
     }
 
 
@@ -264,19 +293,35 @@ def _from_values(values: object) -> Replay:
     """Return the replay of values as of `_to_values`; the values may have any origin."""
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise InputError(f"it must say format {FORMAT!r}")
-    needed = {*_PLAIN, "format", "car_names", "half_sizes", "events", "walls", "line", "cars", "progress"}
+    needed = {
+        *_PLAIN,
+        "format",
+        "car_names",
+        "half_sizes",
+        "events",
+        "walls",
+        "line",
+        "cars",
+        "progress",
+    }
     optional = {"line_speed", "ittc", "paths", "candidates", "costs"}
     if not needed <= values.keys() <= needed | optional:
         missing, unknown = sorted(needed - values.keys()), sorted(values.keys() - needed - optional)
         raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
-    if not isinstance(values["events"], list) or not all(isinstance(e, list) and len(e) == 4 for e in values["events"]):
+    if not isinstance(values["events"], list) or not all(
+        isinstance(e, list) and len(e) == 4 for e in values["events"]
+    ):
         raise InputError("events must be a list of [time, car, kind, text]")
     if values["half_sizes"] is None:  # optional in a new replay, but not in a file
         raise InputError("half_sizes must be positive lengths in m")
     arrays = ("line", "cars", "progress", "line_speed", "ittc")
     fields: dict[str, Any] = {name: values[name] for name in (*_PLAIN, "car_names", "half_sizes")}
     fields |= {name: packing.unpack(values[name], name) for name in arrays if name in values}
-    fields |= {name: packing.unpack_paths(values[name], name) for name in ("paths", "candidates") if name in values}
+    fields |= {
+        name: packing.unpack_paths(values[name], name)
+        for name in ("paths", "candidates")
+        if name in values
+    }
     if "costs" in values:
         fields["costs"] = packing.unpack_costs(values["costs"], "costs")
     fields["walls"] = packing.unpack_segments(values["walls"], "walls")

@@ -62,8 +62,8 @@ def place_on_grid(
     if outside.any():
         i = int(np.flatnonzero(outside)[0])
         raise InputError(
-            f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie in "
-            f"[0, {arrays.length:.2f})"
+            f"race {i}: the start line {starts.s[i]} m is not on track {track.name!r}; it must lie"
+            f" in [0, {arrays.length:.2f})"
         )
     places = places_of_grid(len(vehicles))
     wrong = (starts.side < 0) | (starts.side >= places)
@@ -88,7 +88,9 @@ def place_on_grid(
     # with a crash that no policy chose.
     profile = slowest * sample[..., SPEED]
     state.cars[..., X], state.cars[..., Y] = pose[..., 0], pose[..., 1]
-    state.cars[..., _vehicle.V] = profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
+    state.cars[..., _vehicle.V] = (
+        profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
+    )
     state.cars[..., _vehicle.PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
     state.progress[:] = -behind
     settle(track, vehicles, state, conditions)
@@ -101,7 +103,10 @@ def places_of_grid(cars: int) -> int:
 
 
 def settle(
-    track: Track, vehicles: tuple[VehicleParams, ...], state: RaceState, conditions: RaceConditions = AS_THE_SETUP
+    track: Track,
+    vehicles: tuple[VehicleParams, ...],
+    state: RaceState,
+    conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
     """Set the Frenet coordinates of new cars; mark cars in a wall or in another car as crashed."""
     cars = conditions.rows(vehicles, state.races)

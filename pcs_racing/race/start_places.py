@@ -33,7 +33,17 @@ Places = dict[str, Stretches]
 
 PLACE_EVERY = 0.5  # m between tried places
 FIRST_SECONDS = 2.5  # s; a race that is over by then was decided by its start
-PACES = ((0.5, 0.5), (0.0, 0.0), (1.0, 1.0), (0.2, 0.8), (0.8, 0.2), (0.0, 1.0), (1.0, 0.0), (0.4, 0.5), (0.9, 1.0))
+PACES = (
+    (0.5, 0.5),
+    (0.0, 0.0),
+    (1.0, 1.0),
+    (0.2, 0.8),
+    (0.8, 0.2),
+    (0.0, 1.0),
+    (1.0, 0.0),
+    (0.4, 0.5),
+    (0.9, 1.0),
+)
 RANDOM_PAIRS = 7
 REPEATS = 3  # races of every pair, each with other noise
 EQUALS = [k for k, (ego, rival) in enumerate(PACES) if abs(ego - rival) < 0.15]
@@ -55,7 +65,10 @@ def _pairs() -> Floats:
     paces = [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in PACES]
     # `pace_behind` keeps its default: the first seconds are too short for it, and the start places
     # of tracks do not change.
-    drawn = [[LATTICE.sample(generator, fixed=("pace_behind",)) for _ in range(2)] for _ in range(RANDOM_PAIRS)]
+    drawn = [
+        [LATTICE.sample(generator, fixed=("pace_behind",)) for _ in range(2)]
+        for _ in range(RANDOM_PAIRS)
+    ]
     return np.array(paces + drawn)
 
 
@@ -76,7 +89,9 @@ def _race_from(
     """
     # Every pair starts from both sides alternately, so that a strong policy does not count as a
     # gain of the side.
-    starts = Starts(np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs)))
+    starts = Starts(
+        np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs))
+    )
     theta = np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1))
     state = _race(track, config, settings, spacing, starts, theta, first_key, threads)
     return state, np.where(starts.side == 0, state.lead, -state.lead)
@@ -94,7 +109,9 @@ def _race(
 ) -> RaceState:
     """Drive one race from each start with the parameters of its two policies, shape (races, 2, P)."""
     cars = (F1TENTH, F1TENTH)
-    state = place_on_grid(track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total)
+    state = place_on_grid(
+        track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total
+    )
     state.seed[:] = np.arange(first_key, first_key + len(starts), dtype=np.uint64)
     settings = settings._replace(ittc_horizon=0.0)
     drive(
@@ -111,9 +128,16 @@ def _race(
 
 
 def crashes_of_pairs(
-    track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, fit: Places, left_share: float
+    track: Track,
+    config: RaceConfig,
+    settings: KernelSettings,
+    spacing: float,
+    fit: Places,
+    left_share: float,
 ) -> float:
-    """Return the share of whole races that crash, of pairs of drawn paces from both sides of places everywhere."""
+    """Return the share of whole races that crash, of pairs of drawn paces from both sides of places
+    everywhere.
+    """
     # As start lines are drawn: so many from the places that favour the left.
     left = round(CRASH_PAIRS * left_share) if len(fit) == 2 else CRASH_PAIRS
     some = []
@@ -122,14 +146,21 @@ def crashes_of_pairs(
         some.append(every[np.linspace(0, len(every) - 1, count).astype(np.intp)])
     places = np.concatenate(some)
     paces = np.random.default_rng(2).uniform(size=(CRASH_PAIRS, 2))
-    theta = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
+    theta = np.array(
+        [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
+    )
     starts = Starts(np.repeat(places, 2), np.tile(np.arange(2), CRASH_PAIRS))
     state = _race(track, config, settings, spacing, starts, np.repeat(theta, 2, axis=0), 0)
     return float(state.crashed.mean())
 
 
 def drive_away(
-    track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, *, threads: int | None = None
+    track: Track,
+    config: RaceConfig,
+    settings: KernelSettings,
+    spacing: float,
+    *,
+    threads: int | None = None,
 ) -> tuple[Floats, Floats]:
     """Race pairs of policies from every place of a track, on either side, for the first seconds.
 
@@ -149,7 +180,9 @@ def drive_away(
     crashes, favour = np.empty(len(places)), np.empty(len(places))
     for first in range(0, len(places), BATCH):
         some = places[first : first + BATCH]
-        state, left = _race_from(track, config, settings, spacing, some, pairs, first * each, threads)
+        state, left = _race_from(
+            track, config, settings, spacing, some, pairs, first * each, threads
+        )
         crashes[first : first + BATCH] = state.crashed.reshape(len(some), each).mean(axis=1)
         lead = np.sign(left).reshape(len(some), len(pairs), 2)
         favour[first : first + BATCH] = lead[:, EQUALS].mean(axis=(1, 2))
@@ -169,9 +202,15 @@ def fit_places(
     """
     for spacing in spacings:
         crashes, favour = drive_away(track, config, settings, spacing)
-        together = np.mean([np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0)
+        together = np.mean(
+            [np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0
+        )
         abreast = config.start == "side-by-side"
-        sides = {"left": favour > 0.0, "right": favour < 0.0} if abreast else {"front": np.full(len(favour), True)}
+        sides = (
+            {"left": favour > 0.0, "right": favour < 0.0}
+            if abreast
+            else {"front": np.full(len(favour), True)}
+        )
         # As strict as possible: a laxer limit is taken only where the strict limit leaves too few
         # places.
         for allowed in ALLOWED:
@@ -183,23 +222,32 @@ def fit_places(
                 places = {name: stretches_of(here) for name, here in found.items() if here.any()}
                 share = 0.5
                 if len(places) == 2:
-                    gains = [_gain(track, config, settings, spacing, places[side]) for side in ("left", "right")]
+                    gains = [
+                        _gain(track, config, settings, spacing, places[side])
+                        for side in ("left", "right")
+                    ]
                     share = _left_share(*gains)
                 return float(spacing), places, share
     tried = ", ".join(f"{spacing:g}" for spacing in spacings)
     raise InputError(
-        f"track {track.name!r} has no place from which two cars get away from a {config.start} start with gap "
-        f"{config.start_gap:g} m at {config.start_speed:g} m/s, {tried} m apart; widen the track, or set another start "
-        "in the race settings"
+        f"track {track.name!r} has no place from which two cars get away from a {config.start}"
+        f" start with gap {config.start_gap:g} m at {config.start_speed:g} m/s, {tried} m apart;"
+        " widen the track, or set another start in the race settings"
     )
 
 
-def _gain(track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, stretches: Stretches) -> float:
+def _gain(
+    track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, stretches: Stretches
+) -> float:
     """Return the share of full races from some places that the left car wins, minus 0.5."""
     places = places_of(stretches)
-    places = places[np.linspace(0, len(places) - 1, min(len(places), BALANCE_PLACES)).astype(np.intp)]
+    places = places[
+        np.linspace(0, len(places) - 1, min(len(places), BALANCE_PLACES)).astype(np.intp)
+    ]
     paces = np.random.default_rng(1).uniform(size=(BALANCE_PAIRS, 2))
-    pairs = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
+    pairs = np.array(
+        [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
+    )
     state, left = _race_from(track, config, settings, spacing, places, pairs, 0)
     left = left[~state.crashed]
     return float((left > 0.0).mean()) - 0.5 if len(left) else 0.0
@@ -228,7 +276,9 @@ def stretches_of(fit: NDArray[np.bool_]) -> Stretches:
 
 def places_of(stretches: Stretches) -> Floats:
     """Return all places of some stretches, m, ascending."""
-    return np.concatenate([np.arange(first, last + 0.5 * PLACE_EVERY, PLACE_EVERY) for first, last in stretches])
+    return np.concatenate(
+        [np.arange(first, last + 0.5 * PLACE_EVERY, PLACE_EVERY) for first, last in stretches]
+    )
 
 
 def split_places(places: Floats, split: str) -> Floats:

@@ -20,7 +20,9 @@ SUMS: dict[str, str] = {
 }
 """Running sums of each car, by name; characteristics are made of differences of these sums."""
 
-ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PROFILE_BEHIND = range(len(SUMS))
+ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PROFILE_BEHIND = range(
+    len(SUMS)
+)
 
 # Columns of ``laps``: complete laps; end time of the last lap, s; duration of the last lap and of
 # the shortest lap, s.
@@ -47,8 +49,10 @@ class RaceState(NamedTuple):
     #: there is no generator state.
     seed: NDArray[np.uint64]
     cars: NDArray[np.float64]  #: shape (B, N, 7): Vehicle states (:mod:`pcs_racing.car.vehicle`).
-    frenet: NDArray[np.float64]  #: shape (B, N, 2): Arc length in [0, length) and distance from the race line, m.
-    #: shape (B, N): Cumulative arc length since the start line, m; a lap adds the length of the track.
+    #: shape (B, N, 2): Arc length in [0, length) and distance from the race line, m.
+    frenet: NDArray[np.float64]
+    #: shape (B, N): Cumulative arc length since the start line, m; a lap adds the length of the
+    #: track.
     progress: NDArray[np.float64]
     #: shape (B, N, 2): Target steering angle (rad) and speed (m/s) in force, the noise included.
     command: NDArray[np.float64]

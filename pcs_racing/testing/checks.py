@@ -45,8 +45,12 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     theta = np.zeros((RACES, 2, setup.theta_size))
     for race in range(RACES):
         for car in range(2):
-            theta[race, car, : len(planner.parameters)] = planner.default if race == 0 else planner.sample(rng)
-    grid = start_races(setup, draw_starts(track, setup.config, RACES, seed), race_seeds(seed, RACES))
+            theta[race, car, : len(planner.parameters)] = (
+                planner.default if race == 0 else planner.sample(rng)
+            )
+    grid = start_races(
+        setup, draw_starts(track, setup.config, RACES, seed), race_seeds(seed, RACES)
+    )
     ticks, who = setup.config.ticks, f"planner {planner.name!r}"
 
     def drive(state: RaceState, parameters: NDArray[np.float64], pieces: int = 1) -> RaceState:
@@ -54,33 +58,54 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
         after = state.copy()
         for _ in range(pieces):
             advance(setup, after, given, ticks // pieces)
-        assert np.array_equal(given, parameters), f"{who} writes to its parameters; it must leave theta as it is"
+        assert np.array_equal(given, parameters), (
+            f"{who} writes to its parameters; it must leave theta as it is"
+        )
         return after
 
-    careful = replace(planner, plan=bounds_checked(planner.plan), control=bounds_checked(planner.control))
+    careful = replace(
+        planner, plan=bounds_checked(planner.plan), control=bounds_checked(planner.control)
+    )
     try:
-        advance(RaceSetup(track, setup.config, (careful, careful)), grid.copy(), theta.copy(), ticks)
+        advance(
+            RaceSetup(track, setup.config, (careful, careful)), grid.copy(), theta.copy(), ticks
+        )
     except InputError as error:
-        beyond = f"{who} reads or writes beyond the end of an array: " * isinstance(error.__cause__, IndexError)
+        beyond = f"{who} reads or writes beyond the end of an array: " * isinstance(
+            error.__cause__, IndexError
+        )
         raise AssertionError(f"{beyond}{error}") from error
     end = drive(grid, theta)
     for name in ("cars", "command", "path", "memory"):
         array = getattr(end, name)
         assert np.isfinite(array).all(), (
-            f"{who} leaves NaN or infinity in {name} of race {int(np.argwhere(~np.isfinite(array))[0][0])}"
+            f"{who} leaves NaN or infinity in {name} of race"
+            f" {int(np.argwhere(~np.isfinite(array))[0][0])}"
         )
-    assert end.cars[0, :, V].max() > 0.1, f"{who}: with the default policy the cars stand still after {seconds:g} s"
+    assert end.cars[0, :, V].max() > 0.1, (
+        f"{who}: with the default policy the cars stand still after {seconds:g} s"
+    )
     same = "; it must depend on nothing but its arguments"
-    _assert_equal(drive(grid, theta), end, f"{who}: the same races end differently the second time{same}")
+    _assert_equal(
+        drive(grid, theta), end, f"{who}: the same races end differently the second time{same}"
+    )
     alone = drive(take(grid, [RACES - 1]), theta[RACES - 1 :])
-    _assert_equal(alone, take(end, [RACES - 1]), f"{who}: a race ends differently without the others{same}")
-    _assert_equal(drive(grid, theta, pieces=4), end, f"{who}: races end differently when cut in pieces{same}")
+    _assert_equal(
+        alone, take(end, [RACES - 1]), f"{who}: a race ends differently without the others{same}"
+    )
+    _assert_equal(
+        drive(grid, theta, pieces=4), end, f"{who}: races end differently when cut in pieces{same}"
+    )
     for side in (1.0, -1.0):
         _check_sight(setup, take(grid, [0] * RACES), theta, rng, side)
 
 
 def _check_sight(
-    setup: RaceSetup, state: RaceState, theta: NDArray[np.float64], rng: np.random.Generator, side: float
+    setup: RaceSetup,
+    state: RaceState,
+    theta: NDArray[np.float64],
+    rng: np.random.Generator,
+    side: float,
 ) -> None:
     """Check that a planner ignores an opponent ahead (1) or behind (-1) beyond its sight.
 
@@ -102,8 +127,8 @@ def _check_sight(
     for name in ("cars", "command", "path", "memory"):
         own = getattr(state, name)[~state.crashed, 0]
         assert (own == own[0]).all(), (
-            f"planner {planner.name!r} has sight {planner.sight:g}, but drives differently when only an opponent "
-            f"beyond that does ({name})"
+            f"planner {planner.name!r} has sight {planner.sight:g}, but drives differently when"
+            f" only an opponent beyond that does ({name})"
         )
 
 
@@ -153,21 +178,37 @@ def check_characteristic(characteristic: Characteristic, *, seed: int = 0) -> No
     segment = Segment(rng.uniform(0.0, 6.0, (races, 2)) * time[:, None], sums, time, 8.0)
     kept = Segment(segment.progress.copy(), segment.sums.copy(), segment.time.copy(), 8.0)
     values = np.asarray(characteristic.evaluate(segment))
-    untouched = all(np.array_equal(getattr(segment, key), getattr(kept, key)) for key in ("progress", "sums", "time"))
+    untouched = all(
+        np.array_equal(getattr(segment, key), getattr(kept, key))
+        for key in ("progress", "sums", "time")
+    )
     assert untouched, f"{who} writes to the segment; it must leave it as it is"
-    assert values.shape == (races, 2), f"{who} returns shape {values.shape} for {races} races; it must be ({races}, 2)"
+    assert values.shape == (
+        races,
+        2,
+    ), f"{who} returns shape {values.shape} for {races} races; it must be ({races}, 2)"
     assert values.dtype.kind == "f", f"{who} returns type {values.dtype}; it must be floating point"
     for race in range(races):
         assert np.isfinite(values[race]).all(), (
             f"{who} is {values[race]} for a piece of {time[race]} s; it must be finite"
         )
         one = slice(race, race + 1)
-        alone = characteristic.evaluate(Segment(kept.progress[one], kept.sums[one], kept.time[one], 8.0))
-        assert np.array_equal(alone, values[one]), f"{who}: the value of a race depends on the other races of the batch"
-    swapped = characteristic.evaluate(Segment(kept.progress[:, ::-1], kept.sums[:, ::-1], kept.time, 8.0))
-    assert np.array_equal(swapped, values[:, ::-1]), f"{who}: the values do not change places when the cars do"
+        alone = characteristic.evaluate(
+            Segment(kept.progress[one], kept.sums[one], kept.time[one], 8.0)
+        )
+        assert np.array_equal(alone, values[one]), (
+            f"{who}: the value of a race depends on the other races of the batch"
+        )
+    swapped = characteristic.evaluate(
+        Segment(kept.progress[:, ::-1], kept.sums[:, ::-1], kept.time, 8.0)
+    )
+    assert np.array_equal(swapped, values[:, ::-1]), (
+        f"{who}: the values do not change places when the cars do"
+    )
 
 
 def _assert_equal(found: RaceState, expected: RaceState, message: str) -> None:
     for name, array in found._asdict().items():
-        assert np.array_equal(array, getattr(expected, name), equal_nan=array.dtype.kind == "f"), f"{message} ({name})"
+        assert np.array_equal(array, getattr(expected, name), equal_nan=array.dtype.kind == "f"), (
+            f"{message} ({name})"
+        )

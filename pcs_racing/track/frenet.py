@@ -108,7 +108,8 @@ def angle_between(a, b):
 def _cubic(line, ds, i):
     """Return the coefficients of the line between sample ``i`` and the next one, for u in [0, 1].
 
-    The cubic Hermite polynomial ``p + u (q + u (a + u b))`` has the samples' points and headings at its ends.
+    The cubic Hermite polynomial ``p + u (q + u (a + u b))`` has the samples' points and headings at
+    its ends.
     """
     j = i + 1 if i + 1 < line.shape[0] else 0
     qx = ds * line[i, COS]
@@ -117,7 +118,14 @@ def _cubic(line, ds, i):
     ey = ds * line[j, SIN]
     dx = line[j, X] - line[i, X]
     dy = line[j, Y] - line[i, Y]
-    return qx, qy, 3.0 * dx - 2.0 * qx - ex, 3.0 * dy - 2.0 * qy - ey, qx + ex - 2.0 * dx, qy + ey - 2.0 * dy
+    return (
+        qx,
+        qy,
+        3.0 * dx - 2.0 * qx - ex,
+        3.0 * dy - 2.0 * qy - ey,
+        qx + ex - 2.0 * dx,
+        qy + ey - 2.0 * dy,
+    )
 
 
 @inner_kernel

@@ -57,7 +57,9 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
         return kept.track
 
 
-def with_walls(track: Track, occupied: NDArray[np.bool_], resolution: float, origin: tuple[float, float]) -> Track:
+def with_walls(
+    track: Track, occupied: NDArray[np.bool_], resolution: float, origin: tuple[float, float]
+) -> Track:
     """Return a track with the walls of another grid (see `build_track`), cached on disk."""
     grid = np.packbits(occupied).tobytes()
     facts = repr((track.content_hash, occupied.shape, resolution, origin)).encode()
@@ -65,7 +67,9 @@ def with_walls(track: Track, occupied: NDArray[np.bool_], resolution: float, ori
     restored = _restore(track.name, track.folder, key)
     if restored is not None:
         return restored[0]
-    made = build_track(track.name, occupied, resolution, origin, track.centerline, track.line[:, :2])
+    made = build_track(
+        track.name, occupied, resolution, origin, track.centerline, track.line[:, :2]
+    )
     store(TRACK, key, _flatten(made, ""))
     return made
 
@@ -83,7 +87,9 @@ _loaded: dict[Path, _Loaded] = {}
 
 def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
     if not isinstance(name_or_path, str | os.PathLike):
-        raise InputError(f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map")
+        raise InputError(
+            f"track is {name_or_path!r:.80}; it must be the name of a circuit or the path of a map"
+        )
     path = Path(name_or_path)
     # A bare name means a shipped track first, even if a folder of that name exists.
     if isinstance(name_or_path, str) and path.name == name_or_path:
@@ -121,7 +127,10 @@ def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
                 content.origin,
                 center,
                 race,
-                calibration={preset: calibration_from_values(values) for preset, values in calibration.items()},
+                calibration={
+                    preset: calibration_from_values(values)
+                    for preset, values in calibration.items()
+                },
                 folder=content.folder,
             )
         except MapError as error:
@@ -137,9 +146,13 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     from pcs_racing.track.building.centerline import centerline_from_grid
     from pcs_racing.track.building.raceline import minimum_curvature_raceline
 
-    occupied, resolution, origin = checked_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
+    occupied, resolution, origin = checked_grid(
+        content.occupied, content.resolution, content.origin, str(files.yaml)
+    )
     if not occupied.any():
-        raise MapError(f"{files.yaml}: the picture has no wall, no cell darker than occupied_thresh")
+        raise MapError(
+            f"{files.yaml}: the picture has no wall, no cell darker than occupied_thresh"
+        )
     center = race = None
     reasons = []
     if content.raceline is None:
@@ -149,9 +162,13 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
         points = sample_closed(race, LINE_SPACING).xy
         air = float(wall_clearance(points, occupied, resolution, origin, 1.0).min())
         if air == 0.0:
-            raise MapError(f"{files.raceline} leads through a wall or off the map: it must stay on the track")
+            raise MapError(
+                f"{files.raceline} leads through a wall or off the map: it must stay on the track"
+            )
         if air < CLEARANCE - TOLERANCE:
-            reasons.append(f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)")
+            reasons.append(
+                f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)"
+            )
     if content.centerline is not None:
         try:
             center = check_centerline(content.centerline, str(files.centerline or files.waypoints))
@@ -165,11 +182,15 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
         if center is None:
             heading = None if race is None else float(arctangent2(*(race[1] - race[0])[::-1]))
             seed = None if race is None else race[0]
-            center = centerline_from_grid(occupied, resolution, origin, seed_point=seed, direction=heading)
+            center = centerline_from_grid(
+                occupied, resolution, origin, seed_point=seed, direction=heading
+            )
         if race is None or air < CLEARANCE - TOLERANCE:
             race = minimum_curvature_raceline(center, occupied, resolution, origin)
     except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(f"track {files.name} must be completed: {note}; {error}", name=error.name) from error
+        raise ModuleNotFoundError(
+            f"track {files.name} must be completed: {note}; {error}", name=error.name
+        ) from error
     except MapError as error:
         raise MapError(f"{files.yaml}: {error}") from error
     return center, race, f"{note}; it was made from the picture" if note else ""
@@ -178,8 +199,14 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
 def _flatten(track: Track, note: str) -> dict[str, Any]:
     """Return all data of a track as arrays, with the drivable region as distance field."""
     # The distance field is large and quickly computed: one bit per cell is stored instead.
-    values = {name: np.asarray(value) for name, value in track.arrays._asdict().items() if name != "distance"}
-    own = {preset: calibration_values(calibration) for preset, calibration in track.calibration.items()}
+    values = {
+        name: np.asarray(value)
+        for name, value in track.arrays._asdict().items()
+        if name != "distance"
+    }
+    own = {
+        preset: calibration_values(calibration) for preset, calibration in track.calibration.items()
+    }
     return values | {
         "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
         "columns": np.asarray(track.arrays.distance.shape[1]),
@@ -194,11 +221,15 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
     try:
         if stored is None or not _fit(stored):
             return None
-        drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(np.bool_)
+        drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(
+            np.bool_
+        )
         note, content_hash, own = parse_json("the cache", str(stored["text"]))
         center = stored["centerline"]
         center.flags.writeable = False  # as in every Track
-        values: dict[str, Any] = {name: stored[name] for name in TrackArrays._fields if name != "distance"}
+        values: dict[str, Any] = {
+            name: stored[name] for name in TrackArrays._fields if name != "distance"
+        }
     except (KeyError, ValueError, IndexError, TypeError):
         return None
     # A 0-d array has another type than a number: kernels would be compiled again for it.
@@ -215,10 +246,20 @@ def _fit(stored: dict[str, NDArray[Any]]) -> bool:
     samples, walls, stretches = (len(stored[name]) for name in ("line", "walls", "seen_middle"))
     listed, corners = int(stored["seen_start"][-1]), int(stored["corners_start"][-1])
     shapes = {
-        **{"line": (samples, 9), "walls": (walls, 4), "seen_middle": (stretches, 2), "corners": (2, corners)},
+        **{
+            "line": (samples, 9),
+            "walls": (walls, 4),
+            "seen_middle": (stretches, 2),
+            "corners": (2, corners),
+        },
         **dict.fromkeys(("seen_start", "corners_start"), (stretches + 1,)),
         **dict.fromkeys(("seen", "seen_distance"), (listed,)),
     }
-    rising = all(np.diff(stored[name], prepend=0).min() >= 0 for name in ("seen_start", "corners_start"))
-    known = all(0 <= stored[name].min() <= stored[name].max() < n for name, n in (("seen", walls), ("lookup", samples)))
+    rising = all(
+        np.diff(stored[name], prepend=0).min() >= 0 for name in ("seen_start", "corners_start")
+    )
+    known = all(
+        0 <= stored[name].min() <= stored[name].max() < n
+        for name, n in (("seen", walls), ("lookup", samples))
+    )
     return rising and known and all(stored[name].shape == shape for name, shape in shapes.items())

@@ -61,7 +61,8 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
     missing = [key for key in ("image", "resolution", "origin") if key not in values]
     if missing:
         raise MapError(
-            f"{file}: missing {', '.join(map(repr, missing))}; the keys of a ROS map are {', '.join(ROS_KEYS)}"
+            f"{file}: missing {', '.join(map(repr, missing))}; the keys of a ROS map are"
+            f" {', '.join(ROS_KEYS)}"
         )
     image, origin, negate = values["image"], values["origin"], values.get("negate", 0)
     if not isinstance(image, str) or not image:
@@ -75,7 +76,9 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
         raise MapError(f"{file}: negate must be 0 or 1, got {negate!r}")
     resolution = _number(file, "resolution", values["resolution"], 0.0, 1.0)
     if resolution < 1e-3:
-        raise MapError(f"{file}: resolution must be from 0.001 to 1 metres per cell, got {resolution}")
+        raise MapError(
+            f"{file}: resolution must be from 0.001 to 1 metres per cell, got {resolution}"
+        )
     occupied = _number(file, "occupied_thresh", values.get("occupied_thresh", 0.65), 0.0, 1.0)
     free = _number(file, "free_thresh", values.get("free_thresh", 0.25), 0.0, 1.0)
     if free > occupied:
@@ -96,7 +99,9 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
     values = parse_yaml(file, data)
     unknown = [key for key in values if key not in INFO_KEYS]
     if unknown:
-        raise MapError(f"{file}: unknown {', '.join(map(repr, unknown))}; the keys are {', '.join(INFO_KEYS)}")
+        raise MapError(
+            f"{file}: unknown {', '.join(map(repr, unknown))}; the keys are {', '.join(INFO_KEYS)}"
+        )
     for key in ("description", "license", "style", "direction"):
         if not isinstance(values.get(key, ""), str):
             raise MapError(f"{file}: {key} must be text, got {values[key]!r}")
@@ -107,8 +112,12 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
     if "length_range" in values:
         _range(file, "length_range", values["length_range"], 1e4)
     calibration = values.get("calibration", {})
-    if not isinstance(calibration, dict) or not all(isinstance(preset, str) for preset in calibration):
-        raise MapError(f"{file}: calibration must give values for each race preset, got {calibration!r:.80}")
+    if not isinstance(calibration, dict) or not all(
+        isinstance(preset, str) for preset in calibration
+    ):
+        raise MapError(
+            f"{file}: calibration must give values for each race preset, got {calibration!r:.80}"
+        )
     for preset, own in calibration.items():
         _check_calibration(file, f"calibration of {preset}", own)
     return values
@@ -122,8 +131,15 @@ def _check_calibration(file: Path, label: str, own: Any) -> None:
     _number(file, f"start_spacing in the {label}", own["start_spacing"], 0.0, 10.0)
     _number(file, f"left_share in the {label}", own["left_share"], 0.0, 1.0)
     places = own["start_places"]
-    if not isinstance(places, dict) or not 0 < len(places) <= 2 or not all(isinstance(side, str) for side in places):
-        raise MapError(f"{file}: start_places in the {label} must list stretches for each side, got {places!r:.80}")
+    if (
+        not isinstance(places, dict)
+        or not 0 < len(places) <= 2
+        or not all(isinstance(side, str) for side in places)
+    ):
+        raise MapError(
+            f"{file}: start_places in the {label} must list stretches for each side, got"
+            f" {places!r:.80}"
+        )
     for side, stretches in places.items():
         _check_stretches(file, f"start_places {side} in the {label}", stretches)
 
@@ -136,7 +152,10 @@ def _check_stretches(file: Path, label: str, stretches: Any) -> None:
         ok = isinstance(stretch, list) and len(stretch) == 2
         ok = ok and all(map(is_number, stretch))
         if not ok or not before < stretch[0] <= stretch[1] <= 1e5:
-            raise MapError(f"{file}: {label} must be [first, last] in m, one after the other, got {stretch!r:.80}")
+            raise MapError(
+                f"{file}: {label} must be [first, last] in m, one after the other, got"
+                f" {stretch!r:.80}"
+            )
         before = stretch[1]
 
 
@@ -159,8 +178,13 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
         from scipy import ndimage
 
         occupied |= ndimage.binary_opening(unknown, np.ones((3, 3)))
-        thin, _ = ndimage.label(unknown & ~ndimage.binary_dilation(occupied, np.ones((5, 5))), np.ones((3, 3)))
-        extent = [0, *(max(part.stop - part.start for part in box) for box in ndimage.find_objects(thin))]
+        thin, _ = ndimage.label(
+            unknown & ~ndimage.binary_dilation(occupied, np.ones((5, 5))), np.ones((3, 3))
+        )
+        extent = [
+            0,
+            *(max(part.stop - part.start for part in box) for box in ndimage.find_objects(thin)),
+        ]
         occupied |= (np.array(extent) >= LINE_CELLS)[thin]
     return occupied
 
@@ -171,13 +195,17 @@ def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
     quarters = ros["yaw"] / (0.5 * math.pi)
     if abs(quarters - round(quarters)) < 1e-5:
         quarters = round(quarters)
-    from pcs_racing.base.elementary import sine_cosine  # imports numba, which names of tracks do without
+    # imports numba, which names of tracks do without
+    from pcs_racing.base.elementary import sine_cosine
 
     sine, cosine = sine_cosine(0.5 * math.pi * (quarters % 4))
     if isinstance(quarters, int):  # no rounding errors
         sine, cosine = round(sine), round(cosine)
     height, width = grid.shape
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ [[cosine, sine], [-sine, cosine]]
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ [
+        [cosine, sine],
+        [-sine, cosine],
+    ]
     low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
     origin = (float(x + low[0] * ros["resolution"]), float(y + low[1] * ros["resolution"]))
     if isinstance(quarters, int):
@@ -185,13 +213,18 @@ def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
         return np.ascontiguousarray(np.rot90(grid, -quarters % 4)), origin
     columns, rows = (high - low).astype(int)
     if columns * rows > 2 * MAX_PIXELS:
-        raise MapError(f"a yaw of {ros['yaw']} makes a grid of {columns} x {rows} cells: crop the picture")
+        raise MapError(
+            f"a yaw of {ros['yaw']} makes a grid of {columns} x {rows} cells: crop the picture"
+        )
     turned = np.zeros((rows, columns), dtype=np.bool_)
     # Four points per cell, so that no thin wall falls between two points.
     for dx, dy in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):
         u = np.arange(columns) + (low[0] + dx)
         v = np.arange(rows)[:, None] + (low[1] + dy)
-        j, i = np.floor(cosine * u + sine * v).astype(int), np.floor(cosine * v - sine * u).astype(int)
+        j, i = (
+            np.floor(cosine * u + sine * v).astype(int),
+            np.floor(cosine * v - sine * u).astype(int),
+        )
         inside = (i >= 0) & (j >= 0) & (i < height) & (j < width)
         turned[inside] |= grid[i[inside], j[inside]]
     return turned, origin
@@ -210,8 +243,8 @@ def without_specks(file: Path, grid: Grid, resolution: float, origin: tuple[floa
     specks = small[labels]
     i, j = np.argwhere(specks)[0]
     say(
-        f"{file}: {np.count_nonzero(small)} specks of up to {SPECK_CELLS} cells are left out, such as the one at "
-        f"{at_cell(i, j, len(grid), resolution, np.array(origin))}"
+        f"{file}: {np.count_nonzero(small)} specks of up to {SPECK_CELLS} cells are left out, such"
+        f" as the one at {at_cell(i, j, len(grid), resolution, np.array(origin))}"
     )
     return grid & ~specks
 
@@ -225,15 +258,26 @@ def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
 
     def table(key: str, columns: tuple[str, ...]) -> Floats:
         try:
-            rows = [[point[column] for column in columns] for point in content[key]["wpnts"][: MAX_POINTS + 1]]
+            rows = [
+                [point[column] for column in columns]
+                for point in content[key]["wpnts"][: MAX_POINTS + 1]
+            ]
         except (KeyError, TypeError):
             rows = []
-        if not 10 <= len(rows) <= MAX_POINTS or not all(is_number(value) for row in rows for value in row):
-            raise MapError(f"{file}: {key} must hold 10 to {MAX_POINTS} wpnts of finite {', '.join(columns)}")
+        if not 10 <= len(rows) <= MAX_POINTS or not all(
+            is_number(value) for row in rows for value in row
+        ):
+            raise MapError(
+                f"{file}: {key} must hold 10 to {MAX_POINTS} wpnts of finite {', '.join(columns)}"
+            )
         return np.array(rows, dtype=np.float64)
 
     race = table("global_traj_wpnts_iqp", RACELINE_COLUMNS)
-    return (table("centerline_waypoints", WAYPOINT_CENTERLINE) if "centerline_waypoints" in content else None), race
+    return (
+        table("centerline_waypoints", WAYPOINT_CENTERLINE)
+        if "centerline_waypoints" in content
+        else None
+    ), race
 
 
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
@@ -252,12 +296,14 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
             row = []
         if len(row) != len(columns) or not all(map(math.isfinite, row)):
             raise MapError(
-                f"{file}, line {number}: {text.strip()[:80]!r} should be {len(columns)} finite numbers separated by "
-                f"{separator!r}: {', '.join(columns)}"
+                f"{file}, line {number}: {text.strip()[:80]!r} should be {len(columns)} finite"
+                f" numbers separated by {separator!r}: {', '.join(columns)}"
             )
         rows.append(row)
         if len(rows) > MAX_POINTS:
-            raise MapError(f"{file} has more than {MAX_POINTS} points: a point every few centimetres is enough")
+            raise MapError(
+                f"{file} has more than {MAX_POINTS} points: a point every few centimetres is enough"
+            )
     if len(rows) < 10:
         raise MapError(f"{file} has {len(rows)} points: at least 10 are needed")
     return np.array(rows)
@@ -288,18 +334,24 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
             picture = Image.open(io.BytesIO(data), formats=PICTURE_FORMATS)
         width, height = picture.size
         if width * height > MAX_PIXELS:
-            raise MapError(f"{file} has {width} x {height} pixels: at most {MAX_PIXELS} in all are read")
+            raise MapError(
+                f"{file} has {width} x {height} pixels: at most {MAX_PIXELS} in all are read"
+            )
         picture.load()
     except MapError:
         raise
     except (OSError, ValueError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
         # Pillow's own message names the stream object, not the file.
         words = "another format" if isinstance(error, UnidentifiedImageError) else error
-        raise MapError(f"{file} can't be read as a picture ({words}): it must be a whole {kinds} file") from error
+        raise MapError(
+            f"{file} can't be read as a picture ({words}): it must be a whole {kinds} file"
+        ) from error
     if picture.mode in ("1", "L"):
         return np.asarray(picture.convert("L"))[::-1]
     if picture.mode not in ("P", "LA", "RGB", "RGBA"):
-        raise MapError(f"{file} has pixels of mode {picture.mode}: save it as an 8-bit grey picture")
+        raise MapError(
+            f"{file} has pixels of mode {picture.mode}: save it as an 8-bit grey picture"
+        )
     channels = np.asarray(picture.convert("RGBA"))[::-1]
     red = np.ascontiguousarray(channels[..., 0])
     if (channels[..., 3] != 255).any():

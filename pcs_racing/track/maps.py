@@ -3,7 +3,8 @@
 A folder ``NAME`` holds
 
 - ``NAME_map.yaml`` and its picture: the grid, in the format of ROS map_server,
-- ``NAME_centerline.csv`` (optional): x, y, width to the right, width to the left, separated by commas,
+- ``NAME_centerline.csv`` (optional): x, y, width to the right, width to the left, separated by
+  commas,
 - ``NAME_raceline.csv`` (optional): s, x, y, psi, kappa, vx, ax, separated by semicolons,
 - ``NAME_track.yaml`` (optional, ours): origin and calibration, see `map_files.INFO_KEYS`,
 - ``global_waypoints.json`` (optional, of ForzaETH's race stack): the lines, without csv files.
@@ -78,7 +79,9 @@ class MapFolder(NamedTuple):
 
 def list_tracks() -> list[str]:
     """Return the sorted names of the shipped tracks."""
-    return sorted(path.name for path in _SHIPPED.glob("*") if (path / f"{path.name}_map.yaml").is_file())
+    return sorted(
+        path.name for path in _SHIPPED.glob("*") if (path / f"{path.name}_map.yaml").is_file()
+    )
 
 
 def find_shipped(name: str) -> Path:
@@ -88,7 +91,8 @@ def find_shipped(name: str) -> Path:
         if candidate.lower() == name.lower():
             return _SHIPPED / candidate
     raise UnknownNameError(
-        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks; {choices(name.title(), tracks)}"
+        f"unknown track {name!r}: neither a map folder nor one of the shipped tracks;"
+        f" {choices(name.title(), tracks)}"
     )
 
 
@@ -102,12 +106,19 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     elif os.path.isdir(folder):
         yaml_file = _map_yaml(folder)
     else:
-        raise MapError(f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its picture")
+        raise MapError(
+            f"no map folder at {folder}: it must be a folder that holds a *_map.yaml and its"
+            " picture"
+        )
     name = yaml_file.stem.removesuffix("_map")
-    optional = [folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml")]
+    optional = [
+        folder / f"{name}_{kind}" for kind in ("centerline.csv", "raceline.csv", "track.yaml")
+    ]
     optional.append(folder / WAYPOINTS)
     # Any existing entry is read or refused: a pipe or a broken link is not a missing file.
-    return MapFiles(name, folder, yaml_file, *(file if os.path.lexists(file) else None for file in optional))
+    return MapFiles(
+        name, folder, yaml_file, *(file if os.path.lexists(file) else None for file in optional)
+    )
 
 
 def read_map(path: str | os.PathLike[str]) -> MapFolder:
@@ -125,7 +136,8 @@ def read_bytes(files: MapFiles) -> dict[str, bytes]:
     texts = [file for file in every if file is not None]
     limits = {".csv": MAX_LINE, ".json": MAX_LINE}
     contents = {
-        _label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML)) for file in texts
+        _label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML))
+        for file in texts
     }
     picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
     return contents | {_label(files, picture): read_inside(files.folder, picture, MAX_BYTES)}
@@ -137,7 +149,9 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
     picture = _picture(files, ros)
     centerline = raceline = None
     if files.centerline is not None:
-        centerline = parse_csv(files.centerline, contents[files.centerline.name], CENTERLINE_COLUMNS, ",")
+        centerline = parse_csv(
+            files.centerline, contents[files.centerline.name], CENTERLINE_COLUMNS, ","
+        )
     if files.raceline is not None:
         raceline = parse_csv(files.raceline, contents[files.raceline.name], RACELINE_COLUMNS, ";")
     if files.waypoints is not None and raceline is None:
@@ -163,8 +177,15 @@ def write_map(content: MapFolder) -> Path:
     whole.
     """
     name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
-    if not name.isprintable() or name != name.strip(" .") or not name or set(name) & set('/\\:*?"<>|'):
-        raise MapError(f"{name!r} can't name a map: letters, digits, '-', '_' and spaces between them can")
+    if (
+        not name.isprintable()
+        or name != name.strip(" .")
+        or not name
+        or set(name) & set('/\\:*?"<>|')
+    ):
+        raise MapError(
+            f"{name!r} can't name a map: letters, digits, '-', '_' and spaces between them can"
+        )
     same = not folder.exists() or (folder / f"{name}_map.yaml").is_file()
     if not same and not (folder.is_dir() and next(folder.iterdir(), None) is None):
         raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
@@ -208,7 +229,13 @@ def _files(content: MapFolder) -> dict[str, bytes]:
     ):
         if rows is not None:
             text = io.StringIO()
-            np.savetxt(text, rows, fmt="%.9f", delimiter=f"{separator} ", header=f"{separator} ".join(columns))
+            np.savetxt(
+                text,
+                rows,
+                fmt="%.9f",
+                delimiter=f"{separator} ",
+                header=f"{separator} ".join(columns),
+            )
             files[f"{name}_{kind}.csv"] = text.getvalue().encode()
             # Written values must be readable: invalid values are refused here, not by readers.
             parse_csv(Path(f"{name}_{kind}.csv"), files[f"{name}_{kind}.csv"], columns, separator)
@@ -229,16 +256,26 @@ def _map_yaml(folder: Path) -> Path:
     for file in (own, own.with_name(f"{folder.resolve().name}.yaml")):
         if file.is_file() and (file == own or (folder / WAYPOINTS).is_file()):
             return file
-    everything = sorted(file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern) if file.is_file())
+    everything = sorted(
+        file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern) if file.is_file()
+    )
     maps = [file for file in everything if file.stem.endswith("_map")]
     if not maps:
         others = [file for file in everything if not file.stem.endswith("_track")]
-        maps = [file for file in others if "image" in parse_yaml(file, read_inside(folder, file, MAX_YAML))]
+        maps = [
+            file
+            for file in others
+            if "image" in parse_yaml(file, read_inside(folder, file, MAX_YAML))
+        ]
     if len(maps) > 1:
         names = ", ".join(file.name for file in maps)
-        raise MapError(f"{folder} holds several maps ({names}): name one of these files instead of the folder")
+        raise MapError(
+            f"{folder} holds several maps ({names}): name one of these files instead of the folder"
+        )
     if not maps:
-        raise MapError(f"{folder} holds no map: {own.name}, or any one *_map.yaml as ROS writes it, is needed")
+        raise MapError(
+            f"{folder} holds no map: {own.name}, or any one *_map.yaml as ROS writes it, is needed"
+        )
     return maps[0]
 
 
@@ -251,9 +288,15 @@ def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
     except (OSError, ValueError, RuntimeError):  # too long a name, a zero in it, or a loop of links
         inside, exists = True, False
     if not inside:
-        raise MapError(f"{files.yaml}: image {ros['image']!r} lies outside the map's folder; put the picture beside it")
+        raise MapError(
+            f"{files.yaml}: image {ros['image']!r} lies outside the map's folder; put the picture"
+            " beside it"
+        )
     if not exists:
-        raise MapError(f"{files.yaml}: image {ros['image']!r} is not there; it must name a picture in the folder")
+        raise MapError(
+            f"{files.yaml}: image {ros['image']!r} is not there; it must name a picture in the"
+            " folder"
+        )
     return file
 
 

@@ -33,15 +33,17 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     circle is a polygon of 16 corners for walls and lidar. Without boxes the result is the track
     itself.
     """
-    given = check_array("obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX)))
+    given = check_array(
+        "obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX))
+    )
     if len(given) > MOST_BOXES:
         raise InputError(f"there are {len(given)} obstacles; {MOST_BOXES} are the limit")
     fine = (given[:, 3:] >= SHORTEST) & (given[:, 3:] <= LONGEST)
     wrong = np.flatnonzero(~(fine[:, 0] & (fine[:, 1] | (given[:, 4] == 0.0))))
     if len(wrong):
         raise InputError(
-            f"obstacle {wrong[0]} measures {given[wrong[0], 3:].tolist()} m; its sides must be from {SHORTEST:g} to "
-            f"{LONGEST:g} m, or its width 0 for a round one"
+            f"obstacle {wrong[0]} measures {given[wrong[0], 3:].tolist()} m; its sides must be from"
+            f" {SHORTEST:g} to {LONGEST:g} m, or its width 0 for a round one"
         )
     if len(given) == 0:
         return track
@@ -55,7 +57,9 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
         columns = _window(x - arrays.origin_x, half, arrays.cell, distance.shape[1])
         rows = _window(y - arrays.origin_y, half, arrays.cell, distance.shape[0])
         dx = (np.arange(columns.start, columns.stop) + 0.5) * arrays.cell + (arrays.origin_x - x)
-        dy = ((np.arange(rows.start, rows.stop) + 0.5) * arrays.cell + (arrays.origin_y - y))[:, None]
+        dy = ((np.arange(rows.start, rows.stop) + 0.5) * arrays.cell + (arrays.origin_y - y))[
+            :, None
+        ]
         if width > 0.0:
             along = np.maximum(np.abs(dx * c + dy * s) - 0.5 * length, 0.0)
             across = np.maximum(np.abs(dy * c - dx * s) - 0.5 * width, 0.0)
@@ -65,10 +69,17 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
         part = distance[rows, columns]
         np.minimum(part, away, out=part, casting="same_kind")
     square = given[:, 4] > 0.0
-    sides = np.concatenate([_sides(given[square], sine[square], cosine[square]), _round_sides(given[~square])])
+    sides = np.concatenate(
+        [_sides(given[square], sine[square], cosine[square]), _round_sides(given[~square])]
+    )
     walls = np.concatenate([arrays.walls, sides])
     start, seen, far = _list_sides(
-        arrays.seen_start, arrays.seen, arrays.seen_distance, arrays.seen_middle, sides, len(arrays.walls)
+        arrays.seen_start,
+        arrays.seen,
+        arrays.seen_distance,
+        arrays.seen_middle,
+        sides,
+        len(arrays.walls),
     )
     return replace(
         track,
@@ -93,14 +104,18 @@ def _sides(boxes: Floats, sine: Floats, cosine: Floats) -> Floats:
     u = 0.5 * boxes[:, 3:4] * np.array([1.0, 1.0, -1.0, -1.0])
     v = 0.5 * boxes[:, 4:5] * np.array([1.0, -1.0, -1.0, 1.0])
     s, c = sine[:, None], cosine[:, None]
-    return _closed(np.stack([boxes[:, 0:1] + u * c - v * s, boxes[:, 1:2] + u * s + v * c], axis=-1))
+    return _closed(
+        np.stack([boxes[:, 0:1] + u * c - v * s, boxes[:, 1:2] + u * s + v * c], axis=-1)
+    )
 
 
 def _round_sides(circles: Floats) -> Floats:
     """Return the sides of each circle's polygon as segments, shape (16 K, 4), clockwise."""
     sine, cosine = sines_cosines(np.arange(CORNERS) * (-2.0 * np.pi / CORNERS))
     radius = 0.5 * circles[:, 3:4]
-    return _closed(np.stack([circles[:, 0:1] + radius * cosine, circles[:, 1:2] + radius * sine], axis=-1))
+    return _closed(
+        np.stack([circles[:, 0:1] + radius * cosine, circles[:, 1:2] + radius * sine], axis=-1)
+    )
 
 
 def _closed(corners: Floats) -> Floats:

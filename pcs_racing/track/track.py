@@ -50,7 +50,12 @@ def calibration_from_values(values: dict[str, Any]) -> Calibration:
         side: tuple((float(first), float(last)) for first, last in stretches)
         for side, stretches in values["start_places"].items()
     }
-    return Calibration((float(low), float(high)), float(values["start_spacing"]), places, float(values["left_share"]))
+    return Calibration(
+        (float(low), float(high)),
+        float(values["start_spacing"]),
+        places,
+        float(values["left_share"]),
+    )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -100,7 +105,9 @@ class Track:
     def _each(self, function: Any, values: ArrayLike, columns: int) -> Floats:
         pairs = np.ascontiguousarray(values, dtype=np.float64)
         if pairs.shape[-1:] != (2,):
-            raise ValueError(f"pairs of coordinates of shape (..., 2) are needed, got shape {pairs.shape}")
+            raise ValueError(
+                f"pairs of coordinates of shape (..., 2) are needed, got shape {pairs.shape}"
+            )
         out = np.empty((*pairs.shape[:-1], columns))
         function(self.arrays, pairs.reshape(-1, 2), out.reshape(-1, columns))
         return out
@@ -117,12 +124,18 @@ class Track:
         return "\n".join(
             [
                 f"{self.name}: {self.length:.1f} m, {turn}-hand",
-                f"  width {width.min():.2f}-{width.max():.2f} m (mean {width.mean():.2f}), "
-                f"{len(self.arrays.walls)} wall segments, cells of {self.arrays.cell:g} m",
-                f"  race line: tightest radius {1.0 / np.abs(line[:, KAPPA]).max():.2f} m, at least "
-                f"{self.wall_distance(line[:, :2]).min():.2f} m from the walls",
-                f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s, {line[:, SPEED].min():.1f}-"
-                f"{line[:, SPEED].max():.1f} m/s",
+                (
+                    f"  width {width.min():.2f}-{width.max():.2f} m (mean {width.mean():.2f}), "
+                    f"{len(self.arrays.walls)} wall segments, cells of {self.arrays.cell:g} m"
+                ),
+                (
+                    f"  race line: tightest radius {1.0 / np.abs(line[:, KAPPA]).max():.2f} m, at"
+                    f" least {self.wall_distance(line[:, :2]).min():.2f} m from the walls"
+                ),
+                (
+                    f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s,"
+                    f" {line[:, SPEED].min():.1f}-{line[:, SPEED].max():.1f} m/s"
+                ),
                 f"  speed range: {ranges or 'calibrated when a race preset first asks for it'}",
             ]
         )
@@ -169,19 +182,25 @@ def build_track(
         last = max(stretches[-1][1] for stretches in own.start_places.values())
         if last >= arrays.length:
             raise MapError(
-                f"{label}: the calibration of {preset} has a start place at {last:g} m, but the race line is "
-                f"{arrays.length:.2f} m long; calibrate it again"
+                f"{label}: the calibration of {preset} has a start place at {last:g} m, but the"
+                f" race line is {arrays.length:.2f} m long; calibrate it again"
             )
     # Hash of the data that decide races, not of the files: the picture format does not matter.
     digest = hashlib.sha256(np.packbits(drivable).tobytes())
     for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
         digest.update(array.tobytes())
-    return Track(name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest())
+    return Track(
+        name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest()
+    )
 
 
 def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
     """Check that a centre line lies on the track, and that its stated widths are about right."""
-    cols, rows = np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).astype(np.int64).T
+    cols, rows = (
+        np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell)
+        .astype(np.int64)
+        .T
+    )
     height, width = arrays.distance.shape
     on = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
     room = np.zeros(len(center))
@@ -192,13 +211,16 @@ def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
         room[on] = distance_to_walls(filled, arrays.cell)[rows[on], cols[on]]
     if (room == 0.0).any():
         x, y = center[np.argmin(room), :2]
-        raise MapError(f"{label} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls")
+        raise MapError(
+            f"{label} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls"
+        )
     worst = int(np.argmax(stated - room))
     if stated[worst] > room[worst] + WIDTH_TOLERANCE:
         x, y, right, left = center[worst]
         raise MapError(
-            f"{label} states {right:.2f} m to the right and {left:.2f} m to the left wall at ({x:.2f}, {y:.2f}), but "
-            f"in the picture a wall is {room[worst]:.2f} m away: line, widths and picture must fit together"
+            f"{label} states {right:.2f} m to the right and {left:.2f} m to the left wall at"
+            f" ({x:.2f}, {y:.2f}), but in the picture a wall is {room[worst]:.2f} m away: line,"
+            " widths and picture must fit together"
         )
 
 

@@ -40,13 +40,16 @@ def _hash(words, seed, out):
 
 def hash_rows(rows: NDArray[np.float32], seed: int) -> NDArray[np.uint64]:
     """Return a 64-bit hash of each row (B, D): splitmix64 (Steele et al. 2014) over its words."""
-    words = np.ascontiguousarray(rows + np.float32(0.0)).view(np.uint32)  # -0 and 0 are the same number
+    # -0 and 0 are the same number
+    words = np.ascontiguousarray(rows + np.float32(0.0)).view(np.uint32)
     out = np.empty(len(rows), np.uint64)
     _hash(words, np.uint64(seed), out)
     return out
 
 
-def draw(probabilities: NDArray[np.float64], observations: NDArray[np.float32], seed: int) -> NDArray[np.int64]:
+def draw(
+    probabilities: NDArray[np.float64], observations: NDArray[np.float32], seed: int
+) -> NDArray[np.int64]:
     """Draw a column of each row of probabilities (B, M) by the hash of the observation (B, D).
 
     The columns have shape (B,).
@@ -101,8 +104,8 @@ class Agent:
         size = len(self.spec.elements)
         if rows.ndim != 2 or rows.shape[1] != size:
             raise InputError(
-                f"agent {self.name!r} got an observation of shape {np.shape(observation)}; it takes ({size},) or "
-                f"(B, {size})"
+                f"agent {self.name!r} got an observation of shape {np.shape(observation)}; it takes"
+                f" ({size},) or (B, {size})"
             )
         if not np.isfinite(rows).all():
             raise InputError(f"agent {self.name!r} got an observation that holds NaN or infinity")
@@ -145,7 +148,9 @@ class Driver(PolicySet):
         object.__setattr__(self, "facts", dict(self.facts))
         if len(self.policies) == 0:
             raise InputError(f"driver {self.name!r} has no policy; it needs at least one")
-        others = {policy.planner.name for policy in self.policies if policy.planner is not self.planner}
+        others = {
+            policy.planner.name for policy in self.policies if policy.planner is not self.planner
+        }
         if others:
             raise InputError(
                 f"driver {self.name!r} has policies of planner {self.planner.name!r} and of "
@@ -153,7 +158,10 @@ class Driver(PolicySet):
             )
 
     def __repr__(self) -> str:
-        return f"<Driver {self.name!r}: {len(self.policies)} policies of planner {self.planner.name!r}>"
+        return (
+            f"<Driver {self.name!r}: {len(self.policies)} policies of planner"
+            f" {self.planner.name!r}>"
+        )
 
     @property
     def planner(self) -> Planner:
@@ -164,9 +172,14 @@ class Driver(PolicySet):
     def content_hash(self) -> str:
         """SHA-256 of the planner's name, parameters and network weights, without the own name."""
         weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
-        weights += [one for one in [getattr(self.planner.drive, "content_hash", None)] if one is not None]
+        weights += [
+            one for one in [getattr(self.planner.drive, "content_hash", None)] if one is not None
+        ]
         return fingerprint(
-            self.planner.name, self.planner.parameter_names, [p.parameters for p in self.policies], *weights
+            self.planner.name,
+            self.planner.parameter_names,
+            [p.parameters for p in self.policies],
+            *weights,
         )
 
 
@@ -178,7 +191,11 @@ class Named:
     model: Predictor
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[Any, Any]:
         """Return the result of the model's ``predict``."""
         return self.model.predict(observation, state, episode_start, deterministic)
@@ -215,7 +232,9 @@ def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
         return driver_of_model(candidate, name)
     if isinstance(candidate, Policy):
         return Driver(name or candidate.name, (candidate,))
-    if isinstance(candidate, type) or not isinstance(candidate, Agent | Driver | Predictor | Decider):
+    if isinstance(candidate, type) or not isinstance(
+        candidate, Agent | Driver | Predictor | Decider
+    ):
         raise InputError(
             f"{candidate!r} can't race; it must be an agent, a driver, a policy, or an object with "
             "predict(observation, state, episode_start, deterministic)"

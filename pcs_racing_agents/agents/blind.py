@@ -92,8 +92,8 @@ def walk_to(spec: GameSpec, target: int) -> WalkStrategy:
     policies = len(spec.archive)
     if not is_whole(target) or not 0 <= target < policies:
         raise InputError(
-            f"target is {target!r}; it must be the index of a policy in archive {spec.archive.name!r}, 0 to "
-            f"{policies - 1}"
+            f"target is {target!r}; it must be the index of a policy in archive"
+            f" {spec.archive.name!r}, 0 to {policies - 1}"
         )
     moves = path_moves(spec.table, spec.archive.normalised, int(target))
     return WalkStrategy(moves, spec.archive, len(spec.moves))
@@ -156,7 +156,9 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
 def always(spec: GameSpec, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
     """Return an agent that makes the same move at every step."""
     probabilities = np.eye(len(spec.moves))[spec.move(move)]
-    return Agent(name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), spec, seed)
+    return Agent(
+        name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), spec, seed
+    )
 
 
 def never_switch(spec: GameSpec, *, name: str = "never-switch", seed: int = 0) -> Agent:
@@ -171,7 +173,9 @@ def random_moves(spec: GameSpec, *, name: str = "random-moves", seed: int = 0) -
     return Agent(name, ConstantStrategy(probabilities), spec, seed)
 
 
-def _choice(kind: str, spec: GameSpec, agent: str, given: Any, fit: FitSource) -> tuple[Any, dict[str, str]]:
+def _choice(
+    kind: str, spec: GameSpec, agent: str, given: Any, fit: FitSource
+) -> tuple[Any, dict[str, str]]:
     """Return the given choice without facts, or the choice of a fit with its training facts."""
     if given is None:
         loaded = find_fit(kind, spec, fit)
@@ -201,10 +205,14 @@ def best_schedule(
     """
     moves, facts = _choice("best-schedule", spec, name, moves, fit)
     if isinstance(moves, str) or len(moves) != spec.config.moves:
-        raise InputError(f"agent {name!r} got the plan {moves!r}; a game has {spec.config.moves} moves")
+        raise InputError(
+            f"agent {name!r} got the plan {moves!r}; a game has {spec.config.moves} moves"
+        )
     sequence = np.array([spec.move(move) for move in moves], np.int64)
     strategy = OpenLoopStrategy(sequence, len(spec.moves), len(spec.archive.characteristics))
-    return Agent(name, strategy, spec, seed, {**facts, "plan": ", ".join(spec.moves[i] for i in sequence)})
+    return Agent(
+        name, strategy, spec, seed, {**facts, "plan": ", ".join(spec.moves[i] for i in sequence)}
+    )
 
 
 def best_fixed(
@@ -253,7 +261,10 @@ def best_lead_plan(
     """
     targets, facts = _choice("best-lead-plan", spec, name, targets, fit)
     if not isinstance(targets, Mapping) or set(targets) != set(LEAD_PLAN):
-        raise InputError(f"agent {name!r} got targets {targets!r}; give a policy for each of {', '.join(LEAD_PLAN)}")
+        raise InputError(
+            f"agent {name!r} got targets {targets!r}; give a policy for each of"
+            f" {', '.join(LEAD_PLAN)}"
+        )
     strategy = LeadPlanStrategy(*(walk_to(spec, targets[place]) for place in LEAD_PLAN))
     plan = {place: _policy_text(spec, targets[place]) for place in LEAD_PLAN}
     return Agent(name, strategy, spec, seed, {**facts, **plan})
@@ -265,7 +276,9 @@ def _policy_text(spec: GameSpec, index: int) -> str:
     return f"policy {index} ({', '.join(f'{axis} {value:.2f}' for axis, value in point)})"
 
 
-NEVER_SWITCH = Entry(never_switch, "keeps its start policy for the whole race", "the paper's non-GT agent")
+NEVER_SWITCH = Entry(
+    never_switch, "keeps its start policy for the whole race", "the paper's non-GT agent"
+)
 RANDOM_MOVES = Entry(random_moves, "draws every move, all with the same probability", "baseline")
 BEST_SCHEDULE = Entry(
     best_schedule,
@@ -281,8 +294,8 @@ BEST_FIXED = Entry(
 )
 BEST_LEAD_PLAN = Entry(
     best_lead_plan,
-    "moves to one policy of the archive while the opponent leads and to another one otherwise, the best two on "
-    "training races",
+    "moves to one policy of the archive while the opponent leads and to another one otherwise, the"
+    " best two on training races",
     "baseline: lead-conditioned, observes who leads and nothing else of the opponent",
     "fit",
 )

@@ -21,7 +21,16 @@ from pcs_racing_agents.base.tables import read_csv
 
 AGAINST = "against "
 TEXTS = ("archive", "race", "agent", "sha256", "tracks")
-NUMBERS = ("races", "score", "rating", "rating_low", "rating_high", "own_crash", "one_us", "many_us")
+NUMBERS = (
+    "races",
+    "score",
+    "rating",
+    "rating_low",
+    "rating_high",
+    "own_crash",
+    "one_us",
+    "many_us",
+)
 
 
 class Measured(NamedTuple):
@@ -67,11 +76,17 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
         for row in read_csv(path).rows():
             values: dict[str, Any] = {name: row[name] for name in TEXTS}
             values |= {name: float(row[name]) if row[name] else np.nan for name in NUMBERS}
-            against = {name.removeprefix(AGAINST): value for name, value in row.items() if name.startswith(AGAINST)}
+            against = {
+                name.removeprefix(AGAINST): value
+                for name, value in row.items()
+                if name.startswith(AGAINST)
+            }
             scores = {name: float(value) for name, value in against.items() if value}
             table[row["archive"], row["race"], row["agent"]] = Measured(**values, against=scores)
     except (KeyError, ValueError, TypeError) as error:
-        raise InputError(f"{path} is damaged ({error}); python dev/benchmarks/zoo.py --write makes it again") from None
+        raise InputError(
+            f"{path} is damaged ({error}); python dev/benchmarks/zoo.py --write makes it again"
+        ) from None
     return table
 
 
@@ -121,7 +136,9 @@ def describe(name: str, entry: Entry) -> str:
     meanings = option_meanings(entry.build)
     for key, default in options(name).items():
         if key not in ("kind", "planner"):
-            lines.append(f"- Option `{key}`, by default `{default}`. {meanings.get(key, '')}".rstrip())
+            lines.append(
+                f"- Option `{key}`, by default `{default}`. {meanings.get(key, '')}".rstrip()
+            )
     return "\n".join(lines)
 
 
@@ -140,10 +157,13 @@ def facts_of(name: str, spec: GameSpec) -> list[str]:
     if measurement is None:
         lines.append("Strength and cost: not measured as it is.")
     else:
-        against = ", ".join(f"{score:.3f} against {rival}" for rival, score in measurement.against.items())
+        against = ", ".join(
+            f"{score:.3f} against {rival}" for rival, score in measurement.against.items()
+        )
         lines.append(
-            f"Strength: score {measurement.score:.3f}, rating {rating_text(measurement)}, on {measurement.tracks} in "
-            f"{measurement.races:.0f} races ({against}); own crashes {measurement.own_crash:.1%}."
+            f"Strength: score {measurement.score:.3f}, rating {rating_text(measurement)}, on"
+            f" {measurement.tracks} in {measurement.races:.0f} races ({against}); own crashes"
+            f" {measurement.own_crash:.1%}."
         )
         lines.append(f"Cost: {_cost(measurement)}.")
     return [*lines, f"Hash: {digest[:16]}."]
@@ -162,7 +182,10 @@ def _cost(measurement: Measured) -> str:
     if second:
         return f"{first} us for one observation, {second} us for each of 1,000 at once"
     entry = entries().get(measurement.agent)
-    return f"{first} us for a {'decision' if entry is None or entry.moves else 'plan with 0.1 s of simulation'}"
+    return (
+        f"{first} us for a"
+        f" {'decision' if entry is None or entry.moves else 'plan with 0.1 s of simulation'}"
+    )
 
 
 def microseconds(value: float) -> str:

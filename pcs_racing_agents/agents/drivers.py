@@ -11,7 +11,9 @@ from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 
-def random_policy(spec: GameSpec, *, name: str = "random-policy", seed: int = 0, first: int | None = None) -> Driver:
+def random_policy(
+    spec: GameSpec, *, name: str = "random-policy", seed: int = 0, first: int | None = None
+) -> Driver:
     """Return all policies that the archive's synthesis evaluated: the paper's random agent.
 
     Parameters
@@ -23,12 +25,16 @@ def random_policy(spec: GameSpec, *, name: str = "random-policy", seed: int = 0,
     archive = spec.archive
     explored = len(archive.explored_parameters)
     if explored == 0:
-        raise InputError(f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race")
+        raise InputError(
+            f"archive {archive.name!r} holds no explored policies, so there is no {name!r} to race"
+        )
     count = explored if first is None else check_whole("first", first, 1, explored)
     return Driver(name, tuple(archive.explored_policy(i) for i in range(count)))
 
 
-def planner_driver(spec: GameSpec, *, name: str, seed: int = 0, planner: str | None = None) -> Driver:
+def planner_driver(
+    spec: GameSpec, *, name: str, seed: int = 0, planner: str | None = None
+) -> Driver:
     """Return all variants of a planner, or its default policy if it has none.
 
     The planner needs no archive.
@@ -41,7 +47,12 @@ def planner_driver(spec: GameSpec, *, name: str, seed: int = 0, planner: str | N
     family = get_planner(planner or name)
     if not family.variants:
         return Driver(name, (family.policy("default", name=family.name),))
-    return Driver(name, tuple(family.policy(variant, name=f"{family.name}:{variant}") for variant in family.variants))
+    return Driver(
+        name,
+        tuple(
+            family.policy(variant, name=f"{family.name}:{variant}") for variant in family.variants
+        ),
+    )
 
 
 def trained_driver(
@@ -74,8 +85,9 @@ RANDOM_POLICY = Entry(
 )
 LANE_SWITCHER = Entry(
     planner_driver,
-    "race line or overtaking lane; 20 variants. In the paper's race `response`, and with it `adaptive`, learned "
-    "against all of them; in either race `ppo` learned against four (1, 6, 11, 16)",
+    "race line or overtaking lane; 20 variants. In the paper's race `response`, and with it"
+    " `adaptive`, learned against all of them; in either race `ppo` learned against four (1, 6,"
+    " 11, 16)",
     "after the winner of the F1TENTH race at ICRA 2022, which is the unseen opponent in the paper",
     moves=False,
 )
@@ -91,4 +103,6 @@ GAP_FOLLOWER = Entry(
     "Sezer and Gokasan 2012",
     moves=False,
 )
-PURE_PURSUIT = Entry(planner_driver, "follows the race line and never overtakes", "baseline", moves=False)
+PURE_PURSUIT = Entry(
+    planner_driver, "follows the race line and never overtakes", "baseline", moves=False
+)

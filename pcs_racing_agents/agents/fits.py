@@ -16,7 +16,9 @@ from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing_agents.agents.game_spec import GameSpec
 
 FIT_FORMAT = ManifestFormat(
-    "fit", ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"), "save_fit"
+    "fit",
+    ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"),
+    "save_fit",
 )
 KINDS: dict[str, tuple[type, str]] = {
     "best-schedule": (list, "a list of moves"),
@@ -39,7 +41,9 @@ class Fit:
 
     def __post_init__(self) -> None:
         if not isinstance(self.kind, str) or self.kind not in KINDS:
-            raise UnknownNameError(f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}")
+            raise UnknownNameError(
+                f"fit of {self.kind!r} is unknown; there are fits of {', '.join(KINDS)}"
+            )
         kind, wanted = KINDS[self.kind]
         # A bool is an int in Python, but no index of a policy.
         if not (is_whole(self.choice) if kind is int else isinstance(self.choice, kind)):
@@ -61,7 +65,12 @@ def make_fit(kind: str, choice: Any, spec: GameSpec, training: Mapping[str, Any]
 
 def save_fit(fit: Fit, path: str | Path) -> Path:
     """Write a fit as YAML, atomically."""
-    fields = {"kind": fit.kind, "choice": fit.choice, **game_fields(fit.game), "training": dict(fit.training)}
+    fields = {
+        "kind": fit.kind,
+        "choice": fit.choice,
+        **game_fields(fit.game),
+        "training": dict(fit.training),
+    }
     FIT_FORMAT.write(Path(path), fields)
     return Path(path)
 
@@ -93,9 +102,9 @@ def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
         if not source.is_file():
             known = ", ".join(sorted(path.stem for path in shipped_fits().glob("*.yaml"))) or "none"
             raise UnknownNameError(
-                f"agent {kind!r} is chosen on training races, and none is shipped for archive "
-                f"{spec.archive.name!r} and rules {spec.race!r} (there are: {known}); choose one with "
-                "pcs_racing_agents.tournament.fitting and give it as fit=FILE"
+                f"agent {kind!r} is chosen on training races, and none is shipped for archive"
+                f" {spec.archive.name!r} and rules {spec.race!r} (there are: {known}); choose one"
+                " with pcs_racing_agents.tournament.fitting and give it as fit=FILE"
             )
     fit = source if isinstance(source, Fit) else load_fit(source)
     if fit.kind != kind:
@@ -117,7 +126,9 @@ def game_fields(game: GameIdentity) -> dict[str, Any]:
 
 def recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
     """Return the identity of the game that :func:`game_fields` recorded."""
-    archive, digest, preset = (check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race"))
+    archive, digest, preset = (
+        check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race")
+    )
     epsilon = fields["epsilon"]
     if not isinstance(epsilon, list) or not all(isinstance(length, float) for length in epsilon):
         raise InputError(f"epsilon is {epsilon!r}; it must be a list of numbers")

@@ -95,7 +95,9 @@ class NetworkStrategy:
         return probabilities
 
 
-def network_agent(network: RegretNetwork, spec: GameSpec, seed: int = 0, decision: str = "argmax") -> Agent:
+def network_agent(
+    network: RegretNetwork, spec: GameSpec, seed: int = 0, decision: str = "argmax"
+) -> Agent:
     """Return the agent of a network, with the network's name."""
     return Agent(network.name, NetworkStrategy(network, decision, len(spec.moves)), spec, seed)
 
@@ -142,8 +144,8 @@ def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str
         if source not in list_networks():
             shipped = ", ".join(list_networks()) or "none"
             raise UnknownNameError(
-                f"agent {agent!r} needs a network, and none called {source!r} is shipped (there are: {shipped}); train "
-                "one with 'pcs-racing train' and give it as network=FOLDER"
+                f"agent {agent!r} needs a network, and none called {source!r} is shipped (there"
+                f" are: {shipped}); train one with 'pcs-racing train' and give it as network=FOLDER"
             )
     network = load_network(source)
     check_same_game(network.identity, spec.identity, f"agent {agent!r}: network {network.name!r}")
@@ -153,7 +155,9 @@ def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str
 def network_facts(network: RegretNetwork) -> dict[str, str]:
     """Return facts about an agent's network for reports."""
     # The manifest has all fields; these fields describe the amount of training data.
-    figures = {key: value for key, value in network.training.items() if not key.startswith(_DETAILS)}
+    figures = {
+        key: value for key, value in network.training.items() if not key.startswith(_DETAILS)
+    }
     return {
         "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
         "trained on": training_text(figures),
@@ -241,13 +245,17 @@ CFR_REGRET_MATCHING = _entry(
     "the paper's remark on regret matching (Zinkevich et al. 2007)",
 )
 NASH = _entry(
-    "nash", "sample", "draws its moves from an approximate equilibrium strategy", "backward induction, sampled"
+    "nash",
+    "sample",
+    "draws its moves from an approximate equilibrium strategy",
+    "backward induction, sampled",
 )
 RESPONSE = _entry(
     "gain",
     "argmax",
     "plays an approximate best response to the pool of opponents that it was trained against",
-    "advantages in branched races, learned from the last step backwards (`pcs_racing_agents.learning.responses`)",
+    "advantages in branched races, learned from the last step backwards"
+    " (`pcs_racing_agents.learning.responses`)",
 )
 PPO = _entry(
     "ppo",

@@ -36,7 +36,9 @@ class TorchPolicy:
 
         if not isinstance(module, torch.nn.Module):
             raise InputError(f"module is a {type(module).__name__}; it must be a torch.nn.Module")
-        broken = [key for key, tensor in module.state_dict().items() if not torch.isfinite(tensor).all()]
+        broken = [
+            key for key, tensor in module.state_dict().items() if not torch.isfinite(tensor).all()
+        ]
         if broken:
             raise InputError(f"weights {broken[0]!r} of the module hold NaN or infinity")
         self.module, self.name = module.eval(), name
@@ -44,11 +46,17 @@ class TorchPolicy:
     @property
     def content_hash(self) -> str:
         """SHA-256 of the weights and of the module's printed structure."""
-        weights = {key: tensor.detach().cpu().numpy() for key, tensor in self.module.state_dict().items()}
+        weights = {
+            key: tensor.detach().cpu().numpy() for key, tensor in self.module.state_dict().items()
+        }
         return fingerprint(str(self.module), weights)
 
     def predict(
-        self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.int64], None]:
         """Return the move with the max output for each observation; ignore ``deterministic``."""
         import torch
@@ -58,8 +66,13 @@ class TorchPolicy:
         with torch.no_grad():
             values = self.module(torch.from_numpy(np.ascontiguousarray(rows)))
         if not isinstance(values, torch.Tensor) or values.ndim != 2 or len(values) != len(rows):
-            found = tuple(values.shape) if isinstance(values, torch.Tensor) else type(values).__name__
-            raise InputError(f"the module returned {found} for {len(rows)} observations; it must be ({len(rows)}, M)")
+            found = (
+                tuple(values.shape) if isinstance(values, torch.Tensor) else type(values).__name__
+            )
+            raise InputError(
+                f"the module returned {found} for {len(rows)} observations; it must be"
+                f" ({len(rows)}, M)"
+            )
         if not torch.isfinite(values).all():
             raise InputError("the module returned NaN or infinity")
         return values.argmax(dim=1).numpy().reshape(seen.shape[:-1]), None
@@ -85,20 +98,27 @@ def network_from_sb3(
         hidden, last = list(policy.mlp_extractor.policy_net), policy.action_net  # type: ignore[union-attr]
     except AttributeError:
         kind = type(model).__name__
-        raise InputError(f"{kind} has no actor of fully connected layers; train with MlpPolicy") from None
+        raise InputError(
+            f"{kind} has no actor of fully connected layers; train with MlpPolicy"
+        ) from None
     layers = []
     for i, module in enumerate(hidden):
         kind = type(module).__name__
         if kind != ("Linear", "ReLU")[i % 2]:
             raise InputError(
-                f"layer {i} of the actor is {kind}; train with policy_kwargs={{'activation_fn': torch.nn.ReLU}} "
-                "to race without torch"
+                f"layer {i} of the actor is {kind}; train with policy_kwargs={{'activation_fn':"
+                " torch.nn.ReLU} to race without torch"
             )
         layers += [module] if i % 2 == 0 else []
     extractor = type(policy.features_extractor).__name__  # type: ignore[union-attr]
     if extractor != "FlattenExtractor" or type(last).__name__ != "Linear":
-        raise InputError(f"the model reads observations by {extractor}; only plain observations can be taken over")
-    parameters = [parameter for layer in (*layers, last) for parameter in (layer.weight, layer.bias)]
+        raise InputError(
+            f"the model reads observations by {extractor}; only plain observations can be taken"
+            " over"
+        )
+    parameters = [
+        parameter for layer in (*layers, last) for parameter in (layer.weight, layer.bias)
+    ]
     size = len(identity.elements)
     return RegretNetwork(
         name=name,

@@ -62,7 +62,9 @@ class GameSpec:
 
     def check_fits(self, game: RaceGame, agent: str) -> None:
         """Check that a game has this archive, the same moves and the same observations."""
-        check_same_game(self.identity, make_game_spec(game.archive, game.config).identity, f"agent {agent!r}")
+        check_same_game(
+            self.identity, make_game_spec(game.archive, game.config).identity, f"agent {agent!r}"
+        )
 
 
 def training_text(facts: Mapping[str, Any]) -> str:
@@ -71,7 +73,8 @@ def training_text(facts: Mapping[str, Any]) -> str:
 
 
 def make_game_spec(
-    archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
+    archive: PolicyArchive | str | Path = "default",
+    race: GameConfig | RaceConfig | str | Path = "paper",
 ) -> GameSpec:
     """Return the spec of a game from an archive and rules, or their names.
 

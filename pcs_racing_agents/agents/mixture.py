@@ -20,7 +20,12 @@ from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
-from pcs_racing_agents.networks.network_files import NetworkSet, check_weights, list_network_sets, load_network_set
+from pcs_racing_agents.networks.network_files import (
+    NetworkSet,
+    check_weights,
+    list_network_sets,
+    load_network_set,
+)
 
 Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
@@ -62,8 +67,12 @@ class Mixture:
                 posterior[:, c] *= (member.probabilities(past) * possible).sum(axis=1)
         total = posterior.sum(axis=1, keepdims=True)
         # If no member can reach a situation, the weights apply, as if the game began here.
-        posterior = np.where(total > 0.0, posterior / np.where(total > 0.0, total, 1.0), self.weights)
-        probabilities = np.stack([member.probabilities(observation) for member in self.members], axis=1)
+        posterior = np.where(
+            total > 0.0, posterior / np.where(total > 0.0, total, 1.0), self.weights
+        )
+        probabilities = np.stack(
+            [member.probabilities(observation) for member in self.members], axis=1
+        )
         return (posterior[:, :, None] * probabilities).sum(axis=1)
 
 
@@ -74,13 +83,18 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
         if not isinstance(member, Agent):
             raise InputError(f"{member!r} can't be a member of a mixture; only agents can")
         first = members[0].spec
-        if (member.spec.archive.content_hash, member.spec.config) != (first.archive.content_hash, first.config):
+        if (member.spec.archive.content_hash, member.spec.config) != (
+            first.archive.content_hash,
+            first.config,
+        ):
             raise InputError(
-                f"members {members[0].name!r} and {member.name!r} are made for different archives or rules; a mixture "
-                "needs one"
+                f"members {members[0].name!r} and {member.name!r} are made for different archives"
+                " or rules; a mixture needs one"
             )
     positive = np.flatnonzero(shares > 0.0)
-    return Mixture(tuple(members[int(i)] for i in positive), shares[positive] / shares.sum(), members[0].spec)
+    return Mixture(
+        tuple(members[int(i)] for i in positive), shares[positive] / shares.sum(), members[0].spec
+    )
 
 
 # Agents
@@ -100,12 +114,15 @@ def from_network_set(
     networks : NetworkSet, str or path, optional
         Another set: the name of a shipped one or its folder.
     """
-    source: str | NetworkSet = f"{spec.archive.name}-{spec.race}-{kind}" if networks is None else networks
+    source: str | NetworkSet = (
+        f"{spec.archive.name}-{spec.race}-{kind}" if networks is None else networks
+    )
     if networks is None and source not in list_network_sets():
         shipped = ", ".join(list_network_sets()) or "none"
         raise UnknownNameError(
-            f"agent {name!r} needs a set of networks, and none called {source!r} is shipped (there are: {shipped}); "
-            f"make one with 'pcs-racing learn {kind}' and give it as networks=FOLDER"
+            f"agent {name!r} needs a set of networks, and none called {source!r} is shipped (there"
+            f" are: {shipped}); make one with 'pcs-racing learn {kind}' and give it as"
+            " networks=FOLDER"
         )
     loaded = load_network_set(source)
     check_same_game(loaded.identity, spec.identity, f"agent {name!r}: network set {loaded.name!r}")
@@ -115,7 +132,9 @@ def from_network_set(
         "weights": ", ".join(f"{weight:.3g}" for weight in loaded.weights),
         "decision": loaded.decision,
         "trained on": training_text(loaded.training),
-        "weights sha256": fingerprint([network.layers for network in loaded.networks], loaded.weights),
+        "weights sha256": fingerprint(
+            [network.layers for network in loaded.networks], loaded.weights
+        ),
     }
     return Agent(name, make_mixture(members, loaded.weights), spec, seed, facts)
 
@@ -126,7 +145,8 @@ def _entry(kind: str, summary: str, source: str) -> Entry:
 
 PSRO = _entry(
     "psro",
-    "draws a learned response for each game, with the probabilities of an equilibrium between such responses",
+    "draws a learned response for each game, with the probabilities of an equilibrium between such"
+    " responses",
     "policy-space response oracles (Lanctot et al. 2017)",
 )
 SELF_PLAY = _entry(

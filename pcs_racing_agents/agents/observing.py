@@ -18,7 +18,9 @@ def step_count(observation: ObservationBatch, axes: int) -> int:
 
 
 def _blocks(observation: ObservationBatch, axes: int) -> ObservationBatch:
-    return observation[:, :-1].reshape(len(observation), step_count(observation, axes), 2 * axes + 2)
+    return observation[:, :-1].reshape(
+        len(observation), step_count(observation, axes), 2 * axes + 2
+    )
 
 
 def moves_made(observation: ObservationBatch, axes: int) -> NDArray[np.int64]:
@@ -50,7 +52,9 @@ def lead(observation: ObservationBatch, axes: int, step: int | None = None) -> O
     return _coordinates(observation, axes, step, axes + 1)[:, -1]
 
 
-def _coordinates(observation: ObservationBatch, axes: int, step: int | None, first: int) -> ObservationBatch:
+def _coordinates(
+    observation: ObservationBatch, axes: int, step: int | None, first: int
+) -> ObservationBatch:
     index = moves_made(observation, axes) if step is None else np.full(len(observation), step)
     return _blocks(observation, axes)[np.arange(len(observation)), index, first : first + axes]
 

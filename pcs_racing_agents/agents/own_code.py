@@ -60,13 +60,17 @@ def _made(text: str, *given: Any) -> Any:
             raise InputError(f"{place} can't be imported: {error}") from error
     made: Any = getattr(module, name, None)
     if made is None:
-        raise InputError(f"{text} is no driver and no agent: {place} has no class and no function {name!r}")
+        raise InputError(
+            f"{text} is no driver and no agent: {place} has no class and no function {name!r}"
+        )
     if is_driver(made):
         # The planner has the path as given, as on a command line that names the file.
         known = drivers_from(place if file else inspect.getfile(made))
         made = known[name if name in known else made.__name__]
     elif callable(made):
-        needed = [one for one in inspect.signature(made).parameters.values() if one.default is one.empty]
+        needed = [
+            one for one in inspect.signature(made).parameters.values() if one.default is one.empty
+        ]
         made = made(*given) if len(given) > 1 else made(*given[: len(needed)])
     if made is None:
         raise InputError(f"{text} gives None; it must give a driver or an agent")
@@ -91,5 +95,7 @@ def parse_driver(text: str) -> Policy:
     if made is None:
         return parse_policy(text)
     if not isinstance(made, Policy):
-        raise InputError(f"{text} gives {type(made).__name__!r}; here it must be a driver, not an agent")
+        raise InputError(
+            f"{text} gives {type(made).__name__!r}; here it must be a driver, not an agent"
+        )
     return made

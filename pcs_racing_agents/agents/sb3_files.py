@@ -101,19 +101,26 @@ class Sb3Policy:
         return self.layers.flat()
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[Any], None]:
         """Return the most probable action for each observation; ignore ``deterministic``."""
         rows, sizes = np.asarray(observation, np.float32), np.array(self.layers.sizes)
         if rows.shape[-1] != sizes[0]:
             raise InputError(
-                f"policy {self.name!r} takes observations of {sizes[0]} numbers; here they have {rows.shape[-1]}"
+                f"policy {self.name!r} takes observations of {sizes[0]} numbers; here they have"
+                f" {rows.shape[-1]}"
             )
         rows = rows if self.scale is None else self.scale(rows)
         flat_rows = np.ascontiguousarray(rows.reshape(-1, sizes[0]))
         out = np.empty((len(flat_rows), sizes[-1]), np.float32)
         scratch, last = np.empty((2, sizes.max()), np.float32), weight_count(self.layers.sizes[:-1])
-        _actor_rows(flat_rows, self._flat, sizes, last, self.activation == "Tanh", self.squash, scratch, out)
+        _actor_rows(
+            flat_rows, self._flat, sizes, last, self.activation == "Tanh", self.squash, scratch, out
+        )
         out = out.reshape(*rows.shape[:-1], -1)
         return (np.argmax(out, axis=-1) if self.moves else out), None
 
@@ -133,10 +140,13 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
             # Reading stops at the sizes stated in the zip: a small file can't unpack to a huge one.
             if sum(entry.file_size for entry in file.infolist()) > MAX_BYTES:
                 raise InputError(
-                    f"{path} holds more than {MAX_BYTES} bytes; that is no policy of fully connected layers"
+                    f"{path} holds more than {MAX_BYTES} bytes; that is no policy of fully"
+                    " connected layers"
                 )
             settings = parse_json(path, file.read("data"))
-            state = torch.load(io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True)
+            state = torch.load(
+                io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True
+            )
         if not isinstance(settings, dict) or not isinstance(state, dict):
             raise InputError("its settings and its weights must be mappings")
     # A damaged zip, damaged compression and damaged torch data raise a dozen types of errors.
@@ -147,7 +157,10 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
     words = str(settings.get("policy_kwargs", ""))
     found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", words)
     if "features_extractor_class" in words:
-        raise InputError(f"{path} has a feature extractor of its own, which is code; give the model itself instead")
+        raise InputError(
+            f"{path} has a feature extractor of its own, which is code; give the model itself"
+            " instead"
+        )
     return actor_of(str(path), state, found.group(1) if found else None)
 
 
@@ -161,21 +174,34 @@ def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3
         if numbers and f"{layers[-1]}.weight" in state:
             break
         layers = []
-    if not layers or any(part in key for key in state for part in ("lstm", "cnn", "features_extractor.")):
+    if not layers or any(
+        part in key for key in state for part in ("lstm", "cnn", "features_extractor.")
+    ):
         raise InputError(
-            f"{name} has no actor of fully connected layers; train PPO, A2C, MaskablePPO, SAC or TD3 with MlpPolicy, "
-            "or give the model itself"
+            f"{name} has no actor of fully connected layers; train PPO, A2C, MaskablePPO, SAC or"
+            " TD3 with MlpPolicy, or give the model itself"
         )
     activation = activation or usual
     if activation not in ACTIVATIONS:
-        raise InputError(f"{name}: the activation is {activation}; it must be one of {', '.join(ACTIVATIONS)}")
+        raise InputError(
+            f"{name}: the activation is {activation}; it must be one of {', '.join(ACTIVATIONS)}"
+        )
     try:
-        parts = [tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers) for kind in ("weight", "bias")]
+        parts = [
+            tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers)
+            for kind in ("weight", "bias")
+        ]
     except (AttributeError, KeyError) as error:
         raise InputError(f"{name}: a layer has no weights or biases: {error}") from None
     if not all(np.isfinite(values).all() for part in parts for values in part):
         raise InputError(f"{name}: a weight is not finite")
-    return Sb3Policy(Path(name).stem, DenseLayers(*parts), activation, not squash and "log_std" not in state, squash)
+    return Sb3Policy(
+        Path(name).stem,
+        DenseLayers(*parts),
+        activation,
+        not squash and "log_std" not in state,
+        squash,
+    )
 
 
 def plain_model(model: Any, name: str) -> Any:
@@ -215,8 +241,8 @@ def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
     right = mean.shape == spread.shape == (size,) and clip.shape == () and clip > 0.0
     if not right or not (np.abs(mean) < 1e9).all() or not ((spread > 1e-9) & (spread < 1e9)).all():
         raise InputError(
-            f"{file}: scale must hold mean and spread, {size} numbers each below 1e9, spreads above 1e-9, and a clip "
-            "above 0"
+            f"{file}: scale must hold mean and spread, {size} numbers each below 1e9, spreads above"
+            " 1e-9, and a clip above 0"
         )
     return ObservationScale(mean, spread, float(clip))
 
@@ -240,7 +266,9 @@ def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
     scaler, scale = _scaler(env), _scale_of(env)
     arguments = kept_arguments(env, scaler)
     if scale is not None:
-        arguments["scale"] = {key: np.asarray(values).tolist() for key, values in scale._asdict().items()}
+        arguments["scale"] = {
+            key: np.asarray(values).tolist() for key, values in scale._asdict().items()
+        }
     text = yaml.safe_dump(arguments, sort_keys=False).encode()
     model.save(target)
     write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
@@ -252,17 +280,25 @@ def load_model(path: str | Path) -> Policy:
     file = Path(path).with_suffix(".yaml")
     if Path(path).is_file() and not file.is_file():
         raise InputError(
-            f"there is no file {file} with the arguments of the model's environment; save_model(path, model) writes it"
+            f"there is no file {file} with the arguments of the model's environment;"
+            " save_model(path, model) writes it"
         )
     model = load_sb3_policy(Path(path))
-    arguments = parse_yaml(file, read_limited(file, MAX_YAML, "the arguments of a model", InputError))
+    arguments = parse_yaml(
+        file, read_limited(file, MAX_YAML, "the arguments of a model", InputError)
+    )
     if not isinstance(arguments, dict):
-        raise InputError(f"{file} holds {arguments!r:.80}; it must hold the arguments of an environment by name")
+        raise InputError(
+            f"{file} holds {arguments!r:.80}; it must hold the arguments of an environment by name"
+        )
     for key in arguments:
         if key not in (*KEPT, "cars", "vehicle", "scale"):
             raise InputError(
-                f"{file}: the argument {key!r} is unknown; there are cars, vehicle, scale, {', '.join(KEPT)}"
+                f"{file}: the argument {key!r} is unknown; there are cars, vehicle, scale,"
+                f" {', '.join(KEPT)}"
             )
     if "scale" in arguments:
-        model = replace(model, scale=_read_scale(file, arguments.pop("scale"), model.layers.sizes[0]))
+        model = replace(
+            model, scale=_read_scale(file, arguments.pop("scale"), model.layers.sizes[0])
+        )
     return model_policy(model, name=str(path), **arguments)

@@ -55,7 +55,9 @@ class Entry:
 _registered: dict[str, Entry] = {}
 
 
-def register_agent(name: str, build: Callable[..., Any], summary: str = "", source: str = "") -> None:
+def register_agent(
+    name: str, build: Callable[..., Any], summary: str = "", source: str = ""
+) -> None:
     """Register an agent under a name in this process.
 
     Parameters
@@ -66,9 +68,15 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
     summary, source : str
         Texts for reports; by default the summary is the first line of the function's docstring.
     """
-    if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n") or name.startswith(ALWAYS):
+    if (
+        not isinstance(name, str)
+        or not name
+        or any(sign in name for sign in ":=, \t\n")
+        or name.startswith(ALWAYS)
+    ):
         raise InputError(
-            f"agent name {name!r} must be text without ':', '=', ',' and spaces, not beginning with always-"
+            f"agent name {name!r} must be text without ':', '=', ',' and spaces, not beginning with"
+            " always-"
         )
     existing = _registered.get(name)
     if name in SHIPPED or (existing is not None and existing.build is not build):
@@ -78,18 +86,28 @@ def register_agent(name: str, build: Callable[..., Any], summary: str = "", sour
 
 def entries() -> dict[str, Entry]:
     """Return all entries by name, without importing the modules of other distributions."""
-    declared = {name: Entry(_LateFunction(name, source), f"from {source}") for name, source in _declared().items()}
-    return {**declared, **_registered, **{name: resolve_name(reference) for name, reference in SHIPPED.items()}}
+    declared = {
+        name: Entry(_LateFunction(name, source), f"from {source}")
+        for name, source in _declared().items()
+    }
+    return {
+        **declared,
+        **_registered,
+        **{name: resolve_name(reference) for name, reference in SHIPPED.items()},
+    }
 
 
 def names(
-    archive: PolicyArchive | str | Path = "default", race: GameConfig | RaceConfig | str | Path = "paper"
+    archive: PolicyArchive | str | Path = "default",
+    race: GameConfig | RaceConfig | str | Path = "paper",
 ) -> list[str]:
     """Return the names of all agents and fixed policies for an archive, sorted.
 
     Trained agents also need a network or a fit (:class:`Entry`).
     """
-    constant = [f"{ALWAYS}{''.join(move.split())}" for move in make_game_spec(archive, race).moves[:-1]]
+    constant = [
+        f"{ALWAYS}{''.join(move.split())}" for move in make_game_spec(archive, race).moves[:-1]
+    ]
     return sorted({*_declared(), *_registered, *SHIPPED, *constant})
 
 
@@ -133,7 +151,9 @@ def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
     if name.startswith(ALWAYS):
         for key in options:
             raise InputError(f"agent {name!r} has no option {key!r}; it has none")
-        return resolve_name(_ALWAYS)(spec, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed)
+        return resolve_name(_ALWAYS)(
+            spec, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed
+        )
     if is_model(name):
         return driver_of_model(name)
     # An agent may have the name of a planner. Any other text that begins with a planner's name is
@@ -180,19 +200,23 @@ def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False)
                 return as_competitor(own, text)
         if is_code(text) and name not in planner_names() and not code:
             raise UnknownNameError(
-                f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or name it on the "
-                f"command line (view and explain: --agents {shlex.quote(text)})"
+                f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or"
+                f" name it on the command line (view and explain: --agents {shlex.quote(text)})"
             )
         return build(text, spec, seed=seed)
     options: dict[str, Any] = {}
     for option in rest.split(","):
         key, equals, value = option.partition("=")
         if not equals or key.strip() in options or key.strip() in ("name", "seed", "spec"):
-            raise InputError(f"agent {text!r}: {option!r} is not of the form option=value, each option once")
+            raise InputError(
+                f"agent {text!r}: {option!r} is not of the form option=value, each option once"
+            )
         try:
             options[key.strip()] = plain_yaml(value)
         except InputError:
-            raise InputError(f"agent {text!r}: {value!r} is no value; it must be a number or plain text") from None
+            raise InputError(
+                f"agent {text!r}: {value!r} is no value; it must be a number or plain text"
+            ) from None
     agent = build(name, spec, seed=seed, **options)
     return as_competitor(agent, text)
 
@@ -208,7 +232,9 @@ class _LateFunction:
         try:
             function = resolve_name(self.reference)
         except Exception as error:  # any error in the import of a third-party module
-            raise InputError(f"agent {self.name!r} can't be loaded from {self.reference}: {error}") from error
+            raise InputError(
+                f"agent {self.name!r} can't be loaded from {self.reference}: {error}"
+            ) from error
         return function(spec, **options)
 
 
@@ -245,7 +271,9 @@ def _check_options(name: str, function: Callable[..., Any], options: Iterable[st
     free = _free_options(function)
     for key in options:
         if key not in free:
-            raise InputError(f"agent {name!r} has no option {key!r}; it has {', '.join(free) or 'none'}")
+            raise InputError(
+                f"agent {name!r} has no option {key!r}; it has {', '.join(free) or 'none'}"
+            )
 
 
 def _first_line(function: Callable[..., Any]) -> str:
@@ -253,7 +281,12 @@ def _first_line(function: Callable[..., Any]) -> str:
 
 
 def load_entrant(
-    text: str, spec: GameSpec, *, drive: bool = False, weights: Path | None = None, name: str | None = None
+    text: str,
+    spec: GameSpec,
+    *,
+    drive: bool = False,
+    weights: Path | None = None,
+    name: str | None = None,
 ) -> Competitor:
     """Return the competitor that an argument of the command line names; it may name user code.
 
@@ -287,5 +320,7 @@ def load_entrant(
         raise InputError(f"there is no file of weights {weights}")
     made = own_code(text, spec, weights)
     if made is None:
-        raise InputError(f"can't find {text}; give module:function, where the module can be imported")
+        raise InputError(
+            f"can't find {text}; give module:function, where the module can be imported"
+        )
     return as_competitor(made, name or text.partition(":")[2])

@@ -53,7 +53,10 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
     # reader.
     body, comment = content[:-_COMMENT], content[-_COMMENT:]
     written_for = comment[len(_MARK) : len(_MARK) + 64].decode("latin-1")
-    if not comment.startswith(_MARK) or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]:
+    if (
+        not comment.startswith(_MARK)
+        or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]
+    ):
         raise InputError(f"{path} is damaged: it is not what was written")
     if task is not None and written_for != task:
         raise InputError(f"{path} belongs to another task or another run")

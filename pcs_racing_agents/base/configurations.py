@@ -17,6 +17,10 @@ def shipped_configs(kind: str) -> dict[str, Path]:
     }
 
 
-def load_config(kind: str, default: Kind, source: str | Path | Kind | None, /, **changes: Any) -> Kind:
-    """Return a configuration from a shipped one's name, a YAML file or settings, with some fields changed."""
+def load_config(
+    kind: str, default: Kind, source: str | Path | Kind | None, /, **changes: Any
+) -> Kind:
+    """Return a configuration from a shipped one's name, a YAML file or settings, with some fields
+    changed.
+    """
     return load_settings(kind, default, source, shipped_configs(kind), **changes)

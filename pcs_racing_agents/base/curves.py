@@ -8,7 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.base.style import COLOURS, SOFT, new_figure, picture, short, spread_labels, tidy
+from pcs_racing_agents.base.style import (
+    COLOURS,
+    SOFT,
+    new_figure,
+    picture,
+    short,
+    spread_labels,
+    tidy,
+)
 
 Floats = NDArray[np.float64]
 
@@ -54,7 +62,9 @@ def curves_picture(
             axes.plot(curve.x[shown], curve.y[shown], color=colour, lw=1.4)
             if curve.error is not None:
                 low, high = curve.y - curve.error, curve.y + curve.error
-                axes.fill_between(curve.x[shown], low[shown], high[shown], color=colour, alpha=0.2, lw=0)
+                axes.fill_between(
+                    curve.x[shown], low[shown], high[shown], color=colour, alpha=0.2, lw=0
+                )
         if logarithmic:
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -103,7 +113,9 @@ def _name_ends(axes: Any, curves: Sequence[Curve], log: bool) -> None:
         )
 
 
-def write_tensorboard(folder: Path, runs: Mapping[str, Iterable[tuple[int, Mapping[str, float]]]]) -> Path:
+def write_tensorboard(
+    folder: Path, runs: Mapping[str, Iterable[tuple[int, Mapping[str, float]]]]
+) -> Path:
     """Write curves for ``tensorboard --logdir FOLDER``; replace earlier curves of the same runs.
 
     Each run, in the folder of its name, has steps with values by tag; NaN is left out.

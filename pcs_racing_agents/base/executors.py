@@ -8,7 +8,13 @@ import signal
 import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -62,7 +68,9 @@ def make_executor(
     if workers is not None:
         check_whole("workers", workers, 1, 10_000)
     if address is not None and kind != "dask":
-        raise InputError(f"a scheduler's address ({address}) goes with the executor dask, not with {kind}")
+        raise InputError(
+            f"a scheduler's address ({address}) goes with the executor dask, not with {kind}"
+        )
     count = workers or default_threads()
     if kind == "serial":
         yield None
@@ -100,7 +108,9 @@ def _dask_client(executor: Executor) -> Any:
 
 def is_lost(error: BaseException) -> bool:
     """Return whether an error means that workers are gone, rather than that a task failed."""
-    return isinstance(error, BrokenExecutor | CancelledError) or type(error).__module__.startswith("distributed.")
+    return isinstance(error, BrokenExecutor | CancelledError) or type(error).__module__.startswith(
+        "distributed."
+    )
 
 
 @contextmanager
@@ -122,7 +132,8 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     elif client is not None:
         import dask
 
-        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):  # large, but only once
+        # large, but only once
+        with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):
             sent = client.submit(loads, packed, pure=False)
         yield partial(submit, _call, sent)
     else:
@@ -135,11 +146,15 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
 
 
 def call_task(function: Callable[..., Any], argument: Any) -> Any:
-    """Call the function of a task; ``SystemExit`` is an error of this task, not the end of the process."""
+    """Call the function of a task; ``SystemExit`` is an error of this task, not the end of the
+    process.
+    """
     try:
         return function(argument)
     except SystemExit as error:
-        raise JobError(f"a task ended with SystemExit({error.code!r}); it must return its result") from error
+        raise JobError(
+            f"a task ended with SystemExit({error.code!r}); it must return its result"
+        ) from error
 
 
 def _call(function: Callable[..., Any], argument: Any) -> Any:
@@ -202,7 +217,8 @@ def _prepare(files: Sequence[str]) -> None:
 
 def _run_files(files: Sequence[str]) -> None:
     for file in files:
-        with suppress(InputError):  # of a file that is gone or fails here, the task that needs it reports the error
+        # of a file that is gone or fails here, the task that needs it reports the error
+        with suppress(InputError):
             run_file(file)
 
 
@@ -238,8 +254,11 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
         with (
             _errors_alone(logging.getLogger("distributed")),
             _one_thread_each(),
-            dask.config.set({"distributed.comm.timeouts.connect": "120s"}),  # a busy machine starts workers slowly
-            LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, **quiet) as cluster,
+            # a busy machine starts workers slowly
+            dask.config.set({"distributed.comm.timeouts.connect": "120s"}),
+            LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, **quiet
+            ) as cluster,
             Client(cluster) as client,
         ):
             client.run(_prepare, files_run())
@@ -250,7 +269,8 @@ def _dask(workers: int, address: str | None) -> Iterator[Executor]:
             client.wait_for_workers(1, timeout=WORKER_SECONDS)
         except TimeoutError:
             raise InputError(
-                f"the dask scheduler at {address} has no workers; start some: dask worker {address} --nthreads 1"
+                f"the dask scheduler at {address} has no workers; start some: dask worker {address}"
+                " --nthreads 1"
             ) from None
         _check_workers(client.run(worker_identity))
         client.run(_run_files, files_run())
@@ -272,7 +292,9 @@ def _client(make: Callable[..., Any], address: str) -> Any:
         gc.collect()
         if failed:
             raise InputError(failed)
-    raise JobError("dask's own thread does not start: this machine is too busy; start the same again to go on")
+    raise JobError(
+        "dask's own thread does not start: this machine is too busy; start the same again to go on"
+    )
 
 
 def worker_identity() -> dict[str, str]:
@@ -288,7 +310,10 @@ def worker_identity() -> dict[str, str]:
     return {
         "pcs-racing": package_version(),
         "Python": ".".join(platform.python_version_tuple()[:2]),
-        **{name: installed(name) for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3")},
+        **{
+            name: installed(name)
+            for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3")
+        },
         "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
     }
 
@@ -302,10 +327,13 @@ def _check_workers(identities: dict[str, dict[str, str]]) -> None:
             if value == own[key] or "" in (value, own[key]):
                 continue
             if key != "processor":
-                raise InputError(f"the worker at {address} has {key} {value}, not {own[key]}; install the same there")
+                raise InputError(
+                    f"the worker at {address} has {key} {value}, not {own[key]}; install the same"
+                    " there"
+                )
             _log.warning(
-                "the worker at %s has a processor of another kind (%s, here %s): what is trained or searched there may "
-                "differ in the last bit from what one machine makes",
+                "the worker at %s has a processor of another kind (%s, here %s): what is trained or"
+                " searched there may differ in the last bit from what one machine makes",
                 address,
                 value,
                 own[key],

@@ -28,9 +28,12 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(f"array {array.dtype.str} {array.shape};".encode())
         digest.update(np.ascontiguousarray(array).tobytes())
     elif value is None or isinstance(value, bool | int | float | complex | str | bytes | Path):
-        # With the type and the length: 1, 1.0, True and "1" differ, and no text can run into the next value.
+        # With the type and the length: 1, 1.0, True and "1" differ, and no text can run into the
+        # next value.
         text = repr(value) if not isinstance(value, Path) else str(value)
-        digest.update(f"{kind if not isinstance(value, Path) else 'path'} {len(text)} {text};".encode())
+        digest.update(
+            f"{kind if not isinstance(value, Path) else 'path'} {len(text)} {text};".encode()
+        )
     elif isinstance(content, str) and content:
         digest.update(f"{kind} {content};".encode())
     elif isinstance(value, list | tuple):
@@ -39,7 +42,8 @@ def _feed(digest: Any, value: Any) -> None:
             _feed(digest, item)
     elif isinstance(value, Mapping):
         digest.update(f"mapping {len(value)};".encode())
-        # The order of insertion must not matter; keys of several types can only be sorted by their texts.
+        # The order of insertion must not matter; keys of several types can only be sorted by their
+        # texts.
         for key in sorted(value, key=repr):
             _feed(digest, key)
             _feed(digest, value[key])

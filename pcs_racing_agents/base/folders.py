@@ -39,7 +39,9 @@ class JobError(InputError):
 
 
 @contextmanager
-def claim_folder(folder: Path, kind: str, settings: Mapping[str, Any]) -> Iterator[Mapping[str, Any]]:
+def claim_folder(
+    folder: Path, kind: str, settings: Mapping[str, Any]
+) -> Iterator[Mapping[str, Any]]:
     """Create a job's folder, or open the folder of an earlier run with equal settings; lock it.
 
     The settings are provided as plain values.
@@ -107,7 +109,10 @@ def is_unchanged(folder: Path) -> bool:
     """Return whether a job's manifest matches its digest; True if there is no digest."""
     seal = folder / DIGEST
     text = read_limited(folder / "job.yaml", _MAX_BYTES, "a manifest of a job")
-    return not seal.exists() or read_limited(seal, 100, "a digest") == hashlib.sha256(text).hexdigest().encode()
+    return (
+        not seal.exists()
+        or read_limited(seal, 100, "a digest") == hashlib.sha256(text).hexdigest().encode()
+    )
 
 
 def package_version() -> str:
@@ -119,7 +124,9 @@ def package_version() -> str:
 
 
 def _unusable(folder: Path, error: OSError) -> JobError:
-    return JobError(f"can't work in the folder {folder}: {error.strerror} ({error.filename or folder})")
+    return JobError(
+        f"can't work in the folder {folder}: {error.strerror} ({error.filename or folder})"
+    )
 
 
 def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
@@ -128,11 +135,16 @@ def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
     with suppress(OSError, InputError):
         if read_limited(folder / DIGEST, 100, "a digest") == digest.encode():
             # Every chunk has its own digest, so no result is trusted because of this check.
-            return file.exists() and hashlib.sha256(read_limited(file, _MAX_BYTES, "")).hexdigest() == digest
+            return (
+                file.exists()
+                and hashlib.sha256(read_limited(file, _MAX_BYTES, "")).hexdigest() == digest
+            )
     if not file.exists():
         others = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
         if others:
-            raise InputError(f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder")
+            raise InputError(
+                f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder"
+            )
         return False
     try:
         earlier = read_job(file)
@@ -140,23 +152,32 @@ def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
         earlier = None
     if not isinstance(earlier, dict) or earlier.get("format") != FORMAT:
         raise InputError(
-            f"{file} is no manifest of a job; choose a new or an empty folder, or, if it was damaged, the settings of "
-            "the run that made it"
+            f"{file} is no manifest of a job; choose a new or an empty folder, or, if it was"
+            " damaged, the settings of the run that made it"
         )
-    for key, noun in (("version", "format version"), ("kind", "kind"), ("package", "package version")):
+    for key, noun in (
+        ("version", "format version"),
+        ("kind", "kind"),
+        ("package", "package version"),
+    ):
         if earlier.get(key) != manifest[key]:
             raise InputError(
-                f"{folder} holds another run: its {noun} is {earlier.get(key)!r}, not {manifest[key]!r}; "
-                "choose another folder"
+                f"{folder} holds another run: its {noun} is {earlier.get(key)!r}, not"
+                f" {manifest[key]!r}; choose another folder"
             )
     difference = _difference(earlier.get("settings"), manifest["settings"], "")
     if difference is not None:
-        raise InputError(f"{folder} holds another run: {difference}; choose another folder, or those settings")
-    return False  # the digest is missing or damaged: without it the next damage would make the folder unusable
+        raise InputError(
+            f"{folder} holds another run: {difference}; choose another folder, or those settings"
+        )
+    # the digest is missing or damaged: without it the next damage would make the folder unusable
+    return False
 
 
 def _difference(stored: Any, wanted: Any, where: str) -> str | None:
-    """Return a clause that names the first difference between two plain values; None if they are equal."""
+    """Return a clause that names the first difference between two plain values; None if they are
+    equal.
+    """
     if isinstance(stored, dict) and isinstance(wanted, dict):
         for key in [*stored, *(key for key in wanted if key not in stored)]:
             inner = f"{where}.{key}" if where else str(key)
@@ -186,7 +207,9 @@ def _plain(value: Any, where: str) -> Any:
         return value
     if isinstance(value, Path):
         return str(value)
-    raise InputError(f"{where} is {value!r}; the settings of a job must be texts, numbers, lists and mappings")
+    raise InputError(
+        f"{where} is {value!r}; the settings of a job must be texts, numbers, lists and mappings"
+    )
 
 
 def _take_lock(folder: Path) -> AbstractContextManager[Any]:
@@ -200,7 +223,9 @@ def _take_lock(folder: Path) -> AbstractContextManager[Any]:
         # On Windows no other process can read a locked file.
         with suppress(OSError):
             owner = file.read_text(encoding="ascii", errors="replace").strip() or owner
-        raise JobError(f"{folder} is in use by process {owner}; wait until it ends, or choose another folder") from None
+        raise JobError(
+            f"{folder} is in use by process {owner}; wait until it ends, or choose another folder"
+        ) from None
     with suppress(OSError):
         file.write_text(f"{os.getpid()}\n", encoding="ascii")
     return held

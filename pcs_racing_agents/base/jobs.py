@@ -72,7 +72,8 @@ class Job:
             Executor of the tasks (:func:`make_executor`); this thread by default. It does not
             change the results.
         progress : callable, optional
-            Called as ``progress(done, len(arguments), name)`` when the chunks are counted and after every task.
+            Called as ``progress(done, len(arguments), name)`` when the chunks are counted and after
+            every task.
         keep : bool
             Whether to return the results. False returns an empty list, and memory does not grow
             with the tasks.
@@ -87,7 +88,9 @@ class Job:
     def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
         """Return the digests of all inputs of the tasks."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
-            raise InputError(f"the name of a group of tasks is {name!r}; use small letters, digits, - and _")
+            raise InputError(
+                f"the name of a group of tasks is {name!r}; use small letters, digits, - and _"
+            )
         # All inputs of a result: a chunk of other settings or of another version is made again.
         identity = fingerprint(self.kind, self.settings, package_version(), name)
         return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
@@ -151,7 +154,9 @@ def run_groups(
     names = list(dict.fromkeys(group.name for group in groups))
     if progress is not None:
         progress(done, total, names[0] if names else "")
-    for (i, index), value in run_tasks(missing, executor, " to ".join(dict.fromkeys(names[:1] + names[-1:]))):
+    for (i, index), value in run_tasks(
+        missing, executor, " to ".join(dict.fromkeys(names[:1] + names[-1:]))
+    ):
         arrays = groups[i].job._keep(groups[i].name, index, value, marks[i][index])
         if keep:
             results[i][index] = arrays
@@ -175,7 +180,10 @@ class Run(Workers, total=False):
 
 
 def run_with_or_without(
-    name: str, function: Callable[[A], Mapping[str, Any]], arguments: Sequence[A], **run: Unpack[Run]
+    name: str,
+    function: Callable[[A], Mapping[str, Any]],
+    arguments: Sequence[A],
+    **run: Unpack[Run],
 ) -> list[Any]:
     """Return the results of all tasks in order, as :meth:`Job.run`; save them if there is a job."""
     job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
@@ -199,9 +207,15 @@ def run_races(
 
 
 def _plain_arrays(value: Any, where: str) -> Arrays:
-    arrays = {str(key): np.asarray(item) for key, item in value.items()} if isinstance(value, Mapping) else None
+    arrays = (
+        {str(key): np.asarray(item) for key, item in value.items()}
+        if isinstance(value, Mapping)
+        else None
+    )
     if arrays is None or any(array.dtype == object for array in arrays.values()):
-        raise InputError(f"{where} returned {type(value).__name__}; it must return arrays and numbers by name")
+        raise InputError(
+            f"{where} returned {type(value).__name__}; it must return arrays and numbers by name"
+        )
     return arrays
 
 

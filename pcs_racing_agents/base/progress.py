@@ -47,7 +47,11 @@ def show_progress(unit: str = "races") -> Progress:
         if first is None:
             first = (now, done) if now - begin < 0.2 else (begin, 0)
         fresh = done - first[1]
-        left = f", about {duration_text((now - first[0]) * (total - done) / fresh)} left" if fresh > 0 else ""
+        left = (
+            f", about {duration_text((now - first[0]) * (total - done) / fresh)} left"
+            if fresh > 0
+            else ""
+        )
         ahead = f"{left}: {label}" if done < total else ""
         say(f"{done}/{total} {unit}, {now - begin:.0f} s{ahead}", done >= total)
 

@@ -13,7 +13,17 @@ from pcs_racing.base.files import write_atomically
 INK, SOFT, EDGE = "#17202b", "#5c6877", "#dfe4ea"
 CARS = ("#1b6fd8", "#e08700")
 """Colours of car 0 and car 1, as in replays."""
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7a5195", "#8c6d31", "#6b7480")
+COLOURS = (
+    "#0072b2",
+    "#d55e00",
+    "#009e73",
+    "#cc79a7",
+    "#e69f00",
+    "#56b4e9",
+    "#7a5195",
+    "#8c6d31",
+    "#6b7480",
+)
 """Colours of other items: the palette of Okabe and Ito (2008), then some more; grey comes last."""
 
 _STYLE: Any = {
@@ -105,7 +115,11 @@ def spread_labels(desired: list[float], gap: float) -> list[float]:
 
 
 def place_labels(
-    axes: Any, points: Sequence[Any], texts: Sequence[str], colours: Sequence[str], avoid: Sequence[Any] = ()
+    axes: Any,
+    points: Sequence[Any],
+    texts: Sequence[str],
+    colours: Sequence[str],
+    avoid: Sequence[Any] = (),
 ) -> None:
     """Write a name next to each point, if possible without covering points or other names.
 
@@ -130,7 +144,11 @@ def place_labels(
                 left = x + side * away - (width if side < 0 else 0.5 * width if side == 0 else 0.0)
                 low = y + up * away - 0.5 * height
                 box = (left, low, left + width, low + height)
-                inside = box[0] >= frame[0, 0] and box[2] <= frame[1, 0] and frame[0, 1] <= low <= frame[1, 1] - height
+                inside = (
+                    box[0] >= frame[0, 0]
+                    and box[2] <= frame[1, 0]
+                    and frame[0, 1] <= low <= frame[1, 1] - height
+                )
                 hits = sum(_overlap(box, other) for other in taken) + (0 if inside else 1000)
                 if best is None or hits < best[0]:
                     best = (hits, away, left, low + 0.5 * height, box)
@@ -139,7 +157,14 @@ def place_labels(
         assert best is not None
         _, away, left, middle, box = best
         taken.append(box)
-        arrow = {"arrowstyle": "-", "color": colour, "lw": 0.6, "alpha": 0.6, "shrinkA": 0.0, "shrinkB": 4.0}
+        arrow = {
+            "arrowstyle": "-",
+            "color": colour,
+            "lw": 0.6,
+            "alpha": 0.6,
+            "shrinkA": 0.0,
+            "shrinkB": 4.0,
+        }
         axes.annotate(
             text,
             (x, y),

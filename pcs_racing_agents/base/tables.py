@@ -63,9 +63,12 @@ def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[s
     widths = [max(map(len, column)) for column in columns]
     # Numbers are aligned right, so that their digits line up; words are aligned left.
     words = [
-        i < left
-        if left is not None
-        else i == 0 or not any(cell[:1].isdigit() or cell[:1] in tuple("+-") for cell in column[1:] if cell)
+        (
+            i < left
+            if left is not None
+            else i == 0
+            or not any(cell[:1].isdigit() or cell[:1] in tuple("+-") for cell in column[1:] if cell)
+        )
         for i, column in enumerate(columns)
     ]
     return [
@@ -79,7 +82,10 @@ def aligned(rows: Iterable[Sequence[str]], *, left: int | None = None) -> list[s
 
 def markdown(rows: Iterable[Sequence[str]]) -> list[str]:
     """Return rows as lines of a table in Markdown; the first row is its head."""
-    head, *others = ([re.sub(r"<(?=[A-Za-z/!])", "&lt;", cell.replace("|", "\\|")) for cell in row] for row in rows)
+    head, *others = (
+        [re.sub(r"<(?=[A-Za-z/!])", "&lt;", cell.replace("|", "\\|")) for cell in row]
+        for row in rows
+    )
     return [f"| {' | '.join(row)} |" for row in (head, ["---"] * len(head), *others)]
 
 
@@ -104,8 +110,9 @@ class CsvTable:
                 # A csv reader gives an empty list for an empty line, which is harmless.
                 if len(values) not in (0, len(self.columns)):
                     raise InputError(
-                        f"{self.path}, line {reader.line_num} is damaged: it has {len(values)} values, more or fewer "
-                        f"than the {len(self.columns)} that the first line names"
+                        f"{self.path}, line {reader.line_num} is damaged: it has {len(values)}"
+                        f" values, more or fewer than the {len(self.columns)} that the first line"
+                        " names"
                     )
                 if values:
                     yield reader.line_num, values
@@ -114,7 +121,10 @@ class CsvTable:
 
     def lines(self) -> Iterator[tuple[int, dict[str, str]]]:
         """Return an iterator like :meth:`values`, with the values by column."""
-        return ((number, dict(zip(self.columns, values, strict=True))) for number, values in self.values())
+        return (
+            (number, dict(zip(self.columns, values, strict=True)))
+            for number, values in self.values()
+        )
 
     def rows(self) -> list[dict[str, str]]:
         """Return all lines."""
@@ -150,10 +160,16 @@ def read_csv(path: str | os.PathLike[str]) -> CsvTable:
     except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{name} is damaged: {error}") from None
     if len(columns) > MAX_COLUMNS:
-        raise InputError(f"{name} has {len(columns)} columns; a table of races has at most {MAX_COLUMNS}")
+        raise InputError(
+            f"{name} has {len(columns)} columns; a table of races has at most {MAX_COLUMNS}"
+        )
     return CsvTable(name, columns, data)
 
 
 def _reader(data: bytes) -> Any:
-    """Return a reader that decodes line by line: the text of a large table takes four times the memory of its bytes."""
-    return csv.reader(io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""), strict=True)
+    """Return a reader that decodes line by line: the text of a large table takes four times the
+    memory of its bytes.
+    """
+    return csv.reader(
+        io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig", newline=""), strict=True
+    )

@@ -49,12 +49,15 @@ def run_tasks(
     try:
         with ExitStack() as sent:
             while True:
-                # The order of the two conditions matters: a task is taken from the iterator only when it can begin.
+                # The order of the two conditions matters: a task is taken from the iterator only
+                # when it can begin.
                 while len(under_way) < limit and (task := next(waiting, None)) is not None:
                     if id(task.function) not in submit:
                         # As long as the function lives, no other object has its identity.
                         functions.append(task.function)
-                        submit[id(task.function)] = sent.enter_context(sent_once(task.function, executor))
+                        submit[id(task.function)] = sent.enter_context(
+                            sent_once(task.function, executor)
+                        )
                     under_way[submit[id(task.function)](task.argument)] = task.key
                 if not under_way:
                     return
@@ -68,7 +71,9 @@ def run_tasks(
             raise
         # Lost workers fail many futures at once; the first error is enough for the message.
         why = " ".join(str(error).split()) or "its tasks were cancelled"
-        raise JobError(f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}") from None
+        raise JobError(
+            f"{name} was cut short: a worker died or the cluster is gone ({why}); {GO_ON}"
+        ) from None
     finally:
         for future in under_way:
             future.cancel()
@@ -79,7 +84,9 @@ def numbered_tasks(function: Callable[[A], Any], arguments: Iterable[A]) -> Iter
     return (Task(i, function, argument) for i, argument in enumerate(arguments))
 
 
-def run_task(function: Callable[[A], R], argument: A, executor: Executor | None, name: str = "the work") -> R:
+def run_task(
+    function: Callable[[A], R], argument: A, executor: Executor | None, name: str = "the work"
+) -> R:
     """Return the result of a single task; see :func:`run_tasks`."""
     ((_, result),) = run_tasks(numbered_tasks(function, [argument]), executor, name)
     return cast(R, result)

@@ -32,7 +32,9 @@ def _scores(_: str, value: Any) -> tuple[CardScore, ...]:
 
 def _gains(_: str, value: Any) -> dict[str, Gain]:
     if not isinstance(value, Mapping) or not set(value) <= set(CIRCUITS):
-        raise ConfigError(f"gains are {value!r:.80}; they must be a mapping of some of {', '.join(CIRCUITS)}")
+        raise ConfigError(
+            f"gains are {value!r:.80}; they must be a mapping of some of {', '.join(CIRCUITS)}"
+        )
     return {circuits: _made(Gain, gain) for circuits, gain in value.items()}
 
 
@@ -51,7 +53,9 @@ class Card(Settings):
     """The result of an agent in the benchmark."""
 
     protocol: Annotated[str, NAME, "Name of the protocol, with its version."]
-    protocol_sha256: Annotated[str, SHA256, "Hash of the protocol and of everything that its results depend on."]
+    protocol_sha256: Annotated[
+        str, SHA256, "Hash of the protocol and of everything that its results depend on."
+    ]
     agent: Annotated[str, NAME, "Name of the agent."]
     agent_sha256: Annotated[str, SHA256, "Hash of the agent."]
     scores: Annotated[
@@ -78,7 +82,9 @@ class Card(Settings):
         for score in self.scores:
             if (score.part, score.circuits) == (part, circuits):
                 return score
-        raise InputError(f"the card of {self.agent!r} has no score of {part!r} on {circuits!r} circuits")
+        raise InputError(
+            f"the card of {self.agent!r} has no score of {part!r} on {circuits!r} circuits"
+        )
 
 
 def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = ()) -> list[Path]:
@@ -129,7 +135,9 @@ COLUMNS = (
 
 def summary_rows(card: Card) -> list[tuple[str, ...]]:
     """Return the scores by kind of opponent as a table."""
-    return table_rows(COLUMNS, (score for score in card.scores if score.circuits in ("seen", "unseen", "all")))
+    return table_rows(
+        COLUMNS, (score for score in card.scores if score.circuits in ("seen", "unseen", "all"))
+    )
 
 
 def fact_lines(card: Card) -> list[str]:
@@ -155,13 +163,18 @@ def fact_lines(card: Card) -> list[str]:
 
 def card_markdown(card: Card) -> str:
     """Return the card as Markdown."""
-    head = f"# {card.agent}: {card.protocol}\n\nProtocol {card.protocol_sha256[:16]}, agent {card.agent_sha256[:16]}.\n"
+    head = (
+        f"# {card.agent}: {card.protocol}\n\nProtocol {card.protocol_sha256[:16]}, agent"
+        f" {card.agent_sha256[:16]}.\n"
+    )
     return "\n".join([head, *markdown(summary_rows(card)), "", *fact_lines(card), ""])
 
 
 def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
     """Return the card as one self-contained page; all text is escaped."""
-    return render("card.html", card=card, table=summary_rows(card), facts=fact_lines(card), races=races)
+    return render(
+        "card.html", card=card, table=summary_rows(card), facts=fact_lines(card), races=races
+    )
 
 
 def render(name: str, **values: Any) -> str:
@@ -177,20 +190,27 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
     files = [card for path in paths for card in _cards_in(path)]
     cards = [read_card(path) for path in files]
     if not cards:
-        raise InputError("there are no cards; give at least one folder that 'pcs-racing benchmark' wrote")
+        raise InputError(
+            "there are no cards; give at least one folder that 'pcs-racing benchmark' wrote"
+        )
     # Scores are comparable only under the same protocol, archive and opponents.
     first, names = cards[0], set()
     for path, card in zip(files, cards, strict=True):
         if card.protocol != first.protocol:
-            raise InputError(f"{path} is a card of protocol {card.protocol!r}, the first one of {first.protocol!r}")
+            raise InputError(
+                f"{path} is a card of protocol {card.protocol!r}, the first one of"
+                f" {first.protocol!r}"
+            )
         if card.protocol_sha256 != first.protocol_sha256:
             raise InputError(
-                f"{path} is a card of {card.protocol!r} with hash {card.protocol_sha256[:16]}, the first one has "
-                f"{first.protocol_sha256[:16]}: archive, circuits or opponents differ"
+                f"{path} is a card of {card.protocol!r} with hash {card.protocol_sha256[:16]}, the"
+                f" first one has {first.protocol_sha256[:16]}: archive, circuits or opponents"
+                " differ"
             )
         if card.agent in names:
             raise InputError(
-                f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames an agent)"
+                f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames"
+                " an agent)"
             )
         names.add(card.agent)
     # Equal scores are sorted by name: the page does not depend on the order of the folders.
@@ -206,7 +226,17 @@ def _cards_in(path: Path) -> list[Path]:
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
     """Return the leaderboard as a table, one line per card."""
     rows: list[tuple[str, ...]] = [
-        ("agent", "score", "95 % interval", "seen", "unseen", "own crashes", "gain", "best reply", "us")
+        (
+            "agent",
+            "score",
+            "95 % interval",
+            "seen",
+            "unseen",
+            "own crashes",
+            "gain",
+            "best reply",
+            "us",
+        )
     ]
     for card in cards:
         whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
@@ -219,7 +249,11 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
                 f"{card.score('all', 'unseen').score:.3f}",
                 f"{whole.own_crash:.1%}",
                 "" if gain is None else f"{gain.gain:+.3f}",
-                "not measured" if reply is None else with_interval(reply.loss, reply.low, reply.high),
+                (
+                    "not measured"
+                    if reply is None
+                    else with_interval(reply.loss, reply.low, reply.high)
+                ),
                 "" if card.cost_us is None else f"{card.cost_us:.0f}",
             )
         )

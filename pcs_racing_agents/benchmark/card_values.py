@@ -16,7 +16,9 @@ LONGEST_NAME = 200  # characters
 def _name(_: str, value: Any) -> str:
     name = check_text("a name", value, ConfigError)
     if len(name) > LONGEST_NAME or not name.isprintable():
-        raise ConfigError(f"a name is {name[:40]!r}...; it must have at most {LONGEST_NAME} printable characters")
+        raise ConfigError(
+            f"a name is {name[:40]!r}...; it must have at most {LONGEST_NAME} printable characters"
+        )
     return name
 
 
@@ -27,7 +29,10 @@ def _sha256(_: str, value: Any) -> str:
 
 
 SHA256 = Checked(_sha256)
-NAME, COUNT = Checked(_name, f"at most {LONGEST_NAME} printable characters"), Interval(ge=1, le=10**9)
+NAME, COUNT = (
+    Checked(_name, f"at most {LONGEST_NAME} printable characters"),
+    Interval(ge=1, le=10**9),
+)
 SHARE, DIFFERENCE = Interval(ge=0.0, le=1.0), Interval(ge=-1.0, le=1.0)
 
 
@@ -41,7 +46,9 @@ class _Estimate(Settings):
         super().__post_init__()
         low, value, high = (getattr(self, name) for name in ("low", self.value, "high"))
         if not low <= value <= high:
-            raise ConfigError(f"{self.value} is {value:g}, outside of its interval from {low:g} to {high:g}")
+            raise ConfigError(
+                f"{self.value} is {value:g}, outside of its interval from {low:g} to {high:g}"
+            )
 
     @property
     def interval(self) -> str:
@@ -65,7 +72,9 @@ class CardScore(_Estimate):
     score: Annotated[float, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0."]
     low: Annotated[float, SHARE, "Lower limit of its 95 % interval."]
     high: Annotated[float, SHARE, "Upper limit."]
-    own_crash: Annotated[float, SHARE, "Share of the races that ended in a crash by the agent's own fault."]
+    own_crash: Annotated[
+        float, SHARE, "Share of the races that ended in a crash by the agent's own fault."
+    ]
     other_crash: Annotated[float, SHARE, "Share that ended in another crash."]
 
 

@@ -53,7 +53,12 @@ def _clear(view, gap, v, d, reach):
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + CAR_AIR
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + CAR_AIR
     closing = v - view[_view.OPP_V]
-    if gap > 0.0 and abs(view[_view.OPP_D] - d) < wide and closing > 0.0 and gap - long < LEAST_TTC * closing:
+    if (
+        gap > 0.0
+        and abs(view[_view.OPP_D] - d) < wide
+        and closing > 0.0
+        and gap - long < LEAST_TTC * closing
+    ):
         return False
     for k in range(1, CHECKS + 1):
         t = CHECK_STEP * k
@@ -72,7 +77,10 @@ def plan(track, theta, view, memory, scratch, path):
     ends = track.line[line_index(track, s0 + reach)]
     quarter = 0.25 * (ends[_frenet.LEFT] + ends[_frenet.RIGHT])
     keep = 0.5 * view[_view.OWN_WIDTH] + WALL_AIR
-    line_d, full = _sample(track, theta, s0 + reach, 0), theta[FACTOR] * _sample(track, theta, s0 + reach, 1)
+    line_d, full = (
+        _sample(track, theta, s0 + reach, 0),
+        theta[FACTOR] * _sample(track, theta, s0 + reach, 1),
+    )
     aside, share, best = 0.0, SLOWEST, np.inf
     for g in range(GOALS):
         goal = (2.0 * g / (GOALS - 1) - 1.0) * quarter
@@ -95,8 +103,13 @@ def plan(track, theta, view, memory, scratch, path):
 
 def overtaken(samples: int) -> Planner:
     """Return the planner for lines of a number of samples, evenly spaced along the race line."""
-    numbers = [Parameter(f"d{i}", -10.0, 10.0, 0.0, "distance from the race line, m") for i in range(samples)]
+    numbers = [
+        Parameter(f"d{i}", -10.0, 10.0, 0.0, "distance from the race line, m")
+        for i in range(samples)
+    ]
     speeds = [Parameter(f"v{i}", 0.0, 30.0, 1.0, "speed, m/s") for i in range(samples)]
     factor = Parameter("factor", 0.0, 1.0, 0.5, "factor of the line's speeds")
     count = Parameter("samples", 1.0, 1e6, float(samples), "samples of the line")
-    return Planner("overtaken", (factor, count, *numbers, *speeds), plan=plan, scratch_size=_line.LANE_SIZE)
+    return Planner(
+        "overtaken", (factor, count, *numbers, *speeds), plan=plan, scratch_size=_line.LANE_SIZE
+    )

@@ -70,8 +70,12 @@ def made_lines(track: Track) -> Lines:
     samples = track.line[(_places(track) / track.arrays.ds).astype(np.intp)]
     room = np.stack([samples[:, LEFT], samples[:, LEFT], samples[:, RIGHT]]) - WALL_AIR
     # Moving minimum of the room for early transitions of a lane, then a mean for slow transitions.
-    around = np.stack([np.roll(np.clip(room, 0.0, ASIDE), k, axis=1) for k in range(-MERGE, MERGE + 1)])
-    least = np.stack([np.roll(around.min(axis=0), k, axis=1) for k in range(-MERGE, MERGE + 1)]).mean(axis=0)
+    around = np.stack(
+        [np.roll(np.clip(room, 0.0, ASIDE), k, axis=1) for k in range(-MERGE, MERGE + 1)]
+    )
+    least = np.stack(
+        [np.roll(around.min(axis=0), k, axis=1) for k in range(-MERGE, MERGE + 1)]
+    ).mean(axis=0)
     d = np.array([[1.0], [0.0], [-1.0]]) * least
     speed = samples[:, SPEED] * np.sqrt(np.clip(1.0 - samples[:, KAPPA] * d, 0.25, 1.0))
     return Lines(track, d, speed)
@@ -82,12 +86,18 @@ def read_lines(track: Track, folder: Path) -> Lines:
     tables = []
     for k in range(LINES):
         path = folder / f"{track.name}_line{k}.csv"
-        tables.append(_checked(track, path, parse_csv(path, read_inside(folder, path, MAX_LINE), COLUMNS, ";")))
+        tables.append(
+            _checked(
+                track, path, parse_csv(path, read_inside(folder, path, MAX_LINE), COLUMNS, ";")
+            )
+        )
     arrays, center = track.arrays, track.centerline
     if np.median(np.diff(track.to_frenet(tables[1][:, 1:3])[:, 0])) < 0.0:
         center = center[::-1][:, [0, 1, 3, 2]]
     corner = (arrays.origin_x, arrays.origin_y)
-    on = build_track(track.name, arrays.distance <= 0.0, arrays.cell, corner, center, tables[1][:, 1:3])
+    on = build_track(
+        track.name, arrays.distance <= 0.0, arrays.cell, corner, center, tables[1][:, 1:3]
+    )
     places = _places(on)
     d, speed = np.empty((2, LINES, len(places)))
     for k, table in enumerate(tables):
@@ -102,9 +112,15 @@ def _checked(track: Track, path: Path, table: Floats) -> Floats:
     xy, speed, half = table[:, 1:3], table[:, 5], 0.5 * track.length
     for wrong, right in (
         (np.diff(table[:, 0], append=np.inf) <= 0.0, "s must rise from point to point"),
-        ((speed <= 0.0) | (speed > MAX_SPEED), f"the speed must be above 0 and at most {MAX_SPEED:g} m/s"),
+        (
+            (speed <= 0.0) | (speed > MAX_SPEED),
+            f"the speed must be above 0 and at most {MAX_SPEED:g} m/s",
+        ),
         (track.wall_distance(xy) <= 0.0, "it must lie between the walls"),
-        (np.hypot(*np.diff(xy, axis=0, append=xy[:1]).T) > MAX_GAP, f"the next point must be within {MAX_GAP:g} m"),
+        (
+            np.hypot(*np.diff(xy, axis=0, append=xy[:1]).T) > MAX_GAP,
+            f"the next point must be within {MAX_GAP:g} m",
+        ),
     ):
         if wrong.any():
             raise MapError(f"{path}, point {np.argmax(wrong) + 1}: {right}")
@@ -143,7 +159,9 @@ class Outcomes:
         return self.fault == 0
 
 
-def race_scenarios(lines: Lines, ego: Policy, *, seed: int = 0, threads: int | None = None) -> Outcomes:
+def race_scenarios(
+    lines: Lines, ego: Policy, *, seed: int = 0, threads: int | None = None
+) -> Outcomes:
     """Drive the 600 scenarios of a track."""
     track, samples = lines.track, lines.d.shape[1]
     scenarios = np.array(list(product(range(STARTS), range(LINES), range(len(FACTORS)))))
@@ -152,13 +170,20 @@ def race_scenarios(lines: Lines, ego: Policy, *, seed: int = 0, threads: int | N
     theta = np.zeros((races, 2, max(len(planner.parameters) for planner in planners)))
     theta[:, 0, : len(ego.parameters)] = ego.parameters
     theta[:, 1, 0], theta[:, 1, 1] = np.array(FACTORS)[factor], samples
-    theta[:, 1, 2 : 2 + samples], theta[:, 1, 2 + samples : 2 + 2 * samples] = lines.d[line], lines.speed[line]
+    theta[:, 1, 2 : 2 + samples], theta[:, 1, 2 + samples : 2 + 2 * samples] = (
+        lines.d[line],
+        lines.speed[line],
+    )
     state = empty_state(races, max(planner.memory_total for planner in planners))
     state.seed[:] = race_seeds(seed, races)
     begins = start / STARTS * track.length
     for car, ahead in ((0, 0.0), (1, AHEAD)):
         s = np.mod(begins + ahead, track.length)
-        d = lines.d[line, (s / track.length * samples).astype(np.intp) % samples] if car else np.zeros(races)
+        d = (
+            lines.d[line, (s / track.length * samples).astype(np.intp) % samples]
+            if car
+            else np.zeros(races)
+        )
         pose = track.to_cartesian(np.stack([s, d], axis=-1))
         state.cars[:, car, X], state.cars[:, car, Y] = pose[:, 0], pose[:, 1]
         state.cars[:, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
@@ -176,7 +201,10 @@ def race_scenarios(lines: Lines, ego: Policy, *, seed: int = 0, threads: int | N
 def joined(parts: Sequence[Outcomes]) -> Outcomes:
     """Return the joined outcomes of one planner on several tracks."""
     names = [name for name in Outcomes.__dataclass_fields__ if name != "driver"]
-    return Outcomes(parts[0].driver, **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names})
+    return Outcomes(
+        parts[0].driver,
+        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names},
+    )
 
 
 def _share(values: NDArray[np.bool_], starts: NDArray[np.str_]) -> str:
@@ -187,10 +215,21 @@ def _share(values: NDArray[np.bool_], starts: NDArray[np.str_]) -> str:
 def summary(found: Sequence[Outcomes]) -> list[str]:
     """Return the table of planners: shares (95 % intervals, clusters: starts), collision faults."""
     rows: list[tuple[str, ...]] = [
-        ("driver", "without collision", "overtaking", "following", "collision: ego", "opponent", "both")
+        (
+            "driver",
+            "without collision",
+            "overtaking",
+            "following",
+            "collision: ego",
+            "opponent",
+            "both",
+        )
     ]
     for one in found:
-        shares = [_share(values, one.start) for values in (one.safe, one.overtakes, one.safe & ~one.overtakes)]
+        shares = [
+            _share(values, one.start)
+            for values in (one.safe, one.overtakes, one.safe & ~one.overtakes)
+        ]
         rows.append((one.driver, *shares, *(f"{np.mean(one.fault == k):.1%}" for k in (1, 2, 3))))
     name, safe, overtakes = PUBLISHED
     rows.append((name, f"{safe:.1%}", f"{overtakes:.1%}", f"{safe - overtakes:.1%}", "-", "-", "-"))
@@ -210,7 +249,13 @@ def detail(found: Sequence[Outcomes]) -> list[str]:
     """Return the shares without collision / with overtaking by track, speed factor and line."""
     head = ["driver", *(name for name, _ in _groups(found[0]))]
     rows = [
-        [one.driver, *(f"{one.safe[on].mean():.1%} / {one.overtakes[on].mean():.1%}" for _, on in _groups(one))]
+        [
+            one.driver,
+            *(
+                f"{one.safe[on].mean():.1%} / {one.overtakes[on].mean():.1%}"
+                for _, on in _groups(one)
+            ),
+        ]
         for one in found
     ]
     return aligned([head, *rows], left=1)

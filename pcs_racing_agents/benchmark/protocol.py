@@ -115,7 +115,15 @@ class Protocol:
     @property
     def content_hash(self) -> str:
         """Hash of the protocol and of all inputs of its results."""
-        return fingerprint([self.config.name, *self.hashes, self.config.egos, self.config.variants, self.config.seed])
+        return fingerprint(
+            [
+                self.config.name,
+                *self.hashes,
+                self.config.egos,
+                self.config.variants,
+                self.config.seed,
+            ]
+        )
 
     def check_hashes(self) -> None:
         """Check that this installation has the hashes listed in the protocol."""
@@ -124,8 +132,9 @@ class Protocol:
         for wanted, here in zip_longest(self.config.hashes, self.hashes, fillvalue="nothing"):
             if wanted != here:
                 raise InputError(
-                    f"protocol {self.config.name!r} was written for {wanted!r}, but this installation has {here!r}; "
-                    "install the version of pcs-racing that the protocol belongs to"
+                    f"protocol {self.config.name!r} was written for {wanted!r}, but this"
+                    f" installation has {here!r}; install the version of pcs-racing that the"
+                    " protocol belongs to"
                 )
 
 

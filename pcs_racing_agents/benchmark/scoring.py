@@ -54,7 +54,10 @@ def play_protocol(
     """
     arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
     if len(arms) < len(agents):
-        raise InputError(f"two of the agents have the same name; they are {', '.join(map(competitor_name, agents))}")
+        raise InputError(
+            "two of the agents have the same name; they are"
+            f" {', '.join(map(competitor_name, agents))}"
+        )
     arms |= {name: protocol.opponents[name] for name in protocol.config.blind if name not in arms}
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
@@ -85,10 +88,16 @@ def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
     scores = []
     for circuits, wanted in (("seen", (True,)), ("unseen", (False,)), ("all", (True, False))):
         for part in ("all", *KINDS):
-            chosen = [played for played in cells if played.cell.seen in wanted and part in ("all", played.cell.kind)]
+            chosen = [
+                played
+                for played in cells
+                if played.cell.seen in wanted and part in ("all", played.cell.kind)
+            ]
             if chosen:
                 scores.append(_score(part, circuits, chosen))
-    return scores + [_score(played.cell.opponent, played.cell.circuit, [played]) for played in cells]
+    return scores + [
+        _score(played.cell.opponent, played.cell.circuit, [played]) for played in cells
+    ]
 
 
 def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]]:
@@ -96,7 +105,10 @@ def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]
     scores = np.concatenate([played.races.score for played in cells])
     egos = np.concatenate([played.races.variants[:, 0] for played in cells])
     opponents = np.concatenate(
-        [np.char.add(f"{played.cell.opponent} ", played.races.variants[:, 1].astype(str)) for played in cells]
+        [
+            np.char.add(f"{played.cell.opponent} ", played.races.variants[:, 1].astype(str))
+            for played in cells
+        ]
     )
     return scores, egos, opponents
 
@@ -121,7 +133,9 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     )
 
 
-def gain(results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None) -> Gain | None:
+def gain(
+    results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None
+) -> Gain | None:
     """Return the agent's score minus the best baseline's score, on the same races.
 
     The best baseline is chosen after the fact, on these races, which can only reduce the gain. None
@@ -173,7 +187,9 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
         return float((1.0 / (1.0 + 10.0 ** ((strengths - own) / 400.0)) - scores).mean())
 
     # An agent that won (or lost) every race has no finite rating.
-    return float(brentq(excess, -4000.0, 4000.0)) if excess(-4000.0) < 0.0 < excess(4000.0) else None
+    return (
+        float(brentq(excess, -4000.0, 4000.0)) if excess(-4000.0) < 0.0 < excess(4000.0) else None
+    )
 
 
 def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> float | None:
@@ -192,7 +208,9 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
     return 1e6 * float(np.median(times))
 
 
-def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: int) -> list[tuple[str, Replay]]:
+def telling_races(
+    own: Sequence[CellRaces], others: Sequence[CellRaces], count: int
+) -> list[tuple[str, Replay]]:
     """Return titled recordings of the races with the max score difference between two agents.
 
     ``own``, ``others``: the same cells in the same order, raced by the agent and by the other
@@ -201,7 +219,9 @@ def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: 
     telling: list[tuple[float, CellRaces, int]] = []
     for cell, other in zip(own, others, strict=True):
         # Alternately a race won by the agent and lost by the other agent, and the reverse.
-        difference = (cell.races.score - other.races.score) * (1.0 if len(telling) % 2 == 0 else -1.0)
+        difference = (cell.races.score - other.races.score) * (
+            1.0 if len(telling) % 2 == 0 else -1.0
+        )
         race = int(np.argmax(difference))
         telling.append((float(difference[race]), cell, race))
     telling.sort(key=lambda entry: -entry[0])
@@ -209,7 +229,13 @@ def telling_races(own: Sequence[CellRaces], others: Sequence[CellRaces], count: 
     for _, cell, race in telling[:count]:
         pairing = cell.pairing
         recording = record_game(
-            pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race), candidates=False
+            pairing.game,
+            pairing.ego,
+            pairing.opponent,
+            **pairing.race_arguments(race),
+            candidates=False,
         )
-        races.append((f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay))
+        races.append(
+            (f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay)
+        )
     return races

@@ -20,7 +20,9 @@ _CONSTANT = "makes the same move again and again"
     "pcs-racing agents response --rules contest",
 )
 def run(
-    agent: Annotated[str | None, Option("name of the agent to describe (default: list all)")] = None,
+    agent: Annotated[
+        str | None, Option("name of the agent to describe (default: list all)")
+    ] = None,
     *,
     archive: ArchiveName = None,
     rules: RulesName = "paper",
@@ -34,7 +36,9 @@ def run(
     spec = make_game_spec(archive_for(archive, config.race), config)
     available, listed = entries(), names(spec.archive, spec.config)
     if agent is None:
-        rows = [(name, available[name].summary if name in available else _CONSTANT) for name in listed]
+        rows = [
+            (name, available[name].summary if name in available else _CONSTANT) for name in listed
+        ]
         print("\n".join(aligned(rows, left=2)))
         return
     if agent not in listed:
@@ -47,7 +51,9 @@ def run(
 
 
 @command("policies", "pcs-racing policies lattice")
-def run_policies(planner: Annotated[str | None, Option("name of the planner to list (default: all)")] = None) -> None:
+def run_policies(
+    planner: Annotated[str | None, Option("name of the planner to list (default: all)")] = None,
+) -> None:
     """List planners with the bounds and meanings of their parameters."""
     names = [planner] if planner else planner_names()
     if planner is not None and planner.endswith(".py"):
@@ -61,6 +67,9 @@ def _describe(planner: Planner) -> str:
     lines = [planner.name]
     if planner.variants:
         lines.append(f"  variants: {', '.join(planner.variants)}")
-    rows = [(p.name, f"{p.default:g}", f"in [{p.low:g}, {p.high:g}]", p.meaning) for p in planner.parameters]
+    rows = [
+        (p.name, f"{p.default:g}", f"in [{p.low:g}, {p.high:g}]", p.meaning)
+        for p in planner.parameters
+    ]
     lines += [f"  {line}" for line in aligned(rows)]
     return "\n".join(lines)

@@ -12,7 +12,13 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import POLICY_HELP, TRACK_HELP, Workers, output_file, output_folder
+from pcs_racing_agents.cli.options import (
+    POLICY_HELP,
+    TRACK_HELP,
+    Workers,
+    output_file,
+    output_folder,
+)
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
@@ -41,18 +47,26 @@ def run(
     agents: Annotated[
         Sequence[str],
         Option(
-            "a name of the zoo, module:function (called with the game spec, and the path of the weights if "
-            "there is one), or a .zip file of Stable-Baselines3; of several each gets a card in a folder of its own, "
+            "a name of the zoo, module:function (called with the game spec, and the path of the"
+            " weights if "
+            "there is one), or a .zip file of Stable-Baselines3; of several each gets a card in a"
+            " folder of its own, "
             "and the baselines are raced only once",
             "AGENT",
         ),
     ],
     *,
-    drive: Annotated[bool, Option("AGENT is a driver at control level: its name or folder")] = False,
-    weights: Annotated[Path | None, Option("file that is handed to module:function", "FILE")] = None,
+    drive: Annotated[
+        bool, Option("AGENT is a driver at control level: its name or folder")
+    ] = False,
+    weights: Annotated[
+        Path | None, Option("file that is handed to module:function", "FILE")
+    ] = None,
     name: Annotated[str | None, Option("name on the card (default: that of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
-    full: Annotated[bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")] = False,
+    full: Annotated[
+        bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")
+    ] = False,
     out: Annotated[Path, Option("folder of the card; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
@@ -69,17 +83,25 @@ def run(
     if weights is not None and ":" not in agents[0]:
         raise InputError("--weights goes with module:function")
     rules = load_protocol(protocol)
-    entrants = [load_entrant(text, rules.spec, drive=drive, weights=weights, name=name) for text in agents]
+    entrants = [
+        load_entrant(text, rules.spec, drive=drive, weights=weights, name=name) for text in agents
+    ]
     digests = [competitor_hash(agent) for agent in entrants]
     settings = {"protocol": rules.content_hash, "agents": digests}
     with workers.start() as executor, open_job(out, "benchmark", settings) as job:
-        results = play_protocol(rules, entrants, job=job, executor=executor, progress=show_progress("races"))
+        results = play_protocol(
+            rules, entrants, job=job, executor=executor, progress=show_progress("races")
+        )
         for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
             # Several agents share a job: its groups of tasks need distinct names.
             part = "" if alone else f"agent-{i}-"
             reply = _best_reply(rules, agent, job, part, executor) if full else None
             # Some file systems do not allow the colons and equals signs of agents' names.
-            own = out if alone else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
+            own = (
+                out
+                if alone
+                else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
+            )
             _write(rules, agent, digest, results, reply, own)
 
 
@@ -95,16 +117,30 @@ def _write(
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.base.tables import aligned
     from pcs_racing_agents.benchmark.card import Card, fact_lines, summary_rows, write_card
-    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, rating, summarise, telling_races
+    from pcs_racing_agents.benchmark.scoring import (
+        decision_cost,
+        gain,
+        rating,
+        summarise,
+        telling_races,
+    )
 
     name, config = competitor_name(agent), protocol.config
     own = results[name]
     raced = {name: own, **{blind: results[blind] for blind in config.blind}}
     circuits = {"seen": True, "unseen": False, "all": None}
-    found = {} if name in config.blind else {key: gain(raced, name, seen) for key, seen in circuits.items()}
+    found = (
+        {}
+        if name in config.blind
+        else {key: gain(raced, name, seen) for key, seen in circuits.items()}
+    )
     gains = {key: value for key, value in found.items() if value is not None}
     # A planner with other start lines than the baselines has no races in common with them.
-    other = next((cells for blind, cells in raced.items() if blind != name), own) if gains or not found else own
+    other = (
+        next((cells for blind, cells in raced.items() if blind != name), own)
+        if gains or not found
+        else own
+    )
     card = Card(
         protocol=config.name,
         protocol_sha256=protocol.content_hash,
@@ -150,9 +186,13 @@ def _best_reply(
 
 @command("leaderboard", "pcs-racing leaderboard out/cards/mine out/cards/zoo --out out/leaderboard")
 def run_board(
-    cards: Annotated[Sequence[Path], Option("folders of cards, or folders that hold such folders", "FOLDER")],
+    cards: Annotated[
+        Sequence[Path], Option("folders of cards, or folders that hold such folders", "FOLDER")
+    ],
     *,
-    out: Annotated[Path | None, Option("folder for leaderboard.html and leaderboard.md", "DIR")] = None,
+    out: Annotated[
+        Path | None, Option("folder for leaderboard.html and leaderboard.md", "DIR")
+    ] = None,
 ) -> None:
     """Rank score cards of one protocol, and write the page that shows them."""
     from pcs_racing_agents.base.tables import aligned, markdown
@@ -174,14 +214,16 @@ def run_board(
 @command(
     "overtaking",
     "pcs-racing overtaking --drivers spliner mppi --track Tarnfjord Pipkin",
-    "pcs-racing overtaking --drivers spliner:pace=1 --track maps/Austin maps/Hockenheim --lines lines",
+    "pcs-racing overtaking --drivers spliner:pace=1 --track maps/Austin maps/Hockenheim --lines"
+    " lines",
 )
 def run_overtaking(
     *,
     drivers: Annotated[Sequence[str], Option(f"drivers of the ego: {POLICY_HELP}", "POLICY")],
     track: Annotated[Sequence[str], Option(f"{TRACK_HELP} (default: all that ship)", "T")] = (),
     lines: Annotated[
-        Path | None, Option("folder of CIRCUIT_line0.csv to line2.csv (default: lines made here)", "DIR")
+        Path | None,
+        Option("folder of CIRCUIT_line0.csv to line2.csv (default: lines made here)", "DIR"),
     ] = None,
     seed: Annotated[int, Option("seed of the noise")] = 0,
     out: Annotated[Path | None, Option("file for a line for each scenario (.csv)", "FILE")] = None,
@@ -190,13 +232,22 @@ def run_overtaking(
     from pcs_racing.track.loading import load_track
     from pcs_racing.track.maps import list_tracks
     from pcs_racing_agents.agents.own_code import parse_driver
-    from pcs_racing_agents.benchmark.overtaking import detail, joined, made_lines, race_scenarios, read_lines, summary
+    from pcs_racing_agents.benchmark.overtaking import (
+        detail,
+        joined,
+        made_lines,
+        race_scenarios,
+        read_lines,
+        summary,
+    )
 
     target = output_file(out, ".csv") if out else None
     policies = [parse_driver(text) for text in drivers]
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
-    found = [joined([race_scenarios(one, policy, seed=seed) for one in given]) for policy in policies]
+    found = [
+        joined([race_scenarios(one, policy, seed=seed) for one in given]) for policy in policies
+    ]
     print("\n".join([f"{len(found[0].start)} scenarios", "", *summary(found), "", *detail(found)]))
     if target is not None:
         text = io.StringIO()
@@ -204,6 +255,9 @@ def run_overtaking(
         names = ("circuit", "start", "line", "factor", "fault", "overtakes")
         writer.writerow(("driver", *names))
         for one in found:
-            writer.writerows((one.driver, *row) for row in zip(*(getattr(one, name) for name in names), strict=True))
+            writer.writerows(
+                (one.driver, *row)
+                for row in zip(*(getattr(one, name) for name in names), strict=True)
+            )
         write_atomically(target, lambda file: file.write(text.getvalue().encode()))
         print(f"scenarios: {target}")

@@ -63,8 +63,13 @@ class ConfigOptions:
 
     def values(self, parsed: Namespace) -> dict[str, Any]:
         """Return the stated values, with lists converted to tuples."""
-        stated = {name: getattr(parsed, name) for name in self.names if getattr(parsed, name) is not None}
-        return {name: tuple(value) if isinstance(value, list) else value for name, value in stated.items()}
+        stated = {
+            name: getattr(parsed, name) for name in self.names if getattr(parsed, name) is not None
+        }
+        return {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in stated.items()
+        }
 
 
 @dataclass(frozen=True)
@@ -88,7 +93,9 @@ class Parser(ArgumentParser):
             message = f"option {unknown[1]} is unknown{near}"
         if found:
             where, word, known = found.groups()
-            message = f"{where} is {word!r}; {choices(word, known.replace(chr(39), '').split(', '))}"
+            message = (
+                f"{where} is {word!r}; {choices(word, known.replace(chr(39), '').split(', '))}"
+            )
         self.exit(2, f"{self.prog}: error: {message}; 'pcs-racing help' lists what there is\n")
 
 
@@ -112,7 +119,9 @@ def add_commands(parsers: "Parsers[ArgumentParser]", module: ModuleType) -> None
             name,
             help=_phrase(made.summary),
             description=made.summary,
-            epilog="\n  ".join(["examples:" if len(made.examples) > 1 else "example:", *made.examples]),
+            epilog="\n  ".join(
+                ["examples:" if len(made.examples) > 1 else "example:", *made.examples]
+            ),
             formatter_class=RawDescriptionHelpFormatter,
             allow_abbrev=False,
         )
@@ -127,7 +136,9 @@ def _run(function: Callable[..., None], parsed: Namespace) -> None:
     function(**parameter_values(function, parsed))
 
 
-def add_parameters(parser: ArgumentParser, target: Callable[..., Any], title: str | None = None) -> None:
+def add_parameters(
+    parser: ArgumentParser, target: Callable[..., Any], title: str | None = None
+) -> None:
     """Add a function's parameters, or a dataclass's fields as a group of options, to a parser."""
     group = parser.add_argument_group(title) if title else parser
     for parameter, kind, declared in _parameters(target):
@@ -152,7 +163,9 @@ def parameter_values(target: Callable[..., Any], parsed: Namespace) -> dict[str,
     return values
 
 
-def _parameters(target: Callable[..., Any]) -> Iterator[tuple[Parameter, Any, Option | ConfigOptions | None]]:
+def _parameters(
+    target: Callable[..., Any],
+) -> Iterator[tuple[Parameter, Any, Option | ConfigOptions | None]]:
     """Yield parameters with their types and declarations (None for a dataclass of options)."""
     hints = get_type_hints(target, include_extras=True)
     for name, parameter in signature(target).parameters.items():
@@ -186,12 +199,18 @@ def _name(parameter: Parameter) -> tuple[str, ...]:
 
 def _reading(parameter: Parameter, kind: Any, option: Option) -> dict[str, Any]:
     """Return argparse's arguments for a parameter."""
-    word, needed = parameter.kind is not Parameter.KEYWORD_ONLY, parameter.default is Parameter.empty
+    word, needed = (
+        parameter.kind is not Parameter.KEYWORD_ONLY,
+        parameter.default is Parameter.empty,
+    )
     default = None if needed else parameter.default
     said = " ".join(map(str, default)) if isinstance(default, tuple) else default
     # `is False`, not falsehood: a default of 0 is worth showing.
     shown = "" if default is None or default is False or default == () else f" (default: {said})"
-    reading: dict[str, Any] = {"default": default, "help": f"{option.help}{shown}".replace("%", "%%")}
+    reading: dict[str, Any] = {
+        "default": default,
+        "help": f"{option.help}{shown}".replace("%", "%%"),
+    }
     if kind is bool:
         return {**reading, "action": "store_true"}
     # A type or None: None means that the option was not stated.

@@ -36,7 +36,12 @@ def compile_kernels() -> None:
     """
     # Spawned, not forked: numba's threads do not survive a fork.
     with ProcessPoolExecutor(2, get_context("spawn")) as pool:
-        for row in ((partial(load_track, TRACK), _planners), (_races, _field), (_drives, _circuits), (_gym, _solvers)):
+        for row in (
+            (partial(load_track, TRACK), _planners),
+            (_races, _field),
+            (_drives, _circuits),
+            (_gym, _solvers),
+        ):
             for task in [pool.submit(function) for function in row]:
                 task.result()
 

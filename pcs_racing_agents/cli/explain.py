@@ -30,13 +30,19 @@ class _Planned:
     agents: Annotated[
         Sequence[str],
         Option(
-            f"instead of a folder: the agents of car 0 and car 1: {AGENT_HELP}; with a folder: {RACED_CODE}", "AGENT"
+            f"instead of a folder: the agents of car 0 and car 1: {AGENT_HELP}; with a folder:"
+            f" {RACED_CODE}",
+            "AGENT",
         ),
     ] = ()
-    track: Annotated[str | None, Option(f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})", "T")] = None
+    track: Annotated[
+        str | None, Option(f"with --agents: {TRACK_HELP} (default: {DEFAULT_TRACK})", "T")
+    ] = None
     rules: Rules
     archive: ArchiveName = None
-    races: Annotated[int | None, Option("with --agents: number of planned races, even (default: 20)")] = None
+    races: Annotated[
+        int | None, Option("with --agents: number of planned races, even (default: 20)")
+    ] = None
 
     def pairing(self) -> "Pairing":
         """Return the races of a tournament between the two agents."""
@@ -61,24 +67,35 @@ class _Planned:
     "pcs-racing explain --agents cfr-argmax never-switch",
     "pcs-racing explain out/mine --index 12",
     "pcs-racing explain out/mine --index 12 --car 1 --out out/race-12",
-    "pcs-racing explain --agents random-moves lane-switcher --track Tarnfjord --seed 3 --out out/race",
+    "pcs-racing explain --agents random-moves lane-switcher --track Tarnfjord --seed 3 --out"
+    " out/race",
     "pcs-racing explain out/mine --situations cfr-argmax --out out/cfr",
 )
 def run(
     results: Annotated[Path | None, Option("folder of a tournament or a study", "RESULTS")] = None,
     *,
     index: Annotated[
-        int | None, Option("the race: its line in the results, or its number with --agents (default: 0)", "K")
+        int | None,
+        Option("the race: its line in the results, or its number with --agents (default: 0)", "K"),
     ] = None,
     planned: _Planned,
     car: Annotated[
-        int | None, Option("car whose moves are explained (default: the first that makes moves)", choices=(0, 1))
+        int | None,
+        Option(
+            "car whose moves are explained (default: the first that makes moves)", choices=(0, 1)
+        ),
     ] = None,
     situations: Annotated[
         str | None,
-        Option("instead of one race: summarise the moves of this agent by situation, over all its races", "AGENT"),
+        Option(
+            "instead of one race: summarise the moves of this agent by situation, over all its"
+            " races",
+            "AGENT",
+        ),
     ] = None,
-    out: Annotated[Path | None, Option("folder for the pictures, the text and the replay", "DIR")] = None,
+    out: Annotated[
+        Path | None, Option("folder for the pictures, the text and the replay", "DIR")
+    ] = None,
 ) -> None:
     """Explain the moves of an agent in a race: its observations, its moves and their effect."""
     if results is None and len(planned.agents) != 2:
@@ -87,7 +104,9 @@ def run(
         own = {"track": planned.track, "duration": planned.rules.duration, "races": planned.races}
         for option, value in own.items():
             if value is not None:
-                raise InputError(f"--{option} goes with --agents; the races of a folder have their own")
+                raise InputError(
+                    f"--{option} goes with --agents; the races of a folder have their own"
+                )
     if situations is not None and index is not None:
         raise InputError("--situations is about all races; leave out --index")
     if out is not None:
@@ -98,7 +117,9 @@ def run(
         _race(results, index or 0, planned, car, out)
 
 
-def _race(folder: Path | None, number: int, planned: _Planned, car: int | None, out: Path | None) -> None:
+def _race(
+    folder: Path | None, number: int, planned: _Planned, car: int | None, out: Path | None
+) -> None:
     from pcs_racing_agents.agents.agent import Driver
     from pcs_racing_agents.study.results import open_results
     from pcs_racing_agents.watch.explain import explain_game
@@ -155,18 +176,25 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
         pairings = list(open_results(folder, planned.agents).pairings(agent))
     else:
         if agent not in planned.agents:
-            raise InputError(f"--situations is {agent!r}; it must be one of {', '.join(planned.agents)}")
+            raise InputError(
+                f"--situations is {agent!r}; it must be one of {', '.join(planned.agents)}"
+            )
         pairings = [(planned.pairing(), planned.agents.index(agent))]
     total, first = sum(len(pairing) for pairing, _ in pairings), pairings[0][0]
     played = play_pairings(
-        [pairing for pairing, _ in pairings], name=agent, observations=True, progress=show_progress()
+        [pairing for pairing, _ in pairings],
+        name=agent,
+        observations=True,
+        progress=show_progress(),
     )
     observations, actions = [], []
     for (_, car), games in zip(pairings, played, strict=True):
         observations.append(games.observations[:, car])
         actions.append(games.moves.codes[:, car])
     game = game_between(first.game, first.ego, first.opponent)
-    situations = summarise(np.concatenate(observations), np.concatenate(actions), game.archive, game.move_names, agent)
+    situations = summarise(
+        np.concatenate(observations), np.concatenate(actions), game.archive, game.move_names, agent
+    )
     if folder is None:
         print(f"{first.game.track.name}, {first.game.config.race.name} rules, {total} races")
     print(situations_text(situations))
@@ -176,4 +204,6 @@ def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | 
             from pcs_racing_agents.base.style import save_picture
             from pcs_racing_agents.watch.situations import situations_picture
 
-            print(f"picture: {save_picture(situations_picture(situations), out / 'situations.png')}")
+            print(
+                f"picture: {save_picture(situations_picture(situations), out / 'situations.png')}"
+            )

@@ -14,7 +14,15 @@ from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.tables import aligned, write_csv
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, ArchiveName, Circuits, Rules, Workers, archive_for
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    POLICY_HELP,
+    ArchiveName,
+    Circuits,
+    Rules,
+    Workers,
+    archive_for,
+)
 
 if TYPE_CHECKING:
     from pcs_racing_agents.policies.headroom import Headroom
@@ -51,19 +59,28 @@ class PoolOptions:
         from pcs_racing_agents.policies.policy_pool import PolicyPool, spanning_policies
 
         if self.policies:
-            names, policies = list(self.policies), tuple(parse_driver(text) for text in self.policies)
+            names, policies = (
+                list(self.policies),
+                tuple(parse_driver(text) for text in self.policies),
+            )
         else:
             archive = load_archive(archive_for(self.archive, self.rules.config()))
-            names, policies = spanning_policies(archive, min(MOST, len(archive)) if self.size is None else self.size)
+            names, policies = spanning_policies(
+                archive, min(MOST, len(archive)) if self.size is None else self.size
+            )
         tracks = tuple(load_track(name) for name in self.track)
-        return names, PolicyPool(policies, tracks, self.rules.config(), races=self.races, seed=self.rules.seed)
+        return names, PolicyPool(
+            policies, tracks, self.rules.config(), races=self.races, seed=self.rules.seed
+        )
 
 
 def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
     """Return the values that identify a job of a pool's races."""
     return {
         "tracks": [as_track(track).content_hash for track in pool.tracks],
-        "policies": [[policy.planner.name, *policy.parameters.tolist()] for policy in pool.policies],
+        "policies": [
+            [policy.planner.name, *policy.parameters.tolist()] for policy in pool.policies
+        ],
         "race": repr(pool.config),
         "races": pool.races,
         "folds": pool.folds,
@@ -74,12 +91,16 @@ def pool_settings(pool: "PolicyPool") -> dict[str, Any]:
 @command(
     "headroom",
     "pcs-racing headroom --rules contest --out out/headroom",
-    "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --rules contest --out out/mine",
+    "pcs-racing headroom --policies lattice:pace=0.2 lattice:pace=0.6 lattice --rules contest --out"
+    " out/mine",
 )
 def run(
     *,
     options: PoolOptions,
-    out: Annotated[Path, Option("folder for headroom.csv and payoffs.csv; an interrupted run resumes here", "DIR")],
+    out: Annotated[
+        Path,
+        Option("folder for headroom.csv and payoffs.csv; an interrupted run resumes here", "DIR"),
+    ],
     workers: Workers,
 ) -> None:
     """Race all pairs of an archive's policies, and print the value of knowing the opponent."""
@@ -97,7 +118,8 @@ def run(
         if len(found) > 1:
             rows.append(mean_row(found))
         best = [
-            f"{name}: the best fixed policy is {names[one.best_fixed]}" for name, one in zip(tracks, found, strict=True)
+            f"{name}: the best fixed policy is {names[one.best_fixed]}"
+            for name, one in zip(tracks, found, strict=True)
         ]
         print("\n".join([*aligned(rows), "", *best, "", NOTE]))
         lines: list[tuple[object, ...]] = [(*rows[0][:5], "best_fixed")]
@@ -128,11 +150,15 @@ def mean_row(estimates: "Sequence[Headroom]") -> tuple[str, ...]:
     gains = np.mean([estimate.gains for estimate in estimates], axis=0)
     error = float(gains.std(ddof=1) / np.sqrt(len(gains)))
     pool = jackknife_error(np.mean([estimate.without for estimate in estimates], axis=0))
-    means = (np.mean([getattr(estimate, key) for estimate in estimates]) for key in ("value", "low"))
+    means = (
+        np.mean([getattr(estimate, key) for estimate in estimates]) for key in ("value", "low")
+    )
     return ("mean", *(f"{mean:+.3f}" for mean in means), f"{error:.3f}", f"{pool:.3f}", "")
 
 
-def write_payoffs(tracks: Sequence[str], payoffs: Iterable[Any], names: Sequence[str], file: Path) -> Path:
+def write_payoffs(
+    tracks: Sequence[str], payoffs: Iterable[Any], names: Sequence[str], file: Path
+) -> Path:
     """Write a line per track and pair of policies: mean payoff over all folds, standard error."""
     lines: list[tuple[object, ...]] = [("track", "policy", "opponent", "payoff", "error")]
     for track, folds in zip(tracks, payoffs, strict=True):

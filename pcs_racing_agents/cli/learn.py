@@ -15,7 +15,15 @@ from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
-from pcs_racing_agents.cli.options import AGENT_HELP, DEFAULT_TRACK, ArchiveName, Circuits, Rules, Workers, archive_for
+from pcs_racing_agents.cli.options import (
+    AGENT_HELP,
+    DEFAULT_TRACK,
+    ArchiveName,
+    Circuits,
+    Rules,
+    Workers,
+    archive_for,
+)
 from pcs_racing_agents.learning.ppo.settings import PPOSettings
 
 if TYPE_CHECKING:
@@ -32,7 +40,8 @@ METHODS = {
 
 # The default configuration of a method comes first.
 CONFIGS = {
-    name: sorted(shipped_configs(name), key=lambda config: config not in ("default", "response")) for name in METHODS
+    name: sorted(shipped_configs(name), key=lambda config: config not in ("default", "response"))
+    for name in METHODS
 }
 
 # Default: one opponent with a fixed policy of the archive, one with random changes of policy.
@@ -67,11 +76,15 @@ class Games:
 @command(
     "learn",
     "pcs-racing learn self-play --track Brackwater --rules contest --out out/self-play",
-    "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out out/psro",
+    "pcs-racing learn psro --track Pipkin Saltmere --pool never-switch lane-switcher --out"
+    " out/psro",
 )
 def run(
     method: Annotated[
-        str, Option("; ".join(f"{name}: {meaning}" for name, meaning in METHODS.items()), choices=METHODS)
+        str,
+        Option(
+            "; ".join(f"{name}: {meaning}" for name, meaning in METHODS.items()), choices=METHODS
+        ),
     ],
     *,
     games: Games,
@@ -84,10 +97,16 @@ def run(
             "NAME",
         ),
     ] = None,
-    name: Annotated[str | None, Option("name of the agent's networks (default: the method)")] = None,
+    name: Annotated[
+        str | None, Option("name of the agent's networks (default: the method)")
+    ] = None,
     out: Annotated[
         Path,
-        Option("folder of the work, with the result in its folder 'agent'; a stopped run resumes there", "DIR"),
+        Option(
+            "folder of the work, with the result in its folder 'agent'; a stopped run resumes"
+            " there",
+            "DIR",
+        ),
     ],
     workers: Workers,
 ) -> None:
@@ -109,9 +128,15 @@ def run(
     if method == "self-play":
         players = ([self_play.RaceSampler(game, spec, settings.worth) for game in made],)
     name = name or method
-    identity = {**run_identity(made, spec, opponents), "name": name, "settings": plain_settings(settings)}
+    identity = {
+        **run_identity(made, spec, opponents),
+        "name": name,
+        "settings": plain_settings(settings),
+    }
     with workers.start() as executor, open_job(out, method, identity) as job:
-        learned = train(*players, settings, job, executor=executor, name=name, progress=show_progress("tasks"))
+        learned = train(
+            *players, settings, job, executor=executor, name=name, progress=show_progress("tasks")
+        )
         folder = out / "agent"
         if isinstance(learned, NetworkSet):
             save_network_set(learned, folder)
@@ -125,7 +150,9 @@ def run(
     print(f"written: {folder}; race it as {method}:{option}={folder}")
 
 
-def run_identity(games: "list[RaceGame]", spec: "GameSpec", competitors: "list[Competitor]") -> dict[str, Any]:
+def run_identity(
+    games: "list[RaceGame]", spec: "GameSpec", competitors: "list[Competitor]"
+) -> dict[str, Any]:
     """Return the identity of games and competitors for a job's manifest."""
     from pcs_racing_agents.agents.agent import competitor_hash
 
@@ -140,21 +167,29 @@ def run_identity(games: "list[RaceGame]", spec: "GameSpec", competitors: "list[C
 @command(
     "best-reply",
     "pcs-racing best-reply response --track Pipkin --rules contest --out out/reply",
-    "pcs-racing best-reply lane-switcher --track Pipkin Saltmere --rules contest --starts 512 --out out/quick",
+    "pcs-racing best-reply lane-switcher --track Pipkin Saltmere --rules contest --starts 512 --out"
+    " out/quick",
 )
 def run_best_reply(
     agent: Annotated[str, Option(f"agent or driver: {AGENT_HELP}")],
     *,
     games: Games,
     config: Annotated[
-        str, Option(f"settings of the learner: {', '.join(shipped_configs('response'))} or a YAML file", "NAME")
+        str,
+        Option(
+            f"settings of the learner: {', '.join(shipped_configs('response'))} or a YAML file",
+            "NAME",
+        ),
     ] = "best-reply",
-    starts: Annotated[int | None, Option("the learner's budget: games branched at every step, on each circuit")] = None,
+    starts: Annotated[
+        int | None, Option("the learner's budget: games branched at every step, on each circuit")
+    ] = None,
     races: Annotated[int, Option("fresh races on all circuits together")] = 4000,
     out: Annotated[
         Path,
         Option(
-            "folder for best_reply.csv, results.csv and the opponent's network; an interrupted run resumes here",
+            "folder for best_reply.csv, results.csv and the opponent's network; an interrupted run"
+            " resumes here",
             "DIR",
         ),
     ],
@@ -162,7 +197,12 @@ def run_best_reply(
 ) -> None:
     """Train an opponent against one agent alone, and print the agent's loss."""
     from pcs_racing_agents.agents.agent import competitor_hash
-    from pcs_racing_agents.learning.responses.best_reply import FEWEST, best_reply, reply_text, write_replies
+    from pcs_racing_agents.learning.responses.best_reply import (
+        FEWEST,
+        best_reply,
+        reply_text,
+        write_replies,
+    )
     from pcs_racing_agents.learning.responses.learner import load_response_settings
     from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.tournament.race_files import write_results
@@ -182,7 +222,9 @@ def run_best_reply(
     }
     with workers.start() as executor, open_job(out, "best reply", identity) as job:
         progress = show_progress("tasks")
-        reply = best_reply(made, target, spec, settings, job, races=races, executor=executor, progress=progress)
+        reply = best_reply(
+            made, target, spec, settings, job, races=races, executor=executor, progress=progress
+        )
         print(reply_text({agent: reply}, settings))
         write_results(reply.races, out / "results.csv")
         print(f"written: {write_replies({agent: reply}, out / 'best_reply.csv')}")
@@ -192,19 +234,28 @@ def run_best_reply(
 @command(
     "ppo",
     "pcs-racing ppo --config duel-paper --out out/ppo",
-    "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out out/ppo-drive",
+    "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out"
+    " out/ppo-drive",
 )
 def run_ppo(
     *,
-    config: Annotated[str, Option(f"settings: {', '.join(shipped_configs('ppo'))} or a YAML file", "NAME")],
+    config: Annotated[
+        str, Option(f"settings: {', '.join(shipped_configs('ppo'))} or a YAML file", "NAME")
+    ],
     changes: Annotated[dict[str, Any], ConfigOptions(PPOSettings, "steps", "seeds")],
     name: Annotated[
-        str | None, Option("name of the policy (default: the name under which the agent 'ppo' looks for it)")
+        str | None,
+        Option("name of the policy (default: the name under which the agent 'ppo' looks for it)"),
     ] = None,
     tensorboard: Annotated[bool, Option("also write the learning curves for TensorBoard")] = False,
     no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,
     out: Annotated[
-        Path, Option("folder for weights and learning curves; a stopped training keeps its finished seeds there", "DIR")
+        Path,
+        Option(
+            "folder for weights and learning curves; a stopped training keeps its finished seeds"
+            " there",
+            "DIR",
+        ),
     ],
     workers: Workers,
 ) -> None:
@@ -233,7 +284,13 @@ def run_ppo(
     if tensorboard:
         runs = {
             f"seed-{curve.seed}": [
-                (steps, {f"evaluation/{key}": value for key, value in mean_score(scores, opponents)._asdict().items()})
+                (
+                    steps,
+                    {
+                        f"evaluation/{key}": value
+                        for key, value in mean_score(scores, opponents)._asdict().items()
+                    },
+                )
                 for steps, scores in zip(curve.steps, curve.scores, strict=True)
             ]
             for curve in trained.curves
@@ -245,6 +302,7 @@ def run_ppo(
         save_picture(curves_picture(panels, x_label=x_label, title=title), out / "curve.png")
     steps = ", ".join(f"{curve.steps[-1]} with seed {curve.seed}" for curve in trained.curves)
     print(
-        f"{steps}: {trained.seconds:.0f} s of training; best: seed {trained.seed}, {trained.steps} "
-        f"{trained.task.unit}\n\n{score_table(trained.scores, opponents)}\n\npolicy: {trained.folder}"
+        f"{steps}: {trained.seconds:.0f} s of training; best: seed {trained.seed}, {trained.steps}"
+        f" {trained.task.unit}\n\n{score_table(trained.scores, opponents)}\n\npolicy:"
+        f" {trained.folder}"
     )

@@ -40,11 +40,26 @@ FILES = {
         "synthesize",
         "search for an archive of policies that drive differently",
     ),
-    "headroom": ("headroom", "race all pairs of an archive's policies, and print the value of knowing the opponent"),
-    "benchmark": ("benchmark", "race an agent by the fixed protocol of the benchmark, and write its score card"),
-    "leaderboard": ("benchmark", "rank score cards of one protocol, and write the page that shows them"),
-    "overtaking": ("benchmark", "race the scenarios of the End2Race overtaking protocol, 600 a circuit"),
-    "tree": ("trees", "build game trees: simulate all moves of both players, for pairs of starting policies"),
+    "headroom": (
+        "headroom",
+        "race all pairs of an archive's policies, and print the value of knowing the opponent",
+    ),
+    "benchmark": (
+        "benchmark",
+        "race an agent by the fixed protocol of the benchmark, and write its score card",
+    ),
+    "leaderboard": (
+        "benchmark",
+        "rank score cards of one protocol, and write the page that shows them",
+    ),
+    "overtaking": (
+        "benchmark",
+        "race the scenarios of the End2Race overtaking protocol, 600 a circuit",
+    ),
+    "tree": (
+        "trees",
+        "build game trees: simulate all moves of both players, for pairs of starting policies",
+    ),
     "solve": (
         "trees",
         "solve game trees exactly and by regret minimisation",
@@ -54,16 +69,31 @@ FILES = {
         "train",
         "train a network that predicts counterfactual regrets from observations",
     ),
-    "learn": ("learn", "train an agent in branched races: a response to opponents, PSRO, or CFR in self-play"),
+    "learn": (
+        "learn",
+        "train an agent in branched races: a response to opponents, PSRO, or CFR in self-play",
+    ),
     "best-reply": (
         "learn",
         "train an opponent against one agent alone, and print the agent's loss",
     ),
-    "ppo": ("learn", "train a baseline by PPO at the strategy or control level, or resume such a training"),
-    "study": ("study", "run a complete study: archive, game trees, networks, agents, races and report"),
-    "explain": ("explain", "explain the moves of an agent in a race: its observations, its moves and their effect"),
+    "ppo": (
+        "learn",
+        "train a baseline by PPO at the strategy or control level, or resume such a training",
+    ),
+    "study": (
+        "study",
+        "run a complete study: archive, game trees, networks, agents, races and report",
+    ),
+    "explain": (
+        "explain",
+        "explain the moves of an agent in a race: its observations, its moves and their effect",
+    ),
     "view": ("view", "write a page that lists the races of a tournament or a study and plays them"),
-    "play": ("view", "make the moves of one car yourself, or steer it, on a local page, against an agent"),
+    "play": (
+        "view",
+        "make the moves of one car yourself, or steer it, on a local page, against an agent",
+    ),
     "compile": (
         "compilation",
         "compile the kernels now (they are cached on disk)",
@@ -141,7 +171,9 @@ def run_parsed(parsed: argparse.Namespace) -> int:
 
         if not is_lost(error):
             raise
-        return _fail(InputError(f"a worker failed or the cluster is unreachable ({error}); rerun to resume"))
+        return _fail(
+            InputError(f"a worker failed or the cluster is unreachable ({error}); rerun to resume")
+        )
     return 0
 
 
@@ -171,8 +203,13 @@ def _parser(command: str | None = None, *, brief: bool = False) -> argparse.Argu
     """Return the parser of a command, or of all if unknown; a brief parser only lists commands."""
     parser = Parser(
         prog="pcs-racing",
-        description="Simulate head-to-head races of two cars; search, train and compare policies and agents for them.",
-        epilog="'pcs-racing help COMMAND' shows the options of a command and an example of its use.",
+        description=(
+            "Simulate head-to-head races of two cars; search, train and compare policies and agents"
+            " for them."
+        ),
+        epilog=(
+            "'pcs-racing help COMMAND' shows the options of a command and an example of its use."
+        ),
         allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"%(prog)s {_version()}")
@@ -210,20 +247,34 @@ def check_names(words: Sequence[str]) -> None:
             option, _, word = word.partition("=")
         kind = kinds.get(option)
         name, colon, rest = split_name(word)
-        if not word or kind is None or os.path.exists(word) or os.sep in word or (kind == "rules" and "." in word):
+        if (
+            not word
+            or kind is None
+            or os.path.exists(word)
+            or os.sep in word
+            or (kind == "rules" and "." in word)
+        ):
             continue
         if kind == "track":
             find_shipped(word)
         elif kind == "rules":
             load_race_config(word)
         # A name with a colon may be user code: module:function.
-        elif not (name.endswith((".py", ".zip")) or (colon and rest.isidentifier()) or name.startswith("always-")):
+        elif not (
+            name.endswith((".py", ".zip"))
+            or (colon and rest.isidentifier())
+            or name.startswith("always-")
+        ):
             _check_racer(kind, name.strip())
 
 
 def _check_racer(kind: str, name: str) -> None:
     groups = ("pcs_racing.planners", "pcs_racing.agents")
-    known = {*PLANNERS, *AGENTS, *(point.name for group in groups for point in entry_points(group=group))}
+    known = {
+        *PLANNERS,
+        *AGENTS,
+        *(point.name for group in groups for point in entry_points(group=group)),
+    }
     if name not in known:
         shown = sorted(PLANNERS if kind == "planner" else {*AGENTS, "always-MOVE"})
         raise UnknownNameError(f"{kind} {name!r} is unknown; {choices(name, shown)}")

@@ -18,13 +18,21 @@ DEFAULT_TRACK = "Brackwater"
 """The default track of commands and environments."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
 OWN_CODE = "FILE.py:Class, module:function or model.zip"
-POLICY_HELP = f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
-AGENT_HELP = f"name or name:option=value,... (see 'pcs-racing agents' and docs/agents.md), {OWN_CODE}"
-RACED_CODE = f"code of your own that raced in the folder, by the names that the results have: {OWN_CODE}"
+POLICY_HELP = (
+    f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
+)
+AGENT_HELP = (
+    f"name or name:option=value,... (see 'pcs-racing agents' and docs/agents.md), {OWN_CODE}"
+)
+RACED_CODE = (
+    f"code of your own that raced in the folder, by the names that the results have: {OWN_CODE}"
+)
 
 Circuit = Annotated[str, Option(TRACK_HELP, "T")]
 Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
-ArchiveName = Annotated[str | None, Option("policy archive: a name or a folder (default: the one for --rules)", "A")]
+ArchiveName = Annotated[
+    str | None, Option("policy archive: a name or a folder (default: the one for --rules)", "A")
+]
 RulesName = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
 NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
@@ -38,7 +46,9 @@ class Rules:
     """Race rules."""
 
     rules: RulesName = "paper"
-    duration: Annotated[float | None, Option("duration of a race in s (default: that of the preset, 40)", "S")] = None
+    duration: Annotated[
+        float | None, Option("duration of a race in s (default: that of the preset, 40)", "S")
+    ] = None
     seed: Annotated[int, Option("seed of the starts and of the noise")] = 0
 
     def config(self) -> RaceConfig:
@@ -54,14 +64,17 @@ class Workers:
     executor: Annotated[
         str,
         Option(
-            "serial (one task after the other), threads, processes, or dask (with --scheduler; else processes)",
+            "serial (one task after the other), threads, processes, or dask (with --scheduler; else"
+            " processes)",
             choices=("serial", "threads", "processes", "dask"),
         ),
     ] = "threads"
-    workers: Annotated[int | None, Option("number of threads or processes (default: number of cores)")] = None
-    scheduler: Annotated[str | None, Option("address of a running dask scheduler, like tcp://host:8786", "ADDRESS")] = (
-        None
-    )
+    workers: Annotated[
+        int | None, Option("number of threads or processes (default: number of cores)")
+    ] = None
+    scheduler: Annotated[
+        str | None, Option("address of a running dask scheduler, like tcp://host:8786", "ADDRESS")
+    ] = None
 
     def start(self) -> AbstractContextManager[Executor | None]:
         """Return the executor of the options, as a context."""
@@ -80,7 +93,10 @@ def can_draw(picture: str) -> bool:
     """Return whether matplotlib is installed; if not, print the missing picture and a remedy."""
     if find_spec("matplotlib") is not None:
         return True
-    print(f'pcs-racing: {picture} is not drawn: pip install "pcs-racing[plots]" draws it', file=sys.stderr)
+    print(
+        f'pcs-racing: {picture} is not drawn: pip install "pcs-racing[plots]" draws it',
+        file=sys.stderr,
+    )
     return False
 
 

@@ -35,18 +35,22 @@ OPPONENT = "lattice:pace=0.6"
     "race",
     "pcs-racing race",
     "pcs-racing race --replay race.html",
-    "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay race.html",
+    "pcs-racing race --track Tarnfjord --ego lattice:pace=0.6 --opponent lattice --seed 3 --replay"
+    " race.html",
     'pcs-racing race --track "my maps/Spielberg" --ego lattice --opponent lattice --rules contest',
 )
 def run(
     *,
     track: Circuit = DEFAULT_TRACK,
     ego: Annotated[str, Option(f"policy of car 0: {POLICY_HELP}", "POLICY")] = EGO,
-    opponent: Annotated[Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")] = (OPPONENT,),
+    opponent: Annotated[
+        Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")
+    ] = (OPPONENT,),
     rules: Rules,
     index: Annotated[int, Option(f"race index for this seed, 0 to {LAST_INDEX}")] = 0,
     replay: Annotated[
-        Path | None, Option("file for a replay: a page that plays the race (.html), or data (.json)", "FILE")
+        Path | None,
+        Option("file for a replay: a page that plays the race (.html), or data (.json)", "FILE"),
     ] = None,
     video: Annotated[Path | None, Option("file for a video (.mp4, or .gif)", "FILE")] = None,
     mcap: Annotated[Path | None, Option("file for ROS 2 messages (.mcap)", "FILE")] = None,
@@ -68,15 +72,30 @@ def run(
     # Printed before the race, which may need compilation first.
     about = f"preset {config.name}, seed {rules.seed}, race {index}"
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
-    recorded = record_race(circuit, driver, others, config, seed=rules.seed, index=index, candidates=target is not None)
+    recorded = record_race(
+        circuit, driver, others, config, seed=rules.seed, index=index, candidates=target is not None
+    )
     print(_story(recorded))
     if config.heats > 1 and len(others) == 1:
         print(_series(circuit, driver, others[0], config, rules.seed, index))
     if target is None:
         # Every option not left to the preset: a later version may have other defaults.
-        options = {"track": track, "ego": ego, "opponent": tuple(opponent), **asdict(rules), "index": index}
-        stated = {name: value if isinstance(value, tuple) else (value,) for name, value in options.items()}
-        words = [text for name, value in stated.items() if value != (None,) for text in (f"--{name}", *map(str, value))]
+        options = {
+            "track": track,
+            "ego": ego,
+            "opponent": tuple(opponent),
+            **asdict(rules),
+            "index": index,
+        }
+        stated = {
+            name: value if isinstance(value, tuple) else (value,) for name, value in options.items()
+        }
+        words = [
+            text
+            for name, value in stated.items()
+            if value != (None,)
+            for text in (f"--{name}", *map(str, value))
+        ]
         print(f"to watch it: {shlex.join(['pcs-racing', 'race', *words])} --replay race.html")
     else:
         print(f"replay: {save_replay(recorded, target)}")
@@ -99,16 +118,23 @@ def _policy(option: str, text: str) -> Policy:
         if name in planner_names() or (name not in AGENTS and not name.startswith("always-")):
             raise
     raise InputError(
-        f"{option} is {text!r}, an agent, which moves between the policies of an archive; this command takes policies "
-        f"(pcs-racing policies). For agents: pcs-racing tournament --agents {shlex.quote(text)} never-switch"
+        f"{option} is {text!r}, an agent, which moves between the policies of an archive; this"
+        " command takes policies (pcs-racing policies). For agents: pcs-racing tournament --agents"
+        f" {shlex.quote(text)} never-switch"
     )
 
 
-def _series(track: Track, ego: Policy, opponent: Policy, config: RaceConfig, seed: int, index: int) -> str:
+def _series(
+    track: Track, ego: Policy, opponent: Policy, config: RaceConfig, seed: int, index: int
+) -> str:
     """Return the result of a race's series: the races counted as one in tables."""
     numbers = [index // config.heats * config.heats + heat for heat in range(config.heats)]
     setup = RaceSetup(track, config, (ego.planner, opponent.planner))
-    state = start_races(setup, starts_of(track, config, numbers, seed), np.array([race_seed(seed, n) for n in numbers]))
+    state = start_races(
+        setup,
+        starts_of(track, config, numbers, seed),
+        np.array([race_seed(seed, n) for n in numbers]),
+    )
     theta = np.tile(pad_parameters([ego, opponent], setup.theta_size), (config.heats, 1, 1))
     advance(setup, state, theta, config.ticks)
     won = [int((winners(config, state) == car).sum()) for car in range(2)]

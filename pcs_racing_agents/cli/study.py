@@ -19,15 +19,26 @@ from pcs_racing_agents.cli.options import TRACK_HELP, Workers
     "pcs-racing study contest-wide --unseen maps/Monza maps/Spielberg --out out/wide",
 )
 def run(
-    config: Annotated[str, Option(f"settings: {', '.join(shipped_configs('study'))} or a YAML file")],
+    config: Annotated[
+        str, Option(f"settings: {', '.join(shipped_configs('study'))} or a YAML file")
+    ],
     *,
-    out: Annotated[Path, Option("folder of the study; a study that was stopped resumes in its folder", "DIR")],
-    stage: Annotated[Sequence[str] | None, Option("stages to run (default: all that are not finished)", "NAME")] = None,
-    seed: Annotated[int | None, Option("seed of all random draws (default: that of the settings)")] = None,
-    archive: Annotated[
-        str | None, Option("name or folder of an archive to use instead of that of the settings", "A")
+    out: Annotated[
+        Path, Option("folder of the study; a study that was stopped resumes in its folder", "DIR")
+    ],
+    stage: Annotated[
+        Sequence[str] | None, Option("stages to run (default: all that are not finished)", "NAME")
     ] = None,
-    unseen: Annotated[Sequence[str], Option(f"further circuits of the main table: {TRACK_HELP}", "T")] = (),
+    seed: Annotated[
+        int | None, Option("seed of all random draws (default: that of the settings)")
+    ] = None,
+    archive: Annotated[
+        str | None,
+        Option("name or folder of an archive to use instead of that of the settings", "A"),
+    ] = None,
+    unseen: Annotated[
+        Sequence[str], Option(f"further circuits of the main table: {TRACK_HELP}", "T")
+    ] = (),
     workers: Workers,
 ) -> None:
     """Run a complete study: archive, game trees, networks, agents, races and report."""

@@ -12,27 +12,45 @@ from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
 from pcs_racing_agents.policies.archive_run import make_archive
 from pcs_racing_agents.policies.archive_search import ArchiveCallback, ArchiveProgress
-from pcs_racing_agents.policies.config import SHIPPED_TRACKS, ArchiveConfig, list_archive_configs, load_archive_config
+from pcs_racing_agents.policies.config import (
+    SHIPPED_TRACKS,
+    ArchiveConfig,
+    list_archive_configs,
+    load_archive_config,
+)
 
 
 @command(
     "synthesize",
     "pcs-racing synthesize --out out/archive",
-    "pcs-racing synthesize --track Tarnfjord Pipkin --generations 30 --population 24 --out out/mine",
+    "pcs-racing synthesize --track Tarnfjord Pipkin --generations 30 --population 24 --out"
+    " out/mine",
     "pcs-racing synthesize --config default --out out/default",
 )
 def run(
     *,
-    out: Annotated[Path, Option("folder of the archive; an interrupted search resumes here", "DIR")],
+    out: Annotated[
+        Path, Option("folder of the archive; an interrupted search resumes here", "DIR")
+    ],
     config: Annotated[
         str | None,
-        Option(f"configuration: {', '.join(list_archive_configs())} or a YAML file; other options override them", "C"),
+        Option(
+            f"configuration: {', '.join(list_archive_configs())} or a YAML file; other options"
+            " override them",
+            "C",
+        ),
     ] = None,
     track: Annotated[
         Sequence[str] | None,
-        Option(f"{TRACK_HELP}; every policy races on all of them (default: {', '.join(SHIPPED_TRACKS)})", "T"),
+        Option(
+            f"{TRACK_HELP}; every policy races on all of them (default:"
+            f" {', '.join(SHIPPED_TRACKS)})",
+            "T",
+        ),
     ] = None,
-    rules: Annotated[str | None, Option("preset of the rules (default: that of the configuration)")] = None,
+    rules: Annotated[
+        str | None, Option("preset of the rules (default: that of the configuration)")
+    ] = None,
     changes: Annotated[
         dict[str, Any],
         ConfigOptions(ArchiveConfig, "generations", "population", "method", "seed", "name"),
@@ -87,12 +105,16 @@ def progress_line() -> ArchiveCallback:
         (first_time, first_done), (time_now, done) = recent[0], recent[-1]
         rest = ""
         if done > first_done:
-            rest = f", about {duration_text((time_now - first_time) * (1.0 - done) / (done - first_done))} left"
+            rest = (
+                ", about"
+                f" {duration_text((time_now - first_time) * (1.0 - done) / (done - first_done))}"
+                " left"
+            )
         last = state.done >= 1.0
         print_line(
-            f"{state.stage}: generation {state.generation}/{state.generations}, hypervolume {state.hypervolume:.3f}, "
-            f"{state.front} policies, own crashes {state.own_crash:.1%}, {time_now - begin:.0f} s"
-            f"{'' if last else rest}",
+            f"{state.stage}: generation {state.generation}/{state.generations}, hypervolume"
+            f" {state.hypervolume:.3f}, {state.front} policies, own crashes {state.own_crash:.1%},"
+            f" {time_now - begin:.0f} s{'' if last else rest}",
             last,
         )
 

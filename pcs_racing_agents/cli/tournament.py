@@ -26,8 +26,10 @@ from pcs_racing_agents.cli.options import (
 @command(
     "tournament",
     "pcs-racing tournament --agents cfr-argmax never-switch",
-    "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher --races 40",
-    "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --rules contest --out out/mine",
+    "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher"
+    " --races 40",
+    "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --rules contest --out"
+    " out/mine",
 )
 def run(
     *,
@@ -42,7 +44,11 @@ def run(
     races: Annotated[int, Option("number of races of each pair on each track, even")] = 20,
     out: Annotated[
         Path | None,
-        Option("folder for results.csv and the payoff matrix; a tournament that was stopped resumes there", "DIR"),
+        Option(
+            "folder for results.csv and the payoff matrix; a tournament that was stopped resumes"
+            " there",
+            "DIR",
+        ),
     ] = None,
     workers: Workers,
 ) -> None:
@@ -57,7 +63,9 @@ def run(
     )
 
     if len(agents) + len(policies) < 2:
-        raise InputError("a tournament needs at least 2 competitors: name them behind --agents, or --policies")
+        raise InputError(
+            "a tournament needs at least 2 competitors: name them behind --agents, or --policies"
+        )
     config = rules.config()
     plan = plan_tournament(
         [load_track(name) for name in track],

@@ -51,22 +51,31 @@ def run_show(
 
 @command(
     "track import",
-    "pcs-racing track import downloads/hall --out maps/hall --seed-point 1.5 0.2 --direction clockwise",
+    "pcs-racing track import downloads/hall --out maps/hall --seed-point 1.5 0.2 --direction"
+    " clockwise",
 )
 def run_import(
-    source: Annotated[str, Option("map folder to read; a ROS yaml file and its picture are enough")],
+    source: Annotated[
+        str, Option("map folder to read; a ROS yaml file and its picture are enough")
+    ],
     *,
     out: MapFolder,
     name: Name = None,
     seed_point: Annotated[
-        tuple[float, float] | None, Option("a point on the track in m (default: searched)", ("X", "Y"))
+        tuple[float, float] | None,
+        Option("a point on the track in m (default: searched)", ("X", "Y")),
     ] = None,
     direction: Annotated[
         str | None,
-        Option("driving direction: counterclockwise (default), clockwise, or the heading at the start in rad"),
+        Option(
+            "driving direction: counterclockwise (default), clockwise, or the heading at the start"
+            " in rad"
+        ),
     ] = None,
 ) -> None:
-    """Complete a map folder: build the missing centre line from the picture, and the race line from the centre line."""
+    """Complete a map folder: build the missing centre line from the picture, and the race line from
+    the centre line.
+    """
     from pcs_racing.track.mapping.circuits import import_map
 
     heading = None if direction is None else _direction(direction)
@@ -75,12 +84,17 @@ def run_import(
     print(f"{track.summary()}\nwritten: {out}")
 
 
-@command("track generate", "pcs-racing track generate --seed 7 --style voronoi --out maps/Sevenhills")
+@command(
+    "track generate", "pcs-racing track generate --seed 7 --style voronoi --out maps/Sevenhills"
+)
 def run_generate(
     *,
-    seed: Annotated[int, Option("seed of the circuit; the same seed and style give the same circuit")],
+    seed: Annotated[
+        int, Option("seed of the circuit; the same seed and style give the same circuit")
+    ],
     style: Annotated[
-        str, Option("hull (flowing bends), voronoi (many braking zones) or hairpin (long straights)")
+        str,
+        Option("hull (flowing bends), voronoi (many braking zones) or hairpin (long straights)"),
     ] = "hull",
     width: Annotated[float, Option("width of the track in m", "M")] = 2.2,
     name: Name = None,
@@ -96,16 +110,23 @@ def run_generate(
 
 @command("track calibrate", "pcs-racing track calibrate maps/Sevenhills --rules contest --write")
 def run_calibrate(
-    track: Annotated[str | None, Option(f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")] = None,
+    track: Annotated[
+        str | None, Option(f"{TRACK_HELP} (default: {DEFAULT_TRACK}, unless --write is given)")
+    ] = None,
     *,
     rules: RulesName = "paper",
     seed: Annotated[int, Option("seed of the noise")] = 0,
-    write: Annotated[bool, Option("store the result in the file NAME_track.yaml of the map folder")] = False,
+    write: Annotated[
+        bool, Option("store the result in the file NAME_track.yaml of the map folder")
+    ] = False,
 ) -> None:
     """Measure the speed range and the start positions of a circuit by simulation."""
     config = load_race_config(rules)
     if write and track is None:
-        raise InputError("--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER --write'")
+        raise InputError(
+            "--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER"
+            " --write'"
+        )
     circuit = load_track(DEFAULT_TRACK if track is None else track)
     report = calibrate(circuit, config, seed=seed)
     print(report.table())
@@ -116,7 +137,9 @@ def run_calibrate(
 def _write_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
     """Store a calibration in the file NAME_track.yaml, with its other entries unchanged."""
     if track.folder is None:
-        raise InputError(f"track {track.name!r} does not come from a folder: there is nowhere to write")
+        raise InputError(
+            f"track {track.name!r} does not come from a folder: there is nowhere to write"
+        )
     path = track.folder / f"{track.name}_track.yaml"
     # Entries for other rules and a person's additions remain unchanged.
     info = parse_info(path, read_inside(track.folder, path, MAX_YAML)) if path.is_file() else {}

@@ -19,15 +19,21 @@ from pcs_racing_agents.networks.settings import TrainSettings
 @command(
     "train",
     "pcs-racing train out/trees --target regret --out out/networks/regret",
-    "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out out/networks/advantage",
+    "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out"
+    " out/networks/advantage",
 )
 def run(
-    trees: Annotated[Sequence[Path], Option("folders of game trees, written by 'pcs-racing tree'", "DIR")],
+    trees: Annotated[
+        Sequence[Path], Option("folders of game trees, written by 'pcs-racing tree'", "DIR")
+    ],
     *,
     config: Annotated[
-        str | None, Option(f"settings: {', '.join(shipped_configs('train'))} or a YAML file", "NAME")
+        str | None,
+        Option(f"settings: {', '.join(shipped_configs('train'))} or a YAML file", "NAME"),
     ] = None,
-    changes: Annotated[dict[str, Any], ConfigOptions(TrainSettings, "target", "epochs", "hidden", "seed")],
+    changes: Annotated[
+        dict[str, Any], ConfigOptions(TrainSettings, "target", "epochs", "hidden", "seed")
+    ],
     name: Annotated[str | None, Option("name of the network (default: that of the folder)")] = None,
     no_tensorboard: Annotated[bool, Option("do not write learning curves for TensorBoard")] = False,
     no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,
@@ -75,16 +81,21 @@ def run(
         _write_scores(scores, folder / "scores.csv")
         if not no_tensorboard:
             values = (epoch._asdict() for epoch in result.epochs)
-            steps = [(row.pop("epoch"), {key.replace("_", "/", 1): row[key] for key in row}) for row in values]
+            steps = [
+                (row.pop("epoch"), {key.replace("_", "/", 1): row[key] for key in row})
+                for row in values
+            ]
             write_tensorboard(folder / "tensorboard", {"": steps})
         if not no_picture:
             title = f"{name}: {settings.target}"
-            figure = curves_picture(epoch_curves(result), log=("loss",), mark=best.epoch, title=title)
+            figure = curves_picture(
+                epoch_curves(result), log=("loss",), mark=best.epoch, title=title
+            )
             save_picture(figure, folder / "learning_curves.png")
     print(
-        f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch {best.epoch} of "
-        f"{result.epochs[-1].epoch} kept, validation loss {best.validation_loss:.4f}\n\n{score_table(rows, scores)}\n\n"
-        f"network: {folder}"
+        f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch"
+        f" {best.epoch} of {result.epochs[-1].epoch} kept, validation loss"
+        f" {best.validation_loss:.4f}\n\n{score_table(rows, scores)}\n\nnetwork: {folder}"
     )
 
 
@@ -94,15 +105,20 @@ def _check_one_game(folders: Sequence[Path], manifests: Sequence[Mapping[str, An
     def facts(settings: Mapping[str, Any]) -> dict[str, Any]:
         rules = {key: value for key, value in settings["rules"].items() if key != "race"}
         race = {f"race {key}": value for key, value in settings["rules"]["race"].items()}
-        return {"archive": settings["archive"]["sha256"], "encoding": settings["encoding"], **rules, **race}
+        return {
+            "archive": settings["archive"]["sha256"],
+            "encoding": settings["encoding"],
+            **rules,
+            **race,
+        }
 
     first = facts(manifests[0])
     for folder, settings in zip(folders, manifests, strict=True):
         for key, value in facts(settings).items():
             if value != first[key]:
                 raise InputError(
-                    f"{folder} and {folders[0]} hold trees of different games: {key} is {value!r:.60} in one and "
-                    f"{first[key]!r:.60} in the other"
+                    f"{folder} and {folders[0]} hold trees of different games: {key} is"
+                    f" {value!r:.60} in one and {first[key]!r:.60} in the other"
                 )
 
 
@@ -121,5 +137,8 @@ def _write_scores(scores: Mapping[str, NDArray[np.float64]], file: Path) -> None
 
     rows = [["strategy", "tree", *TreeScore._fields]]
     for strategy, trees in scores.items():
-        rows += [[strategy, str(i), *(f"{value:.7g}" for value in row)] for i, row in enumerate(trees.tolist())]
+        rows += [
+            [strategy, str(i), *(f"{value:.7g}" for value in row)]
+            for i, row in enumerate(trees.tolist())
+        ]
     write_csv(rows, file)

@@ -31,41 +31,68 @@ from pcs_racing_agents.trees.tree import TreeStatistics, check_size
     "tree",
     "pcs-racing tree --pairs 8 --out out/trees",
     "pcs-racing tree --track Tarnfjord --pairs 20 --out out/trees",
-    "pcs-racing tree --track Tarnfjord --rules contest --moves 4 --pairs 10 --seeds 4 --out out/contest",
+    "pcs-racing tree --track Tarnfjord --rules contest --moves 4 --pairs 10 --seeds 4 --out"
+    " out/contest",
 )
 def run(
     *,
     archive: ArchiveName = None,
     track: Circuit = DEFAULT_TRACK,
     rules: RulesName = "paper",
-    moves: Annotated[int | None, Option("number of moves of each player (default: that of the rules)", "M")] = None,
-    step: Annotated[float | None, Option("mean time of a move in s (default: that of the rules)", "S")] = None,
+    moves: Annotated[
+        int | None, Option("number of moves of each player (default: that of the rules)", "M")
+    ] = None,
+    step: Annotated[
+        float | None, Option("mean time of a move in s (default: that of the rules)", "S")
+    ] = None,
     epsilon: Annotated[
-        Sequence[float] | None, Option("length of a move in normalised coordinates (default: 0.5)", "E")
+        Sequence[float] | None,
+        Option("length of a move in normalised coordinates (default: 0.5)", "E"),
     ] = None,
     utility: Annotated[
-        str | None, Option("utility at the end of a game (default: that of the preset)", choices=UTILITIES)
+        str | None,
+        Option("utility at the end of a game (default: that of the preset)", choices=UTILITIES),
     ] = None,
-    stay: Annotated[bool | None, Option("whether the game has a move that keeps the policy")] = None,
+    stay: Annotated[
+        bool | None, Option("whether the game has a move that keeps the policy")
+    ] = None,
     pairs: Annotated[int, Option("number of pairs of starting policies")] = 20,
-    seeds: Annotated[int | None, Option("noise realisations per pair (default: 4 with noise, else 1)", "S")] = None,
+    seeds: Annotated[
+        int | None, Option("noise realisations per pair (default: 4 with noise, else 1)", "S")
+    ] = None,
     seed: Annotated[int, Option("seed of all random draws")] = 0,
     out: Annotated[Path, Option("folder for the trees; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
     """Build game trees: simulate all moves of both players, for pairs of starting policies."""
     lengths = None if epsilon is None else tuple(epsilon)
-    options = {"moves": moves, "step_seconds": step, "epsilon": lengths, "utility": utility, "stay": stay}
+    options = {
+        "moves": moves,
+        "step_seconds": step,
+        "epsilon": lengths,
+        "utility": utility,
+        "stay": stay,
+    }
     changes: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     config = load_game_config(rules, **changes)
     game = make_game(track, archive_for(archive, config.race), config)
     count = len(game.move_names)
     check_size(count, game.config.moves)
-    print(f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {count} moves", flush=True)
+    print(
+        f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {count}"
+        " moves",
+        flush=True,
+    )
     with workers.start() as executor:
         progress = show_progress("trees")
         trees = build_trees(
-            game, out, pairs=pairs, seeds_per_pair=seeds, seed=seed, executor=executor, progress=progress
+            game,
+            out,
+            pairs=pairs,
+            seeds_per_pair=seeds,
+            seed=seed,
+            executor=executor,
+            progress=progress,
         )
     print(tree_table(trees))
     print(f"{len(trees)} trees in {out}")
@@ -74,20 +101,48 @@ def run(
 def tree_table(trees: StoredTrees) -> str:
     """Return a table of each tree's simulated segments and the share saved by sharing."""
     rows: list[tuple[str, ...]] = [
-        ("tree", "policies", "start", "side", "seeds", "driven", "of shared", "of replayed", "crashes", "repeats")
+        (
+            "tree",
+            "policies",
+            "start",
+            "side",
+            "seeds",
+            "driven",
+            "of shared",
+            "of replayed",
+            "crashes",
+            "repeats",
+        )
     ]
     total = []
     for i, tree in enumerate(trees):
         s = tree.statistics
         total.append(s)
         first, second = tree.policies
-        rows.append((str(i), f"{first} {second}", f"{tree.start_s:.1f} m", str(tree.side), str(s.seeds), *_shares(s)))
+        rows.append(
+            (
+                str(i),
+                f"{first} {second}",
+                f"{tree.start_s:.1f} m",
+                str(tree.side),
+                str(s.seeds),
+                *_shares(s),
+            )
+        )
     lines = aligned(rows, left=0)
-    driven, live, shared, replayed = (sum(getattr(s, key) for s in total) for key in TreeStatistics._fields[1:5])
+    driven, live, shared, replayed = (
+        sum(getattr(s, key) for s in total) for key in TreeStatistics._fields[1:5]
+    )
     lines += [
-        f"{driven} segments driven of {live} different ones: {driven / shared:.0%} of the {shared} of trees that share "
-        f"only beginnings, {driven / replayed:.1%} of the {replayed} of races from the start",
-        "driven: segments; crashes, repeats: histories of moves that end in a crash, or repeat another's policies",
+        (
+            f"{driven} segments driven of {live} different ones: {driven / shared:.0%} of the"
+            f" {shared} of trees that share only beginnings, {driven / replayed:.1%} of the"
+            f" {replayed} of races from the start"
+        ),
+        (
+            "driven: segments; crashes, repeats: histories of moves that end in a crash, or repeat"
+            " another's policies"
+        ),
     ]
     return "\n".join(lines)
 
@@ -122,14 +177,16 @@ Trees = Annotated[Path, Option("folder of game trees, written by 'pcs-racing tre
 @command(
     "solve",
     "pcs-racing solve out/trees",
-    "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out out/solved.csv",
+    "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out"
+    " out/solved.csv",
 )
 def run_solve(
     trees: Trees,
     *,
     iterations: Annotated[int, Option("number of iterations of CFR")] = 100,
     methods: Annotated[
-        Sequence[str], Option(f"one or more of {', '.join(METHODS)} (default: all)", "M", choices=METHODS)
+        Sequence[str],
+        Option(f"one or more of {', '.join(METHODS)} (default: all)", "M", choices=METHODS),
     ] = (),
     out: Annotated[Path | None, Option("file for the table (.csv)", "FILE")] = None,
 ) -> None:
@@ -143,8 +200,8 @@ def run_solve(
         solved.append(_SolvedTree(number, (first, second), len(tree.seeds), rows))
     names = {key: stored.settings[key]["name"] for key in ("archive", "track")}
     print(
-        f"{len(stored)} trees of archive {names['archive']} on {names['track']}, preset {stored.settings['preset']}; "
-        f"CFR with {iterations} iterations"
+        f"{len(stored)} trees of archive {names['archive']} on {names['track']}, preset"
+        f" {stored.settings['preset']}; CFR with {iterations} iterations"
     )
     print(solve_table(solved))
     if target is not None:
@@ -162,14 +219,19 @@ def solve_table(solved: Sequence[_SolvedTree]) -> str:
             head = (str(tree.number), f"{first}, {second}") if i == 0 else ("", "")
             lines.append((*head, *_cells(row)))
     for i, rows in enumerate(zip(*(tree.rows for tree in solved), strict=True)):
-        mean = MethodRow(rows[0].method, *(float(np.mean(numbers)) for numbers in list(zip(*rows, strict=True))[1:]))
+        mean = MethodRow(
+            rows[0].method,
+            *(float(np.mean(numbers)) for numbers in list(zip(*rows, strict=True))[1:]),
+        )
         lines.append(("mean" if i == 0 else "", "", *_cells(mean)))
     table = "\n".join(aligned(lines, left=3))
     return f"{table}\n\n{NOTE}"
 
 
 def _cells(row: MethodRow) -> tuple[str, ...]:
-    exploited = f"{row.exploitability:.2e}" if row.exploitability < 1e-3 else f"{row.exploitability:.4f}"
+    exploited = (
+        f"{row.exploitability:.2e}" if row.exploitability < 1e-3 else f"{row.exploitability:.4f}"
+    )
     agreed = (f"{row.agreement:.1%}", f"{row.on_path:.1%}")
     return row.method, f"{row.value:.4f}", exploited, *agreed, f"{1e3 * row.seconds:.1f}"
 
@@ -206,7 +268,8 @@ def run_export(
     names = stored.settings["move_names"]
     game = played.game_tree()
     title = (
-        f"pcs-racing: {stored.settings['archive']['name']} {first} and {second} on {stored.settings['track']['name']}"
+        f"pcs-racing: {stored.settings['archive']['name']} {first} and {second} on"
+        f" {stored.settings['track']['name']}"
     )
     write_efg(game, target, title=title, move_names=[(names, names)] * game.depth)
     print(f"written: {target} ({game.payoffs.size} leaves, {target.stat().st_size / 1e6:.1f} MB)")

@@ -34,7 +34,10 @@ if TYPE_CHECKING:
 
 REPLAYS = 60
 MOST_REPLAYS = 2000
-LONE_FILE = "there is no job.yaml beside this file that says how its races were driven, so they can't be driven again"
+LONE_FILE = (
+    "there is no job.yaml beside this file that says how its races were driven, so they can't be"
+    " driven again"
+)
 
 
 Port = Annotated[int | None, Option("port of the page on this machine (default: a free port)", "P")]
@@ -47,18 +50,25 @@ Port = Annotated[int | None, Option("port of the page on this machine (default: 
     "pcs-racing view out/mine --serve",
 )
 def run(
-    results: Annotated[Path, Option("folder of a tournament or a study, or its results.csv", "RESULTS")],
+    results: Annotated[
+        Path, Option("folder of a tournament or a study, or its results.csv", "RESULTS")
+    ],
     *,
     out: Annotated[
-        Path | None, Option("file for the page (default: view.html in the folder of the results)", "FILE")
+        Path | None,
+        Option("file for the page (default: view.html in the folder of the results)", "FILE"),
     ] = None,
     replays: Annotated[
         int | None,
-        Option(f"number of races to include, selected by a rule (default: {REPLAYS}; with --index or --serve: 0)"),
+        Option(
+            f"number of races to include, selected by a rule (default: {REPLAYS}; with --index or"
+            " --serve: 0)"
+        ),
     ] = None,
     index: Annotated[Sequence[int], Option("numbers of races to include", "K")] = (),
     serve: Annotated[
-        bool, Option("write no file; serve the page from this machine, where any race can be watched")
+        bool,
+        Option("write no file; serve the page from this machine, where any race can be watched"),
     ] = False,
     port: Port = None,
     agents: Annotated[Sequence[str], Option(RACED_CODE, "AGENT")] = (),
@@ -92,7 +102,9 @@ def run(
     if serve:
         assert folder is not None  # refused above
         service = RaceService(RaceRepeater(folder), len(table))
-        with make_server(view_page(replace(content, serve=True)), service.answer, port or 0) as server:
+        with make_server(
+            view_page(replace(content, serve=True)), service.answer, port or 0
+        ) as server:
             run_server(server, f"{len(table)} races", open_it=not no_open)
         return
     page = view_page(content).encode()
@@ -125,7 +137,9 @@ def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Pat
             raise InputError(f"{path} is no results file; give a folder, or the results.csv in it")
         # The races of a study's ratings have a separate folder with the name of their file.
         # Resolved: a link to a results file leads to the file's folder.
-        beside = path.resolve().parent if path.name == "results.csv" else path.resolve().with_suffix("")
+        beside = (
+            path.resolve().parent if path.name == "results.csv" else path.resolve().with_suffix("")
+        )
         if not (beside / "job.yaml").is_file():
             return None, path
         folder = path.parent if path.name == "results.csv" else path.with_suffix("")
@@ -159,7 +173,9 @@ def _content(
     title = path.resolve()
     name = title.parent.name if title.name == "results.csv" else title.name
     if results is None:
-        return ViewContent(name, races, str(path), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}.")
+        return ViewContent(
+            name, races, str(path), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}."
+        )
     driver, progress = RaceRepeater(results), show_progress()
     driven = []
     try:
@@ -167,7 +183,9 @@ def _content(
             driven.append(race)
             progress(len(driven), len(picks), race.circuit)
     except InputError as error:
-        raise InputError(f"{error} (--replays 0 lists the races without any to be watched)") from None
+        raise InputError(
+            f"{error} (--replays 0 lists the races without any to be watched)"
+        ) from None
     return ViewContent(
         name,
         races,
@@ -197,7 +215,9 @@ def _kind_of_start(results: "ResultsFolder") -> str:
 )
 def run_play(
     *,
-    opponent: Annotated[str, Option(f"agent or driver in the other car: {AGENT_HELP}", "AGENT")] = "cfr-argmax",
+    opponent: Annotated[
+        str, Option(f"agent or driver in the other car: {AGENT_HELP}", "AGENT")
+    ] = "cfr-argmax",
     track: Circuit = DEFAULT_TRACK,
     rules: Rules,
     archive: ArchiveName = None,
@@ -223,7 +243,9 @@ def run_play(
     if drive:
         from pcs_racing_agents.watch.person_race import drive_page, make_person_drive
 
-        wheel = make_person_drive(rival, rules.seed, track=load_track(track), race=config, archive=loaded)
+        wheel = make_person_drive(
+            rival, rules.seed, track=load_track(track), race=config, archive=loaded
+        )
         wheel.answer("/begin/0")  # report errors now
         with make_server(drive_page(wheel), wheel.answer, port or 0, method="POST") as server:
             run_server(server, "play", open_it=not no_open)
@@ -238,7 +260,9 @@ def run_play(
 def open_page(address: str) -> None:
     """Open a browser if there is a display (without it, Python would use this terminal)."""
     # Other systems always have a display.
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+    if sys.platform.startswith("linux") and not any(
+        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
+    ):
         return
     webbrowser.open(address)
 

@@ -20,7 +20,11 @@ from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Job, Workers
-from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
+from pcs_racing_agents.learning.responses.learner import (
+    ResponseSettings,
+    learn_response,
+    load_response_settings,
+)
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork
 from pcs_racing_agents.tournament.fitting import MetaStrategy, TrainingRaces, fit_psro
 
@@ -54,7 +58,9 @@ class PSROSettings(Settings):
         return replace(settings, seed=settings.seed + self.seed * 64 + number)
 
 
-def load_psro_settings(source: str | Path | PSROSettings | None = None, **changes: Any) -> PSROSettings:
+def load_psro_settings(
+    source: str | Path | PSROSettings | None = None, **changes: Any
+) -> PSROSettings:
     """Return settings from a name, a YAML file or settings, with changes (:func:`load_config`)."""
     return load_config("psro", PSROSettings(), source, **changes)
 
@@ -89,7 +95,11 @@ def learn_psro(
     weights = np.full(len(pool), 1.0 / max(len(pool), 1))
     meta: MetaStrategy | None = None
     training = TrainingRaces(
-        tuple(game.track for game in games), tuple(pool), spec, settings.races, settings.seed + MIXING_SEED
+        tuple(game.track for game in games),
+        tuple(pool),
+        spec,
+        settings.races,
+        settings.seed + MIXING_SEED,
     )
     for round_ in range(settings.rounds):
         network = learn_response(
@@ -111,4 +121,6 @@ def learn_psro(
         opponents, weights = members, np.ones(1) if meta is None else meta.weights
     played = np.flatnonzero(weights > 0.0)
     facts = {"rounds": settings.rounds, "races": settings.races, "seed": settings.seed}
-    return NetworkSet(name, tuple(networks[int(i)] for i in played), weights[played], "argmax", facts)
+    return NetworkSet(
+        name, tuple(networks[int(i)] for i in played), weights[played], "argmax", facts
+    )

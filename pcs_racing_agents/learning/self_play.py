@@ -74,9 +74,12 @@ class SelfPlaySettings(LearnerSettings):
     weights: Annotated[
         str,
         OneOf(WEIGHTS),
-        "Weight of iteration t in the regrets and in the average strategy: t (linear), or 1 (uniform).",
+        "Weight of iteration t in the regrets and in the average strategy: t (linear), or 1"
+        " (uniform).",
     ] = "linear"
-    members: Annotated[int, Interval(ge=1, le=32), "Networks fitted in each iteration; their mean is used."] = 1
+    members: Annotated[
+        int, Interval(ge=1, le=32), "Networks fitted in each iteration; their mean is used."
+    ] = 1
     seed: Annotated[int, Interval(ge=0, le=2**50), "Seed of the games and of the networks."] = 0
 
     def iteration_weight(self, iteration: int) -> float:
@@ -88,7 +91,9 @@ class SelfPlaySettings(LearnerSettings):
         return self.fit_settings((self.seed * 64 + iteration) * 32 + member)
 
 
-def load_self_play_settings(source: str | Path | SelfPlaySettings | None = None, **changes: Any) -> SelfPlaySettings:
+def load_self_play_settings(
+    source: str | Path | SelfPlaySettings | None = None, **changes: Any
+) -> SelfPlaySettings:
     """Return settings from a name, a YAML file or settings, with changes (:func:`load_config`)."""
     return load_config("self-play", SelfPlaySettings(), source, **changes)
 
@@ -155,7 +160,10 @@ def learn_self_play(
     identity, steps = samplers[0].identity, samplers[0].steps
     for i, sampler in enumerate(samplers):
         if sampler.identity != identity or sampler.steps != steps:
-            raise InputError(f"game {i} is another one than game 0; all must have one archive and one set of rules")
+            raise InputError(
+                f"game {i} is another one than game 0; all must have one archive and one set of"
+                " rules"
+            )
     rows: list[Rows] = []
     networks: list[RegretNetwork] = []
     for iteration in range(1, settings.iterations + 1):
@@ -166,16 +174,26 @@ def learn_self_play(
             for step in range(steps)
             for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
         ]
-        work = partial(_traverse, samplers, networks[-1] if networks else None, settings.exploration)
+        work = partial(
+            _traverse, samplers, networks[-1] if networks else None, settings.exploration
+        )
         results = job.run(place, work, blocks, **workers)
         weight = settings.iteration_weight(iteration)
         for arrays, block in zip(results, blocks, strict=True):
             if len(arrays["game"]):  # some of its games were still running
                 i, step, _ = block.place
-                rows.append(block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight))
+                rows.append(
+                    block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight)
+                )
         members = [settings.train_settings(iteration, member) for member in range(settings.members)]
         fitted = train_kept(
-            job, f"{place}-networks", join_rows(rows), identity, members, place, workers.get("executor")
+            job,
+            f"{place}-networks",
+            join_rows(rows),
+            identity,
+            members,
+            place,
+            workers.get("executor"),
         )
         networks.append(merge_networks(fitted, place))
     # The network of iteration t is the strategy of iteration t + 1. The strategy of iteration 1
@@ -194,7 +212,10 @@ def learn_self_play(
 
 
 def _traverse(
-    samplers: Sequence[GameSampler], network: RegretNetwork | None, exploration: float, block: GameBlock
+    samplers: Sequence[GameSampler],
+    network: RegretNetwork | None,
+    exploration: float,
+    block: GameBlock,
 ) -> Arrays:
     i, step, _ = block.place
     return samplers[i].traverse(network, exploration, step, block.keys)

@@ -12,7 +12,13 @@ from pcs_racing_agents.networks.network_files import (
 )
 from pcs_racing_agents.networks.rows import Rows, join_rows
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.networks.targets import TARGETS, best_moves, node_targets, solve_for, tree_rows
+from pcs_racing_agents.networks.targets import (
+    TARGETS,
+    best_moves,
+    node_targets,
+    solve_for,
+    tree_rows,
+)
 from pcs_racing_agents.networks.training import train_network
 
 __all__ = [

@@ -13,7 +13,14 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
-from pcs_racing_agents.networks.metrics import RowScore, TreeScore, constant_plays, follow, score_rows, score_trees
+from pcs_racing_agents.networks.metrics import (
+    RowScore,
+    TreeScore,
+    constant_plays,
+    follow,
+    score_rows,
+    score_trees,
+)
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
 from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
@@ -61,7 +68,8 @@ def train_on_trees(
         Executor that solves the trees and, if it has another process, trains the network. It
         changes no result.
     solving, learning : callable, optional
-        Called as ``progress(done, total, label)`` after every tree and every epoch (in this process).
+        Called as ``progress(done, total, label)`` after every tree and every epoch (in this
+        process).
     """
     settings = settings_for_trees(settings)
     numbers = pair_number(pairs)
@@ -72,8 +80,12 @@ def train_on_trees(
         rows[i] = block
         if solving is not None:
             solving(done, len(held_out), f"solved for {settings.target}")
-    training = join_rows([block for block, out in zip(rows, held_out, strict=True) if block is not None and not out])
-    test_blocks = [block for block, out in zip(rows, held_out, strict=True) if block is not None and out]
+    training = join_rows(
+        [block for block, out in zip(rows, held_out, strict=True) if block is not None and not out]
+    )
+    test_blocks = [
+        block for block, out in zip(rows, held_out, strict=True) if block is not None and out
+    ]
     test = [i for i, block in enumerate(rows) if block is not None and held_out[i]]
     # Torch has one random state and one thread count per process: threads would disturb each other.
     elsewhere = in_other_processes(executor)
@@ -88,13 +100,22 @@ def train_on_trees(
     network, result = run_task(learn, settings, elsewhere, "learning")
     # Without held-out trees the pairs of early stopping are used; their scores are slightly biased.
     test_rows = (
-        join_rows(test_blocks) if test_blocks else training.take(np.isin(training.pair, result.validation_pairs))
+        join_rows(test_blocks)
+        if test_blocks
+        else training.take(np.isin(training.pair, result.validation_pairs))
     )
     scores, trees = score_rows(network, test_rows), {}
-    summary = {"trees": len(held_out), "test_trees": len(test), **dict(network.training), **(about or {})}
+    summary = {
+        "trees": len(held_out),
+        "test_trees": len(test),
+        **dict(network.training),
+        **(about or {}),
+    }
     summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
     if test:
-        trees = score_trees({name: follow(network), **constant_plays(identity.moves)}, (tree_at(i) for i in test))
+        trees = score_trees(
+            {name: follow(network), **constant_plays(identity.moves)}, (tree_at(i) for i in test)
+        )
         for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
             summary[f"test_{key}"] = float(f"{value:.4g}")
     return TrainedOnTrees(replace(network, training=summary), result, scores, trees)
@@ -105,12 +126,14 @@ def _hold_out(numbers: NDArray[np.int64], settings: TrainSettings) -> NDArray[np
     different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
     if different < least:
         raise InputError(
-            f"the trees come from {different} starting pairs; it takes {least}: some to learn from, some to stop by"
-            f"{', and some to judge by' if least == 3 else ''}"
+            f"the trees come from {different} starting pairs; it takes {least}: some to learn from,"
+            f" some to stop by{', and some to judge by' if least == 3 else ''}"
         )
     if settings.test_share == 0.0:
         return np.zeros(len(numbers), np.bool_)
-    drawn = draw_pairs(numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,)))
+    drawn = draw_pairs(
+        numbers, settings.test_share, np.random.SeedSequence(settings.seed, spawn_key=(3,))
+    )
     return np.isin(numbers, drawn[: different - 2])
 
 
@@ -119,7 +142,10 @@ def _solve(settings: TrainSettings, race_tree: PlayedTree) -> Rows | None:
     if np.all(race_tree.over[0]):
         return None
     solution = solve_for(
-        race_tree.game_tree(), settings.target, iterations=settings.iterations, variant=settings.variant
+        race_tree.game_tree(),
+        settings.target,
+        iterations=settings.iterations,
+        variant=settings.variant,
     )
     return tree_rows(
         race_tree,

@@ -62,7 +62,10 @@ def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
     choice = network.choose(rows.observations, rows.mask)
     best = best_moves(rows.targets, rows.mask)
     targets = np.maximum(rows.targets, 0.0) if network.clipped else rows.targets
-    shortfall = np.where(rows.mask, rows.targets, -np.inf).max(axis=1) - rows.targets[np.arange(len(rows)), choice]
+    shortfall = (
+        np.where(rows.mask, rows.targets, -np.inf).max(axis=1)
+        - rows.targets[np.arange(len(rows)), choice]
+    )
     error = np.sum(rows.mask * (values - targets) ** 2, axis=1) / rows.mask.sum(axis=1)
     chance = np.sum(best & rows.mask, axis=1) / rows.mask.sum(axis=1)
     result = []
@@ -110,17 +113,24 @@ def constant_plays(moves: Sequence[str]) -> dict[str, Play]:
 
 
 def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
-    """Return a strategy as a profile: both roles, every node of every seed, shape (S * N_k, A) each."""
+    """Return a strategy as a profile: both roles, every node of every seed, shape (S * N_k, A)
+    each.
+    """
     profile = []
     for k in range(race_tree.game_tree().depth):
         observations = race_tree.observations(k)
         size = observations.shape[-1]
-        both = [np.asarray(play(observations[:, :, player].reshape(-1, size)), np.float64) for player in (0, 1)]
+        both = [
+            np.asarray(play(observations[:, :, player].reshape(-1, size)), np.float64)
+            for player in (0, 1)
+        ]
         profile.append((both[0], both[1]))
     return profile
 
 
-def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None) -> TreeScore:
+def score_tree(
+    profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None
+) -> TreeScore:
     """Evaluate a strategy (:func:`play_profile`) on a tree, with its exact solution if known.
 
     With several noise seeds the strategy gets the observations of each seed. The best response
@@ -131,7 +141,8 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
     payoffs = np.asarray(race_tree.payoffs, np.float64)
     seeds = len(payoffs)
     each = GameTree.from_payoffs(
-        payoffs.reshape(seeds, *(count for pair in tree.moves for count in pair)), np.full(seeds, 1.0 / seeds)
+        payoffs.reshape(seeds, *(count for pair in tree.moves for count in pair)),
+        np.full(seeds, 1.0 / seeds),
     )
     # The observations of the strategy differ by seed: each node is its own infoset. The opponent
     # knows the moves but not the seed: nodes of all seeds are one infoset.
@@ -161,25 +172,41 @@ def score_tree(profile: Profile, race_tree: PlayedTree, exact: ExactResult | Non
     return TreeScore(float(to_best), float(to_equilibrium), float(self_play), float(random))
 
 
-def score_trees(plays: dict[str, Play], race_trees: Iterable[PlayedTree]) -> dict[str, NDArray[np.float64]]:
-    """Evaluate strategies on several trees, shape (trees, 4) each in the order of :class:`TreeScore`.
+def score_trees(
+    plays: dict[str, Play], race_trees: Iterable[PlayedTree]
+) -> dict[str, NDArray[np.float64]]:
+    """Evaluate strategies on several trees, shape (trees, 4) each in the order of
+    :class:`TreeScore`.
 
     The equilibrium of each tree and random moves are added for comparison.
     """
-    scores: dict[str, list[TreeScore]] = {name: [] for name in (*plays, "equilibrium", "random moves")}
+    scores: dict[str, list[TreeScore]] = {
+        name: [] for name in (*plays, "equilibrium", "random moves")
+    }
     for race_tree in race_trees:
         tree = race_tree.game_tree()
         exact, seeds = solve_exact(tree), len(race_tree.payoffs)
         profiles = {name: play_profile(play, race_tree) for name, play in plays.items()}
-        for name, one_seed in (("equilibrium", exact.profile), ("random moves", uniform_profile(tree))):
-            profiles[name] = [(np.tile(first, (seeds, 1)), np.tile(second, (seeds, 1))) for first, second in one_seed]
+        for name, one_seed in (
+            ("equilibrium", exact.profile),
+            ("random moves", uniform_profile(tree)),
+        ):
+            profiles[name] = [
+                (np.tile(first, (seeds, 1)), np.tile(second, (seeds, 1)))
+                for first, second in one_seed
+            ]
         for name, profile in profiles.items():
             scores[name].append(score_tree(profile, race_tree, exact))
-    return {name: np.array(rows, np.float64).reshape(-1, len(TreeScore._fields)) for name, rows in scores.items()}
+    return {
+        name: np.array(rows, np.float64).reshape(-1, len(TreeScore._fields))
+        for name, rows in scores.items()
+    }
 
 
 def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]]) -> str:
-    """Return scores as text: choices against targets by step, then the utility of strategies on the trees."""
+    """Return scores as text: choices against targets by step, then the utility of strategies on the
+    trees.
+    """
     table = [["step", "rows", "agreement", "random", "best constant", "shortfall"]]
     for score in rows:
         shares = [f"{share:.1%}" for share in (score.agreement, score.chance, score.constant)]
@@ -188,10 +215,33 @@ def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]])
     lines = ["choices on held-out rows:", *(f"  {line}" for line in aligned(table, left=0))]
     if trees:
         count = len(next(iter(trees.values())))
-        lines += ["", f"utility on {count} held-out trees, mean of both roles (standard error over trees):"]
-        table = [["strategy", "lost to a best response", "lost to equilibrium", "off in self-play", "against random"]]
+        lines += [
+            "",
+            f"utility on {count} held-out trees, mean of both roles (standard error over trees):",
+        ]
+        table = [
+            [
+                "strategy",
+                "lost to a best response",
+                "lost to equilibrium",
+                "off in self-play",
+                "against random",
+            ]
+        ]
         for name, scores in trees.items():
-            error = scores.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.full(scores.shape[1], np.nan)
-            table.append([name, *(f"{m:.3f} ({e:.3f})" for m, e in zip(scores.mean(axis=0), error, strict=True))])
+            error = (
+                scores.std(axis=0, ddof=1) / np.sqrt(count)
+                if count > 1
+                else np.full(scores.shape[1], np.nan)
+            )
+            table.append(
+                [
+                    name,
+                    *(
+                        f"{m:.3f} ({e:.3f})"
+                        for m, e in zip(scores.mean(axis=0), error, strict=True)
+                    ),
+                ]
+            )
         lines += [f"  {line}" for line in aligned(table, left=1)]
     return "\n".join(lines)

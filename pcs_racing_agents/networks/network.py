@@ -59,17 +59,26 @@ class RegretNetwork:
             raise InputError(f"{where}: identity is {self.identity!r}; it must be a GameIdentity")
         sizes = self.layers.sizes
         if sizes[0] != len(self.identity.elements):
-            raise InputError(f"{where} has {sizes[0]} inputs; an observation has {len(self.identity.elements)} numbers")
+            raise InputError(
+                f"{where} has {sizes[0]} inputs; an observation has {len(self.identity.elements)}"
+                " numbers"
+            )
         if sizes[-1] != len(self.identity.moves):
-            raise InputError(f"{where} puts out {sizes[-1]} values; there are {len(self.identity.moves)} moves")
+            raise InputError(
+                f"{where} puts out {sizes[-1]} values; there are {len(self.identity.moves)} moves"
+            )
         for key in ("mean", "scale"):
             array = np.array(getattr(self, key), np.float32)
             if array.shape != sizes[:1] or not np.isfinite(array).all():
-                raise InputError(f"{where}: {key} is {array!r:.80}; it must be {sizes[0]} finite numbers")
+                raise InputError(
+                    f"{where}: {key} is {array!r:.80}; it must be {sizes[0]} finite numbers"
+                )
             array.setflags(write=False)
             assign(key, array)
         if not (self.scale > 0.0).all():
-            raise InputError(f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0")
+            raise InputError(
+                f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0"
+            )
         # The scaling of the inputs becomes part of the first layer: one pass less for every
         # decision.
         first = self.layers.weights[0].astype(np.float64) / self.scale
@@ -83,8 +92,8 @@ class RegretNetwork:
         """Show its sizes, target, archive and preset."""
         shape = "-".join(map(str, self.layers.sizes))
         return (
-            f"<RegretNetwork {self.name!r}: {shape}, {self.target}, archive {self.identity.archive!r}, "
-            f"preset {self.identity.preset!r}>"
+            f"<RegretNetwork {self.name!r}: {shape}, {self.target}, archive"
+            f" {self.identity.archive!r}, preset {self.identity.preset!r}>"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -121,7 +130,9 @@ class RegretNetwork:
         x = np.asarray(observations, np.float32)
         inputs, moves = len(self.identity.elements), len(self.identity.moves)
         if x.ndim == 0 or x.shape[-1] != inputs:
-            raise InputError(f"observations have shape {x.shape}; network {self.name!r} needs (..., {inputs})")
+            raise InputError(
+                f"observations have shape {x.shape}; network {self.name!r} needs (..., {inputs})"
+            )
         rows = np.ascontiguousarray(x.reshape(-1, inputs))
         out = np.empty((len(rows), moves), np.float32)
         scratch = np.empty((2, self._widest), np.float32)  # type: ignore[attr-defined]
@@ -146,7 +157,8 @@ class RegretNetwork:
             allowed = np.asarray(mask)
             if allowed.dtype != np.bool_ or allowed.shape != values.shape:
                 raise InputError(
-                    f"the mask has shape {allowed.shape} and type {allowed.dtype}; it must have {values.shape} and bool"
+                    f"the mask has shape {allowed.shape} and type {allowed.dtype}; it must have"
+                    f" {values.shape} and bool"
                 )
             if not allowed.any(axis=-1).all():
                 raise InputError("the mask allows no move in some row; it must allow one")

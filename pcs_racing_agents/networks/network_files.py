@@ -39,7 +39,9 @@ NETWORK_FORMAT = ArtifactFormat(
 )
 
 _KINDS: dict[str, tuple[Any, Any, str]] = {
-    **dict.fromkeys(("name", "target", "archive", "archive_sha256", "preset"), (str, None, "a text")),
+    **dict.fromkeys(
+        ("name", "target", "archive", "archive_sha256", "preset"), (str, None, "a text")
+    ),
     "clipped": (bool, None, "true or false"),
     **dict.fromkeys(("elements", "moves"), (list, str, "a list of texts")),
     "epsilon": (list, float, "a list of numbers"),
@@ -56,7 +58,10 @@ def save_network(network: RegretNetwork, folder: str | Path) -> Path:
         "target": network.target,
         "clipped": network.clipped,
         "hidden": list(network.hidden),
-        **{key: list(value) if isinstance(value, tuple) else value for key, value in recorded.items()},
+        **{
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in recorded.items()
+        },
         "training": dict(network.training),
     }
     scaling = dict(zip(_SCALING, (network.mean, network.scale), strict=True))
@@ -76,7 +81,9 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
     fields, content = NETWORK_FORMAT.load(folder)
     for key, (kind, inner, wanted) in _KINDS.items():
         value = fields[key]
-        if not isinstance(value, kind) or (inner and not all(isinstance(item, inner) for item in value)):
+        if not isinstance(value, kind) or (
+            inner and not all(isinstance(item, inner) for item in value)
+        ):
             raise InputError(f"{folder / MANIFEST}: {key} is {value!r:.80}; it must be {wanted}")
     file = folder / NETWORK_FORMAT.data_file
     layers, scaling = layers_from_bytes(file, content, fields["hidden"], _SCALING)
@@ -103,7 +110,9 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
 
 SET_FILE = "set.yaml"
 SET_FORMAT = ManifestFormat(
-    "network set", ("name", "decision", "weights", "networks", "digests", "training"), "save_network_set"
+    "network set",
+    ("name", "decision", "weights", "networks", "digests", "training"),
+    "save_network_set",
 )
 LARGEST = 64
 """Maximum number of networks in a set."""
@@ -112,8 +121,16 @@ LARGEST = 64
 def check_weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
     """Return ``count`` frequencies, in any unit, as an array, or raise an error."""
     weights = np.asarray(values, np.float64)
-    if weights.shape != (count,) or not np.isfinite(weights).all() or (weights < 0.0).any() or not weights.any():
-        raise InputError(f"{name} are {values!r:.80}; give {count} finite numbers of 0 or above, not all of them 0")
+    if (
+        weights.shape != (count,)
+        or not np.isfinite(weights).all()
+        or (weights < 0.0).any()
+        or not weights.any()
+    ):
+        raise InputError(
+            f"{name} are {values!r:.80}; give {count} finite numbers of 0 or above, not all of"
+            " them 0"
+        )
     return weights
 
 
@@ -138,7 +155,9 @@ class NetworkSet:
         weights = check_weights(f"{where}: weights", self.weights, len(self.networks))
         object.__setattr__(self, "weights", weights / weights.sum())
         for network in self.networks[1:]:
-            check_same_game(network.identity, self.identity, f"{where}: network {network.name!r}", "the first")
+            check_same_game(
+                network.identity, self.identity, f"{where}: network {network.name!r}", "the first"
+            )
 
     @property
     def identity(self) -> GameIdentity:
@@ -192,16 +211,28 @@ def load_network_set(source: str | os.PathLike[str] | NetworkSet) -> NetworkSet:
     for key, kind in (("weights", float), ("networks", str), ("digests", str)):
         values = fields[key]
         if not isinstance(values, list) or not all(isinstance(value, kind) for value in values):
-            raise InputError(f"{file}: {key} is {values!r:.80}; it must be a list, a {kind.__name__} for each network")
+            raise InputError(
+                f"{file}: {key} is {values!r:.80}; it must be a list, a {kind.__name__} for each"
+                " network"
+            )
         if len(values) != len(fields["networks"]):
-            raise InputError(f"{file}: there are {len(values)} {key} for {len(fields['networks'])} networks")
+            raise InputError(
+                f"{file}: there are {len(values)} {key} for {len(fields['networks'])} networks"
+            )
     if any(Path(name).name != name or name in (".", "..") for name in fields["networks"]):
-        raise InputError(f"{file}: networks are {fields['networks']!r:.80}; they must be names of folders beside it")
+        raise InputError(
+            f"{file}: networks are {fields['networks']!r:.80}; they must be names of folders"
+            " beside it"
+        )
     if not isinstance(fields["training"], dict):
         raise InputError(f"{file}: training is {fields['training']!r:.80}; it must be a mapping")
     networks = tuple(load_network(folder / name) for name in fields["networks"])
     for name, network, digest in zip(fields["networks"], networks, fields["digests"], strict=True):
         if fingerprint(network.layers) != digest:
-            raise InputError(f"{folder / name} is not the network that {file} describes: its digest differs")
+            raise InputError(
+                f"{folder / name} is not the network that {file} describes: its digest differs"
+            )
     decision = check_text(f"{file}: decision", fields["decision"])
-    return NetworkSet(fields["name"], networks, np.array(fields["weights"]), decision, fields["training"])
+    return NetworkSet(
+        fields["name"], networks, np.array(fields["weights"]), decision, fields["training"]
+    )

@@ -20,7 +20,8 @@ class Rows:
 
     #: shape (R, D): Observations of the player (:attr:`pcs_racing.RaceGame.observation_elements`).
     observations: NDArray[np.float32]
-    targets: NDArray[np.float32]  #: shape (R, A): Value of each move, never clipped; 0 where the mask is False.
+    #: shape (R, A): Value of each move, never clipped; 0 where the mask is False.
+    targets: NDArray[np.float32]
     weights: NDArray[np.float64]  #: shape (R,): Weight of each row, 0 or more; not all 0.
     #: shape (R,): Starting pair of each row: all rows of a pair are used either for training or for
     #: validation.
@@ -32,7 +33,9 @@ class Rows:
     def __post_init__(self) -> None:
         shape = np.shape(self.targets)
         if len(shape) != 2 or shape[0] == 0 or shape[1] == 0:
-            raise InputError(f"targets have shape {shape}; they must have (rows, moves), at least one of each")
+            raise InputError(
+                f"targets have shape {shape}; they must have (rows, moves), at least one of each"
+            )
         count, moves = shape
         if self.mask is None:
             object.__setattr__(self, "mask", np.ones(shape, np.bool_))
@@ -43,21 +46,28 @@ class Rows:
         self._set("step", np.int64, (count,))
         self._set("mask", np.bool_, (count, moves))
         if (self.weights < 0.0).any() or not self.weights.any():
-            raise InputError(f"weights lie in {self.weights.min():g} to {self.weights.max():g}; some must be above 0")
+            raise InputError(
+                f"weights lie in {self.weights.min():g} to {self.weights.max():g}; some must be"
+                " above 0"
+            )
         if not self.mask.any(axis=1).all():
-            raise InputError(f"row {np.argmin(self.mask.any(axis=1))} has no target; its mask must allow one")
+            raise InputError(
+                f"row {np.argmin(self.mask.any(axis=1))} has no target; its mask must allow one"
+            )
         if self.targets[~self.mask].any():
             object.__setattr__(self, "targets", np.where(self.mask, self.targets, np.float32(0.0)))
 
     def _set(self, key: str, dtype: Any, shape: tuple[int | None, ...]) -> None:
         array = np.asarray(getattr(self, key))
-        fits = array.ndim == len(shape) and all(n is None or n == m for n, m in zip(shape, array.shape, strict=True))
+        fits = array.ndim == len(shape) and all(
+            n is None or n == m for n, m in zip(shape, array.shape, strict=True)
+        )
         kinds = {"f": "fiu", "i": "iu", "b": "b"}[np.dtype(dtype).kind]
         if not fits or array.dtype.kind not in kinds:
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
             raise InputError(
-                f"{key} have shape {array.shape} and type {array.dtype}; they must have ({wanted}) and "
-                f"{np.dtype(dtype)}"
+                f"{key} have shape {array.shape} and type {array.dtype}; they must have ({wanted})"
+                f" and {np.dtype(dtype)}"
             )
         if not np.isfinite(array).all():
             row = int(np.argwhere(~np.isfinite(array))[0][0])
@@ -70,7 +80,10 @@ class Rows:
     def __repr__(self) -> str:
         """Show the numbers of rows, inputs, moves and starting pairs."""
         size, moves = self.observations.shape[1], self.targets.shape[1]
-        return f"<Rows: {len(self)} of {size} numbers, {moves} moves, {len(np.unique(self.pair))} starting pairs>"
+        return (
+            f"<Rows: {len(self)} of {size} numbers, {moves} moves, {len(np.unique(self.pair))}"
+            " starting pairs>"
+        )
 
     def take(self, indices: ArrayLike) -> "Rows":
         """Return some of the rows, by index or by a mask over rows."""
@@ -86,8 +99,16 @@ def join_rows(sources: Sequence[Rows]) -> Rows:
         for key in ("observations", "targets"):
             size, first = (getattr(rows, key).shape[1] for rows in (source, sources[0]))
             if size != first:
-                raise InputError(f"source {i} has {key} of {size} numbers, source 0 of {first}; they must be the same")
-    return Rows(**{field.name: np.concatenate([getattr(p, field.name) for p in sources]) for field in fields(Rows)})
+                raise InputError(
+                    f"source {i} has {key} of {size} numbers, source 0 of {first}; they must be the"
+                    " same"
+                )
+    return Rows(
+        **{
+            field.name: np.concatenate([getattr(p, field.name) for p in sources])
+            for field in fields(Rows)
+        }
+    )
 
 
 def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
@@ -98,16 +119,22 @@ def pair_number(policies: ArrayLike) -> NDArray[np.int64]:
     return both[..., 1] * (both[..., 1] + 1) // 2 + both[..., 0]
 
 
-def draw_pairs(pairs: NDArray[np.int64], share: float, seed: np.random.SeedSequence) -> NDArray[np.int64]:
+def draw_pairs(
+    pairs: NDArray[np.int64], share: float, seed: np.random.SeedSequence
+) -> NDArray[np.int64]:
     """Draw a share of the different pairs, sorted; at least one is drawn, at least one is left."""
     different = np.unique(pairs)
     if len(different) < 2:
-        raise InputError("all rows come from one starting pair; validation needs rows of at least 2")
+        raise InputError(
+            "all rows come from one starting pair; validation needs rows of at least 2"
+        )
     count = min(max(round(share * len(different)), 1), len(different) - 1)
     return np.sort(np.random.default_rng(seed).permutation(different)[:count])
 
 
-def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+def split_by_pair(
+    rows: Rows, share: float, seed: int
+) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
     """Choose a share of the starting pairs for validation.
 
     Return the mask of their rows, shape (R,), and the pairs, sorted.
@@ -116,5 +143,7 @@ def split_by_pair(rows: Rows, share: float, seed: int) -> tuple[NDArray[np.bool_
     held_out = np.isin(rows.pair, validation_pairs)
     for side in (held_out, ~held_out):
         if not rows.weights[side].any():
-            raise InputError("after the split by starting pair one side has weights of 0 only; give more pairs")
+            raise InputError(
+                "after the split by starting pair one side has weights of 0 only; give more pairs"
+            )
     return held_out, validation_pairs

@@ -44,10 +44,20 @@ class Target(NamedTuple):
 
 TARGETS = {
     "regret": Target("cumulative counterfactual regret, clipped at 0 (the paper)", True, "cfr"),
-    "normalised": Target("cumulative regret, divided by its largest magnitude at the node: -1 to 1", False, "cfr"),
-    "advantage": Target("gain or loss of a move against the equilibrium, if both follow it afterwards", False, "exact"),
-    "static-q": Target("utility of a move followed by best play, against a static opponent", False, "exact"),
-    "nash": Target("probability of the move in an equilibrium, from which the agent draws", False, "exact"),
+    "normalised": Target(
+        "cumulative regret, divided by its largest magnitude at the node: -1 to 1", False, "cfr"
+    ),
+    "advantage": Target(
+        "gain or loss of a move against the equilibrium, if both follow it afterwards",
+        False,
+        "exact",
+    ),
+    "static-q": Target(
+        "utility of a move followed by best play, against a static opponent", False, "exact"
+    ),
+    "nash": Target(
+        "probability of the move in an equilibrium, from which the agent draws", False, "exact"
+    ),
 }
 """Kinds of targets from trees."""
 
@@ -65,7 +75,9 @@ def get_target(name: str) -> Target:
     return TARGETS[name]
 
 
-def best_moves(targets: NDArray[np.floating], mask: NDArray[np.bool_] | None = None) -> NDArray[np.bool_]:
+def best_moves(
+    targets: NDArray[np.floating], mask: NDArray[np.bool_] | None = None
+) -> NDArray[np.bool_]:
     """Return a mask of the highest targets of each row, shape (R, A), up to rounding."""
     values = np.asarray(targets, np.float64)
     if mask is not None:
@@ -74,7 +86,9 @@ def best_moves(targets: NDArray[np.floating], mask: NDArray[np.bool_] | None = N
     return values >= highest - 1e-6 * np.maximum(np.abs(highest), 1.0)
 
 
-def solve_for(tree: GameTree, target: str, *, iterations: int = 1000, variant: str = "vanilla") -> Solution:
+def solve_for(
+    tree: GameTree, target: str, *, iterations: int = 1000, variant: str = "vanilla"
+) -> Solution:
     """Solve a tree with the solver of a target.
 
     Parameters
@@ -105,13 +119,18 @@ def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[
     kind = get_target(target)
     wanted = CFRResult if kind.solver == "cfr" else ExactResult
     if not isinstance(solution, wanted):
-        raise InputError(f"target {target!r} needs a {wanted.__name__}; the solution is a {type(solution).__name__}")
+        raise InputError(
+            f"target {target!r} needs a {wanted.__name__}; the solution is a"
+            f" {type(solution).__name__}"
+        )
     if isinstance(solution, CFRResult):
         if target == "regret":
             return list(solution.regrets)
         return [
             (_normalised(r0, reach0), _normalised(r1, reach1))
-            for (r0, r1), (reach0, reach1) in zip(solution.regrets, solution.opponent_reach, strict=True)
+            for (r0, r1), (reach0, reach1) in zip(
+                solution.regrets, solution.opponent_reach, strict=True
+            )
         ]
     if target == "advantage":
         return list(solution.advantages)
@@ -186,11 +205,15 @@ def tree_rows(
         Seed of the draw of nodes.
     """
     if row_weights not in ROW_WEIGHTS:
-        raise UnknownNameError(f"unknown row weights {row_weights!r}; there are {', '.join(ROW_WEIGHTS)}")
+        raise UnknownNameError(
+            f"unknown row weights {row_weights!r}; there are {', '.join(ROW_WEIGHTS)}"
+        )
     targets = node_targets(race_tree.game_tree(), solution, target)
     payoffs = np.asarray(race_tree.payoffs, np.float64)
     seeds = len(payoffs)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(int(p) for p in race_tree.policies)))
+    rng = np.random.default_rng(
+        np.random.SeedSequence(seed, spawn_key=tuple(int(p) for p in race_tree.policies))
+    )
     blocks: list[tuple[Any, ...]] = []
     for k, (first, second) in enumerate(targets):
         over = race_tree.over[k]
@@ -206,7 +229,9 @@ def tree_rows(
         # with a decision knows that it has not crashed. The solution's values are means over all
         # seeds: the payoffs of crashed seeds, equal for all moves, are subtracted (advantages do
         # not include them), and the rest is spread over the other seeds.
-        ended_payoffs = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[sample]
+        ended_payoffs = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[
+            sample
+        ]
         for player, values in enumerate((first, second)):
             goals = values[sample]
             if target in ("advantage", "static-q"):
@@ -214,9 +239,20 @@ def tree_rows(
                 goals = (goals * seeds - offset) / np.maximum(running.sum(axis=0), 1)[:, None]
             at = np.nonzero(running & np.isfinite(goals).all(axis=1))
             count = len(at[0])
-            blocks.append((observed[:, sample, player][at], goals[at[1]], np.full(count, weight), np.full(count, k)))
-    observations, targets_of_rows, weights, steps = (np.concatenate(arrays) for arrays in zip(*blocks, strict=True))
+            blocks.append(
+                (
+                    observed[:, sample, player][at],
+                    goals[at[1]],
+                    np.full(count, weight),
+                    np.full(count, k),
+                )
+            )
+    observations, targets_of_rows, weights, steps = (
+        np.concatenate(arrays) for arrays in zip(*blocks, strict=True)
+    )
     if len(weights) == 0:
-        raise InputError(f"a tree of policies {list(race_tree.policies)} has no node where the race goes on")
+        raise InputError(
+            f"a tree of policies {list(race_tree.policies)} has no node where the race goes on"
+        )
     pair = np.full(len(weights), pair_number(race_tree.policies))
     return Rows(observations, targets_of_rows, weights, pair, steps)

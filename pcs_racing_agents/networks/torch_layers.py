@@ -26,7 +26,9 @@ def torch_alone() -> Iterator[Any]:
     try:
         import torch
     except ModuleNotFoundError:
-        raise ModuleNotFoundError('training needs torch: pip install "pcs-racing[learning]"') from None
+        raise ModuleNotFoundError(
+            'training needs torch: pip install "pcs-racing[learning]"'
+        ) from None
     with _TURN:
         before = torch.get_num_threads()
         torch.set_num_threads(1)

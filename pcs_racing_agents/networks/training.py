@@ -22,7 +22,12 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
-from pcs_racing_agents.networks.torch_layers import initial_layers, layers_from_torch, relu_forward, torch_alone
+from pcs_racing_agents.networks.torch_layers import (
+    initial_layers,
+    layers_from_torch,
+    relu_forward,
+    torch_alone,
+)
 
 Floats = NDArray[np.float32]
 
@@ -89,7 +94,11 @@ def train_network(
         "validation_pairs": len(result.validation_pairs),
         "epochs": result.epochs[-1].epoch,
         # Epoch 0 has no training loss.
-        **{k: v if k == "epoch" else float(f"{v:.6g}") for k, v in best._asdict().items() if np.isfinite(v)},
+        **{
+            k: v if k == "epoch" else float(f"{v:.6g}")
+            for k, v in best._asdict().items()
+            if np.isfinite(v)
+        },
     }
     summary["best_epoch"] = summary.pop("epoch")
     hidden = ", ".join(str(width) for width in settings.hidden)
@@ -117,12 +126,17 @@ def train_layers(
         return _train(torch, rows, settings, clipped, progress)
 
 
-def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None) -> TrainingResult:
+def _train(
+    torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progress: Progress | None
+) -> TrainingResult:
     held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
     training, validation = rows.take(~held_out), rows.take(held_out)
     # The scaling comes from the training rows alone, so that validation stays independent.
     by = scale_rows(training, settings, clipped)
-    draws, start = (np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,))) for key in (1, 2))
+    draws, start = (
+        np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,)))
+        for key in (1, 2)
+    )
 
     def tensors(rows_used: Rows) -> tuple[Any, Any, Any, Any]:
         x = (rows_used.observations - by.mean) / by.scale
@@ -157,16 +171,23 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
             float(share @ (highest - validation.targets[chosen]).astype(np.float64)),
         )
 
-    layers = initial_layers([rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]], start)
-    optimiser = torch.optim.AdamW(layers, lr=settings.learning_rate, weight_decay=settings.weight_decay)
+    layers = initial_layers(
+        [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]], start
+    )
+    optimiser = torch.optim.AdamW(
+        layers, lr=settings.learning_rate, weight_decay=settings.weight_decay
+    )
     training_tensors, validation_tensors = tensors(training), tensors(validation)
     odds = np.cumsum(training.weights) / training.weights.sum()
     count = min(settings.rows_per_epoch, len(training))
     epochs, best, since = [judge(0, float("nan"))], 0, 0
     kept = [layer.detach().clone() for layer in layers]
     for number in range(1, settings.epochs + 1):
-        # Inverse transform sampling, in proportion to the weights; rounding may leave the last sum below 1.
-        drawn = np.minimum(np.searchsorted(odds, draws.random(count), side="right"), len(training) - 1)
+        # Inverse transform sampling, in proportion to the weights; rounding may leave the last sum
+        # below 1.
+        drawn = np.minimum(
+            np.searchsorted(odds, draws.random(count), side="right"), len(training) - 1
+        )
         total = 0.0
         for first in range(0, count, settings.batch_size):
             batch = torch.from_numpy(drawn[first : first + settings.batch_size])
@@ -180,8 +201,8 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
         epochs.append(judge(number, total / count))
         if not np.isfinite(epochs[-1].validation_loss):
             raise InputError(
-                f"the loss is {epochs[-1].validation_loss} after epoch {number}; take a learning_rate below "
-                f"{settings.learning_rate:g}"
+                f"the loss is {epochs[-1].validation_loss} after epoch {number}; take a"
+                f" learning_rate below {settings.learning_rate:g}"
             )
         since += 1
         if epochs[-1].validation_loss < epochs[best].validation_loss:
@@ -199,7 +220,9 @@ def _train(torch: Any, rows: Rows, settings: TrainSettings, clipped: bool, progr
     # The last layer's outputs are in units of training, the network's outputs in units of targets.
     weights = (*scaled.weights[:-1], scaled.weights[-1] * by.size)
     biases = (*scaled.biases[:-1], scaled.biases[-1] * by.size + by.centre)
-    return TrainingResult(DenseLayers(weights, biases), by.mean, by.scale, tuple(epochs), best, pairs)
+    return TrainingResult(
+        DenseLayers(weights, biases), by.mean, by.scale, tuple(epochs), best, pairs
+    )
 
 
 # Goals of the outputs, in units of order 1
@@ -252,7 +275,11 @@ def scale_rows(rows: Rows, settings: TrainSettings, clipped: bool) -> Scaling:
         level = max(np.sqrt(share @ means[:, 0] ** 2), size)
     # Depth below 0 of the targets in rows without a positive target, in units of ``size``.
     known_share = known_share * ~(targets > 0.0).any(axis=1, keepdims=True)
-    hopeless = np.sum(known_share * (targets / size) ** 2) / known_share.sum() if known_share.any() else 1.0
+    hopeless = (
+        np.sum(known_share * (targets / size) ** 2) / known_share.sum()
+        if known_share.any()
+        else 1.0
+    )
     return Scaling(
         mean.astype(np.float32),
         # A constant input has no information; divided by its deviation it would be noise.
@@ -273,10 +300,14 @@ def _raised(rows: Rows, depth: float) -> Floats:
     """Return targets, raised to at most ``depth`` below the highest target of their row."""
     if np.isinf(depth):
         return rows.targets
-    return np.where(rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0))
+    return np.where(
+        rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0)
+    )
 
 
-def row_goals(rows: Rows, by: Scaling, clipped: bool, below_zero: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def row_goals(
+    rows: Rows, by: Scaling, clipped: bool, below_zero: float
+) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Return goals of the outputs, weights of their errors, and a mask of one-sided errors.
 
     Of one-sided errors only errors upwards count.

@@ -72,7 +72,9 @@ def write_archive(
         "loss_share_against_random": (winner == 1).mean(),
     }
     for axis, high, low in zip(config.axes, scale.ideal, scale.nadir, strict=True):
-        facts[f"hypervolume_unit_{axis}"] = f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
+        facts[f"hypervolume_unit_{axis}"] = (
+            f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
+        )
     archive = PolicyArchive(
         name=config.name,
         planner=config.planner,
@@ -93,12 +95,22 @@ def write_archive(
         facts[f"correlation_{one}_{other}"] = value
     facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
     if len(parameters) < config.min_policies:
-        _log.warning("the archive holds %d policies; %d were wanted", len(parameters), config.min_policies)
+        _log.warning(
+            "the archive holds %d policies; %d were wanted", len(parameters), config.min_policies
+        )
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
     archive = replace(archive, settings={key: _rounded(value) for key, value in settings.items()})
-    course: list[tuple[object, ...]] = [("generation", "evaluations", "hypervolume", "front", "own_crash")]
+    course: list[tuple[object, ...]] = [
+        ("generation", "evaluations", "hypervolume", "front", "own_crash")
+    ]
     course += [
-        (step.generation, step.evaluations, f"{step.hypervolume:.6f}", step.front, f"{step.own_crash:.4f}")
+        (
+            step.generation,
+            step.evaluations,
+            f"{step.hypervolume:.6f}",
+            step.front,
+            f"{step.own_crash:.4f}",
+        )
         for step in history
         if step.stage == "search"
     ]
@@ -123,7 +135,9 @@ def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int =
         # independent.
         weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
         sums = (totals * weights[:, None]).sum(axis=1)
-        volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference))
+        volumes.append(
+            hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference)
+        )
     return float(np.std(volumes, ddof=1))
 
 
@@ -137,8 +151,12 @@ def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool
     values = {**plain_settings(config), "characteristics": list(config.axes)}
     if config.selection != "headroom":
         values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}
-    texts = {key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)}
-    return {key: "none" if value is None else texts.get(key, value) for key, value in values.items()}
+    texts = {
+        key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)
+    }
+    return {
+        key: "none" if value is None else texts.get(key, value) for key, value in values.items()
+    }
 
 
 def _versions() -> dict[str, str]:
@@ -169,13 +187,22 @@ def front_picture(archive: PolicyArchive) -> Any:
     figure = new_figure(7.0, 5.0)
     plot = figure.subplots()
     explored, front = archive.explored_coordinates, archive.coordinates
-    plot.plot(explored[:, right], explored[:, up], ".", color="0.8", ms=3, label=f"{len(explored)} explored")
+    plot.plot(
+        explored[:, right],
+        explored[:, up],
+        ".",
+        color="0.8",
+        ms=3,
+        label=f"{len(explored)} explored",
+    )
     if archive.spread is not None:
         errors = archive.spread[:, up], archive.spread[:, right]
         plot.errorbar(front[:, right], front[:, up], *errors, fmt="none", ecolor="0.45", lw=0.7)
     colours = "C0" if archive.own_crash is None else 100.0 * archive.own_crash
     label = f"{len(front)} policies"
-    dots = plot.scatter(front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=label)
+    dots = plot.scatter(
+        front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=label
+    )
     if archive.own_crash is not None:
         figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
     plot.set_xlabel(f"{axes[right].name} ({axes[right].unit})")

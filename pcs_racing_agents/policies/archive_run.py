@@ -55,7 +55,8 @@ def make_archive(
     executor: Executor | None = None,
     callback: ArchiveCallback | None = None,
 ) -> PolicyArchive:
-    """Make an archive and write it: ``archive.npz``, ``manifest.yaml``, ``hypervolume.csv`` and ``front.png``.
+    """Make an archive and write it: ``archive.npz``, ``manifest.yaml``, ``hypervolume.csv`` and
+    ``front.png``.
 
     Intermediate results are stored in the folder ``job``: an interrupted run resumes when it is
     started again. The picture needs matplotlib; without matplotlib it is left out.
@@ -73,7 +74,10 @@ def make_archive(
     """
     folder = Path(folder)
     family = get_planner(config.planner)
-    hashes = {name: load_track(name).content_hash for name in (*config.tracks, *(config.judging_tracks or ()))}
+    hashes = {
+        name: load_track(name).content_hash
+        for name in (*config.tracks, *(config.judging_tracks or ()))
+    }
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     search, choice, final = stage_scenarios(config)
     first, optimiser, payoffs, judging = _roots(config)[3:]
@@ -105,14 +109,18 @@ def make_archive(
             more = {**more, **judge_headroom(races, kept, _number(judging))}
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
         notes = {**notes, **more, "track_hashes": content}
-        return write_archive(folder, config, races.explored(), races.scale, kept, raced, races.history, notes)
+        return write_archive(
+            folder, config, races.explored(), races.scale, kept, raced, races.history, notes
+        )
 
 
 def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
     """Return the scenarios of search, choice and measurement; no two stages share a race."""
     search, choice, final, *_ = _roots(config)
 
-    def drawn(root: np.random.SeedSequence, opponents: int, starts: int, duration: float) -> Scenarios:
+    def drawn(
+        root: np.random.SeedSequence, opponents: int, starts: int, duration: float
+    ) -> Scenarios:
         return draw_scenarios(
             config.tracks,
             config.rules_of(duration),
@@ -141,7 +149,9 @@ def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
     return np.random.SeedSequence(config.seed).spawn(7)
 
 
-def draw_policies(family: Planner, count: int, root: np.random.SeedSequence, fixed: Sequence[str] = ()) -> Floats:
+def draw_policies(
+    family: Planner, count: int, root: np.random.SeedSequence, fixed: Sequence[str] = ()
+) -> Floats:
     """Draw random policies within their bounds by Latin hypercube sampling, shape (count, P).
 
     Parameters in ``fixed`` are not drawn and have their defaults.
@@ -166,7 +176,10 @@ def _check_folder(folder: Path) -> None:
     if folder.is_dir() and not (folder / "job").is_dir():
         others = sorted(entry.name for entry in folder.iterdir())
         if others:
-            raise InputError(f"{folder} holds {others[0]} but no run of a synthesis; choose a new or an empty folder")
+            raise InputError(
+                f"{folder} holds {others[0]} but no run of a synthesis; choose a new or an empty"
+                " folder"
+            )
 
 
 def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats, Notes]:
@@ -184,8 +197,9 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
     allowed = rows[races.violation(explored)[rows] <= 0.0]
     if len(allowed) == 0:
         raise InputError(
-            f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the races of "
-            f"{config.duration:g} s, or lie below min_coordinates or min_score; raise crash_limit, or lower the others"
+            f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the"
+            f" races of {config.duration:g} s, or lie below min_coordinates or min_score; raise"
+            " crash_limit, or lower the others"
         )
     if config.selection == "headroom":
         parameters, notes = choose_for_headroom(races, allowed, seed)
@@ -193,22 +207,32 @@ def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats,
         parameters, notes = _choose_front(races, allowed, scenarios)
     return parameters, {
         "search_over_crash_limit": int(crashing.sum()),
-        "search_hypervolume": hypervolume(races.scale(explored.coordinates[rows[~crashing[rows]]]), REFERENCE),
-        "search_hypervolume_without_crash_limit": hypervolume(races.scale(explored.coordinates[rows]), REFERENCE),
+        "search_hypervolume": hypervolume(
+            races.scale(explored.coordinates[rows[~crashing[rows]]]), REFERENCE
+        ),
+        "search_hypervolume_without_crash_limit": hypervolume(
+            races.scale(explored.coordinates[rows]), REFERENCE
+        ),
         **notes,
     }
 
 
-def _choose_front(races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Scenarios) -> tuple[Floats, Notes]:
+def _choose_front(
+    races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Scenarios
+) -> tuple[Floats, Notes]:
     """Race the best allowed policies in new scenarios, and choose policies not clearly beaten."""
     config = races.config
     theta, explored = races.explored()
-    order = allowed[spread_first(_unit(explored.coordinates[allowed]), 0.5 * config.spacing, config.candidates)]
+    order = allowed[
+        spread_first(_unit(explored.coordinates[allowed]), 0.5 * config.spacing, config.candidates)
+    ]
     raced = races.race("choice", "choice", scenarios, theta[order])
     remeasured = summarise(raced)
     within_limits = np.flatnonzero(races.violation(remeasured) <= 0.0)
     not_beaten = within_limits[~_beaten(config, raced, within_limits)]
-    distinct = not_beaten[thin_out(_unit(remeasured.coordinates[not_beaten]), config.spacing, config.max_policies)]
+    distinct = not_beaten[
+        thin_out(_unit(remeasured.coordinates[not_beaten]), config.spacing, config.max_policies)
+    ]
     last = races.history[-1]
     races.note("choice", last.generation, last.hypervolume, len(distinct), remeasured)
     return theta[order[distinct]], {
@@ -219,7 +243,9 @@ def _choose_front(races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Sce
     }
 
 
-def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
+def measure(
+    races: PolicyRaces, parameters: Floats, scenarios: Scenarios
+) -> tuple[Floats, Arrays, Notes]:
     """Race policies in new scenarios, sort them by the first axis, and filter them.
 
     Policies that still crash too often are left out and, for a front, also policies that another
@@ -232,7 +258,9 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     if len(parameters):
         raced = races.race("measurement", "measurement", scenarios, parameters)
         measured = summarise(raced)
-        within_limits = np.flatnonzero((measured.own_crash <= limit) & (measured.score >= races.config.min_score))
+        within_limits = np.flatnonzero(
+            (measured.own_crash <= limit) & (measured.score >= races.config.min_score)
+        )
         kept = within_limits
         if races.config.selection == "pareto":
             kept = within_limits[~_beaten(races.config, raced, within_limits)]
@@ -241,8 +269,9 @@ def measure(races: PolicyRaces, parameters: Floats, scenarios: Scenarios) -> tup
     fewest = 2 if races.config.selection == "pareto" else 3
     if len(kept) < fewest:
         raise InputError(
-            f"{len(kept)} policies remain below the crash limit of {limit:.0%} and above min_score; an archive needs "
-            f"{fewest} at least: raise crash_limit, lower min_score, or search longer"
+            f"{len(kept)} policies remain below the crash limit of {limit:.0%} and above min_score;"
+            f" an archive needs {fewest} at least: raise crash_limit, lower min_score, or search"
+            " longer"
         )
     last = races.history[-1]
     races.note("measurement", last.generation, last.hypervolume, len(kept), measured)

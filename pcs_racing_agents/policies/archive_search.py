@@ -19,7 +19,13 @@ from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import Job, run_races
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.policies.config import ArchiveConfig
-from pcs_racing_agents.policies.evaluate import Evaluation, Scenarios, join, race_policies, summarise
+from pcs_racing_agents.policies.evaluate import (
+    Evaluation,
+    Scenarios,
+    join,
+    race_policies,
+    summarise,
+)
 from pcs_racing_agents.policies.pareto_archive import Scale
 from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.policies.search import Generation
@@ -62,7 +68,8 @@ class PolicyRaces:
     callback: ArchiveCallback
     scenarios: Scenarios  #: Races of the search.
     scale: Scale = field(init=False)  #: Range of the initial sample, once it has raced.
-    #: Parameters, shape (n, P), and results of all policies of the search, in the order of the races.
+    #: Parameters, shape (n, P), and results of all policies of the search, in the order of the
+    #: races.
     raced: list[tuple[Floats, Evaluation]] = field(default_factory=list)
     history: list[ArchiveProgress] = field(default_factory=list)
     # names of the next evaluations
@@ -70,39 +77,61 @@ class PolicyRaces:
 
     def __call__(self, parameters: Floats) -> Evaluated:
         """Race policies in the scenarios of the search; crashes above the limit are violations."""
-        evaluation = summarise(self.race("search", self._names.popleft(), self.scenarios, parameters))
+        evaluation = summarise(
+            self.race("search", self._names.popleft(), self.scenarios, parameters)
+        )
         # The first policies are the initial sample, whose range is the unit of hypervolumes.
         if not self.raced:
             low, high = evaluation.coordinates.min(axis=0), evaluation.coordinates.max(axis=0)
             for axis, least, largest in zip(self.config.axes, low, high, strict=True):
                 if not least < largest:
-                    raise InputError(f"the initial sample has {axis} {least:g} throughout: no scale follows from it")
+                    raise InputError(
+                        f"the initial sample has {axis} {least:g} throughout: no scale follows"
+                        " from it"
+                    )
             self.scale = Scale(high, low)
         self.raced.append((parameters, evaluation))
         return Evaluated(evaluation.coordinates, self.violation(evaluation))
 
     def after_generation(self, generation: Generation) -> None:
         """Record the progress."""
-        self.note("search", generation.generation, generation.hypervolume, generation.archive_size, self.raced[-1][1])
+        self.note(
+            "search",
+            generation.generation,
+            generation.hypervolume,
+            generation.archive_size,
+            self.raced[-1][1],
+        )
         self._names.append(f"generation-{generation.generation + 1:05d}")
 
     def race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
         """Race policies, given by the parameters that vary, or load results of an earlier run."""
         parameters = self._complete(parameters)
-        tasks = [(scenarios, parameters[first : first + BLOCK]) for first in range(0, len(parameters), BLOCK)]
+        tasks = [
+            (scenarios, parameters[first : first + BLOCK])
+            for first in range(0, len(parameters), BLOCK)
+        ]
         # The search reports progress by generation, with the hypervolume, unknown to the tasks.
         progress = None if stage == "search" else self.progress(stage)
-        return join(run_races(name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress))
+        return join(
+            run_races(
+                name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress
+            )
+        )
 
     def payoffs(self, stage: str, pool: PolicyPool) -> Floats:
         """Race all pairs of a pool or load results of an earlier run, shape (T, F, N, N)."""
-        return pool_payoffs(pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage))
+        return pool_payoffs(
+            pool, name=stage, job=self.job, executor=self.executor, progress=self.progress(stage)
+        )
 
     def progress(self, stage: str) -> Progress:
         """Return a callback for the tasks of a stage."""
 
         def progress(done: int, total: int, _: str) -> None:
-            self.callback(self.history[-1]._replace(stage=stage, done=self._done(stage, done / total)))
+            self.callback(
+                self.history[-1]._replace(stage=stage, done=self._done(stage, done / total))
+            )
 
         return progress
 
@@ -137,10 +166,14 @@ class PolicyRaces:
             *(np.concatenate(arrays) for arrays in zip(*results, strict=True))
         )
 
-    def note(self, stage: str, number: int, volume: float, front: int, evaluation: Evaluation) -> None:
+    def note(
+        self, stage: str, number: int, volume: float, front: int, evaluation: Evaluation
+    ) -> None:
         """Add the progress to the history, and call the callback."""
         crash, done = float(evaluation.own_crash.mean()), self._done(stage, 1.0)
-        progress = ArchiveProgress(stage, number, self.config.generations, self.evaluations, volume, front, crash, done)
+        progress = ArchiveProgress(
+            stage, number, self.config.generations, self.evaluations, volume, front, crash, done
+        )
         self.history.append(progress)
         self.callback(progress)
 

@@ -20,7 +20,8 @@ Indices = NDArray[np.int64]
 
 
 def denoised(payoffs: ArrayLike) -> Floats:
-    """Return a payoff matrix without most of its noise, shape (N, N): ratings and shrunk cyclic planes.
+    """Return a payoff matrix without most of its noise, shape (N, N): ratings and shrunk cyclic
+    planes.
 
     A plane of strength s gets the strength ``sqrt(s^2 - e^2)``, where e is the strength that noise
     alone reaches; a weaker plane is dropped. This shrinkage has the minimum expected squared error
@@ -39,7 +40,9 @@ def denoised(payoffs: ArrayLike) -> Floats:
     for plane in cyclic_planes(folds):
         if plane.strength > plane.noise:
             x, y = plane.points.T
-            matrix += np.sqrt(1.0 - (plane.noise / plane.strength) ** 2) * (np.outer(x, y) - np.outer(y, x))
+            matrix += np.sqrt(1.0 - (plane.noise / plane.strength) ** 2) * (
+                np.outer(x, y) - np.outer(y, x)
+            )
     return np.asarray(np.clip(matrix, -0.5, 0.5))
 
 
@@ -78,12 +81,17 @@ def choose_pool(
         Seed of the initial pools.
     """
     check_whole("count", count, 3)
-    matrices, sets = np.asarray(payoffs, np.float64), [np.asarray(group, np.int64) for group in groups]
+    matrices, sets = (
+        np.asarray(payoffs, np.float64),
+        [np.asarray(group, np.int64) for group in groups],
+    )
     # Group of each place in the pool; a remainder is spread over all groups, not the first ones.
     places = np.arange(count) * len(groups) // count
     for number, group in enumerate(sets):
         if len(group) < np.count_nonzero(places == number):
-            raise InputError(f"group {number} holds {len(group)} policies; a pool of {count} needs more of them")
+            raise InputError(
+                f"group {number} holds {len(group)} policies; a pool of {count} needs more of them"
+            )
     rng = np.random.default_rng(seed)
     best, best_value = np.zeros(0, np.int64), -np.inf
     for _ in range(starts):
@@ -96,12 +104,19 @@ def choose_pool(
 def _exchanged(
     payoffs: Floats, groups: Sequence[Indices], places: Indices, rng: np.random.Generator
 ) -> tuple[Indices, float]:
-    """Return a pool that no exchange of one policy within its group improves, and its mean headroom."""
-    drawn = [rng.choice(group, np.count_nonzero(places == k), replace=False) for k, group in enumerate(groups)]
+    """Return a pool that no exchange of one policy within its group improves, and its mean
+    headroom.
+    """
+    drawn = [
+        rng.choice(group, np.count_nonzero(places == k), replace=False)
+        for k, group in enumerate(groups)
+    ]
     pool = np.concatenate(drawn).astype(np.int64)
     value = float(pool_headroom(payoffs, pool[None]).mean())
     while True:
-        exchanges = [(k, other) for k, g in enumerate(places) for other in np.setdiff1d(groups[g], pool)]
+        exchanges = [
+            (k, other) for k, g in enumerate(places) for other in np.setdiff1d(groups[g], pool)
+        ]
         if not exchanges:
             return pool, value
         pools = np.tile(pool, (len(exchanges), 1))

@@ -39,7 +39,9 @@ class ArchiveConfig(Settings):
     name: Annotated[Text, "Name of the archive."] = "archive"
     preset: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "paper"
     duration: Annotated[float, _SECONDS, "Length of a race during search and selection, s."] = 16.0
-    final_duration: Annotated[float, _SECONDS, "Length of a race in the final measurement, s."] = 40.0
+    final_duration: Annotated[float, _SECONDS, "Length of a race in the final measurement, s."] = (
+        40.0
+    )
     segment_seconds: Annotated[
         float,
         _SECONDS,
@@ -52,17 +54,22 @@ class ArchiveConfig(Settings):
     planner: Annotated[Text, "Planner of the policies and of their opponents."] = "lattice"
     fixed: Annotated[
         OptionalNames,
-        "Parameters of the planner that keep their defaults: the search has a dimension less for each, and the "
-        "archive does not hold them.",
+        "Parameters of the planner that keep their defaults: the search has a dimension less for"
+        " each, and the archive does not hold them.",
     ] = ()
     characteristics: Annotated[
         Names | None,
-        "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness itself (the lead), "
-        "pace or speed, and then restraint, beside speed the reaction to the lead.",
+        "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness"
+        " itself (the lead), pace or speed, and then restraint, beside speed the reaction to the"
+        " lead.",
     ] = None
-    method: Annotated[str, OneOf(METHODS), "Search method; the first is that of the paper."] = "mo-cma-es"
+    method: Annotated[str, OneOf(METHODS), "Search method; the first is that of the paper."] = (
+        "mo-cma-es"
+    )
     generations: Annotated[int, Interval(ge=0, le=100_000), "Number of generations."] = 60
-    population: Annotated[int, Interval(ge=4, le=10_000), "Number of policies in a generation."] = 32
+    population: Annotated[int, Interval(ge=4, le=10_000), "Number of policies in a generation."] = (
+        32
+    )
     elite_ratio: Annotated[
         float,
         Interval(ge=0.01, le=1.0),
@@ -78,25 +85,30 @@ class ArchiveConfig(Settings):
     initial_sample: Annotated[
         int,
         Interval(ge=8, le=10_000),
-        "Policies of the initial sample, drawn at random; their range is the scale of the axes in the loss and in the"
-        " hypervolume, and the best of them are the first archive.",
+        "Policies of the initial sample, drawn at random; their range is the scale of the axes in"
+        " the loss and in the hypervolume, and the best of them are the first archive.",
     ] = 80
-    opponents: Annotated[int, Interval(ge=1, le=1000), "Opponents (random policies) in the search."] = 4
+    opponents: Annotated[
+        int, Interval(ge=1, le=1000), "Opponents (random policies) in the search."
+    ] = 4
     rivals: Annotated[
         OptionalNames,
-        "Drivers of other planners that are met in every stage beside the random policies, each as often.",
+        "Drivers of other planners that are met in every stage beside the random policies, each as"
+        " often.",
     ] = ()
     min_score: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be chosen.",
+        "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be"
+        " chosen.",
     ] = 0.0
     starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the search."] = 2
     crash_limit: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Largest share of crashes by own fault, in races of final_duration, of a policy in the archive; 1 keeps all. "
-        "For the shorter races of the search it is converted with a constant crash rate.",
+        "Largest share of crashes by own fault, in races of final_duration, of a policy in the"
+        " archive; 1 keeps all. For the shorter races of the search it is converted with a constant"
+        " crash rate.",
     ] = 0.15
     min_coordinates: Annotated[
         tuple[float, ...] | None,
@@ -105,22 +117,27 @@ class ArchiveConfig(Settings):
     selection: Annotated[
         str,
         OneOf(CHOICES),
-        "Rule of the selection: policies that no other one clearly beats on the axes (the paper), or a pool with much"
-        " headroom, chosen from the payoffs of all pairs of candidates.",
+        "Rule of the selection: policies that no other one clearly beats on the axes (the paper),"
+        " or a pool with much headroom, chosen from the payoffs of all pairs of candidates.",
     ] = "pareto"
-    candidates: Annotated[int, Interval(ge=2, le=10_000), "Policies that race again in the selection."] = 240
+    candidates: Annotated[
+        int, Interval(ge=2, le=10_000), "Policies that race again in the selection."
+    ] = 240
     choice_opponents: Annotated[int, Interval(ge=1, le=1000), "Opponents in the selection."] = 8
-    choice_starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the selection."] = 2
+    choice_starts: Annotated[
+        int, Interval(ge=1, le=1000), "Start lines on each track in the selection."
+    ] = 2
     error_bars: Annotated[
         float,
         Interval(ge=0.0, le=10.0),
-        "A policy is dominated if another one is better on all axes by more than this number of standard errors of "
-        "the difference.",
+        "A policy is dominated if another one is better on all axes by more than this number of"
+        " standard errors of the difference.",
     ] = 1.0
     groups: Annotated[
         int,
         Interval(ge=1, le=1000),
-        "With selection: headroom, groups of candidates along the first axis that as many policies are taken from.",
+        "With selection: headroom, groups of candidates along the first axis that as many policies"
+        " are taken from.",
     ] = 4
     payoff_races: Annotated[
         int,
@@ -130,8 +147,8 @@ class ArchiveConfig(Settings):
     judging_races: Annotated[
         int,
         Interval(ge=4, le=100_000),
-        "With selection: headroom, races of each pair of the chosen policies on each track, whose headroom the "
-        "manifest states.",
+        "With selection: headroom, races of each pair of the chosen policies on each track, whose"
+        " headroom the manifest states.",
     ] = 64
     judging_tracks: Annotated[
         Names | None,
@@ -140,8 +157,8 @@ class ArchiveConfig(Settings):
     spacing: Annotated[
         float,
         Interval(ge=0.0, le=0.5),
-        "Smallest distance between two policies of the archive, in units of the archive's ranges; of two nearer "
-        "policies one is dropped.",
+        "Smallest distance between two policies of the archive, in units of the archive's ranges;"
+        " of two nearer policies one is dropped.",
     ] = 0.015
     min_policies: Annotated[
         int,
@@ -158,7 +175,9 @@ class ArchiveConfig(Settings):
         Interval(ge=1, le=1000),
         "Opponents in the measurement, which gives the coordinates.",
     ] = 12
-    final_starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the measurement."] = 3
+    final_starts: Annotated[
+        int, Interval(ge=1, le=1000), "Start lines on each track in the measurement."
+    ] = 3
     seed: Annotated[int, Interval(ge=0, le=2**63 - 1), "Seed of all random draws."] = 0
 
     def __post_init__(self) -> None:
@@ -168,28 +187,36 @@ class ArchiveConfig(Settings):
             segments = round(length / self.segment_seconds)
             if segments < 1 or abs(segments * self.segment_seconds - length) > 1e-9:
                 raise ConfigError(
-                    f"{key} is {length:g} s; it must be a multiple of segment_seconds, {self.segment_seconds:g} s"
+                    f"{key} is {length:g} s; it must be a multiple of segment_seconds,"
+                    f" {self.segment_seconds:g} s"
                 )
         if self.min_policies > self.max_policies:
-            raise ConfigError(f"min_policies is {self.min_policies}, above max_policies, {self.max_policies}")
+            raise ConfigError(
+                f"min_policies is {self.min_policies}, above max_policies, {self.max_policies}"
+            )
         if self.min_score > 0.0 and not self.rivals:
-            raise ConfigError(f"min_score is {self.min_score:g}, but there are no rivals to reach it against")
+            raise ConfigError(
+                f"min_score is {self.min_score:g}, but there are no rivals to reach it against"
+            )
         if self.selection == "headroom":
             self._check_headroom()
         if not self.varied:
-            raise ConfigError(f"fixed names all parameters of planner {self.planner!r}; at least one must vary")
+            raise ConfigError(
+                f"fixed names all parameters of planner {self.planner!r}; at least one must vary"
+            )
         get_characteristics(self.axes)
         if self.min_coordinates is not None and len(self.min_coordinates) != len(self.axes):
             raise ConfigError(
-                f"min_coordinates is {self.min_coordinates!r}; it must list a number for each of {', '.join(self.axes)}"
+                f"min_coordinates is {self.min_coordinates!r}; it must list a number for each of"
+                f" {', '.join(self.axes)}"
             )
 
     def _check_headroom(self) -> None:
         """Check the options that only the choice for headroom needs."""
         if not 3 <= self.max_policies <= self.candidates:
             raise ConfigError(
-                f"max_policies is {self.max_policies}; a pool chosen for headroom holds 3 policies at least, and no "
-                f"more than there are candidates, {self.candidates}"
+                f"max_policies is {self.max_policies}; a pool chosen for headroom holds 3 policies"
+                f" at least, and no more than there are candidates, {self.candidates}"
             )
         if self.groups > self.max_policies:
             raise ConfigError(f"groups is {self.groups}, above max_policies, {self.max_policies}")
@@ -198,7 +225,9 @@ class ArchiveConfig(Settings):
                 raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of 4")
         both = set(self.tracks) & set(self.judging_tracks or ())
         if both:
-            raise ConfigError(f"judging_tracks names {sorted(both)[0]!r}, which has a say in the choice")
+            raise ConfigError(
+                f"judging_tracks names {sorted(both)[0]!r}, which has a say in the choice"
+            )
 
     @property
     def rules(self) -> RaceConfig:
@@ -212,7 +241,8 @@ class ArchiveConfig(Settings):
     @property
     def search_crash_limit(self) -> float:
         """Crash limit for races of the search."""
-        # With a constant crash rate, the share that survives is exponential in the length of a race.
+        # With a constant crash rate, the share that survives is exponential in the length of a
+        # race.
         return float(1.0 - (1.0 - self.crash_limit) ** (self.duration / self.final_duration))
 
     @property
@@ -221,7 +251,10 @@ class ArchiveConfig(Settings):
         if self.characteristics is not None:
             return self.characteristics
         first = self.rules.aggressiveness
-        return "aggressiveness" if first == "lead" else first, "reaction" if first == "speed" else "restraint"
+        return (
+            "aggressiveness" if first == "lead" else first,
+            "reaction" if first == "speed" else "restraint",
+        )
 
     @property
     def varied(self) -> tuple[str, ...]:
@@ -244,12 +277,20 @@ class ArchiveConfig(Settings):
         races, more = 2 * len(self.tracks), len(self.rivals)
         work = {
             "search": self.evaluations * self.races * self.duration,
-            "choice": self.candidates * races * (self.choice_opponents + more) * self.choice_starts * self.duration,
-            "measurement": self.max_policies
-            * races
-            * (self.final_opponents + more)
-            * self.final_starts
-            * self.final_duration,
+            "choice": (
+                self.candidates
+                * races
+                * (self.choice_opponents + more)
+                * self.choice_starts
+                * self.duration
+            ),
+            "measurement": (
+                self.max_policies
+                * races
+                * (self.final_opponents + more)
+                * self.final_starts
+                * self.final_duration
+            ),
         }
         if self.selection == "headroom":
             judging = len(self.tracks) + len(self.judging_tracks or ())
@@ -264,6 +305,8 @@ def list_archive_configs() -> list[str]:
     return list(shipped_configs(KIND))
 
 
-def load_archive_config(source: str | Path | ArchiveConfig | None = None, **changes: Any) -> ArchiveConfig:
+def load_archive_config(
+    source: str | Path | ArchiveConfig | None = None, **changes: Any
+) -> ArchiveConfig:
     """Return a configuration by shipped name, YAML file or object, with some fields changed."""
     return load_config(KIND, ArchiveConfig(), source, **changes)

@@ -1,8 +1,8 @@
 """Choice of diverse policies of an archive: determinantal point processes, greedy maximum.
 
-A k-DPP draws a set Y of k items with probability proportional to det(L_Y), the squared volume spanned by the items'
-features: the more similar two items are, the less often they appear together (A. Kulesza and B. Taskar, Determinantal
-point processes for machine learning, 2012).
+A k-DPP draws a set Y of k items with probability proportional to det(L_Y), the squared volume
+spanned by the items' features: the more similar two items are, the less often they appear together
+(A. Kulesza and B. Taskar, Determinantal point processes for machine learning, 2012).
 """
 
 import numpy as np
@@ -40,7 +40,8 @@ def select_diverse(
     rng : numpy.random.Generator or int
         Generator or seed of the random choice.
     scale : float
-        Distance over which policies count as similar, in normalised units (:func:`similarity`); above 0.
+        Distance over which policies count as similar, in normalised units (:func:`similarity`);
+        above 0.
 
     Returns
     -------

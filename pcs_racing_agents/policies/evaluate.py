@@ -90,7 +90,10 @@ def draw_scenarios(
     """
     segments = round(config.duration / segment_seconds) if segment_seconds > 0.0 else 0
     if segments < 1 or abs(segments * segment_seconds - config.duration) > 1e-9:
-        raise InputError(f"a race of {config.duration:g} s is no multiple of segment_seconds, {segment_seconds:g} s")
+        raise InputError(
+            f"a race of {config.duration:g} s is no multiple of segment_seconds,"
+            f" {segment_seconds:g} s"
+        )
     family = get_planner(planner)
     opponents = check_policies("opponents", opponents, family)
     for rival in rivals:
@@ -99,7 +102,9 @@ def draw_scenarios(
         raise InputError("there are no tracks; name at least one")
     get_characteristics(characteristics)
     rules = replace(config, start_lines=starts)
-    line, opponent, side = (indices.ravel() for indices in np.mgrid[:starts, : len(opponents) + len(rivals), :2])
+    line, opponent, side = (
+        indices.ravel() for indices in np.mgrid[:starts, : len(opponents) + len(rivals), :2]
+    )
     start_s, seeds = [], []
     for index, track in enumerate(tracks):
         # Each track has its own root: another track in the list changes no race on this track.
@@ -127,7 +132,9 @@ def check_policies(name: str, parameters: ArrayLike, planner: Planner) -> Floats
     """Return parameters of at least one policy of a planner, shape (K, P)."""
     policies = check_array(name, parameters, (None, len(planner.parameters)))
     if len(policies) == 0:
-        raise InputError(f"there are no {name}; give at least one policy of planner {planner.name!r}")
+        raise InputError(
+            f"there are no {name}; give at least one policy of planner {planner.name!r}"
+        )
     return policies
 
 
@@ -140,7 +147,8 @@ PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 class Evaluation(NamedTuple):
     """Coordinates, own crashes and wins of K policies."""
 
-    coordinates: Floats  #: shape (K, G): Mean over all segments of races, in the characteristics' units.
+    #: shape (K, G): Mean over all segments of races, in the characteristics' units.
+    coordinates: Floats
     #: shape (K,): Share of the races that ended by a crash of the policy's own fault.
     own_crash: Floats
     spread: Floats  #: shape (K, G): Standard error of the coordinates over draws of the races.
@@ -149,7 +157,8 @@ class Evaluation(NamedTuple):
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
-    """Race some policies in some scenarios; a policy's result does not depend on the others of the task.
+    """Race some policies in some scenarios; a policy's result does not depend on the others of the
+    task.
 
     The arrays are ``totals`` (k, R, G): sums over the segments begun in each race;
     ``segments`` (k, R): number of segments begun; ``own_crash`` (k, R): True if the race ended by a
@@ -158,7 +167,9 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     is a rival.
     """
     raced = race_segments(task, threads)
-    values, progress, sums, time = (raced.pop(name) for name in ("values", "progress", "sums", "time"))
+    values, progress, sums, time = (
+        raced.pop(name) for name in ("values", "progress", "sums", "time")
+    )
     begun = ~np.isnan(values[..., 0])
     totals = np.zeros((*values.shape[:2], values.shape[3]))
     # A fixed order of segments gives the same sums for every shape of the task.
@@ -207,12 +218,18 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
     values = np.full((count, races, number, len(axes)), np.nan)
     winner = np.zeros((count, races), np.int8)
     own_crash, crashed = np.zeros((count, races), np.bool_), np.zeros((count, races), np.bool_)
-    progress, sums, time = np.zeros((count, races, 2)), np.zeros((count, races, 2, len(SUMS))), np.zeros((count, races))
+    progress, sums, time = (
+        np.zeros((count, races, 2)),
+        np.zeros((count, races, 2, len(SUMS))),
+        np.zeros((count, races)),
+    )
     length = round(scenarios.segment_seconds * 100.0)
     families = opponent_families(scenarios, planner)
     for (index, source), (family, members) in product(enumerate(scenarios.tracks), families):
         setup = RaceSetup(as_track(source), scenarios.config, (planner, family))
-        numbers = np.flatnonzero((scenarios.track == index) & np.isin(scenarios.opponent, list(members)))
+        numbers = np.flatnonzero(
+            (scenarios.track == index) & np.isin(scenarios.opponent, list(members))
+        )
         drivers = pad_parameters(list(members.values()), setup.theta_size)
         own = np.pad(parameters, ((0, 0), (0, setup.theta_size - parameters.shape[1])))
         place = {opponent: row for row, opponent in enumerate(members)}
@@ -220,7 +237,11 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
         for first in range(0, count, step):
             egos = np.arange(first, min(first + step, count))
             ego, which = (indices.ravel() for indices in np.meshgrid(egos, numbers, indexing="ij"))
-            state = start_races(setup, Starts(scenarios.start_s[which], scenarios.side[which]), scenarios.seed[which])
+            state = start_races(
+                setup,
+                Starts(scenarios.start_s[which], scenarios.side[which]),
+                scenarios.seed[which],
+            )
             against = drivers[[place[one] for one in scenarios.opponent[which].tolist()]]
             theta = np.ascontiguousarray(np.stack([own[ego], against], axis=1))
             for k in range(number):
@@ -233,8 +254,8 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
                 if not np.isfinite(measured[begun]).all():
                     row, axis = np.argwhere(~np.isfinite(measured) & begun[:, None])[0]
                     raise InputError(
-                        f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race {which[row]} of policy "
-                        f"{ego[row]}; it must be finite"
+                        f"characteristic {axes[axis].name!r} is {measured[row, axis]} in race"
+                        f" {which[row]} of policy {ego[row]}; it must be finite"
                     )
                 # A crashed race does not continue: its remaining segments are missing, not 0.
                 values[ego, which, k] = np.where(begun[:, None], measured, np.nan)
@@ -242,13 +263,19 @@ def race_segments(task: PolicyTask, threads: int | None = None) -> Arrays:
             crashed[ego, which] = state.crashed
             winner[ego, which] = winners(scenarios.config, state)
             whole = Segment.so_far(state, scenarios.segment_seconds)
-            progress[ego, which], sums[ego, which], time[ego, which] = whole.progress, whole.sums, whole.time
+            progress[ego, which], sums[ego, which], time[ego, which] = (
+                whole.progress,
+                whole.sums,
+                whole.time,
+            )
     rival = np.broadcast_to(scenarios.opponent >= len(scenarios.opponents), (count, races))
     judged = {"own_crash": own_crash, "crashed": crashed, "winner": winner, "rival": rival}
     return {"values": values, "progress": progress, "sums": sums, "time": time, **judged}
 
 
-def opponent_families(scenarios: Scenarios, planner: Planner) -> list[tuple[Planner, dict[int, Policy]]]:
+def opponent_families(
+    scenarios: Scenarios, planner: Planner
+) -> list[tuple[Planner, dict[int, Policy]]]:
     """Return the planners of the opponents, each with its opponents by number."""
     families: dict[str, tuple[Planner, dict[int, Policy]]] = {}
     drivers = [Policy(planner, theta, "opponent") for theta in scenarios.opponents]
@@ -268,7 +295,10 @@ def summarise(raced: Arrays) -> Evaluation:
     races = totals.shape[1]
     coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
     residuals = totals - coordinates[:, None] * segments[..., None]
-    spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / segments.sum(axis=1)[:, None]
+    spread = (
+        np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1))
+        / segments.sum(axis=1)[:, None]
+    )
     won, rival = raced["winner"] == 0, raced["rival"]
     points = np.where(rival, won + 0.5 * ((raced["winner"] < 0) & ~raced["crashed"]), 0.0)
     score = np.where(rival.any(axis=1), points.sum(axis=1) / np.maximum(rival.sum(axis=1), 1), 1.0)
@@ -288,7 +318,9 @@ def evaluate(
     shares the races among the cores.
     """
     parameters = check_policies("parameters", parameters, get_planner(scenarios.planner))
-    tasks = [(scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)]
+    tasks = [
+        (scenarios, parameters[first : first + block]) for first in range(0, len(parameters), block)
+    ]
     return summarise(join(run_races("evaluation", race_policies, tasks, executor=executor)))
 
 

@@ -1,7 +1,9 @@
-"""Headroom: the value of knowing the opponent's policy, and the transitive and cyclic parts of a payoff matrix.
+"""Headroom: the value of knowing the opponent's policy, and the transitive and cyclic parts of a
+payoff matrix.
 
-If one policy is best against every opponent, adaptation can't win races. *Headroom* is the gain of a best response to
-a known policy of the opponent over the best fixed policy. It is a property of a pool of policies and of the rules.
+If one policy is best against every opponent, adaptation can't win races. *Headroom* is the gain of
+a best response to a known policy of the opponent over the best fixed policy. It is a property of a
+pool of policies and of the rules.
 
 Payoffs are races won minus one half: the score of policy i against policy j in a set of races, 0
 between equals. They come in *folds*, disjoint sets of races with different start lines and noise. A
@@ -59,13 +61,16 @@ def headroom(payoffs: ArrayLike) -> Headroom:
     Parameters
     ----------
     payoffs : array_like, shape (F, N, N)
-        Payoff of the row's policy against the column's in each of F >= 2 folds, in -0.5..0.5 and antisymmetric.
+        Payoff of the row's policy against the column's in each of F >= 2 folds, in -0.5..0.5 and
+        antisymmetric.
     """
     folds = checked_payoffs(payoffs)
     value, low, gains = cross_fitted(folds)
     count = folds.shape[1]
     # Policies are a random sample, too: without a policy its row and its column are missing.
-    without = np.array([cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)])
+    without = np.array(
+        [cross_fitted(np.delete(np.delete(folds, k, 1), k, 2))[0] for k in range(count)]
+    )
     return Headroom(
         value=value,
         low=low,
@@ -98,10 +103,11 @@ def cyclic_part(payoffs: ArrayLike) -> Floats:
 
 
 def transitive_share(payoffs: ArrayLike) -> float:
-    """Return the share of the payoffs' variance that ratings explain, without the variance of the noise.
+    """Return the share of the payoffs' variance that ratings explain, without the variance of the
+    noise.
 
-    Products of two folds replace squares: their noises are independent and average out. The estimate can be slightly
-    outside 0..1; it is NaN if no payoff differs from zero beyond noise.
+    Products of two folds replace squares: their noises are independent and average out. The
+    estimate can be slightly outside 0..1; it is NaN if no payoff differs from zero beyond noise.
     """
     folds = checked_payoffs(payoffs)
     transitive = folds - _cyclic(folds)
@@ -116,8 +122,8 @@ def transitive_share(payoffs: ArrayLike) -> float:
 def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
     """Return the planes of the cyclic part, the strongest first.
 
-    The noise level is estimated from the folds: with random signs that sum to zero for each pair, the payoffs of the
-    two policies cancel and noise of the same size remains.
+    The noise level is estimated from the folds: with random signs that sum to zero for each pair,
+    the payoffs of the two policies cancel and noise of the same size remains.
 
     Parameters
     ----------
@@ -130,13 +136,17 @@ def cyclic_planes(payoffs: ArrayLike, seed: int = 0) -> list[CyclicPlane]:
     """
     folds = checked_payoffs(payoffs)
     if len(folds) % 2:
-        raise InputError(f"payoffs have {len(folds)} folds; the edge of noise needs an even number of them")
+        raise InputError(
+            f"payoffs have {len(folds)} folds; the edge of noise needs an even number of them"
+        )
     noise = _noise_edge(folds, np.random.default_rng(seed))
     # i times an antisymmetric matrix is Hermitian; a plane is a pair of its eigenvalues +-strength.
     strengths, vectors = np.linalg.eigh(1j * _cyclic(folds.mean(axis=0)))
     planes = []
     for k in range(len(strengths) - 1, (len(strengths) - 1) // 2, -1):
-        points = np.sqrt(2.0 * max(strengths[k], 0.0)) * np.stack([vectors[:, k].imag, vectors[:, k].real], axis=1)
+        points = np.sqrt(2.0 * max(strengths[k], 0.0)) * np.stack(
+            [vectors[:, k].imag, vectors[:, k].real], axis=1
+        )
         planes.append(CyclicPlane(float(strengths[k]), noise, _turned(points)))
     return planes
 
@@ -145,9 +155,14 @@ def checked_payoffs(payoffs: ArrayLike) -> Floats:
     """Return payoffs of shape (F, N, N) as an array, or raise an error."""
     folds = np.asarray(payoffs, dtype=np.float64)
     if folds.ndim != 3 or folds.shape[1] != folds.shape[2]:
-        raise InputError(f"payoffs have shape {folds.shape}; it must be (folds, policies, policies)")
+        raise InputError(
+            f"payoffs have shape {folds.shape}; it must be (folds, policies, policies)"
+        )
     if folds.shape[0] < 2 or folds.shape[1] < 3:
-        raise InputError(f"payoffs of {folds.shape[0]} folds and {folds.shape[1]} policies; there must be 2 and 3")
+        raise InputError(
+            f"payoffs of {folds.shape[0]} folds and {folds.shape[1]} policies; there must be 2"
+            " and 3"
+        )
     if not np.isfinite(folds).all() or np.abs(folds).max() > 0.5:
         raise InputError("a payoff is not a number from -0.5 to 0.5: races won minus one half")
     if np.abs(folds + folds.transpose(0, 2, 1)).max() > 1e-9:
@@ -162,7 +177,9 @@ def _cyclic(matrix: Floats) -> Floats:
 
 
 def cross_fitted(folds: Floats) -> tuple[float, float, Floats]:
-    """Return the headroom of payoffs of shape (F, N, N), its lower bound, and the value of knowing each opponent."""
+    """Return the headroom of payoffs of shape (F, N, N), its lower bound, and the value of knowing
+    each opponent.
+    """
     total = folds.sum(axis=0)
     opponents = np.arange(folds.shape[1])
     gains, lows = [], []
@@ -193,7 +210,9 @@ def _noise_edge(folds: Floats, rng: np.random.Generator) -> float:
 
 
 def _turned(points: Floats) -> Floats:
-    """Rotate a plane so that the farthest policy lies on the first axis, since its orientation is arbitrary."""
+    """Rotate a plane so that the farthest policy lies on the first axis, since its orientation is
+    arbitrary.
+    """
     far = points[np.square(points).sum(axis=1).argmax()]
     length = float(np.hypot(*far))
     # A plane without strength has no direction to turn to.

@@ -22,7 +22,9 @@ def non_dominated(points: ArrayLike, *, duplicates: bool = True) -> NDArray[np.b
     points = _points(points)
     if len(points) == 0:
         return np.zeros(0, np.bool_)
-    return np.asarray(_moocore().is_nondominated(points, maximise=True, keep_weakly=duplicates), np.bool_)
+    return np.asarray(
+        _moocore().is_nondominated(points, maximise=True, keep_weakly=duplicates), np.bool_
+    )
 
 
 def hypervolume(points: ArrayLike, reference: ArrayLike) -> float:
@@ -50,7 +52,10 @@ def contributions(points: ArrayLike, reference: ArrayLike) -> Floats:
     reference = _reference(reference, points.shape[1])
     if len(points) == 0:
         return np.zeros(0)
-    return np.maximum(np.asarray(_moocore().hv_contributions(points, ref=reference, maximise=True), np.float64), 0.0)
+    return np.maximum(
+        np.asarray(_moocore().hv_contributions(points, ref=reference, maximise=True), np.float64),
+        0.0,
+    )
 
 
 def total_hypervolume(points: ArrayLike, front: ArrayLike, reference: ArrayLike) -> Floats:
@@ -124,7 +129,9 @@ def search_corners(front: ArrayLike, reference: ArrayLike) -> Floats:
     # With two axes the corners are the inner corners of a staircase.
     if len(reference) == 2:
         front = front[np.argsort(-front[:, 0])]
-        return np.column_stack([np.append(front[:, 0], reference[0]), np.insert(front[:, 1], 0, reference[1])])
+        return np.column_stack(
+            [np.append(front[:, 0], reference[0]), np.insert(front[:, 1], 0, reference[1])]
+        )
     corners = reference[None]
     for point in front:
         # The point dominates the lower part of these boxes. The rest of each box is a union of
@@ -145,10 +152,14 @@ def _points(points: ArrayLike) -> Floats:
     except (TypeError, ValueError):
         raise InputError("points hold something that is no number") from None
     if table.ndim != 2 or table.shape[1] == 0:
-        raise InputError(f"points have shape {table.shape}; they must have (number of points, number of axes)")
+        raise InputError(
+            f"points have shape {table.shape}; they must have (number of points, number of axes)"
+        )
     if not np.isfinite(table).all():
         row, axis = np.argwhere(~np.isfinite(table))[0]
-        raise InputError(f"points hold {table[row, axis]} in row {row}, axis {axis}; they must be finite")
+        raise InputError(
+            f"points hold {table[row, axis]} in row {row}, axis {axis}; they must be finite"
+        )
     return table
 
 
@@ -164,12 +175,17 @@ def _front(front: ArrayLike, axes: int) -> Floats:
 def _reference(reference: ArrayLike, axes: int) -> Floats:
     point = np.asarray(reference, np.float64)
     if point.shape not in ((), (axes,)) or not np.isfinite(point).all():
-        raise InputError(f"the reference point is {point.tolist()}; it must be one finite number or {axes} of them")
+        raise InputError(
+            f"the reference point is {point.tolist()}; it must be one finite number or {axes} of"
+            " them"
+        )
     return np.array(np.broadcast_to(point, (axes,)))
 
 
 def _hypervolume(points: Floats, reference: Floats) -> float:
-    return float(_moocore().hypervolume(points, ref=reference, maximise=True)) if len(points) else 0.0
+    return (
+        float(_moocore().hypervolume(points, ref=reference, maximise=True)) if len(points) else 0.0
+    )
 
 
 def _moocore():

@@ -28,7 +28,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, require
-from pcs_racing_agents.policies.indicators import contributions, hypervolume, total_hypervolume, uncrowded_improvement
+from pcs_racing_agents.policies.indicators import (
+    contributions,
+    hypervolume,
+    total_hypervolume,
+    uncrowded_improvement,
+)
 from pcs_racing_agents.policies.pareto_archive import ParetoArchive, Scale
 
 Floats = NDArray[np.float64]
@@ -69,7 +74,13 @@ class CubeCMAES:
     """
 
     def __init__(
-        self, mean: Floats, step_size: float, largest: float, population: int, elite: int, rng: np.random.Generator
+        self,
+        mean: Floats,
+        step_size: float,
+        largest: float,
+        population: int,
+        elite: int,
+        rng: np.random.Generator,
     ) -> None:
         if len(mean) < 2:
             raise InputError("CMA-ES needs at least 2 parameters; there is 1")
@@ -79,7 +90,9 @@ class CubeCMAES:
         self._largest = largest
         self._samples: list[Floats] = []
         self._es = cma.CMAEvolutionStrategy(
-            mean, step_size, {**cma_options(rng), "popsize": population, "CMA_mu": elite, "maxstd": 1.0 / 3.0}
+            mean,
+            step_size,
+            {**cma_options(rng), "popsize": population, "CMA_mu": elite, "maxstd": 1.0 / 3.0},
         )
 
     @property
@@ -149,17 +162,23 @@ class MOCMAES:
             return latin_hypercube(self._spec.population, self._spec.dimension, self._rng)
         return self._es.ask()
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
+    def tell(
+        self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive
+    ) -> ParetoArchive:
         """Learn from the results of ``ask``, and return the archive with the best points added."""
         if self._es is None:
             grown = archive.joined(points, objectives, violation)
             self._es = self._started(middle_of_the_best(grown), 0.5 * self._spec.step_size)
             return grown
         # Line 8: the hypervolume loss against the archive.
-        scale = archive.joined(points, objectives, violation).scale(self._spec.ideal, self._spec.nadir)
-        loss = hypervolume_loss(self._spec.loss, archive, objectives, violation, scale, self._spec.reference)
-        # Line 9: sort. Infeasible points come last, sorted by violation.
-        # The last key counts first. All feasible points violate by 0, so among them the loss decides.
+        scale = archive.joined(points, objectives, violation).scale(
+            self._spec.ideal, self._spec.nadir
+        )
+        loss = hypervolume_loss(
+            self._spec.loss, archive, objectives, violation, scale, self._spec.reference
+        )
+        # Line 9: sort. Infeasible points come last, sorted by violation. The last key counts first.
+        # All feasible points violate by 0, so among them the loss decides.
         order = np.lexsort((loss, np.maximum(violation, 0.0)))
         # Line 10: the best lambda join the archive.
         elite = np.zeros(len(points), np.bool_)
@@ -240,7 +259,11 @@ def hypervolume_loss(
     loss = np.full(len(objectives), np.inf)
     feasible = violation <= 0.0
     if feasible.any():
-        front = scale(archive.objectives[archive.front]) if len(archive.front) else np.zeros((0, objectives.shape[1]))
+        front = (
+            scale(archive.objectives[archive.front])
+            if len(archive.front)
+            else np.zeros((0, objectives.shape[1]))
+        )
         measure = uncrowded_improvement if kind == "uhvi" else total_hypervolume
         loss[feasible] = -measure(scale(objectives[feasible]), front, reference)
     return loss

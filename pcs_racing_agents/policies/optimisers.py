@@ -37,7 +37,9 @@ class Optimiser(Protocol):
     def ask(self) -> Floats:
         """Return a generation of points, shape (n, P); the caller clips them to the unit cube."""
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
+    def tell(
+        self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive
+    ) -> ParetoArchive:
         """Learn from the results of ``ask``, and return the archive with the points added."""
 
 
@@ -55,7 +57,9 @@ class Random:
         """Return points drawn uniformly."""
         return self._rng.random(self._shape)
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
+    def tell(
+        self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive
+    ) -> ParetoArchive:
         """Return the archive with the points added; nothing is learned."""
         return archive.joined(points, objectives, violation)
 
@@ -78,7 +82,9 @@ class NSGA2:
         from pymoo.core.termination import NoTermination
 
         self._algorithm = Algorithm(pop_size=self._spec.population)
-        problem = Problem(n_var=self._spec.dimension, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0)
+        problem = Problem(
+            n_var=self._spec.dimension, n_obj=objectives, n_ieq_constr=1, xl=0.0, xu=1.0
+        )
         seed = int(self._spec.seed.generate_state(1)[0])
         self._algorithm.setup(problem, termination=NoTermination(), seed=seed, verbose=False)
 
@@ -89,7 +95,9 @@ class NSGA2:
         self._asked = self._algorithm.ask()
         return np.asarray(self._asked.get("X"), np.float64)
 
-    def tell(self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive) -> ParetoArchive:
+    def tell(
+        self, points: Floats, objectives: Floats, violation: Floats, archive: ParetoArchive
+    ) -> ParetoArchive:
         """Let the generation compete with its parents."""
         from pymoo.core.evaluator import Evaluator
         from pymoo.problems.static import StaticProblem
@@ -109,7 +117,9 @@ _METHODS: dict[str, Callable[[OptimiserOptions], Optimiser]] = {
 METHODS = tuple(_METHODS)
 
 
-def make_optimiser(method: str | Callable[[OptimiserOptions], Optimiser], spec: OptimiserOptions) -> Optimiser:
+def make_optimiser(
+    method: str | Callable[[OptimiserOptions], Optimiser], spec: OptimiserOptions
+) -> Optimiser:
     """Return an optimiser by name, or the result of a function of the options."""
     if not isinstance(method, str):
         return method(spec)

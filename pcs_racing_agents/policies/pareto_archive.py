@@ -38,7 +38,11 @@ class ParetoArchive:
 
     def __post_init__(self) -> None:
         rows = np.flatnonzero(self.member & (self.violation <= 0.0))
-        kept = non_dominated(self.objectives[rows], duplicates=False) if len(rows) else np.zeros(0, np.bool_)
+        kept = (
+            non_dominated(self.objectives[rows], duplicates=False)
+            if len(rows)
+            else np.zeros(0, np.bool_)
+        )
         object.__setattr__(self, "front", rows[kept])
 
     @classmethod
@@ -50,7 +54,11 @@ class ParetoArchive:
         return len(self.parameters)
 
     def joined(
-        self, parameters: Floats, objectives: Floats, violation: Floats, member: NDArray[np.bool_] | None = None
+        self,
+        parameters: Floats,
+        objectives: Floats,
+        violation: Floats,
+        member: NDArray[np.bool_] | None = None,
     ) -> "ParetoArchive":
         """Return the archive with n points added, all of them as members unless stated."""
         count = len(parameters)
@@ -77,6 +85,12 @@ class ParetoArchive:
         # A division by an extent of 0 is avoided.
         high = np.where(low < high, high, low + 1.0)
         if len(self.front):
-            least, largest = self.objectives[self.front].min(axis=0), self.objectives[self.front].max(axis=0)
-            low, high = np.where(least < largest, least, low), np.where(least < largest, largest, high)
+            least, largest = (
+                self.objectives[self.front].min(axis=0),
+                self.objectives[self.front].max(axis=0),
+            )
+            low, high = (
+                np.where(least < largest, least, low),
+                np.where(least < largest, largest, high),
+            )
         return Scale(high, low)

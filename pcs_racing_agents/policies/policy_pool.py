@@ -44,13 +44,17 @@ class PolicyPool:
 
     def __post_init__(self) -> None:
         if len(self.policies) < 3:
-            raise InputError(f"the pool holds {len(self.policies)} policies; a cycle needs at least 3")
+            raise InputError(
+                f"the pool holds {len(self.policies)} policies; a cycle needs at least 3"
+            )
         if not self.tracks:
             raise InputError("there are no tracks; name at least one")
         check_whole("folds", self.folds, 2, 1000)
         check_whole("races", self.races, 2 * self.folds, 1_000_000)
         if self.races % (2 * self.folds):
-            raise InputError(f"races is {self.races}; it must be a multiple of twice the folds, {2 * self.folds}")
+            raise InputError(
+                f"races is {self.races}; it must be a multiple of twice the folds, {2 * self.folds}"
+            )
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
@@ -114,7 +118,9 @@ def slot_payoffs(pool: PolicyPool, *, name: str = "pairs", **run: Unpack[Run]) -
     return payoffs
 
 
-def _race_block(task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
+def _race_block(
+    task: tuple[PolicyPool, int, list[tuple[int, int]]], threads: int | None = None
+) -> Arrays:
     """Race some pairs on a track; return payoffs by fold and slot, shape (pairs, F, 2)."""
     pool, number, pairs = task
     track, starts = pool.starts(number)

@@ -64,7 +64,12 @@ class Synthesis:
     def hypervolumes(self) -> Floats:
         """Return the front's hypervolume after each generation, in the final scale, shape (T,)."""
         scale = Scale(self.ideal, self.nadir)
-        return np.array([hypervolume(scale(generation.front), self.reference) for generation in self.generations])
+        return np.array(
+            [
+                hypervolume(scale(generation.front), self.reference)
+                for generation in self.generations
+            ]
+        )
 
 
 class Search:
@@ -88,7 +93,8 @@ class Search:
         A function makes a custom optimiser
         (:class:`pcs_racing_agents.policies.optimisers.Optimiser`) from the options.
     reference : float or array_like, shape (G,)
-        Reference point of the hypervolume in normalised objectives; by default a tenth of the range below the nadir.
+        Reference point of the hypervolume in normalised objectives; by default a tenth of the range
+        below the nadir.
     ideal, nadir : array_like, shape (G,), optional
         Values that normalise to 1 and 0. By default the range of the current front in each
         generation.
@@ -186,7 +192,9 @@ class Search:
         self._generations.append(generation)
         return generation
 
-    def add(self, parameters: ArrayLike, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
+    def add(
+        self, parameters: ArrayLike, objectives: ArrayLike, violation: ArrayLike | None = None
+    ) -> Generation:
         """Add points evaluated elsewhere to the archive, at any time between ``tell`` and ``ask``.
 
         Optimisers see these points as part of the archive and do not recombine them. Return the
@@ -225,7 +233,9 @@ class Search:
             reference=np.array(np.broadcast_to(self._reference, scale.ideal.shape)),
         )
 
-    def _generation(self, number: int, points: Floats, objectives: Floats, violation: Floats) -> Generation:
+    def _generation(
+        self, number: int, points: Floats, objectives: Floats, violation: Floats
+    ) -> Generation:
         """Return the current archive with the points evaluated last."""
         front = self._explored.objectives[self._explored.front]
         scale = self._explored.scale(*self._scale_from)
@@ -259,20 +269,36 @@ class Search:
 
     def _check_results_in(self) -> None:
         if len(self._asked):
-            raise InputError("the points asked for last were not told yet; tell their results first")
+            raise InputError(
+                "the points asked for last were not told yet; tell their results first"
+            )
 
-    def _checked(self, objectives: ArrayLike, violation: ArrayLike | None, asked: Floats) -> tuple[Floats, Floats]:
+    def _checked(
+        self, objectives: ArrayLike, violation: ArrayLike | None, asked: Floats
+    ) -> tuple[Floats, Floats]:
         try:
             values = np.array(objectives, np.float64)
-            violations = np.zeros(len(asked)) if violation is None else np.array(violation, np.float64)
+            violations = (
+                np.zeros(len(asked)) if violation is None else np.array(violation, np.float64)
+            )
         except (TypeError, ValueError):
             raise InputError("objectives or violations hold something that is no number") from None
         axes = self._explored.objectives.shape[1] or None
-        if values.ndim != 2 or len(values) != len(asked) or values.shape[1] < 2 or axes not in (None, values.shape[1]):
+        if (
+            values.ndim != 2
+            or len(values) != len(asked)
+            or values.shape[1] < 2
+            or axes not in (None, values.shape[1])
+        ):
             wanted = f"({len(asked)}, {axes or '2 or more'})"
-            raise InputError(f"objectives have shape {values.shape}; for {len(asked)} points they must have {wanted}")
+            raise InputError(
+                f"objectives have shape {values.shape}; for {len(asked)} points they must have"
+                f" {wanted}"
+            )
         if violations.shape != (len(asked),):
-            raise InputError(f"violations have shape {violations.shape}; they must have ({len(asked)},)")
+            raise InputError(
+                f"violations have shape {violations.shape}; they must have ({len(asked)},)"
+            )
         for name, table in (("objective", values), ("violation", violations[:, None])):
             if not np.isfinite(table).all():
                 row, axis = np.argwhere(~np.isfinite(table))[0]
@@ -286,22 +312,31 @@ class Search:
             ("ideal", self._scale_from[0]),
         ):
             if vector is not None and len(vector) != values.shape[1]:
-                raise InputError(f"{name} has {len(vector)} numbers; there are {values.shape[1]} objectives")
+                raise InputError(
+                    f"{name} has {len(vector)} numbers; there are {values.shape[1]} objectives"
+                )
         return values, violations
 
 
 def _checked_bounds(bounds: ArrayLike) -> tuple[Floats, Floats]:
     table = check_array("bounds", bounds, (None, 2))
     if len(table) == 0:
-        raise InputError(f"bounds have shape {table.shape}; they must have (number of parameters, 2)")
+        raise InputError(
+            f"bounds have shape {table.shape}; they must have (number of parameters, 2)"
+        )
     low, high = table.T.copy()
     if not np.all(low < high):
         row = int(np.argmin(low < high))
-        raise InputError(f"bounds of parameter {row} are {low[row]:g} and {high[row]:g}; the second must be larger")
+        raise InputError(
+            f"bounds of parameter {row} are {low[row]:g} and {high[row]:g}; the second must be"
+            " larger"
+        )
     return low, high
 
 
-def _checked_scale(ideal: ArrayLike | None, nadir: ArrayLike | None) -> tuple[Floats | None, Floats | None]:
+def _checked_scale(
+    ideal: ArrayLike | None, nadir: ArrayLike | None
+) -> tuple[Floats | None, Floats | None]:
     if ideal is None and nadir is None:
         return None, None
     if ideal is None or nadir is None:
@@ -309,5 +344,8 @@ def _checked_scale(ideal: ArrayLike | None, nadir: ArrayLike | None) -> tuple[Fl
     best = check_array("ideal", ideal, (None,))
     worst = check_array("nadir", nadir, (len(best),))
     if not np.all(worst < best):
-        raise InputError(f"ideal is {best.tolist()} and nadir {worst.tolist()}; the ideal must be larger on all axes")
+        raise InputError(
+            f"ideal is {best.tolist()} and nadir {worst.tolist()}; the ideal must be larger on all"
+            " axes"
+        )
     return best, worst

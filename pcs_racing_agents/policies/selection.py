@@ -44,7 +44,9 @@ def front_layers(points: Floats) -> Indices:
     in one.
     """
     points = np.asarray(points, np.float64)
-    better = np.all(points[:, None] >= points[None], axis=-1) & np.any(points[:, None] > points[None], axis=-1)
+    better = np.all(points[:, None] >= points[None], axis=-1) & np.any(
+        points[:, None] > points[None], axis=-1
+    )
     layer = np.full(len(points), -1, np.int64)
     depth = 0
     while (layer < 0).any():
@@ -64,7 +66,9 @@ def difference_errors(raced: Arrays) -> Floats:
     races = totals.shape[1]
     coordinates = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
     # Contribution of each race to the error of a ratio of sums, linearised.
-    shares = (totals - coordinates[:, None] * segments[..., None]) / segments.sum(axis=1)[:, None, None]
+    shares = (totals - coordinates[:, None] * segments[..., None]) / segments.sum(axis=1)[
+        :, None, None
+    ]
     # No BLAS: its order of a sum depends on its threads and on the processor.
     products = np.einsum("irg,jrg->ijg", shares, shares)
     own = np.einsum("iig->ig", products)
@@ -121,24 +125,34 @@ def choose_for_headroom(races: PolicyRaces, allowed: Indices, seed: int) -> tupl
     theta, explored = races.explored()
     first = explored.coordinates[allowed, 0]
     intervals = config.groups * INTERVALS_PER_GROUP
-    rows = allowed[best_of_each_interval(first, explored.won[allowed], config.candidates, intervals)]
+    rows = allowed[
+        best_of_each_interval(first, explored.won[allowed], config.candidates, intervals)
+    ]
     if len(rows) < config.max_policies:
         raise InputError(
-            f"{len(rows)} candidates differ in {config.axes[0]}; a pool of {config.max_policies} needs more: search "
-            "longer, raise crash_limit or lower max_policies"
+            f"{len(rows)} candidates differ in {config.axes[0]}; a pool of {config.max_policies}"
+            " needs more: search longer, raise crash_limit or lower max_policies"
         )
-    payoffs = races.payoffs("choice", _pool(config, theta[rows], config.tracks, config.payoff_races, seed))
+    payoffs = races.payoffs(
+        "choice", _pool(config, theta[rows], config.tracks, config.payoff_races, seed)
+    )
     expected = np.array([denoised(folds) for folds in payoffs])
     groups = np.array_split(np.arange(len(rows)), config.groups)
     pool = choose_pool(expected, groups, config.max_policies, seed=seed)
     last = races.history[-1]
     races.note(
-        "choice", last.generation, last.hypervolume, len(pool), Evaluation(*(values[rows[pool]] for values in explored))
+        "choice",
+        last.generation,
+        last.hypervolume,
+        len(pool),
+        Evaluation(*(values[rows[pool]] for values in explored)),
     )
     return theta[rows[pool]], {
         "choice_candidates": len(rows),
         "choice_headroom": pool_headroom(expected, pool[None]).mean(),
-        "choice_headroom_of_all_candidates": pool_headroom(expected, np.arange(len(rows))[None]).mean(),
+        "choice_headroom_of_all_candidates": (
+            pool_headroom(expected, np.arange(len(rows))[None]).mean()
+        ),
     }
 
 
@@ -149,13 +163,22 @@ def judge_headroom(races: PolicyRaces, parameters: Floats, seed: int) -> Notes:
     """
     config = races.config
     tracks = (*config.tracks, *(config.judging_tracks or ()))
-    payoffs = races.payoffs("judgement", _pool(config, parameters, tracks, config.judging_races, seed))
+    payoffs = races.payoffs(
+        "judgement", _pool(config, parameters, tracks, config.judging_races, seed)
+    )
     estimates = [headroom(folds) for folds in payoffs]
     notes: dict[str, str | float] = {}
-    for name, part in (("", slice(len(config.tracks))), ("_elsewhere", slice(len(config.tracks), None))):
+    for name, part in (
+        ("", slice(len(config.tracks))),
+        ("_elsewhere", slice(len(config.tracks), None)),
+    ):
         if estimates[part]:
-            notes[f"headroom{name}"] = float(np.mean([estimate.value for estimate in estimates[part]]))
-            notes[f"headroom_low{name}"] = float(np.mean([estimate.low for estimate in estimates[part]]))
+            notes[f"headroom{name}"] = float(
+                np.mean([estimate.value for estimate in estimates[part]])
+            )
+            notes[f"headroom_low{name}"] = float(
+                np.mean([estimate.low for estimate in estimates[part]])
+            )
             shares = [share for share in map(transitive_share, payoffs[part]) if np.isfinite(share)]
             notes[f"transitive_share{name}"] = float(np.mean(shares)) if shares else "unknown"
     for track, estimate in zip(tracks, estimates, strict=True):
@@ -184,7 +207,9 @@ def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: in
     return np.asarray(chosen[np.argsort(axis[chosen], kind="stable")], np.int64)
 
 
-def _pool(config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int) -> PolicyPool:
+def _pool(
+    config: ArchiveConfig, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int
+) -> PolicyPool:
     """Return the races of all pairs of some policies.
 
     The number of folds is an even divisor of the number of start lines, up to 16.

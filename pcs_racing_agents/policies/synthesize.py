@@ -43,9 +43,10 @@ def synthesize(
     Parameters
     ----------
     evaluate : callable
-        ``evaluate(parameters)`` takes points, shape (n, P), and returns their objectives, shape (n, G), all to be
-        **maximised**; or ``(objectives, violation)`` with a violation for each, up to 0 where the point is feasible
-        (:meth:`Search.tell`). A row's result must not depend on the other rows.
+        ``evaluate(parameters)`` takes points, shape (n, P), and returns their objectives, shape (n,
+        G), all to be **maximised**; or ``(objectives, violation)`` with a violation for each, up to
+        0 where the point is feasible (:meth:`Search.tell`). A row's result must not depend on the
+        other rows.
     bounds : array_like, shape (P, 2)
         Minimum and maximum value of each parameter.
     generations : int
@@ -72,7 +73,9 @@ def synthesize(
     most = np.inf if evaluations is None else check_whole("evaluations", evaluations, 1)
     most_results = generations + (initial is not None)
     if len(evaluated) > most_results:
-        raise InputError(f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}")
+        raise InputError(
+            f"evaluated holds {len(evaluated)} results; this search needs at most {most_results}"
+        )
     # Made before any evaluation, so that invalid options are reported at once.
     search = Search(bounds, **options)
     stored = iter(evaluated)
@@ -87,10 +90,13 @@ def synthesize(
             return _evaluate(evaluate, points, executor)
         result = _evaluated(stored_value)
         # Results of other points would mislead the search silently.
-        if result.parameters is not None and not np.array_equal(np.asarray(result.parameters), points):
+        if result.parameters is not None and not np.array_equal(
+            np.asarray(result.parameters), points
+        ):
             raise InputError(
-                f"stored results belong to other points than those after {spent - len(points)} evaluations: they were "
-                "made with other arguments, another seed or other versions of the libraries"
+                f"stored results belong to other points than those after {spent - len(points)}"
+                " evaluations: they were made with other arguments, another seed or other versions"
+                " of the libraries"
             )
         return result
 
@@ -104,7 +110,9 @@ def synthesize(
         # The range of the sample normalises all later objectives.
         if options.get("ideal") is None:
             values = check_array("objectives", result.objectives, (len(sample), None))
-            search = Search(bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)})
+            search = Search(
+                bounds, **{**options, "ideal": values.max(axis=0), "nadir": values.min(axis=0)}
+            )
         tell(search.add(sample, result.objectives, result.violation))
     for _ in range(generations):
         if spent + search.population > most:
@@ -114,7 +122,9 @@ def synthesize(
     return search.result()
 
 
-def _evaluate(evaluate: Callable[..., Any], points: NDArray[np.float64], executor: Executor | None) -> Evaluated:
+def _evaluate(
+    evaluate: Callable[..., Any], points: NDArray[np.float64], executor: Executor | None
+) -> Evaluated:
     if executor is None:
         return _evaluated(evaluate(points))
     parts = np.array_split(points, min(BLOCKS, len(points)))
@@ -124,10 +134,16 @@ def _evaluate(evaluate: Callable[..., Any], points: NDArray[np.float64], executo
         values = np.concatenate([np.asarray(block.objectives, np.float64) for block in blocks])
         if not any(stated):
             return Evaluated(values)
-        return Evaluated(values, np.concatenate([np.asarray(block.violation, np.float64) for block in blocks]))
+        return Evaluated(
+            values, np.concatenate([np.asarray(block.violation, np.float64) for block in blocks])
+        )
     except (TypeError, ValueError):
-        raise InputError("evaluate returned results of different shapes for different points") from None
+        raise InputError(
+            "evaluate returned results of different shapes for different points"
+        ) from None
 
 
 def _evaluated(value: Any) -> Evaluated:
-    return Evaluated(*value) if isinstance(value, tuple) and 1 <= len(value) <= 3 else Evaluated(value)
+    return (
+        Evaluated(*value) if isinstance(value, tuple) and 1 <= len(value) <= 3 else Evaluated(value)
+    )

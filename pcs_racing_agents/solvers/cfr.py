@@ -1,4 +1,6 @@
-"""Counterfactual regret minimisation on a dense tree: vanilla, alternating, CFR+, linear and discounted."""
+"""Counterfactual regret minimisation on a dense tree: vanilla, alternating, CFR+, linear and
+discounted.
+"""
 
 import math
 from dataclasses import dataclass
@@ -9,7 +11,14 @@ import numpy as np
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing_agents.solvers.cfr_kernels import Layout, State, initial_state, iterate, node_order, tree_layout
+from pcs_racing_agents.solvers.cfr_kernels import (
+    Layout,
+    State,
+    initial_state,
+    iterate,
+    node_order,
+    tree_layout,
+)
 from pcs_racing_agents.solvers.evaluation import Profile
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
@@ -76,7 +85,10 @@ class CFRResult:
 
 
 def cfr(
-    tree: GameTree, iterations: int, variant: str | Variant = "alternating+", resume: CFRResult | None = None
+    tree: GameTree,
+    iterations: int,
+    variant: str | Variant = "alternating+",
+    resume: CFRResult | None = None,
 ) -> CFRResult:
     """Run counterfactual regret minimisation.
 
@@ -107,36 +119,53 @@ def cfr(
     with first_call(iterate, "counterfactual regret minimisation", 5):
         for begin in range(done + 1, last, CHUNK):
             end = min(begin + CHUNK, last)
-            iterate(layout, state, begin, end, rules.alternating, rules.alpha, rules.beta, rules.gamma)
+            iterate(
+                layout, state, begin, end, rules.alternating, rules.alpha, rules.beta, rules.gamma
+            )
     return _result(tree, layout, state, done + int(iterations), rules)
 
 
 def _variant(variant: str | Variant) -> Variant:
     if isinstance(variant, str):
         if variant not in VARIANTS:
-            raise UnknownNameError(f"CFR variant {variant!r} is unknown; choose from {', '.join(VARIANTS)}")
+            raise UnknownNameError(
+                f"CFR variant {variant!r} is unknown; choose from {', '.join(VARIANTS)}"
+            )
         return VARIANTS[variant]
     if math.isnan(variant.alpha) or math.isnan(variant.beta) or not 0.0 <= variant.gamma < math.inf:
-        raise InputError(f"{variant} is impossible: alpha and beta must be numbers, gamma finite and at least 0")
-    return Variant(bool(variant.alternating), float(variant.alpha), float(variant.beta), float(variant.gamma))
+        raise InputError(
+            f"{variant} is impossible: alpha and beta must be numbers, gamma finite and at least 0"
+        )
+    return Variant(
+        bool(variant.alternating), float(variant.alpha), float(variant.beta), float(variant.gamma)
+    )
 
 
 def _check_resumed(tree: GameTree, resume: CFRResult, variant: Variant) -> None:
     if resume.variant != variant:
         raise InputError(f"the run to resume is of {resume.variant}, not of {variant}")
-    wanted = [tuple((tree.rows(k, player), tree.moves[k][player]) for player in (0, 1)) for k in range(tree.depth)]
+    wanted = [
+        tuple((tree.rows(k, player), tree.moves[k][player]) for player in (0, 1))
+        for k in range(tree.depth)
+    ]
     shapes = [(first.shape, second.shape) for first, second in resume.regrets]
     if shapes != wanted:
-        raise InputError(f"the run to resume is of a tree with other infosets: its regrets have shapes {shapes}")
+        raise InputError(
+            f"the run to resume is of a tree with other infosets: its regrets have shapes {shapes}"
+        )
 
 
-def _result(tree: GameTree, layout: Layout, state: State, iterations: int, variant: Variant) -> CFRResult:
+def _result(
+    tree: GameTree, layout: Layout, state: State, iterations: int, variant: Variant
+) -> CFRResult:
     regrets = _copy_out(tree, layout, state.regrets, layout.regret_at, True)
     sums = _copy_out(tree, layout, state.sums, layout.regret_at, True)
     reach = _copy_out(tree, layout, state.opponent_reach, layout.row_at, False)
     return CFRResult(
         average=[(_shares(first), _shares(second)) for first, second in sums],
-        current=[(_shares(np.maximum(r0, 0.0)), _shares(np.maximum(r1, 0.0))) for r0, r1 in regrets],
+        current=[
+            (_shares(np.maximum(r0, 0.0)), _shares(np.maximum(r1, 0.0))) for r0, r1 in regrets
+        ],
         regrets=regrets,
         opponent_reach=reach,
         strategy_sums=sums,
@@ -152,14 +181,18 @@ def _shares(weights: Floats) -> Floats:
     return np.divide(weights, total, out=even, where=total > 0.0)
 
 
-def _order(tree: GameTree, layout: Layout, level: int, player: int) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
+def _order(
+    tree: GameTree, layout: Layout, level: int, player: int
+) -> "np.ndarray[tuple[int], np.dtype[np.int64]]":
     """Return the row of the tree for each row of the kernels' arrays."""
     if layout.single[player, level]:
         return node_order(tree, level)
     return np.arange(tree.rows(level, player))
 
 
-def _copy_out(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: bool) -> list[tuple[Floats, Floats]]:
+def _copy_out(
+    tree: GameTree, layout: Layout, flat: Floats, at: object, moves: bool
+) -> list[tuple[Floats, Floats]]:
     """Return an array of the kernels by level and player, with rows in the tree's order."""
     result = []
     for k in range(tree.depth):
@@ -168,14 +201,19 @@ def _copy_out(tree: GameTree, layout: Layout, flat: Floats, at: object, moves: b
             rows, count = tree.rows(k, player), tree.moves[k][player] if moves else 1
             begin = int(at[player, k])  # type: ignore[index]
             array = np.empty((rows, count))
-            # The kernels hold the numbers of one move together, and number nodes in another order than the tree.
-            array[_order(tree, layout, k, player)] = flat[begin : begin + rows * count].reshape(count, rows).T
+            # The kernels hold the numbers of one move together, and number nodes in another order
+            # than the tree.
+            array[_order(tree, layout, k, player)] = (
+                flat[begin : begin + rows * count].reshape(count, rows).T
+            )
             pair.append(array if moves else array[:, 0])
         result.append((pair[0], pair[1]))
     return result
 
 
-def _copy_in(tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]) -> None:
+def _copy_in(
+    tree: GameTree, layout: Layout, flat: Floats, at: object, pairs: list[tuple[Floats, Floats]]
+) -> None:
     """Write arrays by level and player into a kernel array: the inverse of :func:`_copy_out`."""
     for k in range(tree.depth):
         for player in (0, 1):

@@ -176,7 +176,8 @@ def _match_regrets(layout, state, player, work, table):
                 r = regrets[a * rows + low : a * rows + low + n]
                 s = target[a * rows + low : a * rows + low + n]
                 for j in range(n):
-                    # Divided without a branch, so that the loop becomes vector instructions; 0 / 0 is replaced below.
+                    # Divided without a branch, so that the loop becomes vector instructions; 0 / 0
+                    # is replaced below.
                     share = max(r[j], 0.0) / total[j]
                     s[j] = share if total[j] > 0.0 else even
         if not single:
@@ -302,6 +303,8 @@ def _discount(layout, state, player, keep_gains, keep_losses):
     # Regrets per visit are divided by this sum, so both are discounted alike.
     if keep_gains != 1.0:
         rows = layout.rows[player, last]
-        reached = state.opponent_reach[layout.row_at[player, 0] : layout.row_at[player, last] + rows]
+        reached = state.opponent_reach[
+            layout.row_at[player, 0] : layout.row_at[player, last] + rows
+        ]
         for j in range(reached.size):
             reached[j] *= keep_gains

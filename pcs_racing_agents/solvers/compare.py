@@ -1,4 +1,6 @@
-"""Comparison of solvers on one tree: value, exploitability, agreement with the exact solution, and time."""
+"""Comparison of solvers on one tree: value, exploitability, agreement with the exact solution, and
+time.
+"""
 
 import time
 from collections.abc import Callable, Sequence
@@ -37,11 +39,15 @@ class MethodRow(NamedTuple):
     seconds: float  #: Run time, s.
 
 
-def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS) -> list[MethodRow]:
+def compare_methods(
+    tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS
+) -> list[MethodRow]:
     """Solve a tree with observed past moves by several of :data:`METHODS`."""
     for method in methods:
         if method not in METHODS:
-            raise UnknownNameError(f"method {method!r} is unknown; choose from {', '.join(METHODS)}")
+            raise UnknownNameError(
+                f"method {method!r} is unknown; choose from {', '.join(METHODS)}"
+            )
     _ready()
     exact = solve_exact(tree)
     rows = []
@@ -55,7 +61,9 @@ def compare_methods(tree: GameTree, iterations: int = 100, methods: Sequence[str
     return rows
 
 
-def agreement(tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False) -> float:
+def agreement(
+    tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False
+) -> float:
     """Return the share of decisions where a profile's likeliest move is optimal.
 
     A move is optimal if it is a best response to the exact solution. Decisions with equal values of
@@ -89,7 +97,9 @@ def regret_argmax(tree: GameTree, iterations: int) -> Profile:
     def pure(regrets: Floats) -> Floats:
         return np.eye(regrets.shape[1])[regrets.argmax(axis=1)]
 
-    return [(pure(first), pure(second)) for first, second in cfr(tree, iterations, "vanilla").regrets]
+    return [
+        (pure(first), pure(second)) for first, second in cfr(tree, iterations, "vanilla").regrets
+    ]
 
 
 def _solver(method: str, iterations: int) -> Callable[[GameTree], Profile]:

@@ -48,10 +48,14 @@ def efg_text(
     """
     tree = tree.averaged
     if tree.payoffs.size > MOST_LEAVES:
-        raise InputError(f"the tree has {tree.payoffs.size} leaves; as text, {MOST_LEAVES} are the most")
+        raise InputError(
+            f"the tree has {tree.payoffs.size} leaves; as text, {MOST_LEAVES} are the most"
+        )
     names = move_names if move_names is not None else [(range(a), range(b)) for a, b in tree.moves]
     if [(len(first), len(second)) for first, second in names] != list(tree.moves):
-        raise InputError(f"the names of the moves do not fit the tree, whose moves are {list(tree.moves)}")
+        raise InputError(
+            f"the names of the moves do not fit the tree, whose moves are {list(tree.moves)}"
+        )
     quoted = [[_quoted(str(name)) for name in player] for pair in names for player in pair]
     if any(len(set(player)) < len(player) for player in quoted):
         raise InputError("two moves of a player bear the same name")
@@ -68,7 +72,9 @@ def infoset_name(level: int, row: int) -> str:
 def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
     """Yield all nodes, each before its children."""
     m = tree.depth
-    counted = [[tree.rows(k, player) * (tree.moves[k][player] > 1) for player in (0, 1)] for k in range(m)]
+    counted = [
+        [tree.rows(k, player) * (tree.moves[k][player] > 1) for player in (0, 1)] for k in range(m)
+    ]
     # OpenSpiel requires numbers of infosets without gaps.
     numbers = np.cumsum([[0, 0], *counted], axis=0)
     rows = [(first.tolist(), second.tolist()) for first, second in tree.infosets]
@@ -111,7 +117,10 @@ def _shares(tree: GameTree) -> list[str]:
     if (tree.chance == tree.chance[0]).all():
         return [f"1/{tree.roots}"] * tree.roots
     context = Context(prec=17, rounding=ROUND_HALF_EVEN)
-    shares = [context.create_decimal_from_float(p).quantize(Decimal("1e-17")) for p in tree.chance.tolist()]
+    shares = [
+        context.create_decimal_from_float(p).quantize(Decimal("1e-17"))
+        for p in tree.chance.tolist()
+    ]
     # The remainder of rounding goes to the max share, with the min relative change.
     shares[int(tree.chance.argmax())] += 1 - sum(shares)
     return [f"{share:f}" for share in shares]

@@ -54,7 +54,9 @@ def uniform_profile(tree: GameTree) -> Profile:
 def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | Profile) -> Profile:
     """Return a profile as float64, with rows that sum up to 1."""
     if len(profile) != tree.depth or any(len(pair) != 2 for pair in profile):
-        raise InputError(f"a profile of this tree has {tree.depth} pairs of strategies, one for each level")
+        raise InputError(
+            f"a profile of this tree has {tree.depth} pairs of strategies, one for each level"
+        )
     checked = []
     for k, pair in enumerate(profile):
         both = []
@@ -62,13 +64,18 @@ def check_profile(tree: GameTree, profile: list[tuple[ArrayLike, ArrayLike]] | P
             strategy = np.asarray(pair[player], dtype=np.float64)
             wanted = (tree.rows(k, player), tree.moves[k][player])
             if strategy.shape != wanted:
-                raise InputError(f"level {k}, car {player}: a strategy has shape {strategy.shape}; it must be {wanted}")
+                raise InputError(
+                    f"level {k}, car {player}: a strategy has shape {strategy.shape}; it must be"
+                    f" {wanted}"
+                )
             total = strategy.sum(axis=1)
-            wrong = np.flatnonzero(~((strategy >= 0.0).all(axis=1) & (np.abs(total - 1.0) <= SUM_TOLERANCE)))
+            wrong = np.flatnonzero(
+                ~((strategy >= 0.0).all(axis=1) & (np.abs(total - 1.0) <= SUM_TOLERANCE))
+            )
             if len(wrong):
                 raise InputError(
-                    f"level {k}, car {player}, row {int(wrong[0])}: {strategy[wrong[0]].tolist()} is no distribution; "
-                    "probabilities are at least 0 and sum up to 1"
+                    f"level {k}, car {player}, row {int(wrong[0])}: {strategy[wrong[0]].tolist()}"
+                    " is no distribution; probabilities are at least 0 and sum up to 1"
                 )
             both.append(strategy / total[:, None])
         checked.append((both[0], both[1]))
@@ -124,11 +131,18 @@ def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
     """
     tree = tree.averaged
     profile = check_profile(tree, profile)
-    sigma, values, reach = _at_nodes(tree, profile), node_values(tree, profile), reach_probabilities(tree, profile)
+    sigma, values, reach = (
+        _at_nodes(tree, profile),
+        node_values(tree, profile),
+        reach_probabilities(tree, profile),
+    )
     result = []
     for k, (first, second) in enumerate(sigma):
         children = _children(values[k + 1], first, second)
-        both = [np.einsum("nab,nb->na", children, second), -np.einsum("nab,na->nb", children, first)]
+        both = [
+            np.einsum("nab,nb->na", children, second),
+            -np.einsum("nab,na->nb", children, first),
+        ]
         for player in (0, 1):
             both[player] = _over_infosets(tree, k, player, both[player], reach[k][1 - player])
         result.append((both[0], both[1]))
@@ -139,7 +153,9 @@ def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
     """Return advantages: the Q-values of the moves minus their mean under the strategy."""
     return [
         (q0 - (q0 * s0).sum(axis=1, keepdims=True), q1 - (q1 * s1).sum(axis=1, keepdims=True))
-        for (q0, q1), (s0, s1) in zip(q_values(tree, profile), check_profile(tree, profile), strict=True)
+        for (q0, q1), (s0, s1) in zip(
+            q_values(tree, profile), check_profile(tree, profile), strict=True
+        )
     ]
 
 
@@ -188,14 +204,19 @@ def exploitability(tree: GameTree, profile: Profile) -> Exploitability:
 
 def _at_nodes(tree: GameTree, profile: Profile) -> Profile:
     """Return strategies with a row per node."""
-    return [(s0[rows0], s1[rows1]) for (s0, s1), (rows0, rows1) in zip(profile, tree.infosets, strict=True)]
+    return [
+        (s0[rows0], s1[rows1])
+        for (s0, s1), (rows0, rows1) in zip(profile, tree.infosets, strict=True)
+    ]
 
 
 def _children(values: Floats, first: Floats, second: Floats) -> Floats:
     return values.reshape(len(first), first.shape[1], second.shape[1])
 
 
-def _over_infosets(tree: GameTree, level: int, player: int, at_nodes: Floats, other_reach: Floats) -> Floats:
+def _over_infosets(
+    tree: GameTree, level: int, player: int, at_nodes: Floats, other_reach: Floats
+) -> Floats:
     """Return means of node values over each infoset, weighted by chance and the other's reach."""
     rows: Integers = tree.infosets[level][player]
     count = tree.rows(level, player)

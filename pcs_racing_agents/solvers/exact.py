@@ -20,7 +20,8 @@ class ExactResult(NamedTuple):
     value: float  #: Value of the game to car 0.
     #: Equilibrium, also in every subtree (subgame perfect); one of them, if there are several.
     profile: Profile
-    node_values: list[Floats]  #: Value of each joint history of levels 0 to m to car 0, shape (rows,).
+    #: Value of each joint history of levels 0 to m to car 0, shape (rows,).
+    node_values: list[Floats]
     #: Value of each move to its player against the equilibrium, shapes (rows, A_k) and (rows, B_k).
     q: list[tuple[Floats, Floats]]
     #: Values ``q`` minus the node's value: 0 for the moves of the equilibrium, below 0 for
@@ -37,8 +38,8 @@ def solve_exact(tree: GameTree) -> ExactResult:
     game = tree.averaged
     if not game.perfect:
         raise InputError(
-            "this tree can't be solved by backward induction, since its players do not see all past moves; use "
-            "solve_sequence_form or cfr"
+            "this tree can't be solved by backward induction, since its players do not see all past"
+            " moves; use solve_sequence_form or cfr"
         )
     # From the leaves up: the values of a level are the payoffs of the games one level above.
     values = [game.payoffs.reshape(-1)]
@@ -91,7 +92,9 @@ def solve_sequence_form(tree: GameTree) -> SequenceSolution:
     scale = float(np.abs(game.payoffs).max()) or 1.0
     weighted = (game.chance[:, None] * game.payoffs / scale).reshape(-1)
     first, second = _sequences(game, 0), _sequences(game, 1)
-    payoffs = coo_array((weighted, (first.leaves, second.leaves)), shape=(first.size, second.size)).tocsr()
+    payoffs = coo_array(
+        (weighted, (first.leaves, second.leaves)), shape=(first.size, second.size)
+    ).tocsr()
     plans = []
     for own, other, gains in ((first, second, payoffs), (second, first, -payoffs.T)):
         plans.append(_best_plan(own, other, gains))
@@ -171,9 +174,13 @@ def _best_plan(own: _Sequences, other: _Sequences, gains: Any) -> tuple[float, F
     return -float(solved.fun), solved.x[: own.size]
 
 
-def _behaviour(game: GameTree, level: int, player: int, sequences: _Sequences, plan: Floats) -> Floats:
+def _behaviour(
+    game: GameTree, level: int, player: int, sequences: _Sequences, plan: Floats
+) -> Floats:
     """Return the probabilities of the moves at each infoset of a level, from a plan."""
     begin, count = sequences.begin[level], game.moves[level][player]
-    weights = np.maximum(plan[begin : begin + game.rows(level, player) * count].reshape(-1, count), 0.0)
+    weights = np.maximum(
+        plan[begin : begin + game.rows(level, player) * count].reshape(-1, count), 0.0
+    )
     total = weights.sum(axis=1, keepdims=True)
     return np.divide(weights, total, out=np.full_like(weights, 1.0 / count), where=total > 1e-12)

@@ -23,11 +23,13 @@ LARGEST = 1e100  # max payoff: sums and products stay finite
 
 @dataclass(frozen=True, eq=False)
 class GameTree:
-    """A two-player zero-sum game of ``m`` simultaneous moves each; make it with :meth:`from_payoffs`.
+    """A two-player zero-sum game of ``m`` simultaneous moves each; make it with
+    :meth:`from_payoffs`.
 
-    Level ``k`` (0 to m - 1) has ``roots * N_k`` nodes, one for each outcome of chance and each joint history; child
-    ``(a, b)`` of node ``j`` is node ``(j * A_k + a) * B_k + b`` of the next level. A player can not distinguish the
-    nodes of one *information set* (infoset), so its strategy is an array with a row per infoset.
+    Level ``k`` (0 to m - 1) has ``roots * N_k`` nodes, one for each outcome of chance and each
+    joint history; child ``(a, b)`` of node ``j`` is node ``(j * A_k + a) * B_k + b`` of the next
+    level. A player can not distinguish the nodes of one *information set* (infoset), so its
+    strategy is an array with a row per infoset.
     """
 
     #: shape (roots, leaves): Payoff of each leaf to car 0; car 1 gets minus the payoff. Read-only.
@@ -59,30 +61,43 @@ class GameTree:
         weights = np.ones(1) if chance is None else _real(chance, "chance")
         if table.ndim < 3 or table.ndim % 2 == 0 or 0 in table.shape:
             raise InputError(
-                f"payoffs have shape {np.shape(payoffs)}; they need an axis for each move, car 0 and car 1 by turns"
-                f"{'' if chance is None else ', after one for chance'}, and none may be empty"
+                f"payoffs have shape {np.shape(payoffs)}; they need an axis for each move, car 0"
+                f" and car 1 by turns{'' if chance is None else ', after one for chance'}, and none"
+                " may be empty"
             )
         if weights.shape != table.shape[:1]:
-            raise InputError(f"chance has shape {weights.shape}; payoffs of {len(table)} roots need ({len(table)},)")
+            raise InputError(
+                f"chance has shape {weights.shape}; payoffs of {len(table)} roots need"
+                f" ({len(table)},)"
+            )
         wrong = np.argwhere(~(np.abs(table) <= LARGEST))
         if len(wrong):
             place = tuple(int(i) for i in wrong[0][0 if chance is not None else 1 :])
-            raise InputError(f"payoff {place} is {table[tuple(wrong[0])]}; it must lie within +-{LARGEST:g}")
+            raise InputError(
+                f"payoff {place} is {table[tuple(wrong[0])]}; it must lie within +-{LARGEST:g}"
+            )
         if not (weights >= 0.0).all() or abs(weights.sum() - 1.0) > CHANCE_TOLERANCE:
-            raise InputError(f"chance is {weights.tolist()}; probabilities are at least 0 and sum up to 1")
+            raise InputError(
+                f"chance is {weights.tolist()}; probabilities are at least 0 and sum up to 1"
+            )
         roots, moves = len(table), tuple(zip(table.shape[1::2], table.shape[2::2], strict=True))
         histories = [int(np.prod(table.shape[1 : 2 * k + 1])) for k in range(len(moves))]
         # The same joint history is the same infoset for every outcome of chance: no player observes
         # it.
         rows = [np.tile(np.arange(count), roots) for count in histories]
         flat = np.array(table.reshape(roots, -1), order="C")
-        return cls(_fixed(flat), moves, _fixed(weights / weights.sum()), tuple((_fixed(r), _fixed(r)) for r in rows))
+        return cls(
+            _fixed(flat),
+            moves,
+            _fixed(weights / weights.sum()),
+            tuple((_fixed(r), _fixed(r)) for r in rows),
+        )
 
     def with_infosets(self, labels: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
         """Return the tree with other infosets: a player can not distinguish nodes of equal label.
 
-        ``labels``: for each level, the label of every node for car 0 and for car 1, whole numbers of shape (roots *
-        N_k,) or (roots, N_k).
+        ``labels``: for each level, the label of every node for car 0 and for car 1, whole numbers
+        of shape (roots * N_k,) or (roots, N_k).
         """
         self._check_levels(labels, "labels")
         infosets: list[tuple[Integers, Integers]] = []
@@ -90,14 +105,21 @@ class GameTree:
             rows = []
             for player in (0, 1):
                 array = np.asarray(pair[player])
-                if array.dtype.kind not in "iub" or array.size != self.nodes(k) or array.ndim not in (1, 2):
+                if (
+                    array.dtype.kind not in "iub"
+                    or array.size != self.nodes(k)
+                    or array.ndim not in (1, 2)
+                ):
                     raise InputError(
-                        f"labels of level {k}, car {player} have shape {array.shape} and type {array.dtype}; they must "
-                        f"be {self.nodes(k)} whole numbers, one for each node"
+                        f"labels of level {k}, car {player} have shape {array.shape} and type"
+                        f" {array.dtype}; they must be {self.nodes(k)} whole numbers, one for each"
+                        " node"
                     )
                 rows.append(_numbered(array.reshape(-1)))
                 if k:
-                    self._check_recall(k, player, rows[player], self._past(k, player, infosets[k - 1][player]))
+                    self._check_recall(
+                        k, player, rows[player], self._past(k, player, infosets[k - 1][player])
+                    )
             infosets.append((rows[0], rows[1]))
         return replace(self, infosets=tuple(infosets))
 
@@ -115,10 +137,14 @@ class GameTree:
             rows = []
             for player in (0, 1):
                 observed = _real(pair[player], f"observations of level {k}, car {player}")
-                if observed.ndim not in (1, 2) or len(observed) != self.nodes(k) or not np.isfinite(observed).all():
+                if (
+                    observed.ndim not in (1, 2)
+                    or len(observed) != self.nodes(k)
+                    or not np.isfinite(observed).all()
+                ):
                     raise InputError(
-                        f"observations of level {k}, car {player} have shape {observed.shape}; they must be finite "
-                        f"numbers, {self.nodes(k)} rows of them"
+                        f"observations of level {k}, car {player} have shape {observed.shape}; they"
+                        f" must be finite numbers, {self.nodes(k)} rows of them"
                     )
                 key = observed.reshape(len(observed), -1)
                 if k:
@@ -168,7 +194,9 @@ class GameTree:
 
         Both players then observe everything except the other player's simultaneous move.
         """
-        return all(self.rows(k, player) == self.nodes(k) for k in range(self.depth) for player in (0, 1))
+        return all(
+            self.rows(k, player) == self.nodes(k) for k in range(self.depth) for player in (0, 1)
+        )
 
     @cached_property
     def hides_chance(self) -> bool:
@@ -191,13 +219,17 @@ class GameTree:
         if self.roots == 1 or not self.hides_chance:
             return self
         shape = [size for pair in self.moves for size in pair]
-        return GameTree.from_payoffs(np.einsum("r,r...->...", self.chance, self.payoffs).reshape(shape))
+        return GameTree.from_payoffs(
+            np.einsum("r,r...->...", self.chance, self.payoffs).reshape(shape)
+        )
 
     # Checks
 
     def _check_levels(self, pairs: Sequence[tuple[ArrayLike, ArrayLike]], name: str) -> None:
         if len(pairs) != self.depth or any(len(pair) != 2 for pair in pairs):
-            raise InputError(f"{name} must be {self.depth} pairs, one for each level: of car 0 and of car 1")
+            raise InputError(
+                f"{name} must be {self.depth} pairs, one for each level: of car 0 and of car 1"
+            )
 
     def _past(self, level: int, player: int, before: Integers) -> Integers:
         """Return a number per node for the player's infoset and own move one level up."""
@@ -211,8 +243,9 @@ class GameTree:
         mixed = np.flatnonzero(representative[rows] != past)
         if len(mixed):
             raise InputError(
-                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with a node that the "
-                "car reaches otherwise; whoever remembers its own past (perfect recall) tells them apart"
+                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with"
+                " a node that the car reaches otherwise; whoever remembers its own past (perfect"
+                " recall) tells them apart"
             )
 
 

@@ -58,12 +58,16 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     # a type of their own.
     games = np.require(payoffs, np.float64, ["C", "W"])
     if games.ndim not in (2, 3) or 0 in games.shape:
-        raise InputError(f"payoffs have shape {games.shape}; they must have (B, A, C) or (A, C), none of them 0")
+        raise InputError(
+            f"payoffs have shape {games.shape}; they must have (B, A, C) or (A, C), none of them 0"
+        )
     if not np.isfinite(games).all():
         raise InputError("payoffs of a matrix game must be finite")
     games = games.reshape(-1, *games.shape[-2:])
     count, a, c = games.shape
-    solution = MatrixSolution(np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count))
+    solution = MatrixSolution(
+        np.empty(count), np.empty((count, a)), np.empty((count, c)), np.empty(count)
+    )
     with first_call(_solve_games, "the solver of matrix games", 5):
         _solve_games(games, *solution)
     span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))

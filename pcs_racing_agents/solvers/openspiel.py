@@ -54,7 +54,9 @@ def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]
                     strategy[row] = 1.0
                     continue
                 if key not in policy:
-                    raise InputError(f"the policy lacks the information state {key!r} of car {player}, level {k}")
+                    raise InputError(
+                        f"the policy lacks the information state {key!r} of car {player}, level {k}"
+                    )
                 for move, share in policy[key]:
                     strategy[row, move] = share
             pair.append(strategy)

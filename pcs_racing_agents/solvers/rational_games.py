@@ -36,7 +36,11 @@ def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
             break
         # Bland's rule: always the min label, which never cycles.
         enter = min(gaining, key=lambda j: across[j])
-        limits = [(Fraction(rows[i][c], rows[i][enter]), down[i], i) for i in range(a) if rows[i][enter] > 0]
+        limits = [
+            (Fraction(rows[i][c], rows[i][enter]), down[i], i)
+            for i in range(a)
+            if rows[i][enter] > 0
+        ]
         leave = min(limits)[2]
         size = rows[leave][enter]
         for i in range(a + 1):
@@ -44,10 +48,12 @@ def solve_rationally(game: Floats) -> tuple[float, Floats, Floats]:
             if i != leave:
                 if factor:
                     rows[i] = [
-                        (x * size - factor * y) // denominator for x, y in zip(rows[i], rows[leave], strict=True)
+                        (x * size - factor * y) // denominator
+                        for x, y in zip(rows[i], rows[leave], strict=True)
                     ]
                 else:
-                    # The division leaves no remainder: all entries are determinants of the original matrix (Edmonds).
+                    # The division leaves no remainder: all entries are determinants of the original
+                    # matrix (Edmonds).
                     rows[i] = [x * size // denominator for x in rows[i]]
                 rows[i][enter] = -factor
         rows[leave][enter] = denominator

@@ -21,7 +21,13 @@ def scores_picture(table: StudyTable) -> Any:
         axes.axvline(base.score, color="#a5afbb", lw=0.9)
         for arm in row.arms:
             colour = _arm_colour(table, arm.arm)
-            axes.plot([arm.low, arm.high], [heights[arm.arm]] * 2, color=colour, lw=2.0, solid_capstyle="butt")
+            axes.plot(
+                [arm.low, arm.high],
+                [heights[arm.arm]] * 2,
+                color=colour,
+                lw=2.0,
+                solid_capstyle="butt",
+            )
             axes.plot(arm.score, heights[arm.arm], "o", color=colour, ms=5.5)
         if row.paper is not None:
             # The paper has two agents: the base and the game-theoretic agent (our cfr-argmax).
@@ -44,12 +50,18 @@ def differences_picture(table: StudyTable) -> Any:
     for row, axes in panels:
         axes.axvline(0.0, color=INK, lw=0.8)
         for difference in row.differences:
-            _interval(axes, difference, -names.index(difference.arm), _arm_colour(table, difference.arm))
+            _interval(
+                axes, difference, -names.index(difference.arm), _arm_colour(table, difference.arm)
+            )
         if row.paper is not None and "cfr-argmax" in names:
             height = -names.index("cfr-argmax")
-            axes.plot(row.paper.difference, height, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4)
+            axes.plot(
+                row.paper.difference, height, "D", mfc="none", mec=PAPER, ms=5.0, mew=1.3, zorder=4
+            )
     label = f"difference of score from {short(table.base)}, 95 % intervals"
-    label += "; hollow: p (Holm) not below 0.05" + ("; diamonds: the paper's" if _has_paper(table) else "")
+    label += "; hollow: p (Holm) not below 0.05" + (
+        "; diamonds: the paper's" if _has_paper(table) else ""
+    )
     _finish(figure, panels, names, label)
     return figure
 
@@ -77,12 +89,17 @@ def adaptivity_picture(table: StudyTable) -> Any:
             color=colour,
         )
     axes.set_yticks(
-        [-i for i in range(len(rows))], [f"{short(row.track)} against {short(row.opponent)}" for row, _ in rows]
+        [-i for i in range(len(rows))],
+        [f"{short(row.track)} against {short(row.opponent)}" for row, _ in rows],
     )
     axes.set_ylim(-len(rows) + 0.4, 0.6)
-    axes.set_xlabel(f"score of {short(str(table.best))} minus score of {short(str(table.open_loop))}")
+    axes.set_xlabel(
+        f"score of {short(str(table.best))} minus score of {short(str(table.open_loop))}"
+    )
     axes.set_title(
-        "blue: circuits learned on, orange: others; hollow: p (Holm) not below 0.05", fontsize=8.5, color=SOFT
+        "blue: circuits learned on, orange: others; hollow: p (Holm) not below 0.05",
+        fontsize=8.5,
+        color=SOFT,
     )
     tidy(axes, "x")
     return figure
@@ -103,13 +120,16 @@ def _grid(table: StudyTable) -> tuple[Any, list[tuple[TableRow, Any]]]:
         axes = grid[tracks.index(row.track), opponents.index(row.opponent)]
         axes.set_visible(True)
         axes.set_title(
-            f"{short(row.track, 16)}{'' if row.seen else ' (unseen)'}, {short(row.opponent, 16)}", fontsize=8.5
+            f"{short(row.track, 16)}{'' if row.seen else ' (unseen)'}, {short(row.opponent, 16)}",
+            fontsize=8.5,
         )
         panels.append((row, axes))
     return figure, panels
 
 
-def _finish(figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str], label: str) -> None:
+def _finish(
+    figure: Any, panels: list[tuple[TableRow, Any]], names: Sequence[str], label: str
+) -> None:
     for _, axes in panels:
         axes.set_yticks([-i for i in range(len(names))], [short(name) for name in names])
         axes.set_ylim(-len(names) + 0.4, 0.6)

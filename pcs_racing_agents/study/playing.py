@@ -50,9 +50,13 @@ def table_races(study: Study) -> list[StudyRaces]:
                     seed=config.seed + TABLE_SEED + 100 * number + opponents.index(opponent),
                 )
             )
-    with open_job(study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}) as job:
+    with open_job(
+        study.folder / "races" / "job", "races", {"archive": study.archive.content_hash}
+    ) as job:
         progress = study.progress("races of the tables")
-        races = play_pairings(pairings, name="tables", job=job, executor=study.executor, progress=progress)
+        races = play_pairings(
+            pairings, name="tables", job=job, executor=study.executor, progress=progress
+        )
     return [StudyRaces(*own) for own in zip(tables, pairings, races, strict=True)]
 
 
@@ -70,5 +74,7 @@ def race_for_ratings(study: Study) -> None:
         seed=config.seed + RATING_SEED,
     )
     with open_job(study.folder / "ratings", "tournament", tournament_settings(plan)) as job:
-        played = play_plan(plan, job=job, executor=study.executor, progress=study.progress("races for the ratings"))
+        played = play_plan(
+            plan, job=job, executor=study.executor, progress=study.progress("races for the ratings")
+        )
     write_results(played.races, study.folder / "ratings.csv")

@@ -17,8 +17,17 @@ from pcs_racing_agents.base.jobs import open_job, run_groups
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_tasks
 from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
-from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
-from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network, save_network, save_network_set
+from pcs_racing_agents.learning.self_play import (
+    RaceSampler,
+    learn_self_play,
+    load_self_play_settings,
+)
+from pcs_racing_agents.networks.network_files import (
+    NETWORK_FORMAT,
+    load_network,
+    save_network,
+    save_network_set,
+)
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
 from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.study import Study
@@ -76,7 +85,9 @@ def stored_trees(study: Study) -> list[StoredTrees]:
     """Return the played trees, one folder per track."""
     if study.config.pairs == 0:
         return []
-    return [load_trees(study.folder / "trees" / name, study.archive) for name in study.config.circuits]
+    return [
+        load_trees(study.folder / "trees" / name, study.archive) for name in study.config.circuits
+    ]
 
 
 def train_networks(study: Study) -> None:
@@ -85,11 +96,17 @@ def train_networks(study: Study) -> None:
 
     config = study.config
     whole = {MANIFEST, NETWORK_FORMAT.data_file, "learning_curves.csv"}
-    missing = [name for name in config.targets if not whole <= {file.name for file in study.network(name).glob("*")}]
+    missing = [
+        name
+        for name in config.targets
+        if not whole <= {file.name for file in study.network(name).glob("*")}
+    ]
     stored = stored_trees(study)
     if not stored or not missing:
         return
-    settings = [load_train_settings(config.training, target=name, seed=config.seed) for name in missing]
+    settings = [
+        load_train_settings(config.training, target=name, seed=config.seed) for name in missing
+    ]
     elsewhere = in_other_processes(study.executor)
     # Other processes may not see local files, so the trees are sent; they can't show progress.
     trees = stored if elsewhere is None else [list(each) for each in stored]
@@ -148,7 +165,9 @@ def learn_sampled_regrets(study: Study) -> None:
     name = "sampled-cfr"
     with open_job(study.folder / name / name, name, identity) as job:
         progress = study.progress(f"tasks ({name})")
-        learned = learn_self_play(samplers, settings, job, name=name, executor=study.executor, progress=progress)
+        learned = learn_self_play(
+            samplers, settings, job, name=name, executor=study.executor, progress=progress
+        )
     save_network_set(learned, study.network(name))
     # The last network predicts mean regrets over all iterations; the paper plays the argmax.
     training = {**learned.training, "sampled": True}
@@ -186,7 +205,12 @@ def choose_open_loop(study: Study) -> None:
             ("best-schedule", fit_best_schedule),
             ("best-lead-plan", partial(fit_best_lead_plan, targets=targets)),
         ):
-            fit = find(training, job=job, executor=study.executor, progress=study.progress(f"races ({name})"))
+            fit = find(
+                training,
+                job=job,
+                executor=study.executor,
+                progress=study.progress(f"races ({name})"),
+            )
             save_fit(fit, folder / f"{name}.yaml")
 
 
@@ -197,7 +221,9 @@ def learn_responses(study: Study) -> None:
     for name in config.responses:
         settings = load_response_settings(name)
         seeded = load_response_settings(settings, seed=config.seed + RESPONSE_SEED + settings.seed)
-        with open_job(study.folder / "responses" / name, "response", {"name": name, **plain_settings(seeded)}) as job:
+        with open_job(
+            study.folder / "responses" / name, "response", {"name": name, **plain_settings(seeded)}
+        ) as job:
             network = learn_response(
                 study.games(),
                 pool,

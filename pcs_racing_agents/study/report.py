@@ -106,7 +106,11 @@ def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
     from pcs_racing_agents.watch import pcs_picture, situations
 
     # The template names a picture; the modules imported here, only for reports, draw it.
-    home = next(module for module in (figures, curves, table, pcs_picture, situations) if hasattr(module, name))
+    home = next(
+        module
+        for module in (figures, curves, table, pcs_picture, situations)
+        if hasattr(module, name)
+    )
     return picture_bytes(getattr(home, name)(*arguments, **options))
 
 
@@ -125,7 +129,15 @@ def _ratings(content: ReportContent) -> list[tuple[str, ...]]:
     if round_robin is None or round_robin.ratings is None:
         return []
     table: list[tuple[str, ...]] = [
-        ("agent", "rating", "95 % interval", "races", "races that paid nobody", "equilibrium", "alpha-rank")
+        (
+            "agent",
+            "rating",
+            "95 % interval",
+            "races",
+            "races that paid nobody",
+            "equilibrium",
+            "alpha-rank",
+        )
     ]
     for i in np.argsort(-round_robin.ratings.strength, kind="stable"):
         name = round_robin.ratings.names[i]
@@ -135,5 +147,7 @@ def _ratings(content: ReportContent) -> list[tuple[str, ...]]:
             for probabilities in (round_robin.equilibrium, round_robin.alpha_rank)
         )
         counts = (str(round_robin.ratings.races[i]), str(round_robin.ratings.left_out[i]))
-        table.append((name, f"{rating:+.0f}", rating_interval(low, high), *counts, equilibrium, alpha_rank))
+        table.append(
+            (name, f"{rating:+.0f}", rating_interval(low, high), *counts, equilibrium, alpha_rank)
+        )
     return table

@@ -32,7 +32,11 @@ def read_curves(path: str | Path, *columns: str, x: str = "epoch") -> list[Curve
     rows = _rows(path, (x, *names))
     steps = np.array([_number(row[x], path) for row in rows])
     return [
-        Curve(steps, np.array([_number(row[name], path) for row in rows]), name.removesuffix("_loss").replace("_", " "))
+        Curve(
+            steps,
+            np.array([_number(row[name], path) for row in rows]),
+            name.removesuffix("_loss").replace("_", " "),
+        )
         for name in names
     ]
 
@@ -106,7 +110,11 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
         The same races, driven by the agent and by the agent that never switches.
     """
     clean, switched = ~races.crashed, races.switches[:, 0] > 0
-    won, lost, fault = clean & (races.winner == 0), clean & (races.winner == 1), races.fault[:, 0] > 0
+    won, lost, fault = (
+        clean & (races.winner == 0),
+        clean & (races.winner == 1),
+        races.fault[:, 0] > 0,
+    )
     ego, comparison = races[0].ego, f"{baseline[0].ego} starts alike and"
     criteria = (
         {
@@ -126,14 +134,18 @@ def select_highlights(races: RaceTable, baseline: RaceTable) -> dict[str, Highli
             numbers = np.flatnonzero(mask)
             if len(numbers):
                 race = int(numbers[np.argmin(np.abs(races.lead[numbers]))])
-                highlights[kind] = Highlight(rank, abs(float(races.lead[race])), title, race, len(numbers))
+                highlights[kind] = Highlight(
+                    rank, abs(float(races.lead[race])), title, race, len(numbers)
+                )
                 break
     return highlights
 
 
 def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
     """Repeat a race for the report; the pairing's ego makes moves."""
-    explanation = explain_game(pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race))
+    explanation = explain_game(
+        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race)
+    )
     picture = b""
     if find_spec("matplotlib") is not None:
         from pcs_racing_agents.base.style import picture_bytes

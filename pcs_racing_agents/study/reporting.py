@@ -47,7 +47,9 @@ GAME_THEORETIC = "cfr-argmax"  # the paper's agent
 FEWEST_RACES = 1000  # per agent and row; below it is a smoke test; paper: 4,000
 
 
-def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: int = 1000) -> list[Situations]:
+def moves_in_situations(
+    study: Study, study_races: Sequence[StudyRaces], races: int = 1000
+) -> list[Situations]:
     """Count the moves of the main table's agents that use observations; write each as CSV.
 
     ``races``: max number per pairing, drawn by the study's seed; all agents get the same races.
@@ -57,15 +59,24 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
         # An open-loop agent's moves in situations would show the situations, not the agent.
         if table == "main" and isinstance(pairing.ego, Agent) and not is_open_loop(pairing.ego):
             # Fresh generator per pairing: all agents are shown in the same races.
-            rng = np.random.default_rng(np.random.SeedSequence(study.config.seed, spawn_key=(SEED,)))
+            rng = np.random.default_rng(
+                np.random.SeedSequence(study.config.seed, spawn_key=(SEED,))
+            )
             pairings.append(pairing.take(np.sort(rng.permutation(len(pairing))[:races])))
     if not pairings:
         return []
     folder = study.folder / "report" / "situations"
-    with open_job(folder, "situations", {"archive": study.archive.content_hash, "races": races}) as job:
+    with open_job(
+        folder, "situations", {"archive": study.archive.content_hash, "races": races}
+    ) as job:
         progress = study.progress("races (moves in situations)")
         repeated = play_pairings(
-            pairings, name="moves", observations=True, job=job, executor=study.executor, progress=progress
+            pairings,
+            name="moves",
+            observations=True,
+            job=job,
+            executor=study.executor,
+            progress=progress,
         )
         observed = [
             (pairing.names[0], races.observations[:, 0], races.moves.codes[:, 0])
@@ -73,7 +84,9 @@ def moves_in_situations(study: Study, study_races: Sequence[StudyRaces], races: 
         ]
     summaries = []
     for name in dict.fromkeys(name for name, *_ in observed):
-        observations, moves = (np.concatenate([own[k] for own in observed if own[0] == name]) for k in (1, 2))
+        observations, moves = (
+            np.concatenate([own[k] for own in observed if own[0] == name]) for k in (1, 2)
+        )
         if (moves >= 0).any():
             summaries.append(summarise(observations, moves, study.archive, study.spec.moves, name))
             write_situations(summaries[-1], study.folder / "report" / f"situations-{name}.csv")
@@ -93,14 +106,19 @@ def write_report(study: Study, seconds: Mapping[str, float]) -> None:
 
 
 def study_table(
-    study: Study, study_races: Sequence[StudyRaces], name: str, scored: Callable[[RaceTable], RaceTable] | None = None
+    study: Study,
+    study_races: Sequence[StudyRaces],
+    name: str,
+    scored: Callable[[RaceTable], RaceTable] | None = None,
 ) -> StudyTable:
     """Compare the arms of one of the study's tables; ``scored`` may redefine the winners."""
     races = concatenate_races(cell.races for cell in study_races if cell.table == name)
     races = races if scored is None else scored(races)
     config, open_loop = study.config, best_open_loop(study)
     learned_on = {study.track(circuit).name for circuit in config.circuits}
-    table = make_table(races, base=config.arms[0], best=config.best, open_loop=open_loop, seen=learned_on)
+    table = make_table(
+        races, base=config.arms[0], best=config.best, open_loop=open_loop, seen=learned_on
+    )
     if config.game.race.name == "paper":
         return table
     # The paper's figures are comparable under the paper's rules only.
@@ -128,15 +146,19 @@ def _content(
     if config.further_lines:
         further = study_table(study, study_races, "further")
         rows = overview_rows(further)
-        note = f"{config.further_lines * config.egos * config.variants * 2} races of each agent in each row."
+        note = (
+            f"{config.further_lines * config.egos * config.variants * 2} races of each agent in"
+            " each row."
+        )
         sheets.append(TitledTable("More opponents, circuits and agents", rows[0], rows[1:], note))
     return ReportContent(
         title=f"Study: {config.race} race, archive {study.archive.name}",
         about=(
-            f"{sum(len(cell.races) for cell in study_races):,} races of {config.game.horizon:g} s between two cars. "
-            f"Every {config.game.step_seconds:g} s an agent may change its policy, which is how its car drives, by "
-            f"{config.epsilon:g} of the archive's range on an axis; {config.arms[0]} is what the others are compared "
-            f"with.\n\n{closeness_text(concatenate_races(cell.races for cell in study_races))}"
+            f"{sum(len(cell.races) for cell in study_races):,} races of {config.game.horizon:g} s"
+            f" between two cars. Every {config.game.step_seconds:g} s an agent may change its"
+            f" policy, which is how its car drives, by {config.epsilon:g} of the archive's range on"
+            f" an axis; {config.arms[0]} is what the others are compared"
+            f" with.\n\n{closeness_text(concatenate_races(cell.races for cell in study_races))}"
         ),
         findings=list(_findings(main)),
         caution=_caution(main),
@@ -163,9 +185,15 @@ def _papers_statistic(study: Study, study_races: Sequence[StudyRaces]) -> Iterat
         return
     write_table(table, study.folder / "table_by_progress.csv")
     rows = paper_rows(table, GAME_THEORETIC)
-    note = "Mean and standard deviation over the ego's start policies; p: paired t-test over them, as in the paper."
+    note = (
+        "Mean and standard deviation over the ego's start policies; p: paired t-test over them, as"
+        " in the paper."
+    )
     yield TitledTable(
-        "Who has progressed further at the end, crash or not: the paper's statistic", rows[0], rows[1:], note
+        "Who has progressed further at the end, crash or not: the paper's statistic",
+        rows[0],
+        rows[1:],
+        note,
     )
 
 
@@ -173,7 +201,12 @@ def _findings(table: StudyTable) -> Iterator[str]:
     """Yield the results of the main table as sentences."""
     others = [arm for arm in table.arms if arm != table.base]
     for arm in sorted(others, key=lambda arm: arm != table.best):
-        results = [difference.result for row in table.rows for difference in row.differences if difference.arm == arm]
+        results = [
+            difference.result
+            for row in table.rows
+            for difference in row.differences
+            if difference.arm == arm
+        ]
         yield verdict_text(arm, table.base, results)
     gains = [row.gain.result for row in table.rows if row.gain is not None]
     if gains and table.best is not None:
@@ -186,7 +219,10 @@ def _caution(table: StudyTable) -> str:
     races = min(arm.races for row in table.rows for arm in row.arms)
     if races >= FEWEST_RACES:
         return ""
-    return f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the paper has 4,000."
+    return (
+        f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the"
+        " paper has 4,000."
+    )
 
 
 def _curves(study: Study) -> dict[str, list[Curve]]:
@@ -208,7 +244,12 @@ def _reward_curves(study: Study) -> dict[str, list[Curve]]:
         title: [
             Curve(
                 np.array(curve.steps) / 1e6,
-                np.array([np.mean([getattr(score, key) for score in scores.values()]) for scores in curve.scores]),
+                np.array(
+                    [
+                        np.mean([getattr(score, key) for score in scores.values()])
+                        for scores in curve.scores
+                    ]
+                ),
                 f"seed {curve.seed}",
             )
             for curve in curves
@@ -245,7 +286,9 @@ def _seeds(study: Study) -> dict[str, int]:
 def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
     """Yield the best agent's closest win by switching, loss and crash over all rows."""
     # Keyed by names: the baseline of a race is the pairing with the same track and opponent.
-    raced = {(f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"}
+    raced = {
+        (f.pairing.game.track.name, *f.pairing.names): f for f in study_races if f.table == "main"
+    }
     found: dict[str, list[tuple[Highlight, Pairing]]] = {}
     for (track, ego, opponent), races in raced.items():
         if ego == study.config.best:
@@ -256,7 +299,9 @@ def _watched(study: Study, study_races: Sequence[StudyRaces]) -> Iterator[Explai
         if kind in found:
             closest, pairing = min(found[kind], key=lambda one: one[0])
             many = sum(one.races for one, _ in found[kind] if one.rank == closest.rank)
-            title = f"{closest.title}: of {many} such races the closest, {closest.gap:.1f} m at the end"
+            title = (
+                f"{closest.title}: of {many} such races the closest, {closest.gap:.1f} m at the end"
+            )
             yield watch_race(pairing, closest.race, title)
 
 

@@ -16,8 +16,8 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     manifest = read_manifest(path)
     if manifest is None or manifest["kind"] not in ("tournament", "study"):
         raise InputError(
-            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing study' wrote with "
-            "--out"
+            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing"
+            " study' wrote with --out"
         )
     # A study stores the races of its ratings in a separate folder, with their lines next to it.
     file, study = path / "results.csv", None
@@ -31,7 +31,9 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file, ("ego_variant", "opponent_variant"))
-    results = ResultsFolder(path, manifest["settings"], races, study, manifest["kind"] == "tournament", code)
+    results = ResultsFolder(
+        path, manifest["settings"], races, study, manifest["kind"] == "tournament", code
+    )
     for name in code:
         results.check_raced(name)
     return results

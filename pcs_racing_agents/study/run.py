@@ -65,18 +65,30 @@ STAGES = (
     Stage("archive", (), "searches policies", preparing.make_the_archive),
     Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
     Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks),
-    Stage("sampled-cfr", ("archive",), "learns regrets from sampled games", preparing.learn_sampled_regrets),
+    Stage(
+        "sampled-cfr",
+        ("archive",),
+        "learns regrets from sampled games",
+        preparing.learn_sampled_regrets,
+    ),
     Stage(
         "open-loop",
         ("archive",),
         "chooses the best agents that look at nothing but who leads",
         preparing.choose_open_loop,
     ),
-    Stage("responses", ("networks", "open-loop"), "learns answers to opponents", preparing.learn_responses),
+    Stage(
+        "responses",
+        ("networks", "open-loop"),
+        "learns answers to opponents",
+        preparing.learn_responses,
+    ),
     Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline),
     Stage("races", LEARNED, "drives the races of the table", playing.race_tables),
     Stage("ratings", LEARNED, "lets agents race all against all", playing.race_for_ratings),
-    Stage("report", ("races", "ratings"), "writes results.csv and report.html", _report, always=True),
+    Stage(
+        "report", ("races", "ratings"), "writes results.csv and report.html", _report, always=True
+    ),
 )
 """All stages, in order of execution."""
 
@@ -93,7 +105,9 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
         file = folder / stage.name / DONE
         if file.is_file():
             note = parse_yaml(file, read_limited(file, MAX_YAML, "the note of a stage"))
-            seconds, files = (note.get(key) if isinstance(note, dict) else None for key in ("seconds", "files"))
+            seconds, files = (
+                note.get(key) if isinstance(note, dict) else None for key in ("seconds", "files")
+            )
             if not is_number(seconds) or not 0.0 <= seconds < 1e9 or not isinstance(files, dict):
                 wrong = f"seconds are {seconds!r:.80}, files {files!r:.80}"
                 raise InputError(f"{file} is damaged: {wrong}; delete it, and the stage runs again")
@@ -103,10 +117,16 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
 
 def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
     """Return digests of a stage's outputs for later stages, by path; jobs guard their chunks."""
-    names = {"networks": config.targets, "responses": config.responses, "sampled-cfr": (stage, "regret")}
+    names = {
+        "networks": config.targets,
+        "responses": config.responses,
+        "sampled-cfr": (stage, "regret"),
+    }
     left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
     left += [f"{stage}/*", f"{stage}/*/job.yaml", f"{stage.replace('-', '_')}.csv"]
-    found = {file.relative_to(folder): file for pattern in left for file in sorted(folder.glob(pattern))}
+    found = {
+        file.relative_to(folder): file for pattern in left for file in sorted(folder.glob(pattern))
+    }
     return {
         name.as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
         for name, file in found.items()
@@ -165,7 +185,9 @@ def run_study(
     return study
 
 
-def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None) -> list[Stage]:
+def stages_to_run(
+    config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None
+) -> list[Stage]:
     """Return the remaining stages in order, after a check of their libraries and of all tracks.
 
     The arguments are as in :func:`run_study`.
@@ -177,7 +199,8 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
     remaining = [
         stage
         for stage in STAGES
-        if (only is None or stage.name in only) and (stage.always or not _done(Path(folder), stage.name))
+        if (only is None or stage.name in only)
+        and (stage.always or not _done(Path(folder), stage.name))
     ]
     for stage in remaining:
         stage.check_libraries(config)
@@ -187,8 +210,8 @@ def stages_to_run(config: StudyConfig, folder: str | Path, only: Sequence[str] |
         for file in note["files"]:
             if present.get(file) != note["files"][file]:
                 raise InputError(
-                    f"{Path(folder) / str(file)} is not what stage {name!r} left, by {Path(folder) / name / DONE}; "
-                    "delete both, and the stage runs again"
+                    f"{Path(folder) / str(file)} is not what stage {name!r} left, by"
+                    f" {Path(folder) / name / DONE}; delete both, and the stage runs again"
                 )
     # A missing track of the last stage is reported now, not after hours of other stages.
     for name in config.every_track:
@@ -203,7 +226,9 @@ def _done(folder: Path, stage: str) -> bool:
 def _run_stage(study: Study, stage: Stage) -> None:
     for name in stage.needs:
         if not _done(study.folder, name):
-            raise InputError(f"stage {stage.name!r} needs stage {name!r}, which is not done in {study.folder}")
+            raise InputError(
+                f"stage {stage.name!r} needs stage {name!r}, which is not done in {study.folder}"
+            )
     if not study.quiet:
         print(f"{stage.name}: {stage.does}", flush=True)
     folder = study.folder / stage.name

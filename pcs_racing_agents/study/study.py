@@ -39,7 +39,9 @@ class StudyConfig(Settings):
     """Configuration of a study; it determines the results."""
 
     race: Annotated[Text, "Rules: a preset's name or a YAML file."] = "paper"
-    epsilon: Annotated[float | tuple[float, ...], STEP_SIZES, "Length of a move, in normalised coordinates."] = 0.5
+    epsilon: Annotated[
+        float | tuple[float, ...], STEP_SIZES, "Length of a move, in normalised coordinates."
+    ] = 0.5
     moves: Annotated[
         int,
         Interval(ge=1, le=100),
@@ -56,11 +58,17 @@ class StudyConfig(Settings):
         FIRST_STEPS,
         "Lengths of the first steps, as in the rules of the game, s.",
     ] = None  # type: ignore[assignment]
-    synthesis: Annotated[Text | None, "Configuration of the synthesis; None uses an existing archive instead."] = None
+    synthesis: Annotated[
+        Text | None, "Configuration of the synthesis; None uses an existing archive instead."
+    ] = None
     archive: Annotated[Text, "Name or folder of the existing archive."] = "default"
     circuits: Annotated[Names, "Circuits of the trees and of training."] = ("Tarnfjord",)
-    pairs: Annotated[int, Interval(ge=0, le=100_000), "Game trees on each circuit; 0 for none."] = 12
-    seeds: Annotated[int, Interval(ge=1, le=1000), "Noise realisations in each tree; 1 without noise."] = 1
+    pairs: Annotated[int, Interval(ge=0, le=100_000), "Game trees on each circuit; 0 for none."] = (
+        12
+    )
+    seeds: Annotated[
+        int, Interval(ge=1, le=1000), "Noise realisations in each tree; 1 without noise."
+    ] = 1
     training: Annotated[Text, "Settings of the networks' training."] = "study"
     targets: Annotated[
         Names,
@@ -73,7 +81,8 @@ class StudyConfig(Settings):
     )
     responses: Annotated[
         OptionalNames,
-        "Settings of the learned responses (pcs_racing_agents.learning.responses.ResponseSettings).",
+        "Settings of the learned responses"
+        " (pcs_racing_agents.learning.responses.ResponseSettings).",
     ] = ()
     response_pool: Annotated[
         Names,
@@ -84,8 +93,9 @@ class StudyConfig(Settings):
     )
     sampled_cfr: Annotated[
         Text | None,
-        'Settings (self-play) of counterfactual regrets from sampled games: the network of "cfr-argmax" and '
-        '"cfr-regret-matching", in place of one from full game trees; None for none.',
+        "Settings (self-play) of counterfactual regrets from sampled games: the network of"
+        ' "cfr-argmax" and "cfr-regret-matching", in place of one from full game trees; None for'
+        " none.",
     ] = None
     fitting_games: Annotated[
         int,
@@ -95,7 +105,8 @@ class StudyConfig(Settings):
     fixed_targets: Annotated[
         int,
         Interval(ge=0, le=1_000_000),
-        "Candidate policies for the targets of best-fixed and best-lead-plan, spread over the archive; 0 for all.",
+        "Candidate policies for the targets of best-fixed and best-lead-plan, spread over the"
+        " archive; 0 for all.",
     ] = 16
     fitting_opponents: Annotated[Names, "Opponents in those games."] = ("never-switch",)
     tracks: Annotated[Names, "Circuits of the table."] = ("Tarnfjord",)
@@ -109,21 +120,26 @@ class StudyConfig(Settings):
     )
     arms: Annotated[
         Names,
-        "Agents of the table; the first is the baseline. With the three fitted baselines among them (best-fixed,"
-        " best-schedule, best-lead-plan) the table has the adaptivity gain; some without the others are refused.",
+        "Agents of the table; the first is the baseline. With the three fitted baselines among them"
+        " (best-fixed, best-schedule, best-lead-plan) the table has the adaptivity gain; some"
+        " without the others are refused.",
     ] = ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax")
     best: Annotated[Text, "The agent of main interest among them."] = "cfr-argmax"
     egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the ego in each cell."] = 20
     variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 20
-    lines: Annotated[int, Interval(ge=1, le=1000), "Start lines of each cell; races start from both sides."] = 5
+    lines: Annotated[
+        int, Interval(ge=1, le=1000), "Start lines of each cell; races start from both sides."
+    ] = 5
     further_tracks: Annotated[OptionalNames, "Additional circuits of the second table."] = ()
     further_opponents: Annotated[OptionalNames, "Additional opponents of the second table."] = ()
     further_arms: Annotated[OptionalNames, "Additional agents of the second table."] = ()
-    further_lines: Annotated[int, Interval(ge=0, le=1000), "Start lines of its cells; 0 for no second table."] = 0
+    further_lines: Annotated[
+        int, Interval(ge=0, le=1000), "Start lines of its cells; 0 for no second table."
+    ] = 0
     ppo: Annotated[
         Text | None,
-        "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its archive and rules;"
-        ' None trains none, and the agent "ppo" is then the shipped one.',
+        "Settings (level duel) of a PPO baseline that is trained on the study's circuits, with its"
+        ' archive and rules; None trains none, and the agent "ppo" is then the shipped one.',
     ] = None
     rated: Annotated[OptionalNames, "Agents of the round robin for the ratings."] = ()
     rating_races: Annotated[
@@ -144,13 +160,15 @@ class StudyConfig(Settings):
             load_self_play_settings(self.sampled_cfr)
         if self.sampled_cfr is not None and "regret" in self.targets and self.pairs > 0:
             raise ConfigError(
-                f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one source of the regrets"
+                f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one source of"
+                " the regrets"
             )
         if self.synthesis is not None:
             load_archive_config(self.synthesis)
         elif self.archive not in list_archives() and not os.path.isdir(self.archive):
             raise ConfigError(
-                f"archive is {self.archive!r}; it must be a folder or one of {', '.join(list_archives())}"
+                f"archive is {self.archive!r}; it must be a folder or one of"
+                f" {', '.join(list_archives())}"
             )
         if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
             raise ConfigError(f"ppo is {self.ppo!r}; these are no settings of level duel")
@@ -159,14 +177,18 @@ class StudyConfig(Settings):
         if 0 < len(missing) < len(BEST_OPEN_LOOP):
             present = next(name for name in BEST_OPEN_LOOP if name in self.arms)
             raise ConfigError(
-                f"arms hold {present!r} but not {missing[0]!r}; name all of {', '.join(BEST_OPEN_LOOP)} or none: the "
-                "adaptivity gain is over the one that won most training races"
+                f"arms hold {present!r} but not {missing[0]!r}; name all of"
+                f" {', '.join(BEST_OPEN_LOOP)} or none: the adaptivity gain is over the one that"
+                " won most training races"
             )
         if self.best not in self.arms:
-            raise ConfigError(f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}")
+            raise ConfigError(
+                f"best is {self.best!r}; it must be one of the arms, {', '.join(self.arms)}"
+            )
         if 0 < self.pairs * len(self.circuits) < 3:
             raise ConfigError(
-                f"pairs is {self.pairs}; networks need at least 3 trees: for training, validation and test"
+                f"pairs is {self.pairs}; networks need at least 3 trees: for training, validation"
+                " and test"
             )
 
     @property
@@ -176,7 +198,10 @@ class StudyConfig(Settings):
         if self.further_lines:
             tables["further"] = (
                 (*self.tracks, *(name for name in self.further_tracks if name not in self.tracks)),
-                (*self.opponents, *(name for name in self.further_opponents if name not in self.opponents)),
+                (
+                    *self.opponents,
+                    *(name for name in self.further_opponents if name not in self.opponents),
+                ),
                 (*self.arms, *(name for name in self.further_arms if name not in self.arms)),
                 self.further_lines,
             )
@@ -191,16 +216,26 @@ class StudyConfig(Settings):
     def game(self) -> GameConfig:
         """Rules of the game, with the move "stay" if the race rules have it."""
         race = load_race_config(self.race)
-        own = {name: getattr(self, name) for name in ("epsilon", "moves", "step_seconds", "first_steps")}
+        own = {
+            name: getattr(self, name)
+            for name in ("epsilon", "moves", "step_seconds", "first_steps")
+        }
         return load_game_config(race, **own)
 
 
-def load_study_config(source: str | Path | StudyConfig | None = None, **changes: Any) -> StudyConfig:
+def load_study_config(
+    source: str | Path | StudyConfig | None = None, **changes: Any
+) -> StudyConfig:
     """Return a configuration from a shipped name, a YAML file or a config, with changed fields."""
     return load_config("study", StudyConfig(), source, **changes)
 
 
-NETWORK_AGENTS = {"cfr-argmax": "regret", "cfr-regret-matching": "regret", "nash": "nash", "ppo": "ppo"}
+NETWORK_AGENTS = {
+    "cfr-argmax": "regret",
+    "cfr-regret-matching": "regret",
+    "nash": "nash",
+    "ppo": "ppo",
+}
 """Targets of the networks of the zoo's agents."""
 
 
@@ -216,7 +251,9 @@ class Study:
     @cached_property
     def archive(self) -> PolicyArchive:
         """Archive of the study's synthesis, or the archive named by the configuration."""
-        return load_archive(self.config.archive if self.config.synthesis is None else self.folder / "archive")
+        return load_archive(
+            self.config.archive if self.config.synthesis is None else self.folder / "archive"
+        )
 
     @cached_property
     def spec(self) -> GameSpec:
@@ -258,7 +295,10 @@ class Study:
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
         if name == "adaptive" and self.config.responses:
-            options = {"network": self.network(self.config.responses[0]), "open_loop": self.agent("best-fixed")}
+            options = {
+                "network": self.network(self.config.responses[0]),
+                "open_loop": self.agent("best-fixed"),
+            }
         elif kind is not None and self.network(kind).is_dir():
             options = {"network": self.network(kind)}
         elif name in BEST_OPEN_LOOP:

@@ -14,7 +14,13 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.statistics import Comparison, clustered_mean, compare, holm, match_units
+from pcs_racing_agents.tournament.statistics import (
+    Comparison,
+    clustered_mean,
+    compare,
+    holm,
+    match_units,
+)
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
@@ -138,8 +144,8 @@ def make_table(
         pair = (track, opponent, ego)
         if seeds.setdefault(pair, seed) != seed:
             raise InputError(
-                f"{ego} raced {opponent} on {track} with seeds {seeds[pair]} and {seed}, of different tables; "
-                "take those of one of them (RaceTable.with_seeds)"
+                f"{ego} raced {opponent} on {track} with seeds {seeds[pair]} and {seed}, of"
+                " different tables; take those of one of them (RaceTable.with_seeds)"
             )
         pairs[pair] = races.take(numbers)
     if not pairs:
@@ -148,11 +154,21 @@ def make_table(
     base = arms[0] if base is None else base
     for role, name in (("base", base), ("best", best), ("open_loop", open_loop)):
         if name is not None and name not in arms:
-            raise InputError(f"{role} is {name!r}, which did not race; the arms are {', '.join(arms)}")
+            raise InputError(
+                f"{role} is {name!r}, which did not race; the arms are {', '.join(arms)}"
+            )
     if best == open_loop:
         open_loop = None  # the best agent is open-loop itself: no gain
     rows = [
-        _row(track, opponent, pairs, [base, *(arm for arm in arms if arm != base)], best, open_loop, track in seen)
+        _row(
+            track,
+            opponent,
+            pairs,
+            [base, *(arm for arm in arms if arm != base)],
+            best,
+            open_loop,
+            track in seen,
+        )
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
     ]
     return StudyTable(tuple(_adjusted(rows)), base, best, open_loop)
@@ -160,7 +176,11 @@ def make_table(
 
 def by_progress(races: RaceTable) -> RaceTable:
     """Return the races by the paper's scoring: the final leader wins, crash or not."""
-    return replace(races, winner=np.where(races.lead == 0.0, -1, races.lead < 0.0), crash=np.zeros_like(races.crash))
+    return replace(
+        races,
+        winner=np.where(races.lead == 0.0, -1, races.lead < 0.0),
+        crash=np.zeros_like(races.crash),
+    )
 
 
 def _row(
@@ -198,7 +218,9 @@ def _row(
         # A score is between 0 and 1; the t distribution is unbounded.
         low, high = max(mean.low, 0.0), min(mean.high, 1.0)
         shares = float(races.crashed.mean()), float((races.fault[:, 0] > 0).mean())
-        results.append(ArmResult(arm, len(races), mean.mean, low, high, float(by_ego.std(ddof=1)), *shares))
+        results.append(
+            ArmResult(arm, len(races), mean.mean, low, high, float(by_ego.std(ddof=1)), *shares)
+        )
     gain = difference(best, open_loop) if best in scores and open_loop in scores else None
     return TableRow(
         track=track,
@@ -217,7 +239,9 @@ def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
     """Return the scores of an arm in the order of the races of another arm."""
     # The orders mostly agree; then no dictionary of all races is needed.
     columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
-    if all(np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)):
+    if all(
+        np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)
+    ):
         return races.score
     try:
         return races.score[match_units(_units(first), _units(races))]
@@ -247,8 +271,17 @@ def _adjusted(rows: list[TableRow]) -> list[TableRow]:
     """Return the rows with p-values adjusted over all rows, separately for each arm."""
 
     def adjust(differences: list[Difference]) -> Iterator[Difference]:
-        p_values = holm([difference.result.p_clustered for difference in differences]).tolist() if differences else []
-        return iter([replace(difference, p_holm=p) for difference, p in zip(differences, p_values, strict=True)])
+        p_values = (
+            holm([difference.result.p_clustered for difference in differences]).tolist()
+            if differences
+            else []
+        )
+        return iter(
+            [
+                replace(difference, p_holm=p)
+                for difference, p in zip(differences, p_values, strict=True)
+            ]
+        )
 
     # Per arm: the question is about the gain of this agent over all rows, not of any agent.
     differences: dict[str, list[Difference]] = {}

@@ -25,7 +25,12 @@ from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
-from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
+from pcs_racing_agents.tournament.pairings import (
+    Pairing,
+    RaceSchedule,
+    draw_schedule,
+    schedule_pairing,
+)
 from pcs_racing_agents.tournament.runner import play_pairings
 
 Choices = tuple[int, ...]
@@ -60,7 +65,10 @@ class TrainingRaces:
 
 
 def evaluate(
-    training: TrainingRaces, candidates: Sequence[Agent], name: str = "candidates", **run: Unpack[Run]
+    training: TrainingRaces,
+    candidates: Sequence[Agent],
+    name: str = "candidates",
+    **run: Unpack[Run],
 ) -> NDArray[np.float64]:
     """Return the mean score of each candidate over the training races, shape (len(candidates),)."""
     common: list[Pairing] = []
@@ -96,15 +104,24 @@ def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
     spec = training.spec
 
     def raced(sequences: Sequence[Choices], before: int) -> NDArray[np.float64]:
-        plans = [best_schedule(spec, moves=[spec.moves[i] for i in sequence]) for sequence in sequences]
+        plans = [
+            best_schedule(spec, moves=[spec.moves[i] for i in sequence]) for sequence in sequences
+        ]
         return evaluate(training, plans, f"schedule-{before}", **run)
 
     best, scores = _search(raced, range(len(spec.moves)), spec.config.moves)
-    return make_fit("best-schedule", [spec.moves[i] for i in best], spec, training.facts(scores[best], len(scores)))
+    return make_fit(
+        "best-schedule",
+        [spec.moves[i] for i in best],
+        spec,
+        training.facts(scores[best], len(scores)),
+    )
 
 
 def _search(
-    raced: Callable[[Sequence[Choices], int], NDArray[np.float64]], options: Sequence[int], places: int
+    raced: Callable[[Sequence[Choices], int], NDArray[np.float64]],
+    options: Sequence[int],
+    places: int,
 ) -> tuple[Choices, dict[Choices, float]]:
     """Search the best choice of an option for each place; return it with all evaluated scores.
 
@@ -131,24 +148,34 @@ def _search(
     best = race_new([(option,) * places for option in options])
     while current != best:
         current = best
-        best = race_new([(*current[:k], option, *current[k + 1 :]) for k in range(places) for option in options])
+        best = race_new(
+            [(*current[:k], option, *current[k + 1 :]) for k in range(places) for option in options]
+        )
     return best, scores
 
 
-def fit_best_fixed(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
+def fit_best_fixed(
+    training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]
+) -> Fit:
     """Find the target policy with the highest mean score, for an agent that moves there and stays.
 
     ``targets``: candidates; by default all policies of the archive.
     """
     spec = training.spec
-    candidates = list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
+    candidates = (
+        list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
+    )
     walkers = [best_fixed(spec, target=target) for target in candidates]
     values = evaluate(training, walkers, "fixed", **run)
     index = int(np.argmax(values))
-    return make_fit("best-fixed", candidates[index], spec, training.facts(float(values[index]), len(candidates)))
+    return make_fit(
+        "best-fixed", candidates[index], spec, training.facts(float(values[index]), len(candidates))
+    )
 
 
-def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]) -> Fit:
+def fit_best_lead_plan(
+    training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]
+) -> Fit:
     """Find the two target policies of a lead plan (behind, ahead) with the highest mean score.
 
     The search starts with the best fixed policy, used behind and ahead, and repeatedly makes the
@@ -161,10 +188,14 @@ def fit_best_lead_plan(training: TrainingRaces, *, targets: Sequence[int] | None
         Candidates; by default all policies of the archive.
     """
     spec = training.spec
-    candidates = list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
+    candidates = (
+        list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
+    )
 
     def raced(plans: Sequence[Choices], before: int) -> NDArray[np.float64]:
-        agents = [best_lead_plan(spec, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans]
+        agents = [
+            best_lead_plan(spec, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans
+        ]
         return evaluate(training, agents, f"lead-plan-{before}", **run)
 
     best, scores = _search(raced, candidates, len(LEAD_PLAN))
@@ -203,10 +234,16 @@ def fit_psro(
     """
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):
-        raise InputError(f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different names")
+        raise InputError(
+            f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different"
+            " names"
+        )
     first = 0 if known is None else len(known.payoffs)
     if first > len(members):
-        raise InputError(f"payoffs of {first} agents are known, and there are {len(members)} members; give all of them")
+        raise InputError(
+            f"payoffs of {first} agents are known, and there are {len(members)} members; give all"
+            " of them"
+        )
     pairs = [(i, j) for i, j in combinations(range(len(members)), 2) if j >= first]
     pairings = [
         schedule_pairing(game, members[i], members[j], schedule, training.seed)

@@ -70,17 +70,23 @@ def race_columns(
     """
     if not egos or (len(egos) > 1 and any(isinstance(ego, Driver) for ego in egos)):
         raise InputError(
-            f"egos are {', '.join(map(competitor_name, egos)) or 'nobody'}; give one or more, a driver only alone"
+            f"egos are {', '.join(map(competitor_name, egos)) or 'nobody'}; give one or more, a"
+            " driver only alone"
         )
     game = game_between(game, egos[0], opponent)
     for ego in egos[1:]:
         check_competitor(game, ego)
     # No conversion to integers here: policies such as 2.7 or True would change silently.
     keys, variants = np.asarray(seeds), np.asarray(policies)
-    if variants.shape != (len(starts), 2) or variants.dtype.kind not in "iu" or keys.shape != (len(starts),):
+    if (
+        variants.shape != (len(starts), 2)
+        or variants.dtype.kind not in "iu"
+        or keys.shape != (len(starts),)
+    ):
         raise InputError(
-            f"there are {len(starts)} starts, policies of shape {variants.shape} and seeds of shape {keys.shape}; they "
-            f"must be whole numbers of shape ({len(starts)}, 2) and ({len(starts)},)"
+            f"there are {len(starts)} starts, policies of shape {variants.shape} and seeds of shape"
+            f" {keys.shape}; they must be whole numbers of shape ({len(starts)}, 2) and"
+            f" ({len(starts)},)"
         )
     for car, competitor in enumerate((egos[0], opponent)):
         count = variant_count(game, competitor)
@@ -145,12 +151,16 @@ def _drive(
                 moves[k, running[k], 0, step] = own[k, running[k]]
         replies = np.zeros(state.games, np.int64)
         if drivers[1] is None:
-            replies = ask_moves(opponent, game, state, 1, observation=seen[:, 1], memories=opponent_memories)
+            replies = ask_moves(
+                opponent, game, state, 1, observation=seen[:, 1], memories=opponent_memories
+            )
             moves[running, 1, step] = replies[branch][running]
         # Egos with different moves to the same policy stay in one branch. Finished games count as
         # policy 0: they are not simulated, and must not multiply.
         policies = np.where(running, game.next_policy(state.policy[branch, 0], own), 0)
-        _, chosen, after = np.unique(branch * len(game.archive) + policies, return_index=True, return_inverse=True)
+        _, chosen, after = np.unique(
+            branch * len(game.archive) + policies, return_index=True, return_inverse=True
+        )
         parents = branch.reshape(-1)[chosen]
         both = np.stack([own.reshape(-1)[chosen], replies[parents]], axis=1)
         opponent_memories = _branched(opponent_memories, parents)
@@ -161,7 +171,12 @@ def _drive(
 
 
 def _ask_ego(
-    ego: Competitor, game: RaceGame, state: GameState, rows: Indices, seen: NDArray[np.float32], memories: list[Any]
+    ego: Competitor,
+    game: RaceGame,
+    state: GameState,
+    rows: Indices,
+    seen: NDArray[np.float32],
+    memories: list[Any],
 ) -> tuple[Indices, list[Any]]:
     """Return an ego's moves and its updated memories for its games, given as rows of a state."""
     # ask_moves indexes memories by row of the state. Games of several egos may share a row, so each
@@ -179,7 +194,10 @@ def _branched(memories: list[Any], parents: Indices) -> list[Any]:
         return [None] * len(parents)
     # Copies only for parting games: in all other games the model continues with its object.
     parted = np.bincount(parents) > 1
-    return [copy.deepcopy(memories[parent]) if parted[parent] else memories[parent] for parent in parents]
+    return [
+        copy.deepcopy(memories[parent]) if parted[parent] else memories[parent]
+        for parent in parents
+    ]
 
 
 def _columns(game: RaceGame, games: _SharedGames, ego: int) -> Arrays:

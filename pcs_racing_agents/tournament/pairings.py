@@ -61,8 +61,8 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Ra
     """
     if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
         raise InputError(
-            f"races_per_pair is {races!r}; it must be an even number from 2 to {MOST_RACES}, since every start line is "
-            "driven from both sides"
+            f"races_per_pair is {races!r}; it must be an even number from 2 to {MOST_RACES}, since"
+            " every start line is driven from both sides"
         )
     starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
     # The remainder of a large number selects a variant: a schedule is independent of competitors,
@@ -101,14 +101,23 @@ class Pairing:
         """Return the races with these indices."""
         indices = np.asarray(rows)
         return replace(
-            self, variants=self.variants[indices], starts=self.starts.take(indices), noise=self.noise[indices]
+            self,
+            variants=self.variants[indices],
+            starts=self.starts.take(indices),
+            noise=self.noise[indices],
         )
 
     def race_arguments(self, race: int) -> dict[str, Any]:
         """Return variants, start and seed of a race as keyword arguments for a single game."""
         if not 0 <= race < len(self):
-            raise InputError(f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}")
-        return {"policies": self.variants[race], "start": self.starts.take([race]), "seed": int(self.noise[race])}
+            raise InputError(
+                f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}"
+            )
+        return {
+            "policies": self.variants[race],
+            "start": self.starts.take([race]),
+            "seed": int(self.noise[race]),
+        }
 
     def race(self, egos: Sequence[Competitor]) -> list[Arrays]:
         """Simulate the races with each of several egos.
@@ -133,9 +142,13 @@ def race_block(groups: Sequence[Sequence[Pairing]], observations: bool, block: R
     ``observations``: True to return observations, too.
     """
     group = groups[block.group]
-    raced = group[0].take(np.arange(block.first, block.last)).race([pairing.ego for pairing in group])
+    raced = (
+        group[0].take(np.arange(block.first, block.last)).race([pairing.ego for pairing in group])
+    )
     left_out = {"noise"} if observations else {"noise", "observations"}
-    return {name: np.stack([own[name] for own in raced]) for name in raced[0] if name not in left_out}
+    return {
+        name: np.stack([own[name] for own in raced]) for name in raced[0] if name not in left_out
+    }
 
 
 def schedule_pairing(
@@ -189,11 +202,18 @@ def cross_pairing(
     rounds = [generator.permutation(lines * LINE_SETS) for _ in range(-(-pairs // LINE_SETS))]
     line = np.concatenate(rounds)[np.repeat(np.arange(pairs), 2 * lines) * lines + own_line]
     return Pairing(
-        game, *cars, np.stack([a, b], axis=1), Starts(positions[line], side), race_seeds(seed, len(line)), int(seed)
+        game,
+        *cars,
+        np.stack([a, b], axis=1),
+        Starts(positions[line], side),
+        race_seeds(seed, len(line)),
+        int(seed),
     )
 
 
-def _variants(noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int) -> NDArray[np.int64]:
+def _variants(
+    noun: str, requested: int | Sequence[int], available: int, seed: int, stream: int
+) -> NDArray[np.int64]:
     # Streams 0, 3, 4 and 5 are the draws of a pairing: the opponents don't depend on the number of
     # egos.
     if is_whole(requested):
@@ -203,5 +223,7 @@ def _variants(noun: str, requested: int | Sequence[int], available: int, seed: i
         return np.sort(generator.permutation(available)[: int(requested)])
     indices = check_whole_array(noun, requested, (None,), minimum=0, maximum=available - 1)
     if len(indices) == 0 or len(np.unique(indices)) < len(indices):
-        raise InputError(f"{noun} is {requested!r}; it must be a number of variants, or a list of different ones")
+        raise InputError(
+            f"{noun} is {requested!r}; it must be a number of variants, or a list of different ones"
+        )
     return indices

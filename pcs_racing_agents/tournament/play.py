@@ -23,7 +23,12 @@ from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.games import game_between
-from pcs_racing_agents.tournament.pairings import Pairing, RaceSchedule, draw_schedule, schedule_pairing
+from pcs_racing_agents.tournament.pairings import (
+    Pairing,
+    RaceSchedule,
+    draw_schedule,
+    schedule_pairing,
+)
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable, concatenate_races, series_of
 from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
 
@@ -106,7 +111,9 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
         )
     lengths = [round(0.1 * int(part) * unit, 1) for part in parts]
     first = lengths[: len(config.first_steps)]
-    return load_game_config(rules, **{**settings, "moves": config.moves}, step_seconds=lengths[-1], first_steps=first)
+    return load_game_config(
+        rules, **{**settings, "moves": config.moves}, step_seconds=lengths[-1], first_steps=first
+    )
 
 
 def plan_tournament(
@@ -127,7 +134,9 @@ def plan_tournament(
     _check_distinct("tracks", [track.name for track in circuits], 1)
     spec = make_game_spec(archive, game_rules(race))
     if isinstance(entrants, Mapping):
-        competitors = [as_competitor(_resolve(one, spec, seed, code), name) for name, one in entrants.items()]
+        competitors = [
+            as_competitor(_resolve(one, spec, seed, code), name) for name, one in entrants.items()
+        ]
     else:
         competitors = [as_competitor(_resolve(one, spec, seed, code)) for one in entrants]
     _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
@@ -136,7 +145,9 @@ def plan_tournament(
     source = spec.identity.archive
     if not isinstance(archive, PolicyArchive) and archive not in list_archives():
         source = str(Path(archive).resolve())
-    plan = TournamentPlan(tuple(competitors), tuple(circuits), spec, schedules, races_per_pair, seed, source)
+    plan = TournamentPlan(
+        tuple(competitors), tuple(circuits), spec, schedules, races_per_pair, seed, source
+    )
     for track in circuits:
         game = RaceGame(track, spec.archive, spec.config)
         for entrant in competitors:
@@ -177,7 +188,9 @@ def play_tournament(
         :func:`pcs_racing_agents.tournament.play_pairings`; open a job with
         :func:`tournament_settings`.
     """
-    plan = plan_tournament(tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed)
+    plan = plan_tournament(
+        tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed
+    )
     return play_plan(plan, **run)
 
 
@@ -196,7 +209,10 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "archive": plan.archive,
         "archive_sha256": spec.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
-        "agents": {competitor_name(competitor): competitor_hash(competitor) for competitor in plan.competitors},
+        "agents": {
+            competitor_name(competitor): competitor_hash(competitor)
+            for competitor in plan.competitors
+        },
     }
 
 
@@ -205,9 +221,16 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     for pairing in tournament.plan.pairings:
         if (pairing.game.track.name, *pairing.names) == (row.track, row.ego, row.opponent):
             return record_game(
-                pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=candidates
+                pairing.game,
+                pairing.ego,
+                pairing.opponent,
+                **pairing.race_arguments(row.race),
+                candidates=candidates,
             )
-    raise InputError(f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced here")
+    raise InputError(
+        f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced"
+        " here"
+    )
 
 
 def _resolve(entrant: Entrant, spec: GameSpec, seed: int, code: bool) -> Any:
@@ -220,4 +243,7 @@ def _check_distinct(noun: str, names: list[str], minimum: int) -> None:
         raise InputError(f"{count}; a tournament needs at least {minimum}")
     repeated = {name for name in names if names.count(name) > 1}
     if repeated:
-        raise InputError(f"{noun} must have different names; there is more than one {', '.join(sorted(repeated))}")
+        raise InputError(
+            f"{noun} must have different names; there is more than one"
+            f" {', '.join(sorted(repeated))}"
+        )

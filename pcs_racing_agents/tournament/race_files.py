@@ -19,9 +19,29 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.base.tables import read_csv
-from pcs_racing_agents.tournament.races import CRASHES, FAULTS, WINNERS, Categorical, RaceRow, RaceTable, narrow
+from pcs_racing_agents.tournament.races import (
+    CRASHES,
+    FAULTS,
+    WINNERS,
+    Categorical,
+    RaceRow,
+    RaceTable,
+    narrow,
+)
 
-NEEDED = ("ego", "opponent", "track", "race", "start_s", "side", "seed", "lead", "winner", "crash", "fault")
+NEEDED = (
+    "ego",
+    "opponent",
+    "track",
+    "race",
+    "start_s",
+    "side",
+    "seed",
+    "lead",
+    "winner",
+    "crash",
+    "fault",
+)
 """Mandatory columns of a results file; other columns hold details."""
 LONGEST_TEXT = 300
 MOST_RACES = 2_000_000
@@ -63,11 +83,15 @@ def race_table(rows: Iterable[RaceRow]) -> RaceTable:
 def _texts(row: RaceRow) -> list[str]:
     """Return the cells of a race: lengths and times with 4 decimals, lists with semicolons."""
     return [
-        f"{value:.4f}" if isinstance(value, float)
-        else "; ".join(map(str, value)) if isinstance(value, tuple)
-        else str(value)
+        (
+            f"{value:.4f}"
+            if isinstance(value, float)
+            else "; ".join(map(str, value))
+            if isinstance(value, tuple)
+            else str(value)
+        )
         for value in row
-    ]  # fmt: skip
+    ]
 
 
 class _Lines(NamedTuple):
@@ -82,7 +106,10 @@ class _Lines(NamedTuple):
         # Later lines with the word repeat the fault.
         words, codes = self.columns[column]
         number = int(np.argmax(codes == words.index(word)))
-        return InputError(f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is {problem}")
+        return InputError(
+            f"{self.where}, line {self.at[number]} (race {number}), is damaged: {column} is"
+            f" {problem}"
+        )
 
     def words(self, name: str) -> Categorical:
         """Return a column of words; a missing column gives empty words."""
@@ -104,7 +131,9 @@ class _Lines(NamedTuple):
             wrong &= np.array(words) != "nan"
         if wrong.any():
             word = words[int(np.argmax(wrong))]
-            raise self.damaged(name, word, f"{word!r:.60}; it must be a number from {low:g} to {high:g}")
+            raise self.damaged(
+                name, word, f"{word!r:.60}; it must be a number from {low:g} to {high:g}"
+            )
         return values[codes]
 
     def wholes(self, name: str, high: int, missing: int | None = None) -> NDArray[Any]:
@@ -142,7 +171,10 @@ class _Lines(NamedTuple):
         lists = [word.split("; ") if word else [] for word in column.words]
         # Check before any allocation: one long list would widen the table for all races.
         if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
-            raise InputError(f"{self.where} holds too much: {len(self.at)} races with lists as long as that in {name}")
+            raise InputError(
+                f"{self.where} holds too much: {len(self.at)} races with lists as long as that in"
+                f" {name}"
+            )
         return lists, column.codes
 
     def paths(self, name: str) -> NDArray[Any]:
@@ -172,7 +204,10 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
     # Arrays of machine integers, since Python lists need several times as much memory.
     codes, at = [array("i") for _ in names], array("i")
     words: list[dict[str, int]] = [{} for _ in names]
-    work = [(column.append, codes_of.setdefault, codes_of) for column, codes_of in zip(codes, words, strict=True)]
+    work = [
+        (column.append, codes_of.setdefault, codes_of)
+        for column, codes_of in zip(codes, words, strict=True)
+    ]
     for number, line in lines:
         at.append(number)
         for (append, place, codes_of), text in zip(work, line, strict=True):
@@ -181,7 +216,9 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
     for name in names:
         # Column by column, so that memory never holds two copies of the whole table.
         codes_of, column = words.pop(0), codes.pop(0)
-        columns[name] = Categorical(tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of))))
+        columns[name] = Categorical(
+            tuple(codes_of), np.array(column, np.min_scalar_type(len(codes_of)))
+        )
     return _Lines(where, columns, np.array(at, np.int32))
 
 
@@ -191,12 +228,18 @@ def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
         raise InputError(f"{lines.where} holds no races")
     missing = [name for name in (*NEEDED, *need) if name not in lines.columns]
     if missing:
-        raise InputError(f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races")
+        raise InputError(
+            f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races"
+        )
     if len(lines.at) > MOST_RACES:
-        raise InputError(f"{lines.where} holds {len(lines.at)} races; at most {MOST_RACES} can be read")
+        raise InputError(
+            f"{lines.where} holds {len(lines.at)} races; at most {MOST_RACES} can be read"
+        )
 
     def both(name: str) -> NDArray[Any]:
-        return np.stack([lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1)
+        return np.stack(
+            [lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1
+        )
 
     # The index of the word is a pair of bits: 1 for the ego, 2 for the opponent.
     fault = lines.choices("fault", FAULTS)
@@ -223,13 +266,19 @@ def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
 def _side_by_side(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Return two arrays (N, steps) as one array (N, 2, max steps), padded with -1."""
     steps = max(column.shape[1] for column in columns)
-    return np.stack([np.pad(c, ((0, 0), (0, steps - c.shape[1])), constant_values=-1) for c in columns], axis=1)
+    return np.stack(
+        [np.pad(c, ((0, 0), (0, steps - c.shape[1])), constant_values=-1) for c in columns], axis=1
+    )
 
 
 def _moves_of_both(columns: Sequence[Categorical]) -> Categorical:
     steps = max(column.codes.shape[1] for column in columns)
     wide = [
-        column._replace(codes=np.pad(column.codes, ((0, 0), (0, steps - column.codes.shape[1])), constant_values=-1))
+        column._replace(
+            codes=np.pad(
+                column.codes, ((0, 0), (0, steps - column.codes.shape[1])), constant_values=-1
+            )
+        )
         for column in columns
     ]
     return Categorical.concatenate(wide, axis=1)

@@ -74,7 +74,9 @@ class Categorical(NamedTuple):
         codes = []
         for column in columns:
             # A code of -1 indexes the last element.
-            places = np.array([*(words.setdefault(word, len(words)) for word in column.words), -1], np.int64)
+            places = np.array(
+                [*(words.setdefault(word, len(words)) for word in column.words), -1], np.int64
+            )
             codes.append(narrow(places[column.codes]))
         joined = _concatenate(codes) if axis == 0 else np.stack(codes, axis=axis)
         return cls(tuple(words), joined)
@@ -131,7 +133,11 @@ class RaceTable:
         def taken(column: Any) -> Any:
             if column is None:
                 return None
-            return column._replace(codes=column.codes[indices]) if isinstance(column, Categorical) else column[indices]
+            return (
+                column._replace(codes=column.codes[indices])
+                if isinstance(column, Categorical)
+                else column[indices]
+            )
 
         return RaceTable(**{field.name: taken(getattr(self, field.name)) for field in fields(self)})
 
@@ -165,8 +171,12 @@ class RaceTable:
         The resolution is 0.1 mm.
         """
         # Format only the few distinct places, not the places of a million races.
-        lines, line = np.unique(np.stack([self.track.codes, self.start_s]), axis=1, return_inverse=True)
-        labels = [f"{self.track.words[int(track)]} {start:.4f}" for track, start in lines.T.tolist()]
+        lines, line = np.unique(
+            np.stack([self.track.codes, self.start_s]), axis=1, return_inverse=True
+        )
+        labels = [
+            f"{self.track.words[int(track)]} {start:.4f}" for track, start in lines.T.tolist()
+        ]
         return np.unique(np.array(labels, np.str_), return_inverse=True)[1][line.reshape(-1)]
 
     @property
@@ -182,7 +192,9 @@ class RaceTable:
         words = (self.track.words, self.agents.words, self.agents.words, self.seed.words)
         numbers = {}
         for k in np.argsort(first).tolist():
-            track, ego, opponent, seed = (words[i][code] for i, code in enumerate(columns[:, first[k]].tolist()))
+            track, ego, opponent, seed = (
+                words[i][code] for i, code in enumerate(columns[:, first[k]].tolist())
+            )
             numbers[track, ego, opponent, seed] = rows[k]
         return numbers
 
@@ -194,10 +206,23 @@ class RaceTable:
     def _rows(self, rows: slice) -> Iterator[RaceRow]:
         moves = self.moves.words
         columns = (
-            self.preset.codes, self.agents.codes, self.track.codes, self.race, self.start_s, self.side, self.seed.codes,
-            self.lead, self.winner, self.crash, self.fault, self.overtakes, self.duration, self.variants, self.path,
+            self.preset.codes,
+            self.agents.codes,
+            self.track.codes,
+            self.race,
+            self.start_s,
+            self.side,
+            self.seed.codes,
+            self.lead,
+            self.winner,
+            self.crash,
+            self.fault,
+            self.overtakes,
+            self.duration,
+            self.variants,
+            self.path,
             self.moves.codes,
-        )  # fmt: skip
+        )
         # Plain Python numbers, column by column, since numpy scalars would be slower.
         for row in zip(*(column[rows].tolist() for column in columns), strict=True):
             preset, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
@@ -205,11 +230,28 @@ class RaceTable:
             paths = [tuple(policy for policy in steps if policy >= 0) for steps in path]
             lists = [tuple(moves[move] for move in steps if move >= 0) for steps in move_codes]
             yield RaceRow(
-                self.preset.words[preset], self.agents.words[agents[0]], self.agents.words[agents[1]],
-                self.track.words[track], race, start, side, int(self.seed.words[seed]), lead, WINNERS[winner],
-                CRASHES[crash], FAULTS[fault[0] + 2 * fault[1]], overtakes[0], overtakes[1], duration, variants[0],
-                variants[1], paths[0], paths[1], lists[0], lists[1],
-            )  # fmt: skip
+                self.preset.words[preset],
+                self.agents.words[agents[0]],
+                self.agents.words[agents[1]],
+                self.track.words[track],
+                race,
+                start,
+                side,
+                int(self.seed.words[seed]),
+                lead,
+                WINNERS[winner],
+                CRASHES[crash],
+                FAULTS[fault[0] + 2 * fault[1]],
+                overtakes[0],
+                overtakes[1],
+                duration,
+                variants[0],
+                variants[1],
+                paths[0],
+                paths[1],
+                lists[0],
+                lists[1],
+            )
 
 
 def series_of(races: RaceTable, heats: int) -> RaceTable:
@@ -234,7 +276,11 @@ def concatenate_races(tables: Iterable[RaceTable]) -> RaceTable:
         columns = [getattr(member, name) for member in members]
         if any(column is None for column in columns):
             return None
-        return Categorical.concatenate(columns) if isinstance(columns[0], Categorical) else _concatenate(columns)
+        return (
+            Categorical.concatenate(columns)
+            if isinstance(columns[0], Categorical)
+            else _concatenate(columns)
+        )
 
     return RaceTable(**{field.name: joined(field.name) for field in fields(RaceTable)})
 
@@ -245,8 +291,9 @@ def closeness_text(races: RaceTable) -> str:
     if not len(gaps):
         return ""
     return (
-        f"How close the races were: of the {len(gaps):,} without a crash {(gaps <= 5.0).mean():.0%} ended within 5 m "
-        f"and {(gaps <= 20.0).mean():.0%} within 20 m; the median gap was {np.median(gaps):.1f} m."
+        f"How close the races were: of the {len(gaps):,} without a crash {(gaps <= 5.0).mean():.0%}"
+        f" ended within 5 m and {(gaps <= 20.0).mean():.0%} within 20 m; the median gap was"
+        f" {np.median(gaps):.1f} m."
     )
 
 
@@ -256,12 +303,17 @@ def narrow(values: NDArray[Any]) -> NDArray[Any]:
         return values
     # The type must always be able to hold -1, the code of missing values.
     lowest, highest = values.min(initial=-1), values.max(initial=0)
-    return values.astype(np.promote_types(np.min_scalar_type(lowest), np.min_scalar_type(-1 - highest)))
+    return values.astype(
+        np.promote_types(np.min_scalar_type(lowest), np.min_scalar_type(-1 - highest))
+    )
 
 
 def _concatenate(arrays: Sequence[NDArray[Any]]) -> NDArray[Any]:
     """Join arrays along the first axis; pad games with fewer moves with -1."""
     if arrays[0].ndim == 3:
         steps = max(array.shape[2] for array in arrays)
-        arrays = [np.pad(array, ((0, 0), (0, 0), (0, steps - array.shape[2])), constant_values=-1) for array in arrays]
+        arrays = [
+            np.pad(array, ((0, 0), (0, 0), (0, steps - array.shape[2])), constant_values=-1)
+            for array in arrays
+        ]
     return np.concatenate(arrays)

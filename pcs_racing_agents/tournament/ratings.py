@@ -84,16 +84,23 @@ def rate(
     if rng is not None and not replicates >= 100:
         raise InputError(f"replicates is {replicates!r}; an interval needs at least 100")
     if len(first) != len(second):
-        raise InputError(f"first names {len(first)} agents and second {len(second)}; every race needs one of each")
+        raise InputError(
+            f"first names {len(first)} agents and second {len(second)}; every race needs one of"
+            " each"
+        )
     if not len(first):
         raise InputError("there are no races; ratings need at least one")
     # numpy sorts the names, so that ratings do not depend on the order of races.
-    names, pairs = np.unique(np.array([list(first), list(second)], dtype=np.str_), return_inverse=True)
+    names, pairs = np.unique(
+        np.array([list(first), list(second)], dtype=np.str_), return_inverse=True
+    )
     number = len(names)
     first_agent, second_agent = pairs.reshape(2, -1)
     outcome = _per_race("result", result, len(first_agent), float)
     races = len(first_agent)
-    uncounted = np.zeros(races, bool) if unpaid is None else _per_race("unpaid", unpaid, races, bool)
+    uncounted = (
+        np.zeros(races, bool) if unpaid is None else _per_race("unpaid", unpaid, races, bool)
+    )
     _check_races(names, first_agent, second_agent, outcome, uncounted)
     counted = np.flatnonzero(~uncounted)
     winner = np.where(outcome > 0.0, first_agent, second_agent)[counted]
@@ -115,7 +122,9 @@ def rate(
     low = high = np.full(number, np.nan)
     if rng is not None:
         units = np.arange(races) if unit is None else _per_race("unit", unit, races, None)
-        replicated = np.concatenate([fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)])
+        replicated = np.concatenate(
+            [fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)]
+        )
         low, high = np.quantile(replicated, [0.025, 0.975], axis=0)
     both = np.concatenate([first_agent, second_agent])
     out = np.concatenate([uncounted, uncounted])
@@ -130,7 +139,9 @@ def rate(
     )
 
 
-def _bootstrap(units: NDArray[Any], replicates: int, rng: np.random.Generator) -> Iterator[Iterator[NDArray[np.int64]]]:
+def _bootstrap(
+    units: NDArray[Any], replicates: int, rng: np.random.Generator
+) -> Iterator[Iterator[NDArray[np.int64]]]:
     """Yield the race weights of each replicate (draw counts of the race's unit), in batches."""
     labels, codes = np.unique(units, return_inverse=True)
     if len(labels) < 2:
@@ -169,7 +180,9 @@ def _fit(wins: Floats, ties: Floats, prior_sd: float, with_ties: bool) -> tuple[
         curvature[:, :number, :number] = 1.0 - laplacian
         curvature[:, diagonal, diagonal] += laplacian.sum(axis=2)
         if with_ties:
-            gradient[:, number] += 0.5 * (ties * (chance + other) - (games - ties) * tie).sum(axis=(1, 2))
+            gradient[:, number] += 0.5 * (ties * (chance + other) - (games - ties) * tie).sum(
+                axis=(1, 2)
+            )
             mixed = -0.5 * (games * (chance - other) * tie).sum(axis=2)
             curvature[:, :number, number] = curvature[:, number, :number] = mixed
             curvature[:, number, number] = 0.5 * (games * tie * (chance + other)).sum(axis=(1, 2))
@@ -194,18 +207,26 @@ def _chances(x: Floats, with_ties: bool) -> tuple[Floats, Floats]:
     """Return the probabilities of a win of the row's agent and of a tie, both (B, N, N)."""
     # Divide by the maximum of the three terms to avoid an overflow.
     half = 0.5 * (x[:, :-1, None] - x[:, None, :-1])
-    tie = np.broadcast_to(x[:, -1, None, None], half.shape) if with_ties else np.full_like(half, -np.inf)
+    tie = (
+        np.broadcast_to(x[:, -1, None, None], half.shape)
+        if with_ties
+        else np.full_like(half, -np.inf)
+    )
     top = np.maximum(np.abs(half), tie)
     win, draw = np.exp(half - top), np.exp(tie - top)
     total = win + np.exp(-half - top) + draw
     return win / total, draw / total
 
 
-def _log_posterior(x: Floats, wins: Floats, ties: Floats, precision: float, with_ties: bool) -> Floats:
+def _log_posterior(
+    x: Floats, wins: Floats, ties: Floats, precision: float, with_ties: bool
+) -> Floats:
     chance, tie = _chances(x, with_ties)
     # A count of 0 times the logarithm of a chance of 0 is 0 here, but NaN in numpy.
     with np.errstate(divide="ignore", invalid="ignore"):
-        log = np.where(wins > 0.0, wins * np.log(chance), 0.0) + np.where(ties > 0.0, 0.5 * ties * np.log(tie), 0.0)
+        log = np.where(wins > 0.0, wins * np.log(chance), 0.0) + np.where(
+            ties > 0.0, 0.5 * ties * np.log(tie), 0.0
+        )
     return log.sum(axis=(1, 2)) - 0.5 * precision * (x**2).sum(axis=1)
 
 
@@ -215,7 +236,9 @@ def _per_race(name: str, values: ArrayLike, races: int, kind: type | None) -> ND
     except (TypeError, ValueError):
         raise InputError(f"{name} must hold one value for each race") from None
     if array.shape != (races,):
-        raise InputError(f"{name} has shape {array.shape}; it must hold one value for each of {races} races")
+        raise InputError(
+            f"{name} has shape {array.shape}; it must hold one value for each of {races} races"
+        )
     return array
 
 
@@ -234,14 +257,22 @@ def _check_races(
         at = int(np.argmax(wrong))
         raise InputError(f"result[{at}] is {outcome[at]:g}; it must be 1, 0 or -1")
     if uncounted.all():
-        raise InputError(f"none of {len(uncounted)} races was paid to anybody; ratings need at least one that was")
+        raise InputError(
+            f"none of {len(uncounted)} races was paid to anybody; ratings need at least one"
+            " that was"
+        )
 
 
-def _check_connected(names: NDArray[np.str_], winner: NDArray[np.intp], loser: NDArray[np.intp]) -> None:
+def _check_connected(
+    names: NDArray[np.str_], winner: NDArray[np.intp], loser: NDArray[np.intp]
+) -> None:
     """Raise InputError unless a chain of races connects every two agents."""
     group = np.arange(len(names))
     for i, j in set(zip(winner.tolist(), loser.tolist(), strict=True)):
         group[group == group[i]] = group[j]
     apart = group != group[0]
     if apart.any():
-        raise InputError(f"{names[np.argmax(apart)]!s} never met {names[0]!s} or any that did; they can't be compared")
+        raise InputError(
+            f"{names[np.argmax(apart)]!s} never met {names[0]!s} or any that did; they can't be"
+            " compared"
+        )

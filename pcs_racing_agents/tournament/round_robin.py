@@ -35,7 +35,9 @@ def excess(scores: ArrayLike) -> Floats:
     wrong = np.argwhere(~np.isfinite(matrix))
     if len(wrong):
         i, j = wrong[0]
-        raise InputError(f"the score of row {i} against column {j} is {matrix[i, j]}; it must be a finite number")
+        raise InputError(
+            f"the score of row {i} against column {j} is {matrix[i, j]}; it must be a finite number"
+        )
     return 0.5 * (matrix - matrix.T)
 
 
@@ -62,7 +64,9 @@ def alpha_rank(scores: ArrayLike, *, tolerance: float = 0.0) -> Floats:
     from open_spiel.python.egt import alpharank
 
     decided = np.where(np.abs(gain) > tolerance, gain, 0.0)
-    return np.asarray(alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=0.001)[2], dtype=np.float64)
+    return np.asarray(
+        alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=0.001)[2], dtype=np.float64
+    )
 
 
 FEWEST_LINES = 5
@@ -94,7 +98,10 @@ class RoundRobin:
         if ratings is None or name not in ratings.names:
             return np.nan, np.nan, np.nan
         i = ratings.names.index(name)
-        return tuple(float(value) for value in ratings.to_elo([ratings.strength[i], ratings.low[i], ratings.high[i]]))  # type: ignore[return-value]
+        return tuple(
+            float(value)
+            for value in ratings.to_elo([ratings.strength[i], ratings.low[i], ratings.high[i]])
+        )  # type: ignore[return-value]
 
 
 def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> RoundRobin:
@@ -115,14 +122,21 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
     np.add.at(count, (second, first), 1.0)
     scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
     places = races.places
-    noise = _noise(np.minimum(first, second), np.maximum(first, second), np.where(first < second, won, -won), places)
+    noise = _noise(
+        np.minimum(first, second),
+        np.maximum(first, second),
+        np.where(first < second, won, -won),
+        places,
+    )
     # A game with a missing payoff has no equilibrium; a mean as a substitute would invent a result.
     met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
         scores=scores,
         noise=noise,
-        ratings=_ratings(np.array(names)[first], np.array(names)[second], won, unpaid, places, seed),
+        ratings=_ratings(
+            np.array(names)[first], np.array(names)[second], won, unpaid, places, seed
+        ),
         equilibrium=solve_matrix_games(excess(scores)).rows[0] if met else None,
         alpha_rank=_alpha_rank(scores, noise) if met else None,
     )
@@ -138,7 +152,9 @@ def drivers(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
     return index[races.agents.codes]
 
 
-def _noise(first: NDArray[np.intp], second: NDArray[np.intp], won: Floats, line: NDArray[np.intp]) -> float:
+def _noise(
+    first: NDArray[np.intp], second: NDArray[np.intp], won: Floats, line: NDArray[np.intp]
+) -> float:
     """Return 1.96 standard errors of a pair's difference in score, clustered by start line."""
     variances = []
     for i, j in sorted(set(zip(first.tolist(), second.tolist(), strict=True))):
@@ -162,7 +178,11 @@ def _ratings(
     """Fit the ratings, with intervals if there are enough start lines."""
     # A bootstrap over few lines draws almost the same lines again: its interval is too short.
     several = len(np.unique(line[~unpaid])) >= FEWEST_LINES
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,))) if several else None
+    rng = (
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,)))
+        if several
+        else None
+    )
     try:
         return rate(ego.tolist(), opponent.tolist(), won, unpaid=unpaid, unit=line, rng=rng)
     except InputError:  # no race counts, or groups of agents never met

@@ -126,7 +126,9 @@ def record_game(
 
 def play_pairing(pairing: Pairing, **run: Unpack[Run]) -> RaceTable:
     """Simulate the races of one pairing; see :func:`play_pairings`."""
-    (races,) = play_pairings([pairing], name="-".join((pairing.game.track.name, *pairing.names)), **run)
+    (races,) = play_pairings(
+        [pairing], name="-".join((pairing.game.track.name, *pairing.names)), **run
+    )
     return races
 
 
@@ -150,10 +152,18 @@ def play_pairings(
     """
     # Workers of an executor share the cores; without an executor a game uses all of them. Pairings
     # of one game still share it, so that its track is sent to a worker only once.
-    games = {id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings}
+    games = {
+        id(p.game): p.game if executor is None else replace(p.game, threads=1) for p in pairings
+    }
     places = _groups(pairings)
-    groups = [[replace(pairings[i], game=games[id(pairings[i].game)]) for i in group] for group in places]
-    blocks = [block for i, g in enumerate(groups) for block in _blocks(i, g, observations, hashed=job is not None)]
+    groups = [
+        [replace(pairings[i], game=games[id(pairings[i].game)]) for i in group] for group in places
+    ]
+    blocks = [
+        block
+        for i, g in enumerate(groups)
+        for block in _blocks(i, g, observations, hashed=job is not None)
+    ]
     total = sum(len(pairing) for pairing in pairings)
 
     def report(done: int, tasks: int, label: str) -> None:
@@ -163,12 +173,18 @@ def play_pairings(
     # Names of tracks and agents are arbitrary; names of a job's chunks are not.
     chunk_name = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:80] or "races"
     worker = partial(race_block, groups, observations)
-    results = run_with_or_without(chunk_name, worker, blocks, job=job, executor=executor, progress=report)
+    results = run_with_or_without(
+        chunk_name, worker, blocks, job=job, executor=executor, progress=report
+    )
     tables: dict[int, RaceTable] = {}
     for number, members in enumerate(places):
-        parts = [arrays for block, arrays in zip(blocks, results, strict=True) if block.group == number]
+        parts = [
+            arrays for block, arrays in zip(blocks, results, strict=True) if block.group == number
+        ]
         for k, i in enumerate(members):
-            columns = {column: np.concatenate([part[column][k] for part in parts]) for column in parts[0]}
+            columns = {
+                column: np.concatenate([part[column][k] for part in parts]) for column in parts[0]
+            }
             tables[i] = race_table(pairings[i], columns)
     return [tables[i] for i in range(len(pairings))]
 
@@ -178,7 +194,9 @@ def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTab
     count, config = len(pairing), pairing.game.config
     return RaceTable(
         preset=Categorical.constant(config.race.name, count),
-        agents=Categorical.concatenate([Categorical.constant(name, count) for name in pairing.names], axis=1),
+        agents=Categorical.concatenate(
+            [Categorical.constant(name, count) for name in pairing.names], axis=1
+        ),
         track=Categorical.constant(pairing.game.track.name, count),
         race=narrow(np.arange(count)),
         start_s=pairing.starts.s,
@@ -211,13 +229,17 @@ def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
     return list(groups.values())
 
 
-def _blocks(number: int, group: Sequence[Pairing], observations: bool, *, hashed: bool) -> Iterator[RaceBlock]:
+def _blocks(
+    number: int, group: Sequence[Pairing], observations: bool, *, hashed: bool
+) -> Iterator[RaceBlock]:
     pairing, game = group[0], group[0].game
     common = ""
     if hashed:
         # Hashes serve only to look up stored results of a job; some competitors have no hash.
         hashes = [competitor_hash(car) for car in (*(each.ego for each in group), pairing.opponent)]
-        calibration = {preset: calibration_values(own) for preset, own in game.track.calibration.items()}
+        calibration = {
+            preset: calibration_values(own) for preset, own in game.track.calibration.items()
+        }
         track = fingerprint(game.track.content_hash, calibration)
         common = fingerprint(track, game.archive.content_hash, game.config, hashes, observations)
     # The size counts all egos, although they share races: in the worst case they part at move 1.
@@ -225,5 +247,10 @@ def _blocks(number: int, group: Sequence[Pairing], observations: bool, *, hashed
     for first in range(0, len(pairing), size):
         last = min(first + size, len(pairing))
         rows = slice(first, last)
-        draws = (pairing.variants[rows], pairing.starts.s[rows], pairing.starts.side[rows], pairing.noise[rows])
+        draws = (
+            pairing.variants[rows],
+            pairing.starts.s[rows],
+            pairing.starts.side[rows],
+            pairing.noise[rows],
+        )
         yield RaceBlock(fingerprint(common, draws) if hashed else "", number, first, last)

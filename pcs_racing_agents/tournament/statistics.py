@@ -33,10 +33,14 @@ def score(won: ArrayLike, tied: ArrayLike) -> Floats:
     """
     wins, ties = np.asarray(won, dtype=bool), np.asarray(tied, dtype=bool)
     if wins.shape != ties.shape:
-        raise InputError(f"won has shape {wins.shape} and tied {ties.shape}; they must be the same races")
+        raise InputError(
+            f"won has shape {wins.shape} and tied {ties.shape}; they must be the same races"
+        )
     both = wins & ties
     if both.any():
-        raise InputError(f"race {int(np.argmax(both.ravel()))} is won and tied; it can be only one of them")
+        raise InputError(
+            f"race {int(np.argmax(both.ravel()))} is won and tied; it can be only one of them"
+        )
     return wins + 0.5 * ties
 
 
@@ -50,13 +54,16 @@ def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Int
         index = {unit: i for i, unit in enumerate(units)}
         if len(index) < len(units):
             twice = next(unit for i, unit in enumerate(units) if index[unit] != i)
-            raise InputError(f"arm {arm} raced unit {twice!r} more than once; every unit must be there once")
+            raise InputError(
+                f"arm {arm} raced unit {twice!r} more than once; every unit must be there once"
+            )
         indices.append(index)
     for arm, own, others in (("b", indices[0], indices[1]), ("a", indices[1], indices[0])):
         missing = [unit for unit in own if unit not in others]
         if missing:
             raise InputError(
-                f"arm {arm} did not race unit {missing[0]!r} ({len(missing)} missing); both must race the same units"
+                f"arm {arm} did not race unit {missing[0]!r} ({len(missing)} missing); both must"
+                " race the same units"
             )
     return np.array([indices[1][unit] for unit in units_a], dtype=np.intp)
 
@@ -80,7 +87,10 @@ def check_arms(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
     """Return the scores of two arms, or raise InputError if their lengths differ."""
     first, second = check_values("a", a), check_values("b", b)
     if first.shape != second.shape:
-        raise InputError(f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same units")
+        raise InputError(
+            f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same"
+            " units"
+        )
     return first, second
 
 
@@ -91,14 +101,20 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
     except ValueError:
         raise InputError(f"{kind} labels must be text or numbers, one for each race") from None
     if array.shape != values.shape:
-        raise InputError(f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)} races")
-    if array.dtype.kind not in "biufUS" or (array.dtype.kind == "f" and not np.isfinite(array).all()):
+        raise InputError(
+            f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)}"
+            " races"
+        )
+    if array.dtype.kind not in "biufUS" or (
+        array.dtype.kind == "f" and not np.isfinite(array).all()
+    ):
         raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
     # Labels are only compared, never ordered or averaged: they may be text or numbers.
     unique, codes = np.unique(array, return_inverse=True)
     if len(unique) < 2:
         raise InputError(
-            f"there is 1 {kind} variant, {unique[0]!s}; a test needs at least 2, since it looks at how they differ"
+            f"there is 1 {kind} variant, {unique[0]!s}; a test needs at least 2, since it looks at"
+            " how they differ"
         )
     return codes.astype(np.intp), len(unique)
 
@@ -107,7 +123,10 @@ def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
     """Return labels of both roles as common codes from 0, shape (U,) each, checked for one type."""
     first, second = np.asarray(ego), np.asarray(opponent)
     if (first.dtype.kind in "US") != (second.dtype.kind in "US"):
-        raise InputError(f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one kind")
+        raise InputError(
+            f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one"
+            " kind"
+        )
     _, codes = np.unique(np.concatenate([first, second]), return_inverse=True)
     both = codes.astype(np.intp)
     return both[: len(first)], both[len(first) :]
@@ -172,8 +191,13 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
     """
     x = check_values("values", values)
     if not clusters:
-        raise InputError("there are no cluster labels; without them there is nothing to be robust to")
-    coded = [cluster_codes(labels, x, KINDS[i] if i < len(KINDS) else "cluster") for i, labels in enumerate(clusters)]
+        raise InputError(
+            "there are no cluster labels; without them there is nothing to be robust to"
+        )
+    coded = [
+        cluster_codes(labels, x, KINDS[i] if i < len(KINDS) else "cluster")
+        for i, labels in enumerate(clusters)
+    ]
     numbers = tuple(number for _, number in coded)
     kinds: list[Kind] = [(codes,) for codes, _ in coded]
     mean = float(x.mean())
@@ -181,7 +205,9 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
     if same_pool:
         if len(clusters) < 2:
             raise InputError("same_pool is about the labels of ego and opponent; give both")
-        variance = max(variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]]))
+        variance = max(
+            variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]])
+        )
     se = float(np.sqrt(variance))
     # The minimum number of clusters limits the information, for any number of races.
     df = min(numbers) - 1
@@ -218,7 +244,9 @@ def _shared_variance(residual: Floats, kind: Kind) -> float:
     first, last = kind[0], kind[-1]
     two = first != last
     sums = np.bincount(first, residual, size) + np.bincount(last[two], residual[two], size)
-    number = int(np.count_nonzero(np.bincount(first, minlength=size) + np.bincount(last, minlength=size)))
+    number = int(
+        np.count_nonzero(np.bincount(first, minlength=size) + np.bincount(last, minlength=size))
+    )
     total = sums @ sums * _correction(number)
     # Two races with the same two policies were counted twice, once for each policy.
     if two.any():

@@ -87,7 +87,9 @@ def standings(tournament: Tournament) -> list[Standing]:
         own = drove == k
         total = int(np.count_nonzero(own))
 
-        def share(condition: NDArray[np.bool_], own: NDArray[np.bool_] = own, total: int = total) -> float:
+        def share(
+            condition: NDArray[np.bool_], own: NDArray[np.bool_] = own, total: int = total
+        ) -> float:
             """Return the share of the competitor's races with a true condition."""
             return np.count_nonzero(own & condition) / total
 
@@ -106,7 +108,9 @@ def standings(tournament: Tournament) -> list[Standing]:
                 overtakes=int(races.overtakes[own].sum()) / total,
                 rating_low=low,
                 rating_high=high,
-                equilibrium=np.nan if together.equilibrium is None else float(together.equilibrium[k]),
+                equilibrium=(
+                    np.nan if together.equilibrium is None else float(together.equilibrium[k])
+                ),
                 alpha_rank=np.nan if together.alpha_rank is None else float(together.alpha_rank[k]),
             )
         )
@@ -131,7 +135,10 @@ def tournament_text(tournament: Tournament) -> str:
     """Return the standings and the payoff matrix as text."""
     table = standings(tournament)
     races = len(tournament.races)
-    crashes, passed = int(tournament.races.crashed.sum()), int(tournament.races.overtakes.any(axis=1).sum())
+    crashes, passed = (
+        int(tournament.races.crashed.sum()),
+        int(tournament.races.overtakes.any(axis=1).sum()),
+    )
     plan = tournament.plan
     head = (
         f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
@@ -139,7 +146,11 @@ def tournament_text(tournament: Tournament) -> str:
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
         f"{closeness_text(tournament.races)}\n"
     )
-    known = [column for column in META_COLUMNS if not np.isnan([getattr(line, column.name) for line in table]).all()]
+    known = [
+        column
+        for column in META_COLUMNS
+        if not np.isnan([getattr(line, column.name) for line in table]).all()
+    ]
     payoffs = payoff_matrix(tournament)
     order = [plan.names.index(standing.name) for standing in table]
     matrix: list[tuple[str, ...]] = [("score against", *(f"({k + 1})" for k in range(len(order))))]
@@ -149,18 +160,26 @@ def tournament_text(tournament: Tournament) -> str:
     ]
     paid = "the car not to blame" if plan.config.crash_rule == "fault-loses" else "nobody"
     note = (
-        f"score: {'races' if plan.config.heats == 1 else f'best of {plan.config.heats}'} won, a tie counting half; a "
-        f"crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10, start lines drawn again for the interval"
+        f"score: {'races' if plan.config.heats == 1 else f'best of {plan.config.heats}'} won, a tie"
+        f" counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10,"
+        " start lines drawn again for the interval"
     )
     if META_COLUMNS[0] in known:
         note += "\nequilibrium: how often to send whom, if the other side chooses as cleverly"
     if META_COLUMNS[1] in known:
         note += (
-            "\nalpha-rank: share of the time that evolution spends at it; scores against each other that differ by up "
-            f"to {sum_up(tournament).noise:.3f} count as alike"
+            "\nalpha-rank: share of the time that evolution spends at it; scores against each"
+            f" other that differ by up to {sum_up(tournament).noise:.3f} count as alike"
         )
     return "\n".join(
-        [head, *aligned(table_rows([*COLUMNS, *known], table), left=1), "", *aligned(matrix, left=1), "", note]
+        [
+            head,
+            *aligned(table_rows([*COLUMNS, *known], table), left=1),
+            "",
+            *aligned(matrix, left=1),
+            "",
+            note,
+        ]
     )
 
 
@@ -170,7 +189,9 @@ def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path
 
     names = [standing.name for standing in standings(tournament)]
     order = [tournament.plan.names.index(name) for name in names]
-    return save_picture(payoffs_picture(names, payoff_matrix(tournament)[np.ix_(order, order)]), path)
+    return save_picture(
+        payoffs_picture(names, payoff_matrix(tournament)[np.ix_(order, order)]), path
+    )
 
 
 @picture
@@ -182,7 +203,10 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     """
     matrix = np.asarray(payoffs, np.float64)
     if matrix.shape != (len(names), len(names)) or len(names) == 0:
-        raise InputError(f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)}, {len(names)})")
+        raise InputError(
+            f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)},"
+            f" {len(names)})"
+        )
     labels = [short(name) for name in names]
     size = 0.58 * len(names)
     figure = new_figure(size + 2.0, size + 1.4)
@@ -195,7 +219,15 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
         if not np.isnan(value):
             # Perceived lightness of the cell (ITU-R BT.601): white digits on dark cells.
             dark = image.cmap(image.norm(value))[:3] @ np.array([0.299, 0.587, 0.114]) < 0.5
-            axes.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=8, color="white" if dark else INK)
+            axes.text(
+                j,
+                i,
+                f"{value:.2f}",
+                ha="center",
+                va="center",
+                fontsize=8,
+                color="white" if dark else INK,
+            )
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
     axes.set_xlabel("score of the row's agent against the column's")
@@ -212,7 +244,9 @@ def ratings_picture(ratings: Ratings) -> Any:
     axes.axvline(0.0, color=EDGE, lw=1.0)
     for rank, i in enumerate(order):
         if np.isfinite(ratings.low[i]):
-            axes.plot([low[i], high[i]], [-rank] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt")
+            axes.plot(
+                [low[i], high[i]], [-rank] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt"
+            )
         axes.plot(ratings.elo[i], -rank, "o", color=COLOURS[0], ms=6)
     axes.set_yticks([-rank for rank in range(len(order))], [short(ratings.names[i]) for i in order])
     axes.set_ylim(-len(order) + 0.4, 0.6)

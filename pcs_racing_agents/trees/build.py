@@ -120,10 +120,15 @@ def build_tree(
     if keys.ndim != 1 or len(keys) == 0 or len(np.unique(keys)) != len(keys):
         raise InputError(f"seeds are {seeds!r}; give one or more different whole numbers from 0")
     if len(keys) > 1 and game.config.race.steering_noise == 0.0:
-        raise InputError(f"there are {len(keys)} seeds, but no steering noise: every seed drives the same; give one")
+        raise InputError(
+            f"there are {len(keys)} seeds, but no steering noise: every seed drives the same;"
+            " give one"
+        )
     pair = np.asarray(policies)
     if pair.shape != (2,) or (pair < 0).any():
-        raise InputError(f"policies are {policies!r}; give two policies of archive {game.archive.name!r}")
+        raise InputError(
+            f"policies are {policies!r}; give two policies of archive {game.archive.name!r}"
+        )
     root = game.reset(keys, policies=pair, starts=place.take(np.zeros(len(keys), np.int64)))
     moves = game.config.moves
     paths = [policy_paths(game.table, int(policy), moves) for policy in pair]
@@ -152,8 +157,8 @@ def check_game(game: RaceGame) -> None:
     for car, planner in enumerate(game.setup.planners):
         if planner.name != game.archive.planner:
             raise InputError(
-                f"car {car} is driven by planner {planner.name!r}; in a game tree both cars drive policies of archive "
-                f"{game.archive.name!r} (planner {game.archive.planner!r})"
+                f"car {car} is driven by planner {planner.name!r}; in a game tree both cars drive"
+                f" policies of archive {game.archive.name!r} (planner {game.archive.planner!r})"
             )
     check_size(game.table.shape[1], game.config.moves)
 
@@ -212,7 +217,9 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
     return payoffs.astype(np.float32), leads, estimates, over, (driven, live, crashes)
 
 
-def _scatter(values: NDArray[Any], at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]) -> NDArray[Any]:
+def _scatter(
+    values: NDArray[Any], at: tuple[NDArray[np.intp], ...], shape: tuple[int, ...]
+) -> NDArray[Any]:
     array = np.zeros((*shape, *values.shape[1:]), values.dtype)
     array[at] = values
     return array

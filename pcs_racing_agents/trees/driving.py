@@ -51,7 +51,9 @@ class RaceEnds(NamedTuple):
     @classmethod
     def empty(cls, races: int) -> "RaceEnds":
         """Return arrays of zeros for ``races`` races."""
-        return cls(np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8))
+        return cls(
+            np.zeros((races, 2)), np.zeros((races, 2), np.int8), np.zeros((races, 2), np.int8)
+        )
 
     def write(self, rows: Indices | slice, ends: "RaceEnds") -> None:
         """Overwrite some races, in place."""
@@ -74,7 +76,9 @@ def _in_chunks(game: RaceGame, races: int, work: Callable[[slice], Any]) -> list
         return list(pool.map(work, chunks))
 
 
-def drive_children(game: RaceGame, parents: RaceState, rows: Indices, policies: Indices) -> tuple[RaceState, Floats]:
+def drive_children(
+    game: RaceGame, parents: RaceState, rows: Indices, policies: Indices
+) -> tuple[RaceState, Floats]:
     """Simulate a step of the game: child ``i`` continues state ``rows[i]`` with ``policies[i]``.
 
     Returns
@@ -155,7 +159,9 @@ def finish(
         batch = waiting[_cover(drives[:, waiting], status)]
         if len(batch) == 0:
             break
-        batch_ends, batch_trace = drive_to_the_end(game, parents, rows[far[batch]], policies[far[batch]], trace=True)
+        batch_ends, batch_trace = drive_to_the_end(
+            game, parents, rows[far[batch]], policies[far[batch]], trace=True
+        )
         ends.write(far[batch], batch_ends)
         apart_throughout = _stay_apart(batch_trace[:, :, 0], batch_trace[:, :, 1], length, sight)
         for car in range(2):
@@ -171,7 +177,9 @@ def finish(
         traces = batch_trace if len(traces) == 0 else np.concatenate([traces, batch_trace])
         count += len(batch)
         waiting = np.setdiff1d(waiting, batch, assume_unique=True)
-        crashing = (status[0, drives[0, waiting]] == CRASHES) | (status[1, drives[1, waiting]] == CRASHES)
+        crashing = (status[0, drives[0, waiting]] == CRASHES) | (
+            status[1, drives[1, waiting]] == CRASHES
+        )
         not_shared.append(far[waiting[crashing]])
         waiting = waiting[~crashing]
     for first in range(0, len(waiting), 4096):  # bounded memory
@@ -209,10 +217,21 @@ def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> I
     for car in range(2):
         columns = [
             array[used, car].reshape(len(used), -1)
-            for array in (parents.cars, parents.frenet, parents.progress, parents.command, parents.disturbance)
+            for array in (
+                parents.cars,
+                parents.frenet,
+                parents.progress,
+                parents.command,
+                parents.disturbance,
+            )
         ]
-        columns += [array[used, car].reshape(len(used), -1) for array in (parents.path, parents.memory)]
-        shared = [parents.tick[used, None].view(np.float64), parents.seed[used, None].view(np.float64)]
+        columns += [
+            array[used, car].reshape(len(used), -1) for array in (parents.path, parents.memory)
+        ]
+        shared = [
+            parents.tick[used, None].view(np.float64),
+            parents.seed[used, None].view(np.float64),
+        ]
         table = np.ascontiguousarray(np.concatenate([*columns, *shared], axis=1))
         state: dict[bytes, int] = {}
         same = np.array([state.setdefault(row.tobytes(), len(state)) for row in table], np.int64)

@@ -20,7 +20,13 @@ from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk
 from pcs_racing_agents.base.folders import is_unchanged, read_job
 from pcs_racing_agents.base.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.trees.build import build_tree, check_game, choose_pairs, default_seeds, draw_root
+from pcs_racing_agents.trees.build import (
+    build_tree,
+    check_game,
+    choose_pairs,
+    default_seeds,
+    draw_root,
+)
 from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
 KIND = "game trees"
@@ -75,7 +81,12 @@ def build_trees(
         Called as ``progress(done, total, label)`` after every tree.
     """
     with open_trees(
-        game, folder, pairs=pairs, seeds_per_pair=seeds_per_pair, seed=seed, one_thread=executor is not None
+        game,
+        folder,
+        pairs=pairs,
+        seeds_per_pair=seeds_per_pair,
+        seed=seed,
+        one_thread=executor is not None,
     ) as group:
         run_groups([group], executor=executor, progress=progress, keep=False)
     return load_trees(folder)
@@ -101,8 +112,15 @@ def open_trees(
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
     check_whole("seeds_per_pair", seeds, 1, 1000)
     if seeds > 1 and game.config.race.steering_noise == 0.0:
-        raise InputError(f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same")
-    settings = {**game_settings(game), "pairs": start_pairs, "seeds_per_pair": int(seeds), "seed": int(seed)}
+        raise InputError(
+            f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same"
+        )
+    settings = {
+        **game_settings(game),
+        "pairs": start_pairs,
+        "seeds_per_pair": int(seeds),
+        "seed": int(seed),
+    }
     tasks = [_TreeTask(pair, i, int(seeds), int(seed)) for i, pair in enumerate(start_pairs)]
     build = partial(_build, replace(game, threads=1) if one_thread else game)
     with open_job(folder, KIND, settings) as job:
@@ -152,7 +170,8 @@ class StoredTrees(Sequence[RaceTree]):
     """Trees in a folder, each read on access."""
 
     folder: Path
-    settings: Mapping[str, Any]  #: Settings of the job: the game (:func:`game_settings`), pairs and seeds.
+    #: Settings of the job: the game (:func:`game_settings`), pairs and seeds.
+    settings: Mapping[str, Any]
 
     def __len__(self) -> int:
         return len(self.settings["pairs"])
@@ -200,9 +219,16 @@ class StoredTrees(Sequence[RaceTree]):
             if stored != wanted:
                 if isinstance(wanted, dict) and isinstance(stored, dict):
                     # `self` marks a missing entry: no value of a manifest is equal to it.
-                    inner = next(k for k in {**stored, **wanted} if stored.get(k, self) != wanted.get(k, self))
+                    inner = next(
+                        k
+                        for k in {**stored, **wanted}
+                        if stored.get(k, self) != wanted.get(k, self)
+                    )
                     key, stored, wanted = f"{key} {inner}", stored.get(inner), wanted.get(inner)
-                raise InputError(f"the trees in {self.folder} are of another game: {key} is {stored!r}, not {wanted!r}")
+                raise InputError(
+                    f"the trees in {self.folder} are of another game: {key} is {stored!r}, not"
+                    f" {wanted!r}"
+                )
 
 
 def _read(file: Path) -> Arrays:
@@ -218,13 +244,16 @@ def load_trees(folder: str | Path, archive: PolicyArchive | None = None) -> Stor
     archive_settings = trees.settings["archive"]
     if archive is not None and archive_settings["sha256"] != archive.content_hash:
         raise InputError(
-            f"the trees in {folder} were played with archive {archive_settings['name']!r} (sha256 "
-            f"{archive_settings['sha256'][:12]}...), not with {archive.name!r} ({archive.content_hash[:12]}...)"
+            f"the trees in {folder} were played with archive {archive_settings['name']!r} (sha256"
+            f" {archive_settings['sha256'][:12]}...), not with {archive.name!r}"
+            f" ({archive.content_hash[:12]}...)"
         )
     missing = trees.missing()
     if missing:
         others = f" and {len(missing) - 1} more" if len(missing) > 1 else ""
-        raise InputError(f"{trees.file(missing[0])}{others} missing of {len(trees)} trees: {MAKE_AGAIN}")
+        raise InputError(
+            f"{trees.file(missing[0])}{others} missing of {len(trees)} trees: {MAKE_AGAIN}"
+        )
     return trees
 
 
@@ -236,23 +265,51 @@ def _read_settings(file: Path) -> dict[str, Any]:
         raise InputError(f"{file.parent} holds no {KIND}: {file.name}: {error.strerror}") from None
     except InputError:
         manifest = None
-    if not isinstance(manifest, dict) or manifest.get("kind") != KIND or not isinstance(manifest.get("settings"), dict):
-        raise InputError(f"{file} is no manifest of {KIND}; choose a folder that 'pcs-racing tree' wrote")
+    if (
+        not isinstance(manifest, dict)
+        or manifest.get("kind") != KIND
+        or not isinstance(manifest.get("settings"), dict)
+    ):
+        raise InputError(
+            f"{file} is no manifest of {KIND}; choose a folder that 'pcs-racing tree' wrote"
+        )
     if not is_unchanged(file.parent):
-        raise InputError(f"{file} is not the manifest that 'pcs-racing tree' wrote there: its digest differs")
+        raise InputError(
+            f"{file} is not the manifest that 'pcs-racing tree' wrote there: its digest differs"
+        )
     settings: dict[str, Any] = manifest["settings"]
     for key in ("archive", "track"):
         entry = settings.get(key)
-        if not isinstance(entry, dict) or not all(isinstance(entry.get(name), str) for name in ("name", "sha256")):
-            raise InputError(f"{file}: {key} is {entry!r:.80}; it must have the texts name and sha256")
+        if not isinstance(entry, dict) or not all(
+            isinstance(entry.get(name), str) for name in ("name", "sha256")
+        ):
+            raise InputError(
+                f"{file}: {key} is {entry!r:.80}; it must have the texts name and sha256"
+            )
     rules, pairs = settings.get("rules"), settings.get("pairs")
-    if not isinstance(rules, dict) or type(rules.get("moves")) is not int or not 1 <= rules["moves"] <= 100:
-        raise InputError(f"{file}: rules are {rules!r:.80}; they must have moves, a whole number from 1 to 100")
-    if not isinstance(pairs, list) or not pairs or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
-        raise InputError(f"{file}: pairs are {pairs!r:.80}; they must be a list of two policies each")
+    if (
+        not isinstance(rules, dict)
+        or type(rules.get("moves")) is not int
+        or not 1 <= rules["moves"] <= 100
+    ):
+        raise InputError(
+            f"{file}: rules are {rules!r:.80}; they must have moves, a whole number from 1 to 100"
+        )
+    if (
+        not isinstance(pairs, list)
+        or not pairs
+        or not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs)
+    ):
+        raise InputError(
+            f"{file}: pairs are {pairs!r:.80}; they must be a list of two policies each"
+        )
     for key in ("encoding", "move_names"):
-        if not isinstance(settings.get(key), list) or not all(isinstance(name, str) for name in settings[key]):
-            raise InputError(f"{file}: {key} is {settings.get(key)!r:.80}; it must be a list of texts")
+        if not isinstance(settings.get(key), list) or not all(
+            isinstance(name, str) for name in settings[key]
+        ):
+            raise InputError(
+                f"{file}: {key} is {settings.get(key)!r:.80}; it must be a list of texts"
+            )
     return settings
 
 

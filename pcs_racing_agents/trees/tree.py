@@ -73,8 +73,8 @@ def check_size(options: int, moves: int) -> None:
     leaves = options ** (2 * moves)
     if leaves > MAX_LEAVES:
         raise InputError(
-            f"a tree of {moves} moves with {options} choices for each player has {leaves:.3g} leaves; at most "
-            f"{MAX_LEAVES:,} are possible: play fewer moves, or fewer step sizes"
+            f"a tree of {moves} moves with {options} choices for each player has {leaves:.3g}"
+            f" leaves; at most {MAX_LEAVES:,} are possible: play fewer moves, or fewer step sizes"
         )
 
 
@@ -90,7 +90,9 @@ class TreeStatistics(NamedTuple):
     #: Segments of different policy paths, without segments after a crash: all are driven if no two
     #: cars are too far apart to see each other.
     live: int
-    shared: int  #: Segments of a tree whose branches share only their beginnings: one for each joint history of moves.
+    #: Segments of a tree whose branches share only their beginnings: one for each joint history of
+    #: moves.
+    shared: int
     replayed: int  #: Segments if every joint history of all moves were driven from the start.
     crashed: float  #: Share of the joint histories of all moves that end in a crash.
     #: Share of the joint histories of all moves that pass through the same policies as an already
@@ -122,16 +124,16 @@ class RaceTree:
     points: Floats  #: shape (K, G): Normalised coordinates of the policies as the players see them.
     #: shape (S, U0_m, U1_m): Payoffs to car 0; the payoffs to car 1 are their negatives.
     path_payoffs: NDArray[np.float32]
-    #: shape (S, U0_k, U1_k): Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0 where the race was
-    #: over before.
+    #: shape (S, U0_k, U1_k): Lead of car 0 at the end of step ``k``, m, for ``k`` below ``m``; 0
+    #: where the race was over before.
     path_leads: tuple[Floats, ...]
-    #: shape (S, U0_k, U1_k, 2, G): Normalised coordinates of each car as measured in step ``k``; 0 where the race was
-    #: over before.
+    #: shape (S, U0_k, U1_k, 2, G): Normalised coordinates of each car as measured in step ``k``; 0
+    #: where the race was over before.
     path_estimates: tuple[NDArray[np.float32], ...]
     #: shape (S, U0_k, U1_k): True if the race had ended in a crash before move ``k``.
     path_over: tuple[NDArray[np.bool_], ...]
-    #: shape (S,): ``driven``, ``live``, ``crashed``: Numbers behind :attr:`statistics`; ``crashed`` counts joint
-    #: histories of all moves.
+    #: shape (S,): ``driven``, ``live``, ``crashed``: Numbers behind :attr:`statistics`; ``crashed``
+    #: counts joint histories of all moves.
     driven: Indices
     live: Indices
     crashed: Indices
@@ -140,8 +142,8 @@ class RaceTree:
         """Show the start, and the numbers of moves and seeds."""
         first, second = self.policies
         return (
-            f"<RaceTree: policies {first} and {second} from {self.start_s:.2f} m, side {self.side}, {self.moves} moves "
-            f"of {self.options}, {len(self.seeds)} seeds>"
+            f"<RaceTree: policies {first} and {second} from {self.start_s:.2f} m, side {self.side},"
+            f" {self.moves} moves of {self.options}, {len(self.seeds)} seeds>"
         )
 
     @property
@@ -157,13 +159,17 @@ class RaceTree:
     @cached_property
     def paths(self) -> tuple[PolicyPaths, PolicyPaths]:
         """Policy paths of each player."""
-        first, second = (policy_paths(self.table, int(start), self.moves) for start in self.policies)
+        first, second = (
+            policy_paths(self.table, int(start), self.moves) for start in self.policies
+        )
         return first, second
 
     def where(self, level: int) -> tuple[Indices, Indices]:
         """Return the two players' policy paths in every joint history of a level, shapes (N_k,)."""
         own = own_histories(level, self.options)
-        first, second = (paths.history[level][mine] for paths, mine in zip(self.paths, own, strict=True))
+        first, second = (
+            paths.history[level][mine] for paths, mine in zip(self.paths, own, strict=True)
+        )
         return first, second
 
     @cached_property
@@ -178,7 +184,9 @@ class RaceTree:
 
     @cached_property
     def estimates(self) -> list[NDArray[np.float32]]:
-        """Coordinates of each car as measured in step ``k``; for each level an array of shape (S, N_k, 2, G)."""
+        """Coordinates of each car as measured in step ``k``; for each level an array of shape (S,
+        N_k, 2, G).
+        """
         return [self._spread(array, k) for k, array in enumerate(self.path_estimates)]
 
     @cached_property
@@ -190,7 +198,10 @@ class RaceTree:
     def policy(self) -> list[Indices]:
         """Policies in use in step ``k``, crash or not; for each level an array of shape (N_k, 2)."""
         return [
-            np.stack([paths.policy[k][at] for paths, at in zip(self.paths, self.where(k), strict=True)], axis=1)
+            np.stack(
+                [paths.policy[k][at] for paths, at in zip(self.paths, self.where(k), strict=True)],
+                axis=1,
+            )
             for k in range(self.moves)
         ]
 
@@ -207,7 +218,9 @@ class RaceTree:
             Observations; for a race that is over, the observation at its end.
         """
         if not 0 <= level < self.moves:
-            raise InputError(f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}")
+            raise InputError(
+                f"move {level} is none of the tree's; it must lie in 0 to {self.moves - 1}"
+            )
         branches, shape = self.options**2, self.over[level].shape
         own = np.zeros((*shape, 2, self.moves + 1, self.points.shape[1]))
         estimates = np.zeros_like(own)
@@ -222,14 +235,19 @@ class RaceTree:
             estimates[:, :, :, k] = self.estimates[k][:, above]
             leads[:, :, k] = self.leads[k][:, above]
             step[self.over[k][:, above]] = k
-        flat_own, flat_estimates = (array.reshape(-1, *array.shape[2:]) for array in (own, estimates))
-        flat = encode_observation(flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1))
+        flat_own, flat_estimates = (
+            array.reshape(-1, *array.shape[2:]) for array in (own, estimates)
+        )
+        flat = encode_observation(
+            flat_own, flat_estimates, leads.reshape(-1, self.moves + 1), step.reshape(-1)
+        )
         return flat.reshape(*shape, *flat.shape[1:])
 
     def game_tree(self) -> "GameTree":
         """Return the tree for the solvers, with payoffs averaged over the seeds.
 
-        The seeds share their information sets: players know the history of moves, but not the noise to come.
+        The seeds share their information sets: players know the history of moves, but not the noise
+        to come.
         """
         from pcs_racing_agents.solvers import GameTree
 
@@ -254,7 +272,11 @@ class RaceTree:
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return the tree as arrays by name, for files; :func:`tree_from_arrays` reads them."""
         plain = {name: np.asarray(getattr(self, name)) for name in _PLAIN}
-        levels = {f"{name}_{k}": array for name in _LEVELS for k, array in enumerate(getattr(self, f"path_{name}"))}
+        levels = {
+            f"{name}_{k}": array
+            for name in _LEVELS
+            for k, array in enumerate(getattr(self, f"path_{name}"))
+        }
         return {**plain, "payoffs": self.path_payoffs, **levels}
 
 
@@ -265,7 +287,9 @@ _LEVELS = ("leads", "estimates", "over")
 
 
 def _check_arrays(
-    arrays: Mapping[str, NDArray[Any]], wanted: Mapping[str, tuple[str, tuple[int, ...]]], where: str
+    arrays: Mapping[str, NDArray[Any]],
+    wanted: Mapping[str, tuple[str, tuple[int, ...]]],
+    where: str,
 ) -> None:
     """Check arrays by name from a file of any origin.
 
@@ -277,9 +301,13 @@ def _check_arrays(
         if array.shape != shape:
             raise InputError(f"{where}: {name} has shape {array.shape}; it must have {shape}")
         if array.dtype.kind not in kinds:
-            raise InputError(f"{where}: {name} is of type {array.dtype}; a tree has another one there")
+            raise InputError(
+                f"{where}: {name} is of type {array.dtype}; a tree has another one there"
+            )
         if not np.isfinite(array).all():
-            raise InputError(f"{where}: {name} holds NaN or infinity; every number of a tree must be finite")
+            raise InputError(
+                f"{where}: {name} holds NaN or infinity; every number of a tree must be finite"
+            )
 
 
 def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str) -> RaceTree:
@@ -291,15 +319,27 @@ def tree_from_arrays(arrays: Mapping[str, NDArray[Any]], moves: int, where: str)
     seeds, table, points = (arrays[name].shape for name in ("seeds", "table", "points"))
     fits = (len(seeds), len(table), len(points)) == (1, 2, 2) and table[0] == points[0]
     if not fits or 0 in (*seeds, *table, *points):
-        raise InputError(f"{where}: seeds, table and points have shapes {seeds}, {table} and {points}; they do not fit")
-    whole: dict[str, tuple[str, tuple[int, ...]]] = dict.fromkeys(("seeds", "driven", "live", "crashed"), ("iu", seeds))
-    whole |= {"policies": ("iu", (2,)), "start_s": ("f", ()), "side": ("iu", ()), "table": ("iu", table)}
+        raise InputError(
+            f"{where}: seeds, table and points have shapes {seeds}, {table} and {points}; they do"
+            " not fit"
+        )
+    whole: dict[str, tuple[str, tuple[int, ...]]] = dict.fromkeys(
+        ("seeds", "driven", "live", "crashed"), ("iu", seeds)
+    )
+    whole |= {
+        "policies": ("iu", (2,)),
+        "start_s": ("f", ()),
+        "side": ("iu", ()),
+        "table": ("iu", table),
+    }
     _check_arrays(arrays, whole | {"points": ("f", points)}, where)
     check_size(table[1], moves)
     for name in ("table", "policies"):
         if (arrays[name] < 0).any() or (arrays[name] >= table[0]).any():
             raise InputError(f"{where} names a policy that it does not hold; there are {table[0]}")
-    levels: dict[str, Any] = {f"path_{name}": tuple(arrays[f"{name}_{k}"] for k in range(moves)) for name in _LEVELS}
+    levels: dict[str, Any] = {
+        f"path_{name}": tuple(arrays[f"{name}_{k}"] for k in range(moves)) for name in _LEVELS
+    }
     plain: dict[str, Any] = {name: arrays[name] for name in _PLAIN}
     plain.update(start_s=float(plain["start_s"]), side=int(plain["side"]))
     tree = RaceTree(path_payoffs=arrays["payoffs"], **plain, **levels)

@@ -107,9 +107,16 @@ def explain_game(
     cars = (as_competitor(ego), as_competitor(opponent))
     competitor = cars[car]
     if isinstance(competitor, Driver):
-        other = "nor does the other car's" if isinstance(cars[1 - car], Driver) else "try the other car"
-        raise InputError(f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain; {other}")
-    recording = record_game(game, *cars, policies=policies, start=start, seed=seed, candidates=candidates)
+        other = (
+            "nor does the other car's" if isinstance(cars[1 - car], Driver) else "try the other car"
+        )
+        raise InputError(
+            f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain;"
+            f" {other}"
+        )
+    recording = record_game(
+        game, *cars, policies=policies, start=start, seed=seed, candidates=candidates
+    )
     played, game = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = game.config, getattr(competitor, "strategy", None)
@@ -127,15 +134,21 @@ def explain_game(
         replay=mark_moves(recording.replay, played, game.move_names, config.ends),
         played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
-        default=DefaultStrategy(strategy.blind.name, strategy.margin)
-        if isinstance(strategy, AdaptiveStrategy)
-        else None,
+        default=(
+            DefaultStrategy(strategy.blind.name, strategy.margin)
+            if isinstance(strategy, AdaptiveStrategy)
+            else None
+        ),
         open_loop=is_open_loop(competitor),
     )
 
 
 def _steps(
-    game: RaceGame, competitor: Competitor, played: RaceTable, car: int, network: RegretNetwork | None
+    game: RaceGame,
+    competitor: Competitor,
+    played: RaceTable,
+    car: int,
+    network: RegretNetwork | None,
 ) -> tuple[ExplainedDecision, ...]:
     axes = len(game.characteristics)
     strategy = getattr(competitor, "strategy", None)
@@ -155,8 +168,16 @@ def _steps(
                 move=int(played.moves.codes[0, car, k]),
                 policy=int(played.path[0, car, k]),
                 next_policy=int(played.path[0, car, k + 1]),
-                probabilities=competitor.probabilities(observation)[0] if isinstance(competitor, Agent) else None,
-                values=None if network is None else network.unclipped(observation)[0].astype(np.float64),
+                probabilities=(
+                    competitor.probabilities(observation)[0]
+                    if isinstance(competitor, Agent)
+                    else None
+                ),
+                values=(
+                    None
+                    if network is None
+                    else network.unclipped(observation)[0].astype(np.float64)
+                ),
                 default_move=default_move,
                 opponent_move=int(played.moves.codes[0, 1 - car, k]),
             )
@@ -171,7 +192,9 @@ def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Flo
 
 def is_open_loop(competitor: Competitor) -> bool:
     """Return whether an agent's moves are known to depend only on time and its own policy."""
-    return isinstance(getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy)
+    return isinstance(
+        getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy
+    )
 
 
 def value_unit(network: RegretNetwork, utility: str) -> Unit:
@@ -188,7 +211,9 @@ def value_unit(network: RegretNetwork, utility: str) -> Unit:
     return Unit(1.0, "")
 
 
-def mark_moves(replay: Replay, played: RaceTable, moves: tuple[str, ...], ends: tuple[float, ...]) -> Replay:
+def mark_moves(
+    replay: Replay, played: RaceTable, moves: tuple[str, ...], ends: tuple[float, ...]
+) -> Replay:
     """Return a replay with the moves of both cars as events."""
     events = [
         ReplayEvent(ends[k], car, "move", moves[played.moves.codes[0, car, k]])

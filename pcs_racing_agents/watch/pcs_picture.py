@@ -9,7 +9,16 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
-from pcs_racing_agents.base.style import COLOURS, INK, SOFT, new_figure, picture, place_labels, short, tidy
+from pcs_racing_agents.base.style import (
+    COLOURS,
+    INK,
+    SOFT,
+    new_figure,
+    picture,
+    place_labels,
+    short,
+    tidy,
+)
 
 Floats = NDArray[np.float64]
 
@@ -24,7 +33,9 @@ def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
     return archive.nadir + np.asarray(normalised, np.float64) * (archive.ideal - archive.nadir)
 
 
-def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False) -> None:
+def draw_archive(
+    axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False
+) -> None:
     """Draw an archive's policies and all explored policies, in the characteristics' units.
 
     ``colour_bar``: True adds a colour bar of the policies' crash rate, if known. ``faint``: True
@@ -33,14 +44,26 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, 
     right, up = plane(archive)
     everything, policies = archive.explored_coordinates, archive.coordinates
     if len(everything):
-        axes.plot(everything[:, right], everything[:, up], ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
+        axes.plot(
+            everything[:, right],
+            everything[:, up],
+            ".",
+            color="#c3ccd6",
+            ms=3.2,
+            mew=0.0,
+            rasterized=True,
+        )
     # Thousands of explored policies are pixels even in a vector picture, below the archive.
     options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
     if faint or archive.own_crash is None:
-        axes.scatter(policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options)
+        axes.scatter(
+            policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options
+        )
     else:
         shares = 100.0 * archive.own_crash
-        dots = axes.scatter(policies[:, right], policies[:, up], c=shares, cmap="cividis", vmin=0.0, **options)
+        dots = axes.scatter(
+            policies[:, right], policies[:, up], c=shares, cmap="cividis", vmin=0.0, **options
+        )
         if colour_bar:
             bar = axes.figure.colorbar(dots, ax=axes, shrink=0.75, aspect=24, pad=0.02)
             bar.set_label("own crashes, % of races")
@@ -68,7 +91,12 @@ def _limit(axes: Any, archive: PolicyArchive) -> None:
 
 def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str, **options: Any) -> None:
     """Draw an arrow between two points of a plane."""
-    style = {"arrowstyle": "-|>,head_width=0.25,head_length=0.5", "color": colour, "lw": 1.6, "shrinkA": 4.0}
+    style = {
+        "arrowstyle": "-|>,head_width=0.25,head_length=0.5",
+        "color": colour,
+        "lw": 1.6,
+        "shrinkA": 4.0,
+    }
     arrow = {**style, "shrinkB": 3.0, "mutation_scale": 10.0, **options}
     axes.annotate("", xy=np.asarray(end), xytext=np.asarray(start), arrowprops=arrow, zorder=4)
 
@@ -95,7 +123,11 @@ def archive_picture(
     ineffective, ends, labels = [], [], []
     # Moves to the same policy share an arrow.
     for target in dict.fromkeys(leads_to.tolist()):
-        names = [name for name, end in zip(move_names(archive, epsilon), leads_to, strict=True) if end == target]
+        names = [
+            name
+            for name, end in zip(move_names(archive, epsilon), leads_to, strict=True)
+            if end == target
+        ]
         if target == start:
             ineffective = names
             continue
@@ -109,7 +141,9 @@ def archive_picture(
     text = f"arrows: moves of policy {start}"
     if ineffective:
         text += f"; {', '.join(ineffective)} keep{'s' if len(ineffective) == 1 else ''} it"
-    axes.text(1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5)
+    axes.text(
+        1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5
+    )
     # Labels avoid both the arrows and the policies.
     shafts = [point + share * (end - point) for end in ends for share in (0.25, 0.5, 0.75)]
     place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])

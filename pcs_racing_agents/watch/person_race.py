@@ -39,7 +39,11 @@ class _GivenMoves:
     name: str = "you"
 
     def predict(
-        self, observation: NDArray[np.float32], state: Any = None, episode_start: Any = None, deterministic: bool = True
+        self,
+        observation: NDArray[np.float32],
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = True,
     ) -> tuple[NDArray[np.int64], None]:
         """Return the move for each observation."""
         # Stateless (from the observation): the same object serves any race, in any order.
@@ -65,7 +69,10 @@ class PersonRaces:
         match = _ADDRESS.fullmatch(path)
         if match is None:
             return error_answer(404, "there is / and /race/NUMBER/MOVES here")
-        number, moves = int(match.group(1)), tuple(int(move) for move in match.group(2).split("-") if move)
+        number, moves = (
+            int(match.group(1)),
+            tuple(int(move) for move in match.group(2).split("-") if move),
+        )
         try:
             if match.group(3):
                 page = replay_page(self.replay(number, moves))
@@ -87,7 +94,9 @@ class PersonRaces:
         policy = int([policy for policy in played.path[0, 0, : made + 1] if policy >= 0][-1])
         axes = get_characteristics(archive.characteristics)
         seen = [
-            opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0].astype(float).tolist()
+            opponent(earlier(played.observations[:, car], len(axes), made), len(axes))[0]
+            .astype(float)
+            .tolist()
             for car in range(2)
         ]
         return {
@@ -102,11 +111,16 @@ class PersonRaces:
             "lead": float(replay.lead[-1]),
             "opponent": replay.car_names[1],
             "track": replay.track_name,
-            "axes": [{"name": axis.name, "unit": axis.unit, "meaning": axis.meaning} for axis in axes],
+            "axes": [
+                {"name": axis.name, "unit": axis.unit, "meaning": axis.meaning} for axis in axes
+            ],
             "policies": archive.normalised.tolist(),
             "policy": policy,
             "choices": [
-                {"name": name, "policy": int(game.next_policy(np.array([policy]), np.array([move]))[0])}
+                {
+                    "name": name,
+                    "policy": int(game.next_policy(np.array([policy]), np.array([move]))[0]),
+                }
                 for move, name in enumerate(game.competitor_moves)
             ],
             "opponent_seen": seen[0],
@@ -137,12 +151,21 @@ class PersonRaces:
         archive = self.game.archive
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
         if isinstance(self.opponent, Driver):
-            return np.array([draw.integers(len(archive)), draw.integers(len(self.opponent.policies))])
+            return np.array(
+                [draw.integers(len(archive)), draw.integers(len(self.opponent.policies))]
+            )
         rival = draw.integers(len(archive))
         apart = np.linalg.norm(archive.normalised - archive.normalised[rival], axis=1)
-        return np.array([np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))], rival])
+        return np.array(
+            [
+                np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))],
+                rival,
+            ]
+        )
 
-    def _drive(self, number: int, moves: tuple[int, ...]) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
+    def _drive(
+        self, number: int, moves: tuple[int, ...]
+    ) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race ("stay" after the given moves); return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
         if not 0 <= number < MOST_RACES:
@@ -151,7 +174,9 @@ class PersonRaces:
             raise InputError(f"{len(moves)} moves were made; a race has {game.config.moves}")
         for move in moves:
             if not 0 <= move < len(names):
-                raise InputError(f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})")
+                raise InputError(
+                    f"move {move} is none of the moves 0 to {len(names) - 1} ({', '.join(names)})"
+                )
         # The whole race each time: requests share no state.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
         race: dict[str, Any] = {
@@ -228,18 +253,32 @@ class PersonDrive:
                 return Answer(200, safe_json(self._drive(*map(int, on.groups()))).encode())
         except InputError as error:
             return error_answer(409, str(error))
-        return error_answer(404, "there is /, /begin/NUMBER and /drive/NUMBER/STEP/STEPS/STEERING/SPEED here")
+        return error_answer(
+            404, "there is /, /begin/NUMBER and /drive/NUMBER/STEP/STEPS/STEERING/SPEED here"
+        )
 
     def _begin(self, number: int) -> dict[str, Any]:
         self._info = self.env.reset(seed=self.seed + number)[1]
         self._race = number, 0
         track = self.env.batch.track
-        walls, line = (np.round(part, 3).tolist() for part in (track.arrays.walls, track.line[:, :2]))
-        return {**self._moment(), "walls": walls, "line": line, "track": track.name, "opponent": self.opponent}
+        walls, line = (
+            np.round(part, 3).tolist() for part in (track.arrays.walls, track.line[:, :2])
+        )
+        return {
+            **self._moment(),
+            "walls": walls,
+            "line": line,
+            "track": track.name,
+            "opponent": self.opponent,
+        }
 
-    def _drive(self, number: int, step: int, steps: int, steering: int, speed: int) -> dict[str, Any]:
+    def _drive(
+        self, number: int, step: int, steps: int, steering: int, speed: int
+    ) -> dict[str, Any]:
         if (number, step) != self._race:
-            raise InputError(f"race {number} is not at step {step}: another page drives here; begin a race again")
+            raise InputError(
+                f"race {number} is not at step {step}: another page drives here; begin a race again"
+            )
         if not (1 <= steps <= MOST_STEPS and -100 <= steering <= 100 and 0 <= speed <= 100):
             raise InputError(f"{steps} steps with {steering} and {speed} are too many or too much")
         action = np.array([0.01 * steering, 0.02 * speed - 1.0], np.float32)

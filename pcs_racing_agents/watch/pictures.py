@@ -13,7 +13,11 @@ from pcs_racing_agents.watch.pcs_picture import draw_archive, draw_arrow, in_uni
 @picture
 def explanation_picture(explanation: Explanation) -> Any:
     """Draw all pictures of a race on one sheet."""
-    decided = [step for step in explanation.steps if step.values is not None or step.probabilities is not None]
+    decided = [
+        step
+        for step in explanation.steps
+        if step.values is not None or step.probabilities is not None
+    ]
     heights = [4.6, 1.9, 2.0] if decided else [4.6, 2.0]
     figure = new_figure(11.0, sum(heights) + 0.6)
     rows = figure.subfigures(len(heights), 1, height_ratios=heights)
@@ -25,7 +29,9 @@ def explanation_picture(explanation: Explanation) -> Any:
     draw_lead(rows[-1].subplots(), explanation)
     replay = explanation.replay
     figure.suptitle(
-        f"{replay.title}, {replay.track_name}, {explanation.race} rules: {replay.outcome}", x=0.01, ha="left"
+        f"{replay.title}, {replay.track_name}, {explanation.race} rules: {replay.outcome}",
+        x=0.01,
+        ha="left",
     )
     return figure
 
@@ -37,7 +43,9 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
     draw_archive(axes, archive, faint=True)
     right, up = plane(archive)
     points = archive.coordinates[:, [right, up]]
-    estimates = np.array([step.opponent for step in steps]).reshape(-1, len(archive.characteristics))
+    estimates = np.array([step.opponent for step in steps]).reshape(
+        -1, len(archive.characteristics)
+    )
     measured = in_units(archive, estimates)[:, [right, up]]
     _include(axes, measured)
     axes.plot(measured[:, 0], measured[:, 1], color=other_colour, lw=0.9, alpha=0.6, zorder=4)
@@ -52,7 +60,9 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
         before, after = points[step.policy], points[step.next_policy]
         draw_arrow(axes, before, after, own_colour)
         _number(axes, before + 0.5 * (after - before), k + 1, own_colour)
-    for policy in dict.fromkeys([step.policy for step in steps[:1]] + [step.next_policy for step in steps]):
+    for policy in dict.fromkeys(
+        [step.policy for step in steps[:1]] + [step.next_policy for step in steps]
+    ):
         axes.plot(*points[policy], "o", ms=7, color=own_colour, mec="white", mew=0.8, zorder=5)
     for policy, numbers in unchanged.items():
         axes.annotate(
@@ -69,7 +79,10 @@ def draw_space(axes: Any, explanation: Explanation) -> None:
     axes.set_title("Moves in the Policy Characteristic Space")
     axes.text(0.99, 0.99, f"{short(names[explanation.car])}: arrows", **_corner(axes, own_colour))
     axes.text(
-        0.99, 0.94, f"{short(names[1 - explanation.car])}: as measured before each move", **_corner(axes, other_colour)
+        0.99,
+        0.94,
+        f"{short(names[1 - explanation.car])}: as measured before each move",
+        **_corner(axes, other_colour),
     )
 
 
@@ -114,14 +127,20 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
     steps = explanation.steps
     valued = all(step.values is not None for step in steps)
     # One panel per move of the game: races of different length have comparable sheets.
-    panels = figure.subplots(1, len(explanation.played.moves.codes[0, 0]), sharey=True, squeeze=False)[0]
+    panels = figure.subplots(
+        1, len(explanation.played.moves.codes[0, 0]), sharey=True, squeeze=False
+    )[0]
     for axes in panels[len(steps) :]:
         axes.set_visible(False)  # no more decisions after a crash
     unit = explanation.unit
     scale = unit.scale if valued and unit is not None else 1.0
     # Moves to the same policy have separate bars, as the network values each move.
     for k, (axes, step) in enumerate(zip(panels, steps, strict=False)):
-        bars = scale * step.values if valued and step.values is not None else np.asarray(step.probabilities)
+        bars = (
+            scale * step.values
+            if valued and step.values is not None
+            else np.asarray(step.probabilities)
+        )
         places = np.arange(len(bars))
         colours = [CARS[explanation.car] if i == step.move else "#b9c3ce" for i in places]
         axes.barh(places, bars, color=colours, height=0.66)
@@ -130,15 +149,30 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
         axes.set_ylim(len(explanation.moves) - 0.5, -0.5)
         # A network without the move "stay" has no bar for it.
         if step.move >= len(bars):
-            axes.annotate("made", (0.0, step.move), xytext=(4, 0), textcoords="offset points", va="center", fontsize=8)
+            axes.annotate(
+                "made",
+                (0.0, step.move),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=8,
+            )
         axes.set_title(f"{k + 1}: {step.time:g} s", fontsize=9)
         axes.locator_params(axis="x", nbins=4)
         tidy(axes, "x")
         axes.spines["left"].set_visible(False)
     if valued:
-        label = unit.text.removeprefix("of a ") + "s" if unit is not None and unit.text == "of a win" else ""
+        label = (
+            unit.text.removeprefix("of a ") + "s"
+            if unit is not None and unit.text == "of a win"
+            else ""
+        )
         label = label or (unit.text if unit is not None else "")
-        figure.supxlabel(f"value of each move{f', {label}' if label else ''}; coloured: made", fontsize=9, color=SOFT)
+        figure.supxlabel(
+            f"value of each move{f', {label}' if label else ''}; coloured: made",
+            fontsize=9,
+            color=SOFT,
+        )
     else:
         figure.supxlabel("chance of each move; coloured: made", fontsize=9, color=SOFT)
 
@@ -148,8 +182,12 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
     replay, lead = explanation.replay, explanation.lead
     time = np.arange(len(lead)) * replay.frame_dt
     own_colour, other_colour = CARS[explanation.car], CARS[1 - explanation.car]
-    axes.fill_between(time, lead, 0.0, where=lead >= 0.0, color=own_colour, alpha=0.18, lw=0.0, interpolate=True)
-    axes.fill_between(time, lead, 0.0, where=lead <= 0.0, color=other_colour, alpha=0.18, lw=0.0, interpolate=True)
+    axes.fill_between(
+        time, lead, 0.0, where=lead >= 0.0, color=own_colour, alpha=0.18, lw=0.0, interpolate=True
+    )
+    axes.fill_between(
+        time, lead, 0.0, where=lead <= 0.0, color=other_colour, alpha=0.18, lw=0.0, interpolate=True
+    )
     axes.plot(time, lead, color=INK, lw=1.4)
     axes.axhline(0.0, color="#a5afbb", lw=0.8)
     # At least 1 m on either side: a level race must not look dramatic.
@@ -160,7 +198,12 @@ def draw_lead(axes: Any, explanation: Explanation) -> None:
         axes.axvline(step.time, color=EDGE, lw=1.0, zorder=0)
         label = {"fontsize": 8.5, "ha": "left"}
         axes.text(
-            step.time + 0.15, high + 0.17 * reach, explanation.moves[step.move], color=own_colour, va="top", **label
+            step.time + 0.15,
+            high + 0.17 * reach,
+            explanation.moves[step.move],
+            color=own_colour,
+            va="top",
+            **label,
         )
         if step.opponent_move >= 0:
             axes.text(
@@ -188,13 +231,21 @@ def _number(axes: Any, point: Any, number: int, colour: str) -> None:
         color="white",
         fontweight="bold",
         zorder=6,
-        bbox={"boxstyle": "circle,pad=0.18", "facecolor": colour, "edgecolor": "white", "linewidth": 0.8},
+        bbox={
+            "boxstyle": "circle,pad=0.18",
+            "facecolor": colour,
+            "edgecolor": "white",
+            "linewidth": 0.8,
+        },
     )
 
 
 def _include(axes: Any, points: Any) -> None:
     """Widen the limits of a picture to include some points."""
-    for column, limits, setter in ((0, axes.get_xlim(), axes.set_xlim), (1, axes.get_ylim(), axes.set_ylim)):
+    for column, limits, setter in (
+        (0, axes.get_xlim(), axes.set_xlim),
+        (1, axes.get_ylim(), axes.set_ylim),
+    ):
         margin = 0.05 * (limits[1] - limits[0])
         if len(points):
             setter(
@@ -204,4 +255,10 @@ def _include(axes: Any, points: Any) -> None:
 
 
 def _corner(axes: Any, colour: str) -> dict[str, Any]:
-    return {"transform": axes.transAxes, "ha": "right", "va": "top", "fontsize": 8.5, "color": colour}
+    return {
+        "transform": axes.transAxes,
+        "ha": "right",
+        "va": "top",
+        "fontsize": 8.5,
+        "color": colour,
+    }

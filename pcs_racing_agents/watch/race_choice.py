@@ -53,9 +53,18 @@ def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
     """Return whether never-switch lost the same race of a car, shape (N,); False without a race."""
     names = races.agents.codes
     other, own = names[:, 1 - car], names[:, car]
-    starts = (races.preset.codes, races.track.codes, races.seed.codes, races.race, races.variants[:, car], other)
+    starts = (
+        races.preset.codes,
+        races.track.codes,
+        races.seed.codes,
+        races.race,
+        races.variants[:, car],
+        other,
+    )
     keys = np.stack(starts, axis=1).astype(np.int64)
-    staying = own == (races.agents.words.index(NEVER_SWITCH) if NEVER_SWITCH in races.agents.words else len(names))
+    staying = own == (
+        races.agents.words.index(NEVER_SWITCH) if NEVER_SWITCH in races.agents.words else len(names)
+    )
     lost = {tuple(key) for key in keys[staying & (races.winner == 1 - car)].tolist()}
     return np.array([tuple(key) in lost for key in keys.tolist()], np.bool_)
 
@@ -66,7 +75,11 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
     by_car = np.array([outcomes(races, car) for car in range(2)])
     # Outcomes outside, agents inside: each outcome goes through all agents before the next outcome.
     piles = [
-        (agent, outcome, _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)))
+        (
+            agent,
+            outcome,
+            _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)),
+        )
         for outcome in range(len(OUTCOMES))
         for agent in agents
     ]
@@ -95,7 +108,9 @@ def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator
     others = races.agents.codes[numbers, 1 - cars]
     tracks = races.track.codes[numbers]
     groups: list[Sequence[int]] = []
-    for pair in sorted({*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]):
+    for pair in sorted(
+        {*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]
+    ):
         rows = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
         groups.append(numbers[rows][np.argsort(gap[rows], kind="stable")].tolist())
     # Each agent starts with another group: else all agents would show the same opponent.

@@ -59,11 +59,17 @@ class RaceRepeater:
         row = self.results.row(number)
         pairing = self._pairing(*_pair(row))
         if row.race >= len(pairing):
-            raise InputError(f"race {number} is number {row.race} of its pair, which drove {len(pairing)}")
+            raise InputError(
+                f"race {number} is number {row.race} of its pair, which drove {len(pairing)}"
+            )
         # An edited folder is detected here before the race, and by the lead after the race.
         _check_start(number, row, pairing)
         recording = record_game(
-            pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(row.race), candidates=False
+            pairing.game,
+            pairing.ego,
+            pairing.opponent,
+            **pairing.race_arguments(row.race),
+            candidates=False,
         )
         played, game = recording.played, recording.game
         self.results.check_lead(number, played.lead[0])
@@ -76,14 +82,21 @@ class RaceRepeater:
         # Observed steps after a crash are zeros; the last number of a step marks it as complete.
         blocks = played.observations[0, :, :-1].reshape(2, len(steps), -1)
         observations = (played.observations[:, car] for car in range(2))
-        estimates = np.array([[opponent(observation, axes, step)[0] for step in steps] for observation in observations])
+        estimates = np.array(
+            [
+                [opponent(observation, axes, step)[0] for step in steps]
+                for observation in observations
+            ]
+        )
         estimates = np.where(blocks[..., -1:] > 0.5, estimates.astype(np.float64), np.nan)
         values = race_values(replay)
         values["space"] = {
             "ends": game.config.ends,
             "policies": played.path[0].tolist(),
             "made": played.moves.codes[0].tolist(),
-            "seen": _places(self.space, in_units(game.archive, estimates)[..., list(plane(game.archive))]),
+            "seen": _places(
+                self.space, in_units(game.archive, estimates)[..., list(plane(game.archive))]
+            ),
         }
         return RepeatedRace(number, row.track, values)
 
@@ -106,8 +119,9 @@ def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
     recorded = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
     if recorded != drawn:
         raise InputError(
-            f"race {number} is not the one that its folder describes: its line tells of start {recorded[0]}, side "
-            f"{recorded[1]} and variants {recorded[2]} and {recorded[3]}, the folder of {', '.join(map(str, drawn))}"
+            f"race {number} is not the one that its folder describes: its line tells of start"
+            f" {recorded[0]}, side {recorded[1]} and variants {recorded[2]} and {recorded[3]}, the"
+            f" folder of {', '.join(map(str, drawn))}"
         )
 
 
@@ -150,14 +164,18 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
     axes = []
     for column in columns:
         low, high = _limits(archive, column)
-        axes.append({"name": kinds[column].name, "unit": kinds[column].unit, "low": low, "high": high})
+        axes.append(
+            {"name": kinds[column].name, "unit": kinds[column].unit, "low": low, "high": high}
+        )
     space: dict[str, Any] = {"archive": archive.name, "axes": axes, "moves": list(moves)}
     explored = archive.explored_coordinates[:, list(columns)]
     low_high = np.array([[axis["low"], axis["high"]] for axis in axes])
     inside = np.all((explored >= low_high[:, 0]) & (explored <= low_high[:, 1]), axis=1)
     space["points"] = _places(space, archive.coordinates[:, list(columns)])
     space["explored"] = pack(np.array(_places(space, explored[inside]), float).reshape(-1, 2), 1)
-    space["crash"] = None if archive.own_crash is None else np.round(100.0 * archive.own_crash, 1).tolist()
+    space["crash"] = (
+        None if archive.own_crash is None else np.round(100.0 * archive.own_crash, 1).tolist()
+    )
     return space
 
 
@@ -168,7 +186,10 @@ def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
     explored = archive.explored_coordinates[:, column]
     if len(explored):
         tails = np.quantile(explored, [0.02, 0.98]).tolist()
-        low, high = max(min(low, tails[0]), low - 0.5 * reach), min(max(high, tails[1]), high + 0.5 * reach)
+        low, high = (
+            max(min(low, tails[0]), low - 0.5 * reach),
+            min(max(high, tails[1]), high + 0.5 * reach),
+        )
     return low - 0.08 * reach, high + 0.08 * reach
 
 

@@ -24,7 +24,12 @@ from pcs_racing_agents.agents.agent import Competitor, competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
-from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing, draw_schedule, schedule_pairing
+from pcs_racing_agents.tournament.pairings import (
+    Pairing,
+    cross_pairing,
+    draw_schedule,
+    schedule_pairing,
+)
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable
 
 MANIFEST = "job.yaml"
@@ -62,14 +67,18 @@ class ResultsFolder:
     def row(self, number: int) -> RaceRow:
         """Return a line of the results, counted from 0."""
         if not 0 <= number < len(self.races):
-            raise InputError(f"there is no race {number} in {self.folder}; it holds races 0 to {len(self.races) - 1}")
+            raise InputError(
+                f"there is no race {number} in {self.folder}; it holds races 0 to"
+                f" {len(self.races) - 1}"
+            )
         return self.races[number]
 
     def check_raced(self, agent: str) -> None:
         """Check that the results contain an agent."""
         if agent not in self.races.agents.words:
             raise InputError(
-                f"{agent!r} did not race in {self.folder}; there are {', '.join(sorted(self.races.agents.words))}"
+                f"{agent!r} did not race in {self.folder}; there are"
+                f" {', '.join(sorted(self.races.agents.words))}"
             )
 
     def check_lead(self, number: int, lead: float) -> None:
@@ -77,8 +86,8 @@ class ResultsFolder:
         recorded = f"{self.row(number).lead:.4f}"
         if f"{lead:.4f}" != recorded:
             raise InputError(
-                f"race {number} came out otherwise than in {self.folder}: a lead of {lead:.4f} m instead of {recorded} "
-                "m; it was driven by another version"
+                f"race {number} came out otherwise than in {self.folder}: a lead of {lead:.4f} m"
+                f" instead of {recorded} m; it was driven by another version"
             )
 
     @cached_property
@@ -114,7 +123,9 @@ class ResultsFolder:
         egos, opponents = (np.unique(self.races.variants[rows, car]).tolist() for car in range(2))
         lines = len(rows) // max(1, 2 * len(egos) * len(opponents))
         game, cars = study.game(row.track), (study.agent(row.ego), study.agent(row.opponent))
-        return cross_pairing(game, *cars, egos=egos, opponents=opponents, lines=lines, seed=row.seed)
+        return cross_pairing(
+            game, *cars, egos=egos, opponents=opponents, lines=lines, seed=row.seed
+        )
 
     def _of_tournament(self, track: str, ego: str, opponent: str) -> Pairing:
         settings, study = self.settings, self.study
@@ -127,11 +138,17 @@ class ResultsFolder:
         spec = make_game_spec(archive, _game_config(settings["game"]))
         cars = []
         for name in (ego, opponent):
-            car = parse_agent(name, spec, seed=seed, code=name in self.code) if study is None else study.agent(name)
+            car = (
+                parse_agent(name, spec, seed=seed, code=name in self.code)
+                if study is None
+                else study.agent(name)
+            )
             _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
             cars.append(car)
         game = RaceGame(circuit, spec.archive, spec.config)
-        schedule = draw_schedule(circuit, spec.config.race_rules, int(settings["races_per_pair"]), seed)
+        schedule = draw_schedule(
+            circuit, spec.config.race_rules, int(settings["races_per_pair"]), seed
+        )
         return schedule_pairing(game, cars[0], cars[1], schedule, seed)
 
 
@@ -144,26 +161,34 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         return None
     except (OSError, InputError) as error:
         raise InputError(f"{file} is damaged: {error}") from None
-    if not isinstance(manifest, dict) or not isinstance(manifest.get("settings"), dict) or "kind" not in manifest:
+    if (
+        not isinstance(manifest, dict)
+        or not isinstance(manifest.get("settings"), dict)
+        or "kind" not in manifest
+    ):
         raise InputError(f"{file} is no manifest of a job")
     return manifest
 
 
 def _game_config(values: Mapping[str, Any]) -> GameConfig:
     """Return the rules in a manifest, without the move "stay": every tournament adds it."""
-    return GameConfig(**{**tuples(values), "race": RaceConfig(**tuples(values["race"])), "stay": None})
+    return GameConfig(
+        **{**tuples(values), "race": RaceConfig(**tuples(values["race"])), "stay": None}
+    )
 
 
 def tuples(values: Any) -> dict[str, Any]:
     """Return settings of a manifest with tuples in place of lists."""
     if not isinstance(values, Mapping):
         raise InputError(f"{MANIFEST} holds {values!r:.80} where settings should be")
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
+    return {
+        key: tuple(value) if isinstance(value, list) else value for key, value in values.items()
+    }
 
 
 def _check_same(noun: str, current: str, recorded: str) -> None:
     if current != recorded:
         raise InputError(
-            f"{noun} has changed since the races were driven (sha256 {current[:12]}, it was {str(recorded)[:12]}), so "
-            "they can't be driven again"
+            f"{noun} has changed since the races were driven (sha256 {current[:12]}, it was"
+            f" {str(recorded)[:12]}), so they can't be driven again"
         )

@@ -72,7 +72,10 @@ def map_message(track: Track) -> RosMessage:
     info["origin"] = _pose(arrays.origin_x, arrays.origin_y)
     cells = np.where(arrays.distance > 0.0, 0, 100).ravel().tolist()
     return RosMessage(
-        "/map", "nav_msgs/msg/OccupancyGrid", 0, {"header": _header(0, "map"), "info": info, "data": cells}
+        "/map",
+        "nav_msgs/msg/OccupancyGrid",
+        0,
+        {"header": _header(0, "map"), "info": info, "data": cells},
     )
 
 
@@ -98,10 +101,24 @@ def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
         at = state[[_vehicle.X, _vehicle.Y, _vehicle.PSI]]
         sin, cos = sines_cosines(state[[_vehicle.BETA]])
         speed = state[_vehicle.V]
-        twist = {"linear": _point(speed * cos[0], speed * sin[0]), "angular": {"z": float(state[_vehicle.PSI_DOT])}}
-        odometry = {"child_frame_id": f"{name}/base_link", "pose": {"pose": _pose(*at)}, "twist": {"twist": twist}}
-        messages.append(RosMessage(topic, "nav_msgs/msg/Odometry", time, {"header": _header(time, "map"), **odometry}))
-        for parent, child, pose in (("map", "base_link", at), (f"{name}/base_link", "laser", np.zeros(3))):
+        twist = {
+            "linear": _point(speed * cos[0], speed * sin[0]),
+            "angular": {"z": float(state[_vehicle.PSI_DOT])},
+        }
+        odometry = {
+            "child_frame_id": f"{name}/base_link",
+            "pose": {"pose": _pose(*at)},
+            "twist": {"twist": twist},
+        }
+        messages.append(
+            RosMessage(
+                topic, "nav_msgs/msg/Odometry", time, {"header": _header(time, "map"), **odometry}
+            )
+        )
+        for parent, child, pose in (
+            ("map", "base_link", at),
+            (f"{name}/base_link", "laser", np.zeros(3)),
+        ):
             moved = {"translation": _point(pose[0], pose[1]), "rotation": _turned(pose[2])}
             head = {"header": _header(time, parent), "child_frame_id": f"{name}/{child}"}
             frames.append({**head, "transform": moved})
@@ -111,7 +128,10 @@ def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
 def _markers(replay: Replay, frame: int, time: int) -> RosMessage:
     """Return the cars as boxes, with their plans."""
     markers: list[dict[str, Any]] = []
-    plan = min(int(time / 1e9 / replay.plan_dt + 1e-6), 0 if replay.paths is None else len(replay.paths) - 1)
+    plan = min(
+        int(time / 1e9 / replay.plan_dt + 1e-6),
+        0 if replay.paths is None else len(replay.paths) - 1,
+    )
     for car, state in enumerate(replay.cars[frame]):
         length, width = 2.0 * np.asarray(replay.half_sizes)[car]
         colour = dict(zip("rgba", (*COLOURS[min(car, 1)], 1.0), strict=True))
@@ -122,9 +142,16 @@ def _markers(replay: Replay, frame: int, time: int) -> RosMessage:
         if replay.paths is not None and len(replay.paths):
             path = replay.paths[plan, car]
             points = [_point(*at) for at in path[~np.isnan(path[:, 0]), :2]]
-            line = {"type": LINE_STRIP, "pose": _pose(0.0, 0.0), "scale": {"x": 0.05}, "points": points}
+            line = {
+                "type": LINE_STRIP,
+                "pose": _pose(0.0, 0.0),
+                "scale": {"x": 0.05},
+                "points": points,
+            }
             markers.append({**shared, "ns": "plans", **line})
-    return RosMessage("/race_markers", "visualization_msgs/msg/MarkerArray", time, {"markers": markers})
+    return RosMessage(
+        "/race_markers", "visualization_msgs/msg/MarkerArray", time, {"markers": markers}
+    )
 
 
 def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterator[RosMessage]:
@@ -149,13 +176,21 @@ def definition(kind: str) -> str:
     known = dict(part.split("\n", 1) for part in re.split(r"^MSG: ", text, flags=re.MULTILINE)[1:])
     needed = [kind]
     for one in needed:  # grows during the loop
-        parts = [f"{package}/msg/{name}" for package, name in re.findall(r"^(\w+)/(\w+)", known[one], re.MULTILINE)]
+        parts = [
+            f"{package}/msg/{name}"
+            for package, name in re.findall(r"^(\w+)/(\w+)", known[one], re.MULTILINE)
+        ]
         needed += [part for part in parts if part not in needed]
-    rest = [f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{known[one].strip()}\n" for one in needed[1:]]
+    rest = [
+        f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{known[one].strip()}\n"
+        for one in needed[1:]
+    ]
     return "".join([f"{known[kind].strip()}\n", *rest])
 
 
-def write_bag(replay: Replay, track: Track, path: str | os.PathLike[str], *, beams: int = 1080) -> Path:
+def write_bag(
+    replay: Replay, track: Track, path: str | os.PathLike[str], *, beams: int = 1080
+) -> Path:
     """Write a recorded race as an MCAP file for Foxglove and ``ros2 bag play`` (extra "ros")."""
     path = Path(path)
     if path.suffix != ".mcap":

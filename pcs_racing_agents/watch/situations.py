@@ -46,11 +46,17 @@ class Situations:
     def shares(self) -> Floats:
         """Share of each move in its situation, shape (m, 3, 3, M); NaN without occurrences."""
         total = self.counts.sum(axis=-1, keepdims=True)
-        return np.divide(self.counts, total, out=np.full(self.counts.shape, np.nan), where=total > 0)
+        return np.divide(
+            self.counts, total, out=np.full(self.counts.shape, np.nan), where=total > 0
+        )
 
 
 def summarise(
-    observations: ArrayLike, actions: ArrayLike, archive: PolicyArchive, moves: Sequence[str], agent: str
+    observations: ArrayLike,
+    actions: ArrayLike,
+    archive: PolicyArchive,
+    moves: Sequence[str],
+    agent: str,
 ) -> Situations:
     """Count the moves of an agent in B races.
 
@@ -69,11 +75,13 @@ def summarise(
     size = (made.shape[-1] + 1) * (2 * axes + 2) + 1
     if made.ndim != 2 or observed.shape != (len(made), size):
         raise InputError(
-            f"observations have shape {observed.shape} and actions {made.shape}; B races of m moves need (B, {size}) "
-            "and (B, m), as play_games returns them for one car"
+            f"observations have shape {observed.shape} and actions {made.shape}; B races of m moves"
+            f" need (B, {size}) and (B, m), as play_games returns them for one car"
         )
     if not (made >= 0).any():
-        raise InputError(f"{agent!r} made no move in these {len(made)} races; there is nothing to count")
+        raise InputError(
+            f"{agent!r} made no move in these {len(made)} races; there is nothing to count"
+        )
     steps = made.shape[1]
     counts = np.zeros((steps, 3, 3, len(moves)), np.int64)
     edges = np.full((2, steps, 2), np.nan)
@@ -84,7 +92,9 @@ def summarise(
             continue
         before = earlier(observed[rows], axes, k)
         thirds = []
-        for i, values in enumerate((observed_lead(before, axes, k), opponent(before, axes)[:, 0].astype(np.float64))):
+        for i, values in enumerate(
+            (observed_lead(before, axes, k), opponent(before, axes)[:, 0].astype(np.float64))
+        ):
             edges[i, k] = np.quantile(values, [1.0 / 3.0, 2.0 / 3.0])
             thirds.append(np.searchsorted(edges[i, k], values))
         # Unbuffered: "+=" would count races of one situation and move only once.
@@ -96,8 +106,8 @@ def situations_text(situations: Situations) -> str:
     """Return the most frequent moves in every situation as text."""
     races = int(situations.counts[0].sum())
     lines = [
-        f"{situations.agent}: moves by step, lead and {situations.axis} of the opponent, in {races} races "
-        "(thirds of what occurred at each step)"
+        f"{situations.agent}: moves by step, lead and {situations.axis} of the opponent, in {races}"
+        " races (thirds of what occurred at each step)"
     ]
     shares = situations.shares
     for k in range(len(shares)):
@@ -106,8 +116,8 @@ def situations_text(situations: Situations) -> str:
         low, high = situations.lead_edges[k]
         slow, fast = situations.pace_edges[k]
         lines.append(
-            f"move {k + 1}: lead up to {low:+.1f} m, to {high:+.1f} m, more; opponent's {situations.axis} up to "
-            f"{slow:.2f}, to {fast:.2f}, more"
+            f"move {k + 1}: lead up to {low:+.1f} m, to {high:+.1f} m, more; opponent's"
+            f" {situations.axis} up to {slow:.2f}, to {fast:.2f}, more"
         )
         for i, lead in enumerate(LEADS):
             for j, pace in enumerate(PACES):
@@ -115,10 +125,14 @@ def situations_text(situations: Situations) -> str:
                 if count:
                     order = np.argsort(-shares[k, i, j], kind="stable")
                     often = [
-                        f"{situations.moves[a]} {shares[k, i, j, a]:.0%}" for a in order if shares[k, i, j, a] >= 0.1
+                        f"{situations.moves[a]} {shares[k, i, j, a]:.0%}"
+                        for a in order
+                        if shares[k, i, j, a] >= 0.1
                     ]
                     races_text = f"{count:>6} race{'s' if count > 1 else ''}"
-                    lines.append(f"  {lead:<12} opponent {pace:<6} {races_text}: {', '.join(often)}")
+                    lines.append(
+                        f"  {lead:<12} opponent {pace:<6} {races_text}: {', '.join(often)}"
+                    )
     return "\n".join(lines)
 
 
@@ -151,12 +165,22 @@ def situations_picture(situations: Situations) -> Any:
         for k in range(steps):
             axes = panels[a, k]
             # Up is ahead, right is high, as in the Policy Characteristic Space.
-            axes.imshow(shares[k, :, :, a], cmap="Blues", vmin=0.0, vmax=1.0, origin="lower", aspect="auto")
+            axes.imshow(
+                shares[k, :, :, a], cmap="Blues", vmin=0.0, vmax=1.0, origin="lower", aspect="auto"
+            )
             for i, j in np.ndindex(3, 3):
                 value = shares[k, i, j, a]
                 if not np.isnan(value):
                     colour = "white" if value > 0.55 else INK
-                    axes.text(j, i, f"{100 * value:.0f}", ha="center", va="center", fontsize=8, color=colour)
+                    axes.text(
+                        j,
+                        i,
+                        f"{100 * value:.0f}",
+                        ha="center",
+                        va="center",
+                        fontsize=8,
+                        color=colour,
+                    )
             axes.set_xticks(range(3), PACES)
             axes.set_yticks(range(3), ("behind", "", "ahead"))
             axes.tick_params(length=0)
@@ -167,6 +191,9 @@ def situations_picture(situations: Situations) -> Any:
     figure.supxlabel(f"opponent's {situations.axis} as measured, thirds", fontsize=9, color=SOFT)
     races = int(situations.counts[0].sum())
     figure.suptitle(
-        f"{short(situations.agent)}: which move in which situation, % of {races} races", x=0.01, ha="left", fontsize=10
+        f"{short(situations.agent)}: which move in which situation, % of {races} races",
+        x=0.01,
+        ha="left",
+        fontsize=10,
     )
     return figure

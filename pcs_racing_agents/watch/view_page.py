@@ -45,7 +45,10 @@ def view_page(content: ViewContent) -> str:
     A link may name filters, a race and a time, e.g.
     ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
     """
-    player, beside = template("pcs_racing.race", "replay.html"), template("pcs_racing_agents.watch", "beside.html")
+    player, beside = (
+        template("pcs_racing.race", "replay.html"),
+        template("pcs_racing_agents.watch", "beside.html"),
+    )
     driven = {race.race: race for race in content.driven}
     table, path = content.races, shlex.quote(content.results)
     commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --index {{race}}"]
@@ -54,8 +57,10 @@ def view_page(content: ViewContent) -> str:
     rules = ", ".join(word for word in table.preset.words if word)
     data = {
         "title": content.title,
-        "about": f"{races:,} race{_s(races)}, {agents} agent{_s(agents)}, {tracks} circuit{_s(tracks)}"
-        + (f", {rules} rules" if rules else ""),
+        "about": (
+            f"{races:,} race{_s(races)}, {agents} agent{_s(agents)}, {tracks} circuit{_s(tracks)}"
+            + (f", {rules} rules" if rules else "")
+        ),
         **packed_races(table),
         "sides": ["left", "right"] if content.start == "side-by-side" else ["front", "rear"],
         "replays": [[pick.race, pick.why] for pick in content.picks if pick.race in driven],
@@ -91,7 +96,9 @@ def page_of(name: str, title: str, allowed: str, parts: Mapping[str, str]) -> st
         "/*colours*/": _shared(template("pcs_racing.race", "replay.html"))["colours"],
     }
     head = _fill(template("pcs_racing_agents.watch", "head.html"), common).rstrip()
-    return _fill(template("pcs_racing_agents.watch", name), {**common, "<!--head-->": head, **parts})
+    return _fill(
+        template("pcs_racing_agents.watch", name), {**common, "<!--head-->": head, **parts}
+    )
 
 
 def _fill(page: str, parts: Mapping[str, str]) -> str:
@@ -122,7 +129,12 @@ def packed_races(races: RaceTable) -> dict[str, Any]:
         "crash": races.crash,
         "fault": races.fault[:, 0] + 2 * races.fault[:, 1],
     }
-    both = {"overtakes": races.overtakes, "variants": races.variants, "switches": races.switches, "moves": moves.codes}
+    both = {
+        "overtakes": races.overtakes,
+        "variants": races.variants,
+        "switches": races.switches,
+        "moves": moves.codes,
+    }
     whole |= {f"{name}{car}": values[:, car] for name, values in both.items() for car in range(2)}
     # Differences shorten runs of equal values, and numbers that count up, to a character each.
     return {
@@ -151,7 +163,10 @@ def _joined(moves: Categorical) -> Categorical:
         codes = np.unique(mixed, return_inverse=True)[1].reshape(codes.shape)
     _, first = np.unique(codes, return_index=True)
     lists = moves.codes.reshape(codes.size, moves.codes.shape[2])[first].tolist()
-    return Categorical(tuple("; ".join(moves.words[move] for move in indices if move >= 0) for indices in lists), codes)
+    return Categorical(
+        tuple("; ".join(moves.words[move] for move in indices if move >= 0) for indices in lists),
+        codes,
+    )
 
 
 def template(package: str, name: str) -> str:

@@ -53,7 +53,9 @@ class RaceService:
             return error_answer(404, "there is / and /race/NUMBER here")
         number = int(match.group(1))
         if not 0 <= number < self.races:
-            return error_answer(404, f"there is no race {number}; there are races 0 to {self.races - 1}")
+            return error_answer(
+                404, f"there is no race {number}; there are races 0 to {self.races - 1}"
+            )
         try:
             return Answer(200, self._kept(number))
         except (InputError, ModuleNotFoundError, OSError) as error:
@@ -62,7 +64,9 @@ class RaceService:
     def _drive(self, number: int) -> bytes:
         race = self.driver.drive(number)
         circuit = [race.circuit, self.driver.circuits[race.circuit]]
-        return safe_json({"race": race.values, "circuit": circuit, "space": self.driver.space}).encode()
+        return safe_json(
+            {"race": race.values, "circuit": circuit, "space": self.driver.space}
+        ).encode()
 
 
 def make_server(
@@ -99,21 +103,30 @@ def make_server(
             # The port chosen for port 0 is known only now; the host of a request includes it.
             own_port = self.connection.getsockname()[1]
             hosts = self.headers.get_all("Host", [])
-            sites, origins = (self.headers.get_all(name, []) for name in ("Sec-Fetch-Site", "Origin"))
+            sites, origins = (
+                self.headers.get_all(name, []) for name in ("Sec-Fetch-Site", "Origin")
+            )
             # A body is not read, and must not be parsed as the next request.
             self.close_connection |= self.headers.get_all("Content-Length", ["0"]) != ["0"]
             self.close_connection |= "Transfer-Encoding" in self.headers
             # With two headers the first might pass and the second might count.
             if hosts not in ([f"127.0.0.1:{own_port}"], [f"localhost:{own_port}"]):
                 self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
-            elif sites not in ([], ["none"], ["same-origin"]) or origins not in ([], [f"http://{hosts[0]}"]):
+            elif sites not in ([], ["none"], ["same-origin"]) or origins not in (
+                [],
+                [f"http://{hosts[0]}"],
+            ):
                 self._send(error_answer(403, "another site's page asked for this"))
             elif self.command != ("GET" if self.path == "/" else method):
-                self._send(error_answer(405, f"{self.path:.{LONGEST_PATH}} is asked for by another method"))
+                self._send(
+                    error_answer(405, f"{self.path:.{LONGEST_PATH}} is asked for by another method")
+                )
             elif self.path == "/":
                 self._send(Answer(200, content, "text/html; charset=utf-8"))
             elif len(self.path) > LONGEST_PATH:
-                self._send(error_answer(404, f"an address here has at most {LONGEST_PATH} characters"))
+                self._send(
+                    error_answer(404, f"an address here has at most {LONGEST_PATH} characters")
+                )
             else:
                 with busy:
                     found = None if self._left() else answer(self.path)

@@ -33,7 +33,10 @@ def story(explanation: Explanation) -> str:
         lines.append(f"{me} makes open-loop moves: what is seen below does not change them.")
     for k, step in enumerate(explanation.steps):
         lines += [
-            f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)}; {lead_words(step.lead)}.",
+            (
+                f"{step.time:5.1f} s  saw: {opponent_words(explanation, step)};"
+                f" {lead_words(step.lead)}."
+            ),
             f"         did: {move_words(explanation, step)}.",
         ]
         reason = why(explanation, step)
@@ -56,7 +59,10 @@ def opponent_words(explanation: Explanation, step: ExplainedDecision) -> str:
             adjectives.append(much if distance > 0.0 else little)
         side = "above" if distance > 0.0 else "below"
         numbers.append(f"{name} {abs(distance):.2f} {side} the middle")
-    return f"opponent {' and '.join(adjectives) or 'in the middle of the archive'} ({', '.join(numbers)})"
+    return (
+        f"opponent {' and '.join(adjectives) or 'in the middle of the archive'}"
+        f" ({', '.join(numbers)})"
+    )
 
 
 def lead_words(lead: float) -> str:
@@ -69,7 +75,9 @@ def lead_words(lead: float) -> str:
 def move_words(explanation: Explanation, step: ExplainedDecision) -> str:
     """Describe the move and the change of policy."""
     name = explanation.moves[step.move]
-    chance = "" if step.probabilities is None or step.probabilities[step.move] > 0.999 else _drawn(step)
+    chance = (
+        "" if step.probabilities is None or step.probabilities[step.move] > 0.999 else _drawn(step)
+    )
     if step.next_policy == step.policy:
         unchanged = f"kept policy {step.policy}"
         return (
@@ -81,7 +89,9 @@ def move_words(explanation: Explanation, step: ExplainedDecision) -> str:
     axes = get_characteristics(explanation.archive.characteristics)
     changes = ", ".join(
         f"{axis.name} {before:.2f} to {after:.2f}"
-        for axis, before, after in zip(axes, points[step.policy], points[step.next_policy], strict=True)
+        for axis, before, after in zip(
+            axes, points[step.policy], points[step.next_policy], strict=True
+        )
     )
     return f"{name}{chance}, from policy {step.policy} to {step.next_policy} ({changes})"
 
@@ -114,7 +124,9 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     gain = _difference(explanation, values[step.move] - values[against])
     text = f"worth {gain} than {'staying' if names[against] == 'stay' else names[against]}"
     if against != second:
-        text += f", {_difference(explanation, values[step.move] - values[second])} than {names[second]}"
+        text += (
+            f", {_difference(explanation, values[step.move] - values[second])} than {names[second]}"
+        )
     if unit.text == "" and values[step.move] == values[best]:
         text = f"the highest value of all moves, {text}"
     return text
@@ -137,8 +149,8 @@ def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -
     if best == default_move:
         return f"what {default.name} would do, and the best move too"
     return (
-        f"keeps to {default.name}: the best move, {names[best]}, promises {gain}, which is not above the margin of "
-        f"{margin}"
+        f"keeps to {default.name}: the best move, {names[best]}, promises {gain}, which is not"
+        f" above the margin of {margin}"
     )
 
 
@@ -162,10 +174,15 @@ def _what_followed(explanation: Explanation, k: int) -> str:
     frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)
     gained = float(explanation.lead[frame]) - step.lead
     events = [
-        f"{'it' if event.car == explanation.car else 'the opponent'} {event.text} at {event.time:.1f} s"
+        f"{'it' if event.car == explanation.car else 'the opponent'} {event.text} at"
+        f" {event.time:.1f} s"
         for event in replay.events
         if event.kind != "move" and step.time < event.time <= end + 1e-9
     ]
-    change = "no change" if abs(gained) < 0.05 else f"{'gained' if gained > 0.0 else 'lost'} {abs(gained):.1f} m"
+    change = (
+        "no change"
+        if abs(gained) < 0.05
+        else f"{'gained' if gained > 0.0 else 'lost'} {abs(gained):.1f} m"
+    )
     change += f", {lead_words(float(explanation.lead[frame]))}"
     return "; ".join([change, *events])

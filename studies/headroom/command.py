@@ -1,4 +1,6 @@
-"""``python -m studies headroom``: headroom within a grid slot and over lead plans, and the game that a pool holds."""
+"""``python -m studies headroom``: headroom within a grid slot and over lead plans, and the game
+that a pool holds.
+"""
 
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +14,12 @@ from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.headroom import PoolOptions, pool_settings
 from pcs_racing_agents.cli.options import Workers, can_draw
 from pcs_racing_agents.policies.policy_pool import slot_payoffs
-from studies.headroom.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans, plan_members
+from studies.headroom.lead_plans import (
+    lead_plan_payoffs,
+    lead_plan_value,
+    make_lead_plans,
+    plan_members,
+)
 from studies.headroom.report import (
     LEAD_NOTE,
     headroom_picture,
@@ -34,13 +41,17 @@ def run(
     lead_plans: Annotated[
         int,
         Option(
-            "also race all plans 'one policy while ahead, another one while behind' of K policies, evenly spaced in "
+            "also race all plans 'one policy while ahead, another one while behind' of K policies,"
+            " evenly spaced in "
             "the pool, against every policy: K*K*N pairs; 0 for none",
             "K",
         ),
     ] = 0,
     out: Annotated[
-        Path, Option("folder for headroom.csv, payoffs.csv and pictures; a stopped run resumes there", "DIR")
+        Path,
+        Option(
+            "folder for headroom.csv, payoffs.csv and pictures; a stopped run resumes there", "DIR"
+        ),
     ],
     workers: Workers,
 ) -> None:
@@ -54,7 +65,9 @@ def run(
         games = [track_game(track, folds) for track, folds in zip(tracks, payoffs, strict=True)]
         print(headroom_text(games, names))
         if plans:
-            raced = lead_plan_payoffs(pool, plans, job=job, executor=executor, progress=show_progress("lead plans"))
+            raced = lead_plan_payoffs(
+                pool, plans, job=job, executor=executor, progress=show_progress("lead plans")
+            )
             values = [lead_plan_value(folds, plans) for folds in raced]
             rows = lead_plan_rows(tracks, values, names)
             print("\n".join(["", *aligned(rows), "", LEAD_NOTE]))

@@ -26,9 +26,19 @@ from studies.headroom.slots import SlotHeadroom, slot_headroom
 Floats = NDArray[np.float64]
 
 HEAD = (
-    "track", "H", "low", "opponents", "pool", "transitive", "in slot", "slot", "cycles", "strength", "noise",
+    "track",
+    "H",
+    "low",
+    "opponents",
+    "pool",
+    "transitive",
+    "in slot",
+    "slot",
+    "cycles",
+    "strength",
+    "noise",
     "equilibrium",
-)  # fmt: skip
+)
 LEAD_HEAD = ("track", "lead plan", "error", "then H", "error", "ahead", "behind")
 NOTE = """; in slot: H for a driver that knows its place on the grid, over the best fixed policy of each
 place; slot: what choosing by the place alone is worth; cycles: planes of rock, paper and scissors stronger than noise;
@@ -48,7 +58,8 @@ class TrackGame(NamedTuple):
     slots: SlotHeadroom
     transitive_share: float
     planes: list[CyclicPlane]  #: The strongest first.
-    equilibrium: Floats  #: shape (N,): Probabilities of the policies in an equilibrium of the mean payoffs.
+    #: shape (N,): Probabilities of the policies in an equilibrium of the mean payoffs.
+    equilibrium: Floats
 
 
 def track_game(track: str, slots: Floats) -> TrackGame:
@@ -72,23 +83,36 @@ def track_game(track: str, slots: Floats) -> TrackGame:
 
 
 def headroom_text(games: Sequence[TrackGame], names: Sequence[str]) -> str:
-    """Return the table of all circuits, with their mean if there are several, and the meaning of its columns."""
+    """Return the table of all circuits, with their mean if there are several, and the meaning of
+    its columns.
+    """
     rows = [HEAD, *(_row(game) for game in games)]
     if len(games) > 1:
-        places = (np.mean([getattr(game.slots, key) for game in games]) for key in ("value", "slot_alone"))
-        rows.append((*mean_row([game.headroom for game in games]), *_signed(*places), "", "", "", ""))
-    best = [f"{game.track}: the best fixed policy is {names[game.headroom.best_fixed]}" for game in games]
+        places = (
+            np.mean([getattr(game.slots, key) for game in games]) for key in ("value", "slot_alone")
+        )
+        rows.append(
+            (*mean_row([game.headroom for game in games]), *_signed(*places), "", "", "", "")
+        )
+    best = [
+        f"{game.track}: the best fixed policy is {names[game.headroom.best_fixed]}"
+        for game in games
+    ]
     return "\n".join([*aligned(rows), "", *best, "", SHORT_NOTE + NOTE])
 
 
 def write_headroom(games: Sequence[TrackGame], names: Sequence[str], folder: Path) -> list[Path]:
-    """Write ``headroom.csv``, a line for each circuit, and ``payoffs.csv``, a line for each two policies."""
+    """Write ``headroom.csv``, a line for each circuit, and ``payoffs.csv``, a line for each two
+    policies.
+    """
     lines: list[tuple[object, ...]] = [(*HEAD[:5], "in_slot", "slot", "best_fixed")]
     for game in games:
         estimate, slots = game.headroom, game.slots
         errors = (estimate.opponents_error, estimate.pool_error)
         numbers = (estimate.value, estimate.low, *errors, slots.value, slots.slot_alone)
-        lines.append((game.track, *(f"{number:.6f}" for number in numbers), names[estimate.best_fixed]))
+        lines.append(
+            (game.track, *(f"{number:.6f}" for number in numbers), names[estimate.best_fixed])
+        )
     tracks, payoffs = [game.track for game in games], [game.payoffs for game in games]
     written = write_csv(lines, folder / "headroom.csv")
     return [written, write_payoffs(tracks, payoffs, names, folder / "payoffs.csv")]
@@ -102,9 +126,13 @@ def lead_plan_rows(
     for track, value in zip(tracks, values, strict=True):
         gain, left = _signed(value.value, value.headroom)
         errors = f"{value.opponents_error:.3f}", f"{value.headroom_error:.3f}"
-        rows.append((track, gain, errors[0], left, errors[1], *(names[policy] for policy in value.best)))
+        rows.append(
+            (track, gain, errors[0], left, errors[1], *(names[policy] for policy in value.best))
+        )
     if len(values) > 1:
-        means = _signed(*(np.mean([getattr(value, key) for value in values]) for key in ("value", "headroom")))
+        means = _signed(
+            *(np.mean([getattr(value, key) for value in values]) for key in ("value", "headroom"))
+        )
         rows.append(("mean", means[0], "", means[1], "", "", ""))
     return rows
 
@@ -113,8 +141,8 @@ def lead_plan_rows(
 def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
     """Draw the payoffs, with the policies in order of rating, and the strongest cyclic plane.
 
-    In the plane a policy beats those that lie counterclockwise of it. The dashed circle is as far out as policies lie
-    if noise alone makes the plane.
+    In the plane a policy beats those that lie counterclockwise of it. The dashed circle is as far
+    out as policies lie if noise alone makes the plane.
     """
     mean, rating = game.payoffs.mean(axis=0), ratings(game.payoffs)
     order = np.argsort(-rating, kind="stable")
@@ -122,23 +150,38 @@ def headroom_picture(game: TrackGame, names: Sequence[str]) -> Any:
     left, right = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
     image = left.imshow(mean[np.ix_(order, order)], cmap="PuOr", vmin=-0.5, vmax=0.5)
     labels = [short(names[i], 18) for i in order]
-    left.set_xticks(range(len(order)), labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=7)
+    left.set_xticks(
+        range(len(order)), labels, rotation=60, ha="right", rotation_mode="anchor", fontsize=7
+    )
     left.set_yticks(range(len(order)), labels, fontsize=7)
     left.set_title(f"{game.track}: races won minus one half, best rated first", fontsize=10)
     left.tick_params(length=0)
     figure.colorbar(image, ax=left, shrink=0.8)
     plane = game.planes[0]
-    # Of N points that share a plane's strength evenly each lies at this distance: strength = sum of squares / 2.
+    # Of N points that share a plane's strength evenly each lies at this distance: strength = sum of
+    # squares / 2.
     angle = np.linspace(0.0, 2.0 * np.pi, 200)
     radius = np.sqrt(2.0 * plane.noise / len(names))
     right.plot(radius * np.cos(angle), radius * np.sin(angle), "--", color=EDGE, lw=1.0)
-    points = right.scatter(*plane.points.T, c=rating, cmap="viridis", s=42, edgecolors=EDGE, zorder=3)
+    points = right.scatter(
+        *plane.points.T, c=rating, cmap="viridis", s=42, edgecolors=EDGE, zorder=3
+    )
     for (x, y), name in zip(plane.points, names, strict=True):
-        right.annotate(short(name, 18), (x, y), xytext=(4, 4), textcoords="offset points", fontsize=7, color=INK)
+        right.annotate(
+            short(name, 18),
+            (x, y),
+            xytext=(4, 4),
+            textcoords="offset points",
+            fontsize=7,
+            color=INK,
+        )
     right.axhline(0.0, color=COLOURS[-1], lw=0.6)
     right.axvline(0.0, color=COLOURS[-1], lw=0.6)
     right.set_aspect("equal", adjustable="datalim")
-    title = f"cyclic plane, each beats what is counterclockwise: {plane.strength:.2f}, noise {plane.noise:.2f}"
+    title = (
+        f"cyclic plane, each beats what is counterclockwise: {plane.strength:.2f}, noise"
+        f" {plane.noise:.2f}"
+    )
     right.set_title(title, fontsize=10)
     figure.colorbar(points, ax=right, shrink=0.8, label="rating")
     tidy(right, "")

@@ -1,1 +1,3 @@
-"""What it is worth to remember the opponent of a match, for a player that learned from races of known policies."""
+"""What it is worth to remember the opponent of a match, for a player that learned from races of
+known policies.
+"""

@@ -1,4 +1,5 @@
-"""Behaviours of a pool of opponents, as observed in races, and the scores of an archive's policies against them.
+"""Behaviours of a pool of opponents, as observed in races, and the scores of an archive's policies
+against them.
 
 :func:`studies.matches.learning.learn_behaviours` measures them in training races; the agent
 "remember" looks the best reply up in them.
@@ -39,10 +40,13 @@ ARRAYS = ("scores", "seen", "covariance")
 def features(memory: RaceMemory) -> Floats:
     """Return what tells opponents apart, of each race that was seen, shape (B, R, G + 2).
 
-    The opponent's coordinates, the own lead at the end, and the share of its duration that the race lasted. One's own
-    coordinates are not among them: seen behaviours are compared with what the own policy sees.
+    The opponent's coordinates, the own lead at the end, and the share of its duration that the race
+    lasted. One's own coordinates are not among them: seen behaviours are compared with what the own
+    policy sees.
     """
-    return np.concatenate([memory.opponent, memory.lead[..., None], memory.driven[..., None]], axis=-1)
+    return np.concatenate(
+        [memory.opponent, memory.lead[..., None], memory.driven[..., None]], axis=-1
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +55,13 @@ class Behaviours:
 
     game: GameIdentity  #: The game that it is for; names of moves and elements are left out.
     opponents: tuple[str, ...]  #: Names of the N opponents.
-    scores: Floats  #: shape (K, N): Mean score of each policy of the archive in races against each opponent, 0 to 1.
-    seen: Floats  #: shape (K, N, F): Mean :func:`features` of each opponent in races against each policy.
-    covariance: Floats  #: shape (F, F): Of the features from race to race, for the same two policies.
+    #: shape (K, N): Mean score of each policy of the archive in races against each opponent, 0 to
+    #: 1.
+    scores: Floats
+    #: shape (K, N, F): Mean :func:`features` of each opponent in races against each policy.
+    seen: Floats
+    #: shape (F, F): Of the features from race to race, for the same two policies.
+    covariance: Floats
     #: How it was measured: texts and numbers by name.
     training: Mapping[str, str | int | float] = field(default_factory=dict)
 
@@ -67,15 +75,18 @@ class Behaviours:
             (width, width),
         ):
             raise InputError(
-                f"scores of shape {self.scores.shape}, seen {self.seen.shape} and covariance {self.covariance.shape} "
-                f"do not fit each other and {len(self.opponents)} opponents"
+                f"scores of shape {self.scores.shape}, seen {self.seen.shape} and covariance"
+                f" {self.covariance.shape} do not fit each other and {len(self.opponents)}"
+                " opponents"
             )
         if not all(np.isfinite(getattr(self, name)).all() for name in ARRAYS):
             raise InputError("a table of behaviours holds NaN or infinity")
         try:
             np.linalg.cholesky(self.covariance)
         except np.linalg.LinAlgError:
-            raise InputError("the covariance of a table of behaviours is not positive definite") from None
+            raise InputError(
+                "the covariance of a table of behaviours is not positive definite"
+            ) from None
 
     @cached_property
     def content_hash(self) -> str:
@@ -91,8 +102,11 @@ class Behaviours:
         """Check that this was measured with the archive and the race rules of a game spec."""
         check_same_game(self.game, spec.identity, user)
 
-    def distances(self, own: NDArray[np.int64], observed: Floats, known: NDArray[np.bool_]) -> Floats:
-        """Squared Mahalanobis distance of what was seen in R races from each opponent, shape (B, N).
+    def distances(
+        self, own: NDArray[np.int64], observed: Floats, known: NDArray[np.bool_]
+    ) -> Floats:
+        """Squared Mahalanobis distance of what was seen in R races from each opponent, shape (B,
+        N).
 
         Parameters
         ----------
@@ -103,15 +117,23 @@ class Behaviours:
         known : ndarray of bool, shape (B, R)
             Whether a race was seen; others do not count.
         """
-        away = (observed[:, :, None, :] - self.seen[own]) @ np.linalg.inv(np.linalg.cholesky(self.covariance)).T
+        away = (observed[:, :, None, :] - self.seen[own]) @ np.linalg.inv(
+            np.linalg.cholesky(self.covariance)
+        ).T
         return np.asarray((np.square(away).sum(axis=-1) * known[:, :, None]).sum(axis=1))
 
 
 def save_behaviours(table: Behaviours, folder: str | Path) -> Path:
     """Write a table into a folder, which is made if need be; returns the folder."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **{name: getattr(table, name) for name in ARRAYS})
-    fields = {**game_fields(table.game), "opponents": list(table.opponents), "training": dict(table.training)}
+    np.savez_compressed(
+        buffer, allow_pickle=False, **{name: getattr(table, name) for name in ARRAYS}
+    )
+    fields = {
+        **game_fields(table.game),
+        "opponents": list(table.opponents),
+        "training": dict(table.training),
+    }
     return BEHAVIOURS_FORMAT.save(folder, fields, buffer.getvalue())
 
 
@@ -130,7 +152,8 @@ def load_behaviours(source: str | os.PathLike[str] | Behaviours) -> Behaviours:
     arrays: dict[str, Any] = unpack_arrays(content)
     if set(arrays) != set(ARRAYS):
         raise InputError(
-            f"{folder / BEHAVIOURS_FORMAT.data_file} holds {sorted(arrays)}; it must hold {sorted(ARRAYS)}"
+            f"{folder / BEHAVIOURS_FORMAT.data_file} holds {sorted(arrays)}; it must hold"
+            f" {sorted(ARRAYS)}"
         )
     try:
         floats = {name: np.asarray(arrays[name], np.float64) for name in ARRAYS}

@@ -1,4 +1,6 @@
-"""``python -m studies match``: what remembering the opponent is worth in a series of races against it."""
+"""``python -m studies match``: what remembering the opponent is worth in a series of races against
+it.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,22 +14,37 @@ from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuits, Rules, Workers
 
 
-@command("match", "python -m studies match --rules contest --track Pipkin Saltmere --unseen Tarnfjord --out out/match")
+@command(
+    "match",
+    "python -m studies match --rules contest --track Pipkin Saltmere --unseen Tarnfjord --out"
+    " out/match",
+)
 def run(
     *,
     track: Circuits = (DEFAULT_TRACK,),
-    unseen: Annotated[Sequence[str], Option(f"circuits that are not learned on: {TRACK_HELP}", "T")] = (),
+    unseen: Annotated[
+        Sequence[str], Option(f"circuits that are not learned on: {TRACK_HELP}", "T")
+    ] = (),
     archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest",
     rules: Rules,
     races: Annotated[int, Option("races of a match", "R")] = 3,
-    matches: Annotated[int, Option("matches of each player against each policy on each track, even")] = 32,
-    learning_races: Annotated[int, Option("races of each two policies on each track that is learned on, even")] = 64,
+    matches: Annotated[
+        int, Option("matches of each player against each policy on each track, even")
+    ] = 32,
+    learning_races: Annotated[
+        int, Option("races of each two policies on each track that is learned on, even")
+    ] = 64,
     out: Annotated[
-        Path, Option("folder for matches.csv and the table of behaviours; a stopped run resumes there", "DIR")
+        Path,
+        Option(
+            "folder for matches.csv and the table of behaviours; a stopped run resumes there", "DIR"
+        ),
     ],
     workers: Workers,
 ) -> None:
-    """Learn how an archive's policies behave and what beats them, and play matches with and without that memory."""
+    """Learn how an archive's policies behave and what beats them, and play matches with and without
+    that memory.
+    """
     from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.tournament.play import game_rules
     from studies.matches.behaviours import save_behaviours
@@ -50,7 +67,9 @@ def run(
         "seed": rules.seed,
     }
     with workers.start() as executor, open_job(out, "match", settings) as job:
-        table = learn_behaviours(learning, job=job, executor=executor, progress=show_progress("blocks"))
+        table = learn_behaviours(
+            learning, job=job, executor=executor, progress=show_progress("blocks")
+        )
         test = MatchTest(spec, table, tracks, races, matches, rules.seed)
         gains = match_gains(test, job=job, executor=executor, progress=show_progress("opponents"))
         print(f"the best fixed policy is {table.opponents[table.best_fixed]}")

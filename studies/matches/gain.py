@@ -1,4 +1,6 @@
-"""What remembering the opponent is worth in a match, beside never changing the policy and knowing the opponent."""
+"""What remembering the opponent is worth in a match, beside never changing the policy and knowing
+the opponent.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,11 +29,23 @@ from studies.matches.remember import RememberedReply
 Floats = NDArray[np.float64]
 
 ARMS = ("best fixed", "remember", "nearest", "known")
-"""The players that are compared: the best policy on average over the opponents in every race; the reply to what was
-seen, by likelihood and to the nearest behaviour; the best reply to the opponent, which is known from the start. All are
-chosen on the training races."""
+"""The players that are compared: the best policy on average over the opponents in every race; the
+reply to what was seen, by likelihood and to the nearest behaviour; the best reply to the opponent,
+which is known from the start. All are chosen on the training races."""
 
-HEAD = ("track", "learned", "fixed", "gain", "low", "high", "by race", "nearest", "known", "low", "high")
+HEAD = (
+    "track",
+    "learned",
+    "fixed",
+    "gain",
+    "low",
+    "high",
+    "by race",
+    "nearest",
+    "known",
+    "low",
+    "high",
+)
 NOTE = """learned: whether behaviours and scores were learned on this circuit, in other races;
 fixed: races won per race by the best fixed policy of the training races; gain: what remembering adds to it per race,
 over the whole match and by race; low, high: 95 % interval, clustered by opponent; nearest: gain of the reply to the
@@ -40,13 +54,16 @@ nearest behaviour; known: gain if the opponent is known before the first race"""
 
 @dataclass(frozen=True, eq=False)
 class MatchTest:
-    """Matches against each policy of an archive, played by all players with the same lines, sides and noise."""
+    """Matches against each policy of an archive, played by all players with the same lines, sides
+    and noise.
+    """
 
     spec: GameSpec  #: Archive and rules.
     table: Behaviours  #: What was learned; its opponents are the policies of the archive.
     tracks: tuple[Track | str, ...]
     races: int = 3  #: Races of a match.
-    #: Matches against each policy on each circuit, even: the first race starts from both sides in turn.
+    #: Matches against each policy on each circuit, even: the first race starts from both sides in
+    #: turn.
     matches: int = 32
     seed: int = 0  #: Root of start lines and noise.
 
@@ -55,8 +72,8 @@ class MatchTest:
         self.table.check_fits(self.spec, "the table of behaviours")
         if len(self.table.opponents) != len(self.spec.archive):
             raise InputError(
-                f"the table holds {len(self.table.opponents)} opponents; they must be the {len(self.spec.archive)} "
-                f"policies of archive {self.spec.archive.name!r}"
+                f"the table holds {len(self.table.opponents)} opponents; they must be the"
+                f" {len(self.spec.archive)} policies of archive {self.spec.archive.name!r}"
             )
 
     @staticmethod
@@ -66,7 +83,10 @@ class MatchTest:
             raise InputError("there are no tracks; name at least one")
         check_whole("matches", matches, 2, 10_000)
         if matches % 2:
-            raise InputError(f"matches is {matches}; it must be even, since the sides of the first race take turns")
+            raise InputError(
+                f"matches is {matches}; it must be even, since the sides of the first race take"
+                " turns"
+            )
         check_seed(name="seed", seed=seed)
         check_whole("races", races, 1, 100, ConfigError)
 
@@ -105,7 +125,11 @@ def match_gains(test: MatchTest, **run: Unpack[Run]) -> list[TrackGain]:
     known = str(test.table.training.get("tracks", "")).split(", ")
     gains = []
     for number, track in enumerate(test.tracks):
-        mine = [result["scores"] for (_, n, _), result in zip(tasks, results, strict=True) if n == number]
+        mine = [
+            result["scores"]
+            for (_, n, _), result in zip(tasks, results, strict=True)
+            if n == number
+        ]
         name = as_track(track).name
         gains.append(TrackGain(name, name in known, np.stack(mine, axis=1)))
     return gains
@@ -120,7 +144,9 @@ def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None)
     rules = replace(game.setup.config, start_lines=count * test.races)
     # Other lines and noise than those of training, whatever its seed.
     lines = start_lines(game.track, rules, np.random.SeedSequence(test.seed, spawn_key=(2, number)))
-    noise = np.random.SeedSequence(test.seed, spawn_key=(3, number, opponent)).generate_state(count, np.uint64)
+    noise = np.random.SeedSequence(test.seed, spawn_key=(3, number, opponent)).generate_state(
+        count, np.uint64
+    )
     given: dict[str, Any] = {
         "keys": noise.astype(np.uint64),
         "policies": np.array([table.best_fixed, opponent]),
@@ -148,7 +174,9 @@ class _ReplyChooser(NamedTuple):
 
 
 def gain_text(gains: Sequence[TrackGain]) -> str:
-    """Return the table of all circuits, with their mean if there are several, and the meaning of its columns."""
+    """Return the table of all circuits, with their mean if there are several, and the meaning of
+    its columns.
+    """
     rows: list[tuple[str, ...]] = [HEAD]
     rows += [_row(gain.track, "yes" if gain.learned else "no", gain.scores) for gain in gains]
     if len(gains) > 1:
@@ -165,7 +193,10 @@ def _row(track: str, learned: str, scores: Floats) -> tuple[str, ...]:
         f"{scores[0].mean():.3f}",
         *(f"{number:+.3f}" for number in (remembered.mean, remembered.low, remembered.high)),
         " ".join(f"{number:+.3f}" for number in by_race),
-        *(f"{number:+.3f}" for number in (_estimate(scores, "nearest").mean, known.mean, known.low, known.high)),
+        *(
+            f"{number:+.3f}"
+            for number in (_estimate(scores, "nearest").mean, known.mean, known.low, known.high)
+        ),
     )
 
 
@@ -176,5 +207,7 @@ def write_gains(gains: Sequence[TrackGain], names: Sequence[str], file: Path) ->
         means = gain.scores.mean(axis=2)
         for (n, r), _ in np.ndenumerate(means[0]):
             scores = (f"{mean:.6f}" for mean in means[:, n, r])
-            lines.append((gain.track, int(gain.learned), names[n], r, gain.scores.shape[2], *scores))
+            lines.append(
+                (gain.track, int(gain.learned), names[n], r, gain.scores.shape[2], *scores)
+            )
     return write_csv(lines, file)

@@ -1,4 +1,6 @@
-"""Behaviours and scores of an archive's policies against each other, from training races: matches of a single race."""
+"""Behaviours and scores of an archive's policies against each other, from training races: matches
+of a single race.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,7 +34,8 @@ class LearningRaces:
     spec: GameSpec  #: Archive and rules.
     #: Circuits, or their names or folders, which workers on other machines load themselves.
     tracks: tuple[Track | str, ...]
-    races: int = 64  #: Races of each two policies on each circuit, even: on each start line both sides take turns.
+    #: Races of each two policies on each circuit, even: on each start line both sides take turns.
+    races: int = 64
     seed: int = 0  #: Root of start lines and noise.
 
     def __post_init__(self) -> None:
@@ -40,7 +43,10 @@ class LearningRaces:
             raise InputError("there are no tracks; name at least one")
         check_whole("races", self.races, 4, 100_000)
         if self.races % 2:
-            raise InputError(f"races is {self.races}; it must be even, since both sides of each start line take turns")
+            raise InputError(
+                f"races is {self.races}; it must be even, since both sides of each start line take"
+                " turns"
+            )
         check_seed(name="seed", seed=self.seed)
 
     @property
@@ -50,7 +56,8 @@ class LearningRaces:
 
 
 def learn_behaviours(learning: LearningRaces, **run: Unpack[Run]) -> Behaviours:
-    """Race all pairs of an archive's policies, each kept for a whole race, and return what they see and win.
+    """Race all pairs of an archive's policies, each kept for a whole race, and return what they see
+    and win.
 
     Progress counts blocks of pairs.
     """
@@ -66,10 +73,14 @@ def learn_behaviours(learning: LearningRaces, **run: Unpack[Run]) -> Behaviours:
     return _table(learning, archive.name, blocks)
 
 
-def _table(learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple[int, int]], Arrays]]) -> Behaviours:
+def _table(
+    learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple[int, int]], Arrays]]
+) -> Behaviours:
     policies = len(learning.spec.archive)
     width = blocks[0][1]["seen"].shape[-1]
-    scores, seen, squares = (np.zeros((policies, policies, *more)) for more in ((), (width,), (width, width)))
+    scores, seen, squares = (
+        np.zeros((policies, policies, *more)) for more in ((), (width,), (width, width))
+    )
     count = np.zeros((policies, policies))
     for block, result in blocks:
         for row, (i, j) in enumerate(block):
@@ -83,7 +94,8 @@ def _table(learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple
     # Within pairs of policies, over circuits and races: what one race may differ from the mean.
     within = squares - count[..., None, None] * seen[..., :, None] * seen[..., None, :]
     covariance = within.sum(axis=(0, 1)) / (count - 1.0).sum()
-    covariance += np.diag(1e-6 + 1e-3 * np.diag(covariance))  # a feature that never varies is no certain sign
+    # a feature that never varies is no certain sign
+    covariance += np.diag(1e-6 + 1e-3 * np.diag(covariance))
     return Behaviours(
         game=learning.spec.identity._replace(elements=(), moves=()),
         opponents=tuple(f"{name}[{i}]" for i in range(policies)),
@@ -98,18 +110,26 @@ def _table(learning: LearningRaces, name: str, blocks: Sequence[tuple[list[tuple
     )
 
 
-def _race_block(task: tuple[LearningRaces, int, list[tuple[int, int]]], threads: int | None = None) -> Arrays:
-    """Race some pairs on one circuit: scores, shape (pairs, races, 2), and features, shape (pairs, races, 2, F)."""
+def _race_block(
+    task: tuple[LearningRaces, int, list[tuple[int, int]]], threads: int | None = None
+) -> Arrays:
+    """Race some pairs on one circuit: scores, shape (pairs, races, 2), and features, shape (pairs,
+    races, 2, F).
+    """
     learning, number, pairs = task
     spec, races = learning.spec, learning.races
     game = RaceGame(as_track(learning.tracks[number]), spec.archive, spec.config, threads=threads)
     match = MatchGame(game, races=1)
     rules = replace(game.setup.config, start_lines=races // 2)
-    lines = start_lines(game.track, rules, np.random.SeedSequence(learning.seed, spawn_key=(0, number)))
+    lines = start_lines(
+        game.track, rules, np.random.SeedSequence(learning.seed, spawn_key=(0, number))
+    )
     # A pair's noise depends on its two policies, not on the block that races it.
     keys = np.concatenate(
         [
-            np.random.SeedSequence(learning.seed, spawn_key=(1, number, i, j)).generate_state(races, np.uint64)
+            np.random.SeedSequence(learning.seed, spawn_key=(1, number, i, j)).generate_state(
+                races, np.uint64
+            )
             for i, j in pairs
         ]
     ).astype(np.uint64)

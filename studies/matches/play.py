@@ -1,4 +1,6 @@
-"""Batches of matches between two competitors: several races, before each of which they may choose their policies."""
+"""Batches of matches between two competitors: several races, before each of which they may choose
+their policies.
+"""
 
 from typing import Any, NamedTuple
 
@@ -15,8 +17,10 @@ class PlayedMatches(NamedTuple):
     """Results of a batch of B matches of R races; the ego drove car 0."""
 
     scores: Floats  #: shape (B, 2, R): Score of each car in each race: 1 for a win, 1/2 for a tie.
-    policy: NDArray[np.int64]  #: shape (B, 2, R): Policy of the archive that each race was started with.
-    observations: NDArray[np.float32]  #: shape (B, 2, D): What both players know of the match at its end.
+    #: shape (B, 2, R): Policy of the archive that each race was started with.
+    policy: NDArray[np.int64]
+    #: shape (B, 2, D): What both players know of the match at its end.
+    observations: NDArray[np.float32]
 
 
 class FixedChoice(NamedTuple):
@@ -54,8 +58,9 @@ def play_matches(
     Parameters
     ----------
     ego, opponent : Competitor or None
-        Who drives car 0 and car 1 with policies of the archive: a chooser chooses them before each race; others start
-        each race with the same policy, and make their moves; None keeps the policy.
+        Who drives car 0 and car 1 with policies of the archive: a chooser chooses them before each
+        race; others start each race with the same policy, and make their moves; None keeps the
+        policy.
     keys : ndarray of uint64, shape (B,)
         Of the matches' noise, and of what is not given.
     policies : array_like of int, shape (B, 2) or (2,)
@@ -66,7 +71,10 @@ def play_matches(
     state = match.begin(keys, policies=policies, lines=lines, sides=sides)
     chosen = np.full((len(keys), 2, match.races), -1, np.int64)
     for race in range(match.races):
-        choices = np.stack([_choices(player, match, state, car) for car, player in enumerate((ego, opponent))], axis=1)
+        choices = np.stack(
+            [_choices(player, match, state, car) for car, player in enumerate((ego, opponent))],
+            axis=1,
+        )
         state = match.start(state, choices)
         chosen[:, :, race] = state.policy
         memories: list[list[Any]] = [[None] * len(keys), [None] * len(keys)]
@@ -87,9 +95,16 @@ def _choices(player: Any, match: MatchGame, state: MatchState, car: int) -> NDAr
 
 
 def _moves(
-    player: Any, match: MatchGame, state: MatchState, car: int, seen: NDArray[np.float32], memories: list[Any]
+    player: Any,
+    match: MatchGame,
+    state: MatchState,
+    car: int,
+    seen: NDArray[np.float32],
+    memories: list[Any],
 ) -> NDArray[np.int64]:
     if player is None or isinstance(player, Chooser):
         return np.full(state.matches, len(match.game.competitor_moves) - 1)  # to stay
     rows = np.flatnonzero(state.racing)
-    return ask_moves(player, match.game, state.game, car, rows=rows, observation=seen, memories=memories)
+    return ask_moves(
+        player, match.game, state.game, car, rows=rows, observation=seen, memories=memories
+    )

@@ -1,9 +1,11 @@
-"""The agent "remember": before each race of a match it chooses the best reply to opponents that behave like this one.
+"""The agent "remember": before each race of a match it chooses the best reply to opponents that
+behave like this one.
 
-Against a known opponent the best reply is a look-up in a payoff matrix. What was seen in the earlier races tells which
-opponent of a pool it may be: each has a likelihood, normal in the distance between what was seen and what it does on
-average, and the reply is the best one against all of them by their likelihood (Bayes' rule, all opponents equally
-probable at first). Nothing is learned from the races of the match but this.
+Against a known opponent the best reply is a look-up in a payoff matrix. What was seen in the
+earlier races tells which opponent of a pool it may be: each has a likelihood, normal in the
+distance between what was seen and what it does on average, and the reply is the best one against
+all of them by their likelihood (Bayes' rule, all opponents equally probable at first). Nothing is
+learned from the races of the match but this.
 """
 
 from dataclasses import dataclass
@@ -33,7 +35,8 @@ class RememberedReply:
 
     table: Behaviours
     spec: GameSpec  #: Its archive tells which policy was driven.
-    reply: str = "likely"  #: "likely" or "nearest": To all opponents by their likelihood, or to the nearest one.
+    #: "likely" or "nearest": To all opponents by their likelihood, or to the nearest one.
+    reply: str = "likely"
 
     def __call__(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
         """Return the policies for observations of B matches, shape (B,)."""
@@ -56,12 +59,17 @@ class RememberedReply:
 
 @dataclass(frozen=True, eq=False)
 class MatchAgent(Agent):
-    """An agent that also chooses the policy of each race of a match; its moves are for games of their own."""
+    """An agent that also chooses the policy of each race of a match; its moves are for games of
+    their own.
+    """
 
-    choice: RememberedReply | None = None  #: A function from what was observed of matches to policies.
+    #: A function from what was observed of matches to policies.
+    choice: RememberedReply | None = None
 
     def choose(self, observation: NDArray[np.float32]) -> NDArray[np.int64]:
-        """Return the policies for the next races, shape (B,); see :class:`pcs_racing.game.competitor.Chooser`."""
+        """Return the policies for the next races, shape (B,); see
+        :class:`pcs_racing.game.competitor.Chooser`.
+        """
         if self.choice is None:
             raise InputError(f"agent {self.name!r} has no choice of policies")
         return self.choice(np.asarray(observation, np.float32))
@@ -73,20 +81,27 @@ class MatchAgent(Agent):
 
 
 def remember(
-    spec: GameSpec, *, name: str = "remember", seed: int = 0, table: Any = None, reply: str = "likely"
+    spec: GameSpec,
+    *,
+    name: str = "remember",
+    seed: int = 0,
+    table: Any = None,
+    reply: str = "likely",
 ) -> MatchAgent:
-    """Choose, before each race of a match, the best reply to the opponents that behave like the one that was seen.
+    """Choose, before each race of a match, the best reply to the opponents that behave like the one
+    that was seen.
 
     Parameters
     ----------
     seed : int
         Not used.
     table : Behaviours or path
-        What each policy of the archive sees of a pool of opponents and wins against them; `python -m studies match`
-        writes it. By default the one that is shipped for the archive and the rules.
+        What each policy of the archive sees of a pool of opponents and wins against them; `python
+        -m studies match` writes it. By default the one that is shipped for the archive and the
+        rules.
     reply : str
-        "likely": the best policy against all opponents of the pool, each by the likelihood of what was seen; "nearest":
-        the best policy against the one whose behaviour is nearest.
+        "likely": the best policy against all opponents of the pool, each by the likelihood of what
+        was seen; "nearest": the best policy against the one whose behaviour is nearest.
     """
     check_choice("reply", reply, REPLIES)
     if table is None:
@@ -113,7 +128,7 @@ def _seen_races(size: int, axes: int) -> int:
     races, rest = divmod(size - 2, 2 * axes + AFTER_AXES)
     if rest or races < 1:
         raise InputError(
-            f"an observation has {size} numbers; with {axes} axes it has {2 * axes + AFTER_AXES} for each race "
-            "and 2 more"
+            f"an observation has {size} numbers; with {axes} axes it has {2 * axes + AFTER_AXES}"
+            " for each race and 2 more"
         )
     return races

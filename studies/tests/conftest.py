@@ -15,4 +15,6 @@ def _fixtures(file: Path) -> dict[str, object]:
     return {name: thing for name, thing in vars(module).items() if not name.startswith("__")}
 
 
-globals().update(_fixtures(TESTS / "conftest.py") | _fixtures(TESTS / "pcs_racing_agents" / "conftest.py"))
+globals().update(
+    _fixtures(TESTS / "conftest.py") | _fixtures(TESTS / "pcs_racing_agents" / "conftest.py")
+)

@@ -31,7 +31,11 @@ def test_lead_plans_are_raced_when_asked_for(tmp_path, capsys):
     with open(out / "lead_plans.csv", newline="") as file:
         (row,) = list(csv.DictReader(file))
     assert row["track"] == "Tarnfjord"
-    assert {row["ahead"], row["behind"]} <= {"lattice:pace=0.2", "lattice:pace=0.5", "lattice:pace=1.0"}
+    assert {row["ahead"], row["behind"]} <= {
+        "lattice:pace=0.2",
+        "lattice:pace=0.5",
+        "lattice:pace=1.0",
+    }
 
 
 @pytest.mark.parametrize("count", ["1", "17"])

@@ -58,11 +58,15 @@ def test_executors_and_stopped_runs_make_no_difference(payoffs, tmp_path, monkey
     np.testing.assert_array_equal(again, payoffs)
     monkeypatch.setattr("studies.headroom.lead_plans.advance", None)  # nothing is raced again
     with open_job(tmp_path, "plans", {}) as job:
-        np.testing.assert_array_equal(lead_plan_payoffs(pool(), plans, step_seconds=2.0, job=job), payoffs)
+        np.testing.assert_array_equal(
+            lead_plan_payoffs(pool(), plans, step_seconds=2.0, job=job), payoffs
+        )
 
 
 def test_the_value_of_a_plan_that_is_better_by_a_tenth():
-    """Twenty useless plans beside it would look better by chance, were the best not judged on other races."""
+    """Twenty useless plans beside it would look better by chance, were the best not judged on other
+    races.
+    """
     plans = make_lead_plans(4, [0, 1, 2])
     values = np.zeros((len(plans), 6))
     found = [lead_plan_value(known(values, 40, seed), plans).value for seed in range(20)]
@@ -86,7 +90,9 @@ def test_what_is_left_for_those_who_know_the_opponent():
     "wrong",
     [
         lambda: lead_plan_payoffs(pool(), [(0, 3)]),
-        lambda: lead_plan_payoffs(pool(policies=(*POLICIES, parse_policy("pure-pursuit"))), [(0, 0)]),
+        lambda: lead_plan_payoffs(
+            pool(policies=(*POLICIES, parse_policy("pure-pursuit"))), [(0, 0)]
+        ),
         lambda: lead_plan_payoffs(pool(), [(0, 0)], step_seconds=0.0),
         lambda: lead_plan_value(np.zeros((4, 2, 3)), [(0, 0)]),
         lambda: lead_plan_value(np.zeros((4, 1, 3)), [(0, 1)]),

@@ -30,7 +30,9 @@ def table(small, oval) -> Behaviours:
 
 @pytest.fixture(scope="module")
 def gains(small, table, oval) -> list[TrackGain]:
-    return match_gains(MatchTest(small, table, (oval, load_track("Pipkin")), races=2, matches=4, seed=1))
+    return match_gains(
+        MatchTest(small, table, (oval, load_track("Pipkin")), races=2, matches=4, seed=1)
+    )
 
 
 def test_what_is_learned(table):
@@ -49,7 +51,9 @@ def same_tables(one: Behaviours, other: Behaviours) -> bool:
     return one.content_hash == other.content_hash
 
 
-def test_blocks_and_processes_make_no_difference(small, oval, table, processes, monkeypatch, tmp_path):
+def test_blocks_and_processes_make_no_difference(
+    small, oval, table, processes, monkeypatch, tmp_path
+):
     learning = LearningRaces(small, ("Pipkin",), races=4, seed=3)
     whole = learn_behaviours(learning)
     assert not same_tables(whole, table)
@@ -83,7 +87,9 @@ def test_matches_of_a_job_are_taken_up(small, table, oval, gains, tmp_path, monk
 
 
 def test_a_gain_is_what_was_put_in():
-    """Against two of three rivals it wins 1/2 more from the second race on: 1/3 of the races there, 1/6 of all."""
+    """Against two of three rivals it wins 1/2 more from the second race on: 1/3 of the races there,
+    1/6 of all.
+    """
     scores = np.zeros((len(ARMS), 3, 4, 2))
     scores[ARMS.index("remember"), :2, ::2, 1] = 1.0
     gain = TrackGain("nowhere", True, scores)
@@ -95,12 +101,20 @@ def test_a_gain_is_what_was_put_in():
 
 
 def test_the_runner_plays_the_matches_of_the_environment(small, oval):
-    env = MatchEnv(track=oval, archive=small.archive, race=small.config, opponent="always-aggressiveness +")
+    env = MatchEnv(
+        track=oval, archive=small.archive, race=small.config, opponent="always-aggressiveness +"
+    )
     env.reset(seed=5)
     key = np.random.default_rng(5).integers(2**63)  # what the environment draws first
     game = RaceGame(oval, small.archive, small.config)
     opponent = env.opponents[0].competitor
-    played = play_matches(MatchGame(game), FixedChoice(1), opponent, keys=np.array([key], np.uint64), policies=(-1, -1))
+    played = play_matches(
+        MatchGame(game),
+        FixedChoice(1),
+        opponent,
+        keys=np.array([key], np.uint64),
+        policies=(-1, -1),
+    )
     rewards = [env.step(1)[1] for _ in range(3)]
     assert played.scores[0, 0].tolist() == rewards
     np.testing.assert_array_equal(played.observations[0, 0], env.batch.seen[0, 0])
@@ -111,7 +125,16 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     archive = save_archive(toy_archive(3), tmp_path / "archive")
     out = tmp_path / "match"
     short = ["--duration", "4", "--races", "2", "--matches", "2", "--learning-races", "4"]
-    command = ["match", "--archive", str(archive), "--track", "Pipkin", "--unseen", "Tarnfjord", *short]
+    command = [
+        "match",
+        "--archive",
+        str(archive),
+        "--track",
+        "Pipkin",
+        "--unseen",
+        "Tarnfjord",
+        *short,
+    ]
     for _ in range(2):  # the second time everything is there already
         assert main([*command, "--out", str(out)]) == 0
         printed = capsys.readouterr().out
@@ -126,7 +149,12 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
 
 @pytest.mark.parametrize(
     ("wrong", "value"),
-    [(["--races", "0"], "0"), (["--matches", "3"], "3"), (["--learning-races", "5"], "5"), (["--seed", "-1"], "-1")],
+    [
+        (["--races", "0"], "0"),
+        (["--matches", "3"], "3"),
+        (["--learning-races", "5"], "5"),
+        (["--seed", "-1"], "-1"),
+    ],
 )
 def test_impossible_matches_are_refused_before_any_race(tmp_path, capsys, wrong, value):
     assert main(["match", *wrong, "--out", str(tmp_path / "match")]) == 2
@@ -135,7 +163,9 @@ def test_impossible_matches_are_refused_before_any_race(tmp_path, capsys, wrong,
 
 
 def test_a_table_of_other_opponents_is_refused(small, table, oval):
-    other = Behaviours(table.game, table.opponents[:2], table.scores[:, :2], table.seen[:, :2], table.covariance)
+    other = Behaviours(
+        table.game, table.opponents[:2], table.scores[:, :2], table.seen[:, :2], table.covariance
+    )
     with pytest.raises(InputError, match="2 opponents"):
         MatchTest(small, other, (oval,))
     with pytest.raises(InputError, match="no tracks"):

@@ -10,8 +10,13 @@ from repository import REPOSITORY, python_blocks, run_block
 
 from studies import __main__
 
-REPORTS = {page.name: page.read_text(encoding="utf-8") for page in (REPOSITORY / "docs" / "reports").glob("*.md")}
-OTHERS = {page.name: page.read_text(encoding="utf-8") for page in (REPOSITORY / "docs").glob("*.md")}
+REPORTS = {
+    page.name: page.read_text(encoding="utf-8")
+    for page in (REPOSITORY / "docs" / "reports").glob("*.md")
+}
+OTHERS = {
+    page.name: page.read_text(encoding="utf-8") for page in (REPOSITORY / "docs").glob("*.md")
+}
 BLOCKS = [(name, block) for name, text in REPORTS.items() for block in python_blocks(text)]
 COMMANDS = [
     (name, line.strip())

@@ -1,4 +1,6 @@
-"""The agent that only remembers: what it replies to what it saw, and the table that it looks it up in."""
+"""The agent that only remembers: what it replies to what it saw, and the table that it looks it up
+in.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,9 @@ POLICIES = 3  # the rivals that are made up; policy 3 is the best one on average
 
 
 def observed(spec, *races, left=1):
-    """What a player knows of a match: (own policy, opponent's first coordinate) of each race that is over."""
+    """What a player knows of a match: (own policy, opponent's first coordinate) of each race that
+    is over.
+    """
     blocks = []
     for own, coordinate in races:
         blocks += [*spec.archive.normalised[own], coordinate, 0.0, 0.0, 0.0, 1.0]
@@ -44,7 +48,8 @@ def test_it_replies_to_the_behaviour_that_it_saw(spec, rival, reply):
 def test_between_two_behaviours_the_likely_reply_is_to_both(spec):
     table = made_up_behaviours(spec)
     half = observed(spec, (3, 0.25), left=2)[None]
-    assert remember(spec, table=table).choose(half).tolist() == [0]  # .65 against both halves; the first of two
+    # .65 against both halves; the first of two
+    assert remember(spec, table=table).choose(half).tolist() == [0]
     safe = np.array(table.scores)
     safe[4, :2] = 0.7
     cautious = Behaviours(table.game, table.opponents, safe, table.seen, table.covariance)
@@ -60,7 +65,9 @@ def test_later_races_count_as_the_earlier_ones(agent, spec):
 
 
 def test_what_is_seen_depends_on_the_own_policy(spec):
-    """Beside a fast car everybody looks slow: a behaviour is compared with what the own policy sees."""
+    """Beside a fast car everybody looks slow: a behaviour is compared with what the own policy
+    sees.
+    """
     table = made_up_behaviours(spec)
     seen = np.array(table.seen)
     seen[0, :, 0] = [-1.0, 0.0, 0.5]
@@ -71,7 +78,9 @@ def test_what_is_seen_depends_on_the_own_policy(spec):
 
 
 def test_a_batch_is_many_matches(agent, spec):
-    rows = np.stack([observed(spec, (own, value), left=2) for own in range(4) for value in (0.0, 0.4, 1.1)])
+    rows = np.stack(
+        [observed(spec, (own, value), left=2) for own in range(4) for value in (0.0, 0.4, 1.1)]
+    )
     np.testing.assert_array_equal(agent.choose(rows), [agent.choose(row[None])[0] for row in rows])
     assert len(set(agent.choose(rows).tolist())) == 3
 
@@ -86,7 +95,11 @@ def test_in_a_game_of_its_own_it_moves_to_the_best_fixed_policy(agent, game):
 
 def test_it_is_an_opponent_of_a_match(spec, oval):
     envs = MatchVectorEnv(
-        4, track=oval, archive=spec.archive, race=spec.config, opponent=remember(spec, table=table(spec))
+        4,
+        track=oval,
+        archive=spec.archive,
+        race=spec.config,
+        opponent=remember(spec, table=table(spec)),
     )
     envs.reset(seed=1)
     assert (envs.step(np.array([0, 5, 8, 11]))[4]["race"] == 1).all()
@@ -117,12 +130,19 @@ def test_a_table_is_shipped_for_the_contest():
 
 def test_a_table_of_another_archive_is_refused(spec, archive, tmp_path):
     folder = save_behaviours(table(spec), tmp_path / "behaviours")
-    values = {key: getattr(archive, key) for key in ("name", "planner", "parameter_names", "characteristics")}
-    other = PolicyArchive(**values, parameters=archive.parameters[:5], coordinates=archive.coordinates[:5])
+    values = {
+        key: getattr(archive, key)
+        for key in ("name", "planner", "parameter_names", "characteristics")
+    }
+    other = PolicyArchive(
+        **values, parameters=archive.parameters[:5], coordinates=archive.coordinates[:5]
+    )
     with pytest.raises(InputError, match="archive 'toy'"):
         remember(make_game_spec(other, spec.config), table=folder)
     with pytest.raises(InputError, match="games of 4 moves"):
-        remember(make_game_spec(archive, make_game("Pipkin", archive, moves=2).config), table=folder)
+        remember(
+            make_game_spec(archive, make_game("Pipkin", archive, moves=2).config), table=folder
+        )
 
 
 def test_a_table_is_kept(spec, tmp_path):
@@ -162,6 +182,9 @@ def test_impossible_tables_are_refused(spec):
         {"covariance": np.zeros_like(made.covariance)},
         {"opponents": ("one",)},
     ):
-        arguments = {name: getattr(made, name) for name in ("game", "opponents", "scores", "seen", "covariance")}
+        arguments = {
+            name: getattr(made, name)
+            for name in ("game", "opponents", "scores", "seen", "covariance")
+        }
         with pytest.raises(InputError):
             Behaviours(**{**arguments, **change})

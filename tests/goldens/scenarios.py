@@ -1,6 +1,7 @@
 """Races and episodes whose results belong to a version: saved by `dev/tools/make_goldens.py`.
 
-Whatever they depend on beside the code is made here (policies, actions, seeds) or named by its hash (the circuit).
+Whatever they depend on beside the code is made here (policies, actions, seeds) or named by its hash
+(the circuit).
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -21,7 +22,8 @@ from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 
 TRACK = "Pipkin"
 RACES_ID = "pcs_racing/Races-v1"
-"""The races below the environments, which have no id of their own; its number goes up with theirs."""
+"""The races below the environments, which have no id of their own; its number goes up with theirs.
+"""
 
 PRESETS = ("paper", "contest")
 RIVALS = ("lattice:pace=0.7", "lane-switcher:3", "pure-pursuit", "gap-follower")
@@ -41,7 +43,12 @@ def archive() -> PolicyArchive:
     parameters = np.array([lattice.policy({"pace": value}).parameters for value in pace])
     coordinates = np.column_stack([20.0 * pace - 10.0, [4.0, 3.0, 3.5, 2.0, 2.5, 1.0]])
     return PolicyArchive(
-        "golden", "lattice", lattice.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
+        "golden",
+        "lattice",
+        lattice.parameter_names,
+        parameters,
+        ("aggressiveness", "restraint"),
+        coordinates,
     )
 
 
@@ -56,10 +63,14 @@ def races() -> Values:
         for text in RIVALS:
             rival = parse_policy(text)
             setup = RaceSetup(
-                track, load_race_config(preset, duration=SHORT_SECONDS, start_lines=2), (ego.planner, rival.planner)
+                track,
+                load_race_config(preset, duration=SHORT_SECONDS, start_lines=2),
+                (ego.planner, rival.planner),
             )
             state = start_races(setup, draw_starts(track, setup.config, 2, 0), race_seeds(0, 2))
-            theta = np.broadcast_to(pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)).copy()
+            theta = np.broadcast_to(
+                pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)
+            ).copy()
             seen = []
             for _ in range(round(SHORT_SECONDS * 100) // SHORT_TICKS):
                 advance(setup, state, theta, SHORT_TICKS, threads=1)
@@ -69,8 +80,12 @@ def races() -> Values:
         config = load_race_config(preset, duration=LONG_SECONDS, start_lines=4)
         starts = draw_starts(track, config, LONG_RACES, 1)
         for text in RIVALS[:2]:
-            ended = pcs_racing.run_races(track, ego, parse_policy(text), config, seed=1, starts=starts, threads=1)
-            out[f"ends {preset} {text}"] = np.column_stack([ended.lead, ended.time, ended.winner, ended.crashed])
+            ended = pcs_racing.run_races(
+                track, ego, parse_policy(text), config, seed=1, starts=starts, threads=1
+            )
+            out[f"ends {preset} {text}"] = np.column_stack(
+                [ended.lead, ended.time, ended.winner, ended.crashed]
+            )
     return out
 
 
@@ -83,9 +98,15 @@ def actions(count: int, width: int) -> np.ndarray:
     return np.stack([steering, speed], axis=-1).astype(np.float32)
 
 
-def vector_episode(name: str, seed: int, actions: Iterable[np.ndarray], **options: Any) -> tuple[Values, Any]:
-    """What three environments at once show, pay and end with; and the environment, which is still open."""
-    env = gymnasium.make_vec(name, num_envs=3, track=TRACK, threads=1, autoreset_mode="SAME_STEP", **options)
+def vector_episode(
+    name: str, seed: int, actions: Iterable[np.ndarray], **options: Any
+) -> tuple[Values, Any]:
+    """What three environments at once show, pay and end with; and the environment, which is still
+    open.
+    """
+    env = gymnasium.make_vec(
+        name, num_envs=3, track=TRACK, threads=1, autoreset_mode="SAME_STEP", **options
+    )
     first, _ = env.reset(seed=seed)
     seen, rewards, over = [first], [], []
     for action in actions:
@@ -93,13 +114,23 @@ def vector_episode(name: str, seed: int, actions: Iterable[np.ndarray], **option
         seen.append(observation)
         rewards.append(reward)
         over.append((terminated, truncated))
-    return {"observations": np.array(seen), "rewards": np.array(rewards), "ends": np.array(over)}, env
+    return {
+        "observations": np.array(seen),
+        "rewards": np.array(rewards),
+        "ends": np.array(over),
+    }, env
 
 
-def pair_episode(name: str, seed: int, actions: Iterable[np.ndarray], maker: Any, **options: Any) -> tuple[Values, Any]:
+def pair_episode(
+    name: str, seed: int, actions: Iterable[np.ndarray], maker: Any, **options: Any
+) -> tuple[Values, Any]:
     """What both agents of an environment see and get; and the environment."""
     made = getattr(pettingzoo, "make", None)
-    env = made("parallel", name, track=TRACK, **options) if made is not None else maker(track=TRACK, **options)
+    env = (
+        made("parallel", name, track=TRACK, **options)
+        if made is not None
+        else maker(track=TRACK, **options)
+    )
     first, _ = env.reset(seed=seed)
     seen, rewards = [[first[agent] for agent in env.possible_agents]], []
     for action in actions:
@@ -126,7 +157,10 @@ def drive(name: str) -> Values:
         "alone": {"opponent": None, "normalize": True},
     }.items():
         episode, env = vector_episode(name, 5, actions(20, 3), **options)
-        out |= named(what, {**episode, "elements": np.array([element.name for element in env.unwrapped.elements])})
+        out |= named(
+            what,
+            {**episode, "elements": np.array([element.name for element in env.unwrapped.elements])},
+        )
         env.close()
     return out
 
@@ -136,7 +170,9 @@ def duel(name: str) -> Values:
     out: Values = {}
     for race in PRESETS:
         moves = ((np.arange(3) + step) % 4 for step in range(6))
-        episode, env = vector_episode(name, 7, moves, race=race, opponent="random-moves", **SHORT_GAME)
+        episode, env = vector_episode(
+            name, 7, moves, race=race, opponent="random-moves", **SHORT_GAME
+        )
         game = env.unwrapped.game
         names = {
             "elements": np.array([element.name for element in game.observation_elements]),
@@ -152,7 +188,13 @@ def match(name: str) -> Values:
     out: Values = {}
     for race in PRESETS:
         for what, race_moves in (("choices", False), ("moves", True)):
-            options = {"races": 2, "race_moves": race_moves, "moves": 1, "opponent": "random-moves", **SHORT_GAME}
+            options = {
+                "races": 2,
+                "race_moves": race_moves,
+                "moves": 1,
+                "opponent": "random-moves",
+                **SHORT_GAME,
+            }
             moves = ((np.arange(3) + 3 * step) % (10 if race_moves else 6) for step in range(6))
             episode, env = vector_episode(name, 7, moves, race=race, **options)
             names = {"elements": np.array([element.name for element in env.unwrapped.elements])}
@@ -166,7 +208,9 @@ def head_to_head(name: str) -> Values:
     out: Values = {}
     for race in PRESETS:
         moves = ((step + np.arange(2)) % 4 for step in range(4))
-        out |= named(race, pair_episode(name, 3, moves, pcs_racing.parallel_env, race=race, **SHORT_GAME)[0])
+        out |= named(
+            race, pair_episode(name, 3, moves, pcs_racing.parallel_env, race=race, **SHORT_GAME)[0]
+        )
     return out
 
 
@@ -175,7 +219,9 @@ def head_to_head_match(name: str) -> Values:
     out: Values = {}
     for race in PRESETS:
         choices = ((2 * step + 3 * np.arange(2)) % 6 for step in range(3))
-        out |= named(race, pair_episode(name, 3, choices, head_to_head_match_env, race=race, **SHORT_GAME)[0])
+        out |= named(
+            race, pair_episode(name, 3, choices, head_to_head_match_env, race=race, **SHORT_GAME)[0]
+        )
     return out
 
 
@@ -184,7 +230,13 @@ def drive_head_to_head(name: str) -> Values:
     out: Values = {}
     for what, options in {
         "paper": {},
-        "contest": {"race": "contest", "beams": 16, "see_opponent": "in sight", "win_reward": 1.0, "time_left": True},
+        "contest": {
+            "race": "contest",
+            "beams": 16,
+            "see_opponent": "in sight",
+            "win_reward": 1.0,
+            "time_left": True,
+        },
     }.items():
         episode, env = pair_episode(name, 5, actions(100, 2), drive_head_to_head_env, **options)
         names = {"elements": np.array([element.name for element in env.unwrapped.elements])}
@@ -223,7 +275,9 @@ VALUE = 1e-9
 FLOAT32 = 2e-6
 """Of observations, which are 32-bit numbers, relative: a last bit or two."""
 LEAD = 0.05
-"""Of the ends of long races, m and s: over 40 s rounding errors grow, and a planner's choice may fall another way."""
+"""Of the ends of long races, m and s: over 40 s rounding errors grow, and a planner's choice may
+fall another way.
+"""
 STRAY = 1
 """Long races of each kind that may end altogether differently for that reason."""
 
@@ -234,16 +288,24 @@ def differences(found: Mapping[str, Any], kept: Mapping[str, Any]) -> list[str]:
     for name in sorted(set(found) & set(kept)):
         new, old = np.asarray(found[name]), np.asarray(kept[name])
         if new.shape != old.shape or new.dtype.kind != old.dtype.kind:
-            lines.append(f"{name} has shape {new.shape} and type {new.dtype}; it had {old.shape} and {old.dtype}")
+            lines.append(
+                f"{name} has shape {new.shape} and type {new.dtype}; it had {old.shape} and"
+                f" {old.dtype}"
+            )
         elif new.dtype.kind != "f":
             if (new != old).any():
-                lines.append(f"{name} is {new[new != old].flat[0]!r} where it was {old[new != old].flat[0]!r}")
+                lines.append(
+                    f"{name} is {new[new != old].flat[0]!r} where it was"
+                    f" {old[new != old].flat[0]!r}"
+                )
         elif name.startswith("ends "):
             strayed = (np.abs(new - old) > LEAD).any(axis=1).sum()
             if strayed > STRAY:
                 lines.append(f"{name}: {strayed} of {len(new)} races end otherwise")
         else:
-            allowed = VALUE + (FLOAT32 if new.dtype == np.float32 else VALUE) * np.maximum(np.abs(old), 1.0)
+            allowed = VALUE + (FLOAT32 if new.dtype == np.float32 else VALUE) * np.maximum(
+                np.abs(old), 1.0
+            )
             worst = np.nanmax(np.abs(new.astype(np.float64) - old) / allowed)
             if worst > 1.0 or (np.isnan(new) != np.isnan(old)).any():
                 at = np.unravel_index(np.argmax(np.abs(new - old)), new.shape)

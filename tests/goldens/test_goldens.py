@@ -1,4 +1,6 @@
-"""Results change only together with a version: what the registered environments did when their version was new."""
+"""Results change only together with a version: what the registered environments did when their
+version was new.
+"""
 
 import re
 from pathlib import Path
@@ -18,7 +20,9 @@ def test_results_are_those_of_the_version(name):
     assert file.is_file(), f"{name} has no results: python dev/tools/make_goldens.py keeps them"
     with np.load(file, allow_pickle=False) as stored:
         kept = dict(stored)
-    assert str(kept["track"]) == track_hash(), "the circuit has changed: its name must change, or the results' version"
+    assert str(kept["track"]) == track_hash(), (
+        "the circuit has changed: its name must change, or the results' version"
+    )
     found = {**SCENARIOS[name](), "track": kept["track"]}
     told = f"{name} has other results than when it was new: docs/versions.md says what to do"
     assert differences(found, kept) == [], told
@@ -44,13 +48,17 @@ def values(**changes: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def test_last_bits_do_not_count():
-    other = {name: array * (1.0 + 1e-12) if array.dtype == np.float64 else array for name, array in values().items()}
+    other = {
+        name: array * (1.0 + 1e-12) if array.dtype == np.float64 else array
+        for name, array in values().items()
+    }
     other["values seen"] = np.nextafter(values()["values seen"], np.float32(2.0))
     assert differences(other, values()) == []
 
 
 @pytest.mark.parametrize(
-    ("name", "change"), [("values cars", 1e-7), ("values seen", np.float32(1e-4)), ("ends paper", 1.5 * LEAD)]
+    ("name", "change"),
+    [("values cars", 1e-7), ("values seen", np.float32(1e-4)), ("ends paper", 1.5 * LEAD)],
 )
 def test_changes_of_physics_do(name, change):
     (line,) = differences(values(**{name: values()[name] + change}), values())

@@ -1,7 +1,9 @@
-"""Small pieces of what only long races compile: `make coverage` runs them once more without compilation.
+"""Small pieces of what only long races compile: `make coverage` runs them once more without
+compilation.
 
-A compiled function leaves no trace of its lines. With ``NUMBA_DISABLE_JIT=1`` these tests run as plain Python, many
-times slower, so the circuit is coarse and the races are short. Other tests that are quick enough run that way, too.
+A compiled function leaves no trace of its lines. With ``NUMBA_DISABLE_JIT=1`` these tests run as
+plain Python, many times slower, so the circuit is coarse and the races are short. Other tests that
+are quick enough run that way, too.
 """
 
 import numpy as np
@@ -18,13 +20,20 @@ from pcs_racing_agents.agents.agent import draw
 
 
 @pytest.mark.parametrize(
-    "rival", ["lattice:pace=0.6", "lane-switcher:3", "lane-switcher:11", "pure-pursuit", "gap-follower"]
+    "rival",
+    ["lattice:pace=0.6", "lane-switcher:3", "lane-switcher:11", "pure-pursuit", "gap-follower"],
 )
 def test_a_second_of_racing(coarse_oval, rival):
     config = load_race_config(CONTEST if "lane" in rival else PAPER, duration=1.0, start_lines=1)
     starts = draw_starts(coarse_oval, config, 1, 0)
     ended = run_races(
-        coarse_oval, parse_policy("lattice"), parse_policy(rival), config, starts=starts, seed=0, threads=1
+        coarse_oval,
+        parse_policy("lattice"),
+        parse_policy(rival),
+        config,
+        starts=starts,
+        seed=0,
+        threads=1,
     )
     assert np.isfinite(ended.lead).all()
     assert ended.time[0] > 0.3
@@ -35,10 +44,15 @@ def test_a_driver_of_50_hz_is_a_network_planner(coarse_oval):
     starts = draw_starts(coarse_oval, config, 1, 0)
     rng = np.random.default_rng(0)
     shapes = ((5, len(INPUTS)), (2, 5))
-    layers = DenseLayers(tuple(rng.normal(0.0, 0.3, shape) for shape in shapes), (np.zeros(5), np.zeros(2)))
+    layers = DenseLayers(
+        tuple(rng.normal(0.0, 0.3, shape) for shape in shapes), (np.zeros(5), np.zeros(2))
+    )
     plain = network_planner("plain", (5,), layers.flat()).policy()
     ours, rival = trained_planner("ours", layers, 2).policy(), parse_policy("pure-pursuit")
-    one, other = (run_races(coarse_oval, policy, rival, config, starts=starts, threads=1) for policy in (plain, ours))
+    one, other = (
+        run_races(coarse_oval, policy, rival, config, starts=starts, threads=1)
+        for policy in (plain, ours)
+    )
     np.testing.assert_array_equal(one.state.cars, other.state.cars)
     assert one.state.progress[0, 0] > 0.1
 

@@ -9,7 +9,9 @@ from repository import REPOSITORY
 LATE = ("torch", "scipy", "matplotlib", "pygame", "stable_baselines3", "skimage", "clarabel", "cma")
 
 
-@pytest.mark.parametrize("package", ["pcs_racing", "pcs_racing_agents", "pcs_racing_agents.cli.main"])
+@pytest.mark.parametrize(
+    "package", ["pcs_racing", "pcs_racing_agents", "pcs_racing_agents.cli.main"]
+)
 def test_importing_is_light(package):
     """Numba itself looks at scipy's version, so what it brings along does not count."""
     code = f"""
@@ -19,7 +21,9 @@ before = set(sys.modules)
 import {package}
 print(*sorted({{name.split(".")[0] for name in set(sys.modules) - before}}))
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY
+    )
     assert package.split(".")[0] in done.stdout.split()
     assert not set(LATE) & set(done.stdout.split())
 
@@ -30,7 +34,9 @@ def test_imports_of_optional_libraries_are_late_and_every_public_name_is_there()
             for node in ast.parse(file.read_text(encoding="utf-8")).body:
                 names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
                 names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-                assert not {name.split(".")[0] for name in names} & set(LATE), f"{file}: line {node.lineno}"
+                assert not {name.split(".")[0] for name in names} & set(LATE), (
+                    f"{file}: line {node.lineno}"
+                )
     import pcs_racing
 
     for name in pcs_racing.__all__:

@@ -6,14 +6,26 @@ import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
-from pcs_racing import PolicyArchive, RaceGame, load_race_config, load_track, make_game, save_archive
+from pcs_racing import (
+    PolicyArchive,
+    RaceGame,
+    load_race_config,
+    load_track,
+    make_game,
+    save_archive,
+)
 from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.networks import RegretNetwork
-from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+from pcs_racing_agents.tournament import (
+    plan_tournament,
+    play_plan,
+    tournament_settings,
+    write_results,
+)
 from pcs_racing_agents.watch.view_server import make_server
 
 
@@ -55,13 +67,17 @@ def game(oval, spec) -> RaceGame:
 def learner(tmp_path_factory) -> str:
     """Settings of a learner that learns next to nothing, as a file."""
     file = tmp_path_factory.mktemp("learner") / "tiny.yaml"
-    file.write_text("starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n", encoding="utf-8")
+    file.write_text(
+        "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n", encoding="utf-8"
+    )
     return str(file)
 
 
 @pytest.fixture(scope="session")
 def lesson(oval, archive) -> tuple[list[RaceGame], list[Agent], GameSpec]:
-    """Inputs of learning: games of two moves by the rules of the contest, two opponents, and the game spec."""
+    """Inputs of learning: games of two moves by the rules of the contest, two opponents, and the
+    game spec.
+    """
     game = make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)
     spec = make_game_spec(archive, game.config)
     return [game], [never_switch(spec), always(spec, "aggressiveness -")], spec
@@ -74,7 +90,9 @@ def network(spec) -> RegretNetwork:
 
 @pytest.fixture(scope="session")
 def seen(game) -> list[np.ndarray]:
-    """What both players saw before each move of some games and at their end, shape (B, D) for each step."""
+    """What both players saw before each move of some games and at their end, shape (B, D) for each
+    step.
+    """
     rng = np.random.default_rng(0)
     state = game.reset(games=20, seed=1)
     steps = []
@@ -133,7 +151,9 @@ def tournament_folder(saved_archive, tmp_path_factory):
     folder = tmp_path_factory.mktemp("tournaments") / "three agents"
     rules = load_race_config("contest", duration=5.0, steps=(1.0,) * 5)
     agents = ["random-moves", "lane-switcher", "never-switch"]
-    plan = plan_tournament(load_track("Pipkin"), agents, rules, archive=saved_archive, races_per_pair=6, seed=2)
+    plan = plan_tournament(
+        load_track("Pipkin"), agents, rules, archive=saved_archive, races_per_pair=6, seed=2
+    )
     with open_job(folder, "tournament", tournament_settings(plan)) as job:
         tournament = play_plan(plan, job=job)
         write_results(tournament.races, folder / "results.csv")

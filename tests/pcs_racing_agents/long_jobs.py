@@ -1,4 +1,6 @@
-"""Small settings of the long commands, for tests of clusters and of faults, and what may differ between two runs."""
+"""Small settings of the long commands, for tests of clusters and of faults, and what may differ
+between two runs.
+"""
 
 from pathlib import Path
 
@@ -17,20 +19,43 @@ def commands() -> dict[str, list[str]]:
         "synthesize": ["synthesize", *search, "--name", "small"],
         "tree": ["tree", *TREES, "--pairs", "12"],
         "tournament": [
-            "tournament", "--track", "Pipkin", "--agents", "random-moves", "never-switch", "lane-switcher",
-            "--races", "4", "--duration", "16",
+            "tournament",
+            "--track",
+            "Pipkin",
+            "--agents",
+            "random-moves",
+            "never-switch",
+            "lane-switcher",
+            "--races",
+            "4",
+            "--duration",
+            "16",
         ],
-        "ppo": ["ppo", "--config", str(SETTINGS / "ppo.yaml"), "--seeds", "0", "1", "2", "--no-picture"],
-    }  # fmt: skip
+        "ppo": [
+            "ppo",
+            "--config",
+            str(SETTINGS / "ppo.yaml"),
+            "--seeds",
+            "0",
+            "1",
+            "2",
+            "--no-picture",
+        ],
+    }
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but times, in locks, curves, PPO's chunks and notes of stages."""
-    found = {str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()}
+    """Return what a command left, by path: all but times, in locks, curves, PPO's chunks and notes
+    of stages.
+    """
+    found = {
+        str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()
+    }
     return {
         name: _without_times(file)
         for name, file in found.items()
-        if file.name not in (".lock", "done.yaml", "report.html") and "tensorboard" not in Path(name).parts
+        if file.name not in (".lock", "done.yaml", "report.html")
+        and "tensorboard" not in Path(name).parts
     }
 
 

@@ -6,9 +6,11 @@ from pcs_racing_agents.solvers import GameTree
 
 
 def kuhn_poker() -> GameTree:
-    """Kuhn poker: six deals, then car 0 checks or bets, car 1 answers, and after check and bet car 0 answers.
+    """Kuhn poker: six deals, then car 0 checks or bets, car 1 answers, and after check and bet car
+    0 answers.
 
-    Moves that no longer matter are played on without effect, as are those of the player whose turn it is not.
+    Moves that no longer matter are played on without effect, as are those of the player whose turn
+    it is not.
     """
     deals = [(mine, other) for mine in range(3) for other in range(3) if mine != other]
     payoffs = np.zeros((6, 2, 1, 1, 2, 2, 1))
@@ -23,7 +25,9 @@ def kuhn_poker() -> GameTree:
     labels = []
     for k in range(3):
         histories = np.arange(tree.nodes(k) // 6)
-        labels.append(tuple(np.concatenate([100 * deal[car] + histories for deal in deals]) for car in (0, 1)))
+        labels.append(
+            tuple(np.concatenate([100 * deal[car] + histories for deal in deals]) for car in (0, 1))
+        )
     return tree.with_infosets(labels)
 
 
@@ -32,13 +36,17 @@ PENNIES = GameTree.from_payoffs([[1.0, -1.0], [-1.0, 1.0]])
 
 
 def random_tree(seed: int, *shape: int, chance: int = 0, blur: int = 0) -> GameTree:
-    """A tree of normal payoffs; with ``blur``, each player sees one of so many random signs of every node."""
+    """A tree of normal payoffs; with ``blur``, each player sees one of so many random signs of
+    every node.
+    """
     rng = np.random.default_rng(seed)
     weights = rng.dirichlet(np.ones(chance)) if chance else None
     tree = GameTree.from_payoffs(rng.normal(size=(chance, *shape) if chance else shape), weights)
     if not blur:
         return tree
-    seen = [tuple(rng.integers(0, blur, tree.nodes(k)) for _ in range(2)) for k in range(tree.depth)]
+    seen = [
+        tuple(rng.integers(0, blur, tree.nodes(k)) for _ in range(2)) for k in range(tree.depth)
+    ]
     return tree.with_observations(seen)
 
 
@@ -46,6 +54,8 @@ def random_profile(tree: GameTree, seed: int = 0, sharp: float = 1.0):
     """Any profile of a tree; with a small ``sharp``, nearly pure strategies."""
     rng = np.random.default_rng(seed)
     return [
-        tuple(rng.dirichlet(np.full(tree.moves[k][car], sharp), tree.rows(k, car)) for car in (0, 1))
+        tuple(
+            rng.dirichlet(np.full(tree.moves[k][car], sharp), tree.rows(k, car)) for car in (0, 1)
+        )
         for k in range(tree.depth)
     ]

@@ -22,19 +22,31 @@ EXAMPLES = REPOSITORY / "examples"
 @pytest.mark.parametrize(
     ("script", "arguments", "said", "made"),
     [
-        ("tournament", "--races 2 --duration 4 --out out", ["12 races of 4 s"], {"results.csv", "replay.html"}),
+        (
+            "tournament",
+            "--races 2 --duration 4 --out out",
+            ["12 races of 4 s"],
+            {"results.csv", "replay.html"},
+        ),
         (
             "all_play_all",
             "--races 4 --agents never-switch random-moves lane-switcher --out out",
             ["12 races of 40 s", "equilibrium: "],
             {"results.csv"},
         ),
-        ("custom_agent", "--races 2", ["20 races of 40 s", "catch-up", "catch-up-too", "stubborn"], set()),
+        (
+            "custom_agent",
+            "--races 2",
+            ["20 races of 40 s", "catch-up", "catch-up-too", "stubborn"],
+            set(),
+        ),
         ("watch_a_race", "--duration 1 --gif", ["race.html"], {"race.html", "race.gif"}),
     ],
 )
 def test_races(tmp_path, script, arguments, said, made):
-    out = run_python(EXAMPLES / f"{script}.py", "--track", "Pipkin", *arguments.split(), folder=tmp_path)
+    out = run_python(
+        EXAMPLES / f"{script}.py", "--track", "Pipkin", *arguments.split(), folder=tmp_path
+    )
     assert all(text in out for text in said)
     assert made <= {path.name for path in tmp_path.rglob("*")}
 
@@ -51,22 +63,36 @@ def test_the_papers_table(tmp_path):
 
 
 def test_move_by_move(tmp_path):
-    out = run_python(EXAMPLES / "move_by_move.py", "--track", "Pipkin", "--opponent", "random-moves", folder=tmp_path)
+    out = run_python(
+        EXAMPLES / "move_by_move.py",
+        "--track",
+        "Pipkin",
+        "--opponent",
+        "random-moves",
+        folder=tmp_path,
+    )
     assert out.startswith("cfr-argmax (policy ")
     assert out.count("  ego: ") == len(re.findall(r"^move \d: lead", out, re.MULTILINE)) >= 1
     assert (tmp_path / "out" / "move_by_move" / "race.html").is_file()
 
 
-@pytest.mark.parametrize("number", range(len(re.findall("```python\n", (REPOSITORY / "README.md").read_text()))))
+@pytest.mark.parametrize(
+    "number", range(len(re.findall("```python\n", (REPOSITORY / "README.md").read_text())))
+)
 def test_what_the_readme_shows(tmp_path, number):
-    code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[number]
+    code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[
+        number
+    ]
     (tmp_path / "snippet.py").write_text(code)
     run_python("snippet.py", folder=tmp_path)
 
 
 @pytest.mark.parametrize(
     ("script", "libraries", "file"),
-    [("maskable_ppo.py", ("sb3_contrib",), "model.zip"), ("cleanrl_self_play.py", ("torch",), "actor.safetensors")],
+    [
+        ("maskable_ppo.py", ("sb3_contrib",), "model.zip"),
+        ("cleanrl_self_play.py", ("torch",), "actor.safetensors"),
+    ],
 )
 def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, libraries, file):
     for library in libraries:
@@ -95,7 +121,10 @@ def test_training_by_ppo(tmp_path, script):
     assert "random" in out
     if script == "train_ppo.py":
         assert "PPO over random moves: " in out
-        assert {path.name for path in (tmp_path / "out" / "train_ppo").iterdir()} == {"learning_curve.png", "model.zip"}
+        assert {path.name for path in (tmp_path / "out" / "train_ppo").iterdir()} == {
+            "learning_curve.png",
+            "model.zip",
+        }
 
 
 def test_self_play_of_steering_and_speed(tmp_path):
@@ -106,27 +135,55 @@ def test_self_play_of_steering_and_speed(tmp_path):
     assert re.search(row, out, re.M)
     rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", out, re.M)
     pairs = (("lattice, archive default", "paper"), ("lattice, archive contest", "contest"))
-    assert [row[:2] for row in rows] == [row for pair in pairs for row in (pair, ("ppo-drive", pair[1]))]
+    assert [row[:2] for row in rows] == [
+        row for pair in pairs for row in (pair, ("ppo-drive", pair[1]))
+    ]
     assert all(0.0 <= float(won) <= 100.0 for _, _, won, _ in rows)
 
 
 @pytest.mark.parametrize(
-    "script", ["imitate_from_lidar.py cnn --rounds 2 --seconds 4 --steps 4", "residual_ppo.py --steps 256"]
+    "script",
+    ["imitate_from_lidar.py cnn --rounds 2 --seconds 4 --steps 4", "residual_ppo.py --steps 256"],
 )
 def test_a_lidar_driver_is_trained(tmp_path, script):
     pytest.importorskip("stable_baselines3")
     file, *size = script.split()
-    size += ("--races", 2, "--random", 0, "--tracks", "Pipkin", "Tarnfjord", "--hold-out", "Tarnfjord")
+    size += (
+        "--races",
+        2,
+        "--random",
+        0,
+        "--tracks",
+        "Pipkin",
+        "Tarnfjord",
+        "--hold-out",
+        "Tarnfjord",
+    )
     out = run_python(EXAMPLES / file, *size, "--out", "made", folder=tmp_path)
-    assert re.search(r"^(round 1: drove [\d.]+% of the time, loss [\d.]+|\| +total_timesteps +\| 256 +\|)$", out, re.M)
+    assert re.search(
+        r"^(round 1: drove [\d.]+% of the time, loss [\d.]+|\| +total_timesteps +\| 256 +\|)$",
+        out,
+        re.M,
+    )
     assert re.search(r"^Pipkin: own crashes alone in 40 s [\d.]+$", out, re.M)
     assert re.search(r"^Tarnfjord: own crashes alone in 40 s [\d.]+, held out$", out, re.M)
     assert read_lidar_driver(tmp_path / "made")[0] in ("lidar-cnn", "residual")
 
 
 def test_ppo_against_cfr(tmp_path):
-    arguments = ["--track", "Pipkin", "--steps", "100", "--opponent", "always-aggressiveness+", "--egos", "2"]
-    out = run_python(EXAMPLES / "ppo_against_cfr.py", *arguments, "--variants", "2", folder=tmp_path)
+    arguments = [
+        "--track",
+        "Pipkin",
+        "--steps",
+        "100",
+        "--opponent",
+        "always-aggressiveness+",
+        "--egos",
+        "2",
+    ]
+    out = run_python(
+        EXAMPLES / "ppo_against_cfr.py", *arguments, "--variants", "2", folder=tmp_path
+    )
     created = tmp_path / "out" / "ppo_against_cfr"
     kept = {path.name for path in (created / "training" / "policy").iterdir()}
     assert kept == {"weights.safetensors", "manifest.yaml", "curve.csv"}
@@ -136,8 +193,14 @@ def test_ppo_against_cfr(tmp_path):
 
 def test_a_tree_in_openspiel(tmp_path):
     pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
-    out = run_python(EXAMPLES / "clients" / "openspiel_tree.py", "--iterations", 50, folder=tmp_path)
-    cells = {line.split(",")[0]: float(line.split()[-1]) for line in out.splitlines() if line[:4] in ("Open", "pcs-")}
+    out = run_python(
+        EXAMPLES / "clients" / "openspiel_tree.py", "--iterations", 50, folder=tmp_path
+    )
+    cells = {
+        line.split(",")[0]: float(line.split()[-1])
+        for line in out.splitlines()
+        if line[:4] in ("Open", "pcs-")
+    }
     assert list(cells) == ["OpenSpiel CFR+", "OpenSpiel MCCFR", "pcs-racing CFR+", "pcs-racing"]
     assert cells["pcs-racing CFR+"] == pytest.approx(cells["OpenSpiel CFR+"], rel=0.01)
     assert abs(cells["pcs-racing"]) < 1e-12
@@ -155,16 +218,29 @@ def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):
     for library in ("minari", "h5py"):
         pytest.importorskip(library, reason=f"{library}, of the extra test, is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
-    arguments = ("--track", "Pipkin", "--races", 2, "--duration", 2, "--opponent", "lattice:pace=0.3")
+    arguments = (
+        "--track",
+        "Pipkin",
+        "--races",
+        2,
+        "--duration",
+        2,
+        "--opponent",
+        "lattice:pace=0.3",
+    )
     out = run_python(EXAMPLES / "record_dataset.py", *arguments, folder=tmp_path)
     assert "2 races, 200 steps, mean return " in out
     (kept,) = re.findall(r"mean return (\S+)\n", out)
     track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
     lines = start_lines(track, config, 0, split="train")
     places = Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
-    driven = run_races(track, "lattice", "lattice:pace=0.3", config, starts=places).state.progress[:, 0]
+    driven = run_races(track, "lattice", "lattice:pace=0.3", config, starts=places).state.progress[
+        :, 0
+    ]
     assert driven.min() - 0.1 < float(kept) < driven.max() + 0.1
-    again = run_python(EXAMPLES / "record_dataset.py", *arguments, "--name", "again/lattice-v0", folder=tmp_path)
+    again = run_python(
+        EXAMPLES / "record_dataset.py", *arguments, "--name", "again/lattice-v0", folder=tmp_path
+    )
     assert again.partition(": ")[2] == out.partition(": ")[2]
 
 
@@ -179,12 +255,22 @@ def test_the_ros_bridge_drives_by_commands_and_publishes_what_the_gym_does(monke
         messages = {message.topic: message for message in bridge.step()}
     assert set(messages) == {"/scan", "/opp_scan", "/ego_racecar/odom", "/opp_racecar/odom", "/tf"}
     assert {message.time for message in messages.values()} == {500_000_000}
-    speeds = [messages[f"/{car}_racecar/odom"].fields["twist"]["twist"]["linear"]["x"] for car in ("ego", "opp")]
+    speeds = [
+        messages[f"/{car}_racecar/odom"].fields["twist"]["twist"]["linear"]["x"]
+        for car in ("ego", "opp")
+    ]
     assert 1.5 < speeds[0] < 2.1
     assert abs(speeds[1]) < 0.1
     assert len(messages["/scan"].fields["ranges"]) == 9
     frames = SimpleNamespace(transforms=None)
-    new = lambda: SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace()), transform=SimpleNamespace(  # noqa: E731
-        translation=SimpleNamespace(), rotation=SimpleNamespace()))  # fmt: skip
+    new = lambda: SimpleNamespace(
+        header=SimpleNamespace(stamp=SimpleNamespace()),
+        transform=SimpleNamespace(  # noqa: E731
+            translation=SimpleNamespace(), rotation=SimpleNamespace()
+        ),
+    )
     logic.fill(frames, messages["/tf"].fields, {"transforms": new})
-    assert [frame.child_frame_id for frame in frames.transforms][:2] == ["ego_racecar/base_link", "ego_racecar/laser"]
+    assert [frame.child_frame_id for frame in frames.transforms][:2] == [
+        "ego_racecar/base_link",
+        "ego_racecar/laser",
+    ]

@@ -21,7 +21,9 @@ def toy_races(
     """All arms in the same races; some of them end in a crash that pays neither."""
     rng = np.random.default_rng(seed)
     tables = []
-    grid = np.meshgrid(np.arange(egos), np.arange(variants), np.arange(lines), np.arange(2), indexing="ij")
+    grid = np.meshgrid(
+        np.arange(egos), np.arange(variants), np.arange(lines), np.arange(2), indexing="ij"
+    )
     ego, opponent, line, side = (axis.reshape(-1).astype(np.int64) for axis in grid)
     for track in tracks:
         for rival in opponents:
@@ -30,7 +32,19 @@ def toy_races(
                 lead = luck + strength + 0.5 * rng.normal(size=len(ego))
                 crash = rng.random(len(ego)) < 0.1
                 own = crash & (rng.random(len(ego)) < 0.5)
-                tables.append(_table(track, arm, rival, lead, crash, own, np.stack([ego, opponent], 1), line, side))
+                tables.append(
+                    _table(
+                        track,
+                        arm,
+                        rival,
+                        lead,
+                        crash,
+                        own,
+                        np.stack([ego, opponent], 1),
+                        line,
+                        side,
+                    )
+                )
     return concatenate_races(tables)
 
 
@@ -44,26 +58,53 @@ def _table(track, arm, rival, lead, crash, own, variants, line, side) -> RaceTab
     nothing = np.full((count, 2, 0), -1, np.int8)
     return RaceTable(
         preset=Categorical.constant("paper", count),
-        agents=Categorical.concatenate([Categorical.constant(name, count) for name in (arm, rival)], axis=1),
-        track=Categorical.constant(track, count), race=np.arange(count), start_s=line.astype(float), side=side,
-        seed=Categorical.constant("0", count), lead=lead,
-        winner=np.where(crash, -1, np.where(lead > 0.0, 0, 1)), crash=2 * crash,
-        fault=np.stack([own, crash & ~own], axis=1).astype(np.int8), overtakes=np.zeros((count, 2), np.int8),
-        duration=np.full(count, 40.0), variants=variants, path=nothing, moves=Categorical((), nothing),
-    )  # fmt: skip
+        agents=Categorical.concatenate(
+            [Categorical.constant(name, count) for name in (arm, rival)], axis=1
+        ),
+        track=Categorical.constant(track, count),
+        race=np.arange(count),
+        start_s=line.astype(float),
+        side=side,
+        seed=Categorical.constant("0", count),
+        lead=lead,
+        winner=np.where(crash, -1, np.where(lead > 0.0, 0, 1)),
+        crash=2 * crash,
+        fault=np.stack([own, crash & ~own], axis=1).astype(np.int8),
+        overtakes=np.zeros((count, 2), np.int8),
+        duration=np.full(count, 40.0),
+        variants=variants,
+        path=nothing,
+        moves=Categorical((), nothing),
+    )
 
 
 def toy_difference(arm, base, a, b, reach, p, p_holm) -> Difference:
     """Two arms of these scores, whose difference has an interval that reaches so far to both sides."""
     results = [
-        Comparison(a, b, a - b, a - b - way, a - b + way, way / 2.0, 3, chance, p / 10.0, 8.0 * (a - b), 8, 2, 4)
+        Comparison(
+            a,
+            b,
+            a - b,
+            a - b - way,
+            a - b + way,
+            way / 2.0,
+            3,
+            chance,
+            p / 10.0,
+            8.0 * (a - b),
+            8,
+            2,
+            4,
+        )
         for way, chance in ((reach, p), (0.5, 0.25))
     ]
     return Difference(arm, base, *results, p_holm)
 
 
 def toy_table() -> StudyTable:
-    """Two rows: all three arms with the paper's figures, and two arms without, with other numbers of races."""
+    """Two rows: all three arms with the paper's figures, and two arms without, with other numbers
+    of races.
+    """
     still = ArmResult("still", 8, 0.5, 0.25, 0.75, 0.125, 0.25, 0.125)
     ours = ArmResult("ours", 8, 0.75, 0.5, 1.0, 0.0625, 0.5, 0.0)
     plan = ArmResult("cfr-argmax", 8, 0.625, 0.5, 0.75, 0.0, 0.0, 0.0)
@@ -74,8 +115,27 @@ def toy_table() -> StudyTable:
     gain = toy_difference("ours", "cfr-argmax", 0.75, 0.625, 0.25, 0.125, 0.05)
     less = toy_difference("ours", "still", 0.25, 0.5, 0.0625, 1e-120, 1e-6)
     rows = (
-        TableRow("Tarnfjord", "never-switch", True, PAPER_TABLE["Non-GT", True], 5, True, (still, ours, plan),
-                 differences, gain),
-        TableRow("Hut", "somebody", False, None, 2, False, (still, ours._replace(races=16)), (less,), None),
-    )  # fmt: skip
+        TableRow(
+            "Tarnfjord",
+            "never-switch",
+            True,
+            PAPER_TABLE["Non-GT", True],
+            5,
+            True,
+            (still, ours, plan),
+            differences,
+            gain,
+        ),
+        TableRow(
+            "Hut",
+            "somebody",
+            False,
+            None,
+            2,
+            False,
+            (still, ours._replace(races=16)),
+            (less,),
+            None,
+        ),
+    )
     return StudyTable(rows, "still", "ours", "cfr-argmax")

@@ -38,7 +38,14 @@ def toy_report(archive, watched) -> ReportContent:
             ),
         ),
         situations=[
-            Situations(NASTY, ("stay", NASTY), "pace", np.zeros((1, 2)), np.zeros((1, 2)), np.ones((1, 3, 3, 2), int))
+            Situations(
+                NASTY,
+                ("stay", NASTY),
+                "pace",
+                np.zeros((1, 2)),
+                np.zeros((1, 2)),
+                np.ones((1, 3, 3, 2), int),
+            )
         ],
         sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],

@@ -18,20 +18,34 @@ def toy_archive(policies: int = 12) -> PolicyArchive:
     pace = np.linspace(0.2, 0.9, policies)
     drivers = [lattice.policy({"pace": value}).parameters for value in pace]
     explored = [lattice.policy({"pace": value}).parameters for value in np.linspace(0.0, 1.0, 30)]
-    coordinates = np.stack([20.0 * pace - 10.0, 4.0 - 3.0 * pace], axis=1) + rng.normal(0.0, [1.5, 0.5], (policies, 2))
+    coordinates = np.stack([20.0 * pace - 10.0, 4.0 - 3.0 * pace], axis=1) + rng.normal(
+        0.0, [1.5, 0.5], (policies, 2)
+    )
     return PolicyArchive(
-        "toy", "lattice", lattice.parameter_names, np.array(drivers), ("aggressiveness", "restraint"),
-        coordinates, explored_parameters=np.array(explored), explored_coordinates=rng.normal(size=(30, 2)),
-    )  # fmt: skip
+        "toy",
+        "lattice",
+        lattice.parameter_names,
+        np.array(drivers),
+        ("aggressiveness", "restraint"),
+        coordinates,
+        explored_parameters=np.array(explored),
+        explored_coordinates=rng.normal(size=(30, 2)),
+    )
 
 
-def untrained(spec: GameSpec, target: str = "regret", seed: int = 2, stay: bool = True) -> RegretNetwork:
+def untrained(
+    spec: GameSpec, target: str = "regret", seed: int = 2, stay: bool = True
+) -> RegretNetwork:
     """A network that has learned nothing, but decides differently in different situations."""
     rng = np.random.default_rng(seed)
     moves = spec.moves if stay else spec.moves[:-1]
     size, count = len(spec.elements), len(moves)
     archive = spec.archive
-    identity = GameIdentity(spec.elements, moves, (0.5,), archive.name, archive.content_hash, spec.race)
+    identity = GameIdentity(
+        spec.elements, moves, (0.5,), archive.name, archive.content_hash, spec.race
+    )
     weights = rng.normal(size=(16, size)), rng.normal(size=(count, 16))
     layers = DenseLayers(weights, (rng.normal(size=16), rng.normal(size=count)))
-    return RegretNetwork(f"untrained-{target}", identity, target, False, layers, np.zeros(size), np.ones(size))
+    return RegretNetwork(
+        f"untrained-{target}", identity, target, False, layers, np.zeros(size), np.ones(size)
+    )

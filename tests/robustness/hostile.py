@@ -1,6 +1,8 @@
-"""Inputs that ask for far more than they are worth, one after the other in a process with little memory.
+"""Inputs that ask for far more than they are worth, one after the other in a process with little
+memory.
 
-Run by `test_found_by_fuzzing.py`; prints a line for every case that is not refused by one of our own errors.
+Run by `test_found_by_fuzzing.py`; prints a line for every case that is not refused by one of our
+own errors.
 """
 
 import hashlib
@@ -19,7 +21,14 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from pcs_racing import InputError, load_archive, load_race_config, load_track, parse_policy, read_replay
+from pcs_racing import (
+    InputError,
+    load_archive,
+    load_race_config,
+    load_track,
+    parse_policy,
+    read_replay,
+)
 from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
@@ -40,7 +49,9 @@ SECONDS = 5.0  # of processor for one case
 GREY = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
 
 BOMB = "\n".join(["a0: &a0 [x, x]", *(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]" for i in range(1, 40))])
-MERGED = "\n".join(["a0: &a0 {k: v}", *(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}" for i in range(1, 40))])
+MERGED = "\n".join(
+    ["a0: &a0 {k: v}", *(f"a{i}: &a{i} {{<<: [*a{i - 1}, *a{i - 1}]}}" for i in range(1, 40))]
+)
 TEXTS = {
     "names that stand for names": BOMB,
     "merged mappings": MERGED,
@@ -59,10 +70,15 @@ def arrays(**values: np.ndarray) -> bytes:
 
 
 def announced(shape: str, kind: str = "<f8") -> bytes:
-    text = f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(118) + b"\n"
+    text = (
+        f"{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}".encode().ljust(118)
+        + b"\n"
+    )
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as file:
-        file.writestr("parameters.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text)
+        file.writestr(
+            "parameters.npy", b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+        )
     return buffer.getvalue()
 
 
@@ -87,10 +103,17 @@ class Evil:
 
 def png(width: int, height: int) -> bytes:
     def part(name: bytes, body: bytes) -> bytes:
-        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        return (
+            struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+        )
 
     head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + part(b"IHDR", head) + part(b"IDAT", zlib.compress(bytes(1000))) + part(b"IEND", b"")
+    return (
+        b"\x89PNG\r\n\x1a\n"
+        + part(b"IHDR", head)
+        + part(b"IDAT", zlib.compress(bytes(1000)))
+        + part(b"IEND", b"")
+    )
 
 
 def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
@@ -136,7 +159,9 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"chunk: {what}", lambda path=path: read_chunk(path)
         place = here / "arrays-folder"
         place.mkdir(exist_ok=True)
-        manifest = yaml.safe_load((ARCHIVE_FORMAT.shipped / "default" / "manifest.yaml").read_text())
+        manifest = yaml.safe_load(
+            (ARCHIVE_FORMAT.shipped / "default" / "manifest.yaml").read_text()
+        )
         manifest["arrays_sha256"] = hashlib.sha256(content).hexdigest()
         (place / "manifest.yaml").write_text(yaml.safe_dump(manifest))
         (place / "archive.npz").write_bytes(content)
@@ -148,10 +173,19 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
 
     for size in ((100_000, 100_000), (2**31 - 1, 1), (1, 2**31 - 1), (9000, 9000), (8000, 8000)):
         yield f"a picture of {size}", lambda size=size: parse_grid(here / "x.png", png(*size), GREY)
-    yield "a table of one line", lambda: parse_csv(here / "x.csv", b"1," * 4_000_000, ("x", "y"), ",")
-    yield "a table of numbers that are none", lambda: parse_csv(here / "x.csv", b"nan,inf\n" * 100, ("x", "y"), ",")
+    yield (
+        "a table of one line",
+        lambda: parse_csv(here / "x.csv", b"1," * 4_000_000, ("x", "y"), ","),
+    )
+    yield (
+        "a table of numbers that are none",
+        lambda: parse_csv(here / "x.csv", b"nan,inf\n" * 100, ("x", "y"), ","),
+    )
 
-    yield "a table of millions of points", lambda: parse_csv(here / "x.csv", b"0,0\n" * 2_000_000, ("x", "y"), ",")
+    yield (
+        "a table of millions of points",
+        lambda: parse_csv(here / "x.csv", b"0,0\n" * 2_000_000, ("x", "y"), ","),
+    )
     wide = file("wide.csv", ",".join(f"c{i}" for i in range(50_000)) + "\na" * 50_000)
     short = file("short.csv", ",".join(f"c{i}" for i in range(900)) + "\na" * 1_000_000)
     zero = here / "zero.csv"
@@ -162,7 +196,10 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
 
     part = {"per_unit": 1, "differences": [], "data": "A" * 10}
     for shape in ([10**9], [10**5, 10**5], [50_000_000, 0, 10**9], [1] * 1000):
-        path = file("hostile.json", json.dumps({"format": "pcs-racing replay 1", "line": {**part, "shape": shape}}))
+        path = file(
+            "hostile.json",
+            json.dumps({"format": "pcs-racing replay 1", "line": {**part, "shape": shape}}),
+        )
         yield f"a replay of shape {shape[:3]}", lambda path=path: read_replay(path)
     path = file("nested.json", "[" * 1_000_000)
     yield "a nested replay", lambda path=path: read_replay(path)
@@ -201,7 +238,8 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
 def main() -> None:
     here = Path(sys.argv[1])
     os.chdir(here)
-    DriveVectorEnv(2, opponent=None).reset(seed=0)  # compiled before anything is measured: that is no fault of a case
+    # compiled before anything is measured: that is no fault of a case
+    DriveVectorEnv(2, opponent=None).reset(seed=0)
     held = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGE_SIZE")
     resource.setrlimit(resource.RLIMIT_AS, (held + ROOM, held + ROOM))
     count = 0
@@ -212,7 +250,11 @@ def main() -> None:
             call()
             answer = "accepted"
         except InputError as error:
-            answer = "" if "\n" not in str(error) and len(str(error)) < 3000 else "a message that is too long"
+            answer = (
+                ""
+                if "\n" not in str(error) and len(str(error)) < 3000
+                else "a message that is too long"
+            )
         except BaseException as error:
             answer = f"{type(error).__name__}: {error}"[:200]
         if 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) > GROWTH:

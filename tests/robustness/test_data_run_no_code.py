@@ -1,4 +1,6 @@
-"""A file holds data: whatever name stands in it, nothing is imported, run or called. One row for each kind of file."""
+"""A file holds data: whatever name stands in it, nothing is imported, run or called. One row for
+each kind of file.
+"""
 
 import ast
 import csv
@@ -28,7 +30,7 @@ from pcs_racing import (
     read_replay,
     record_race,
     save_replay,
-)  # fmt: skip
+)
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
@@ -72,17 +74,29 @@ class Main:
 """
 WORDS = ("evil.py:main", "evil_module:main", "evil.py")
 PROTOCOL = {
-    "race": "paper", "archive": "default", "seen": ("Pipkin",), "unseen": ("Pipkin",), "keeps": ("never-switch",),
-    "switches": ("random-moves",), "planners": ("pure-pursuit",), "agents": ("random-moves",),
+    "race": "paper",
+    "archive": "default",
+    "seen": ("Pipkin",),
+    "unseen": ("Pipkin",),
+    "keeps": ("never-switch",),
+    "switches": ("random-moves",),
+    "planners": ("pure-pursuit",),
+    "agents": ("random-moves",),
     "blind": ("never-switch",),
-}  # fmt: skip
+}
 STUDY = {
-    "tracks": ("Pipkin",), "circuits": ("Pipkin",), "arms": ("never-switch", "lattice:pace=0.4"),
+    "tracks": ("Pipkin",),
+    "circuits": ("Pipkin",),
+    "arms": ("never-switch", "lattice:pace=0.4"),
     "best": "never-switch",
-    "opponents": ("never-switch", "lattice:pace=0.4"), "rated": ("never-switch",),
-    "further_arms": ("random-moves",), "further_opponents": ("random-moves",), "further_tracks": ("Pipkin",),
-    "responses": ("quick",), "ppo": "study-paper",
-}  # fmt: skip
+    "opponents": ("never-switch", "lattice:pace=0.4"),
+    "rated": ("never-switch",),
+    "further_arms": ("random-moves",),
+    "further_opponents": ("random-moves",),
+    "further_tracks": ("Pipkin",),
+    "responses": ("quick",),
+    "ppo": "study-paper",
+}
 
 
 class Kind(NamedTuple):
@@ -107,7 +121,9 @@ def settings(name: str, values: Any) -> Callable[[Path], Path]:
 def shipped(folder: str, file: str) -> Callable[[Path], Path]:
     """Return a function that copies the folder of a shipped file, and returns the copy of the file."""
     source = REPOSITORY / folder / file
-    return lambda here: shutil.copytree(source.parent, here / "copy" / source.parent.name) / source.name
+    return lambda here: (
+        shutil.copytree(source.parent, here / "copy" / source.parent.name) / source.name
+    )
 
 
 def made(folder: Path) -> Path:
@@ -117,9 +133,18 @@ def made(folder: Path) -> Path:
 
 def study_agents(study: Study) -> None:
     """Use every name of a study's configuration."""
-    for name in sorted({*study.config.arms, *study.config.further_arms, *study.config.opponents, *study.config.rated,
-                        *study.config.further_opponents, *study.config.response_pool, *study.config.fitting_opponents,
-                        study.config.best}):  # fmt: skip
+    for name in sorted(
+        {
+            *study.config.arms,
+            *study.config.further_arms,
+            *study.config.opponents,
+            *study.config.rated,
+            *study.config.further_opponents,
+            *study.config.response_pool,
+            *study.config.fitting_opponents,
+            study.config.best,
+        }
+    ):
         with suppress(InputError):
             study.agent(name)
     for track in study.config.every_track:
@@ -137,24 +162,37 @@ def raced(folder: Path) -> None:
 
 def tournament(folder: Path) -> Path:
     """Race two agents, and return the folder."""
-    words = f"tournament --track Pipkin --agents never-switch lattice:pace=0.4 --races 2 --out {folder / 'raced'}"
+    words = (
+        "tournament --track Pipkin --agents never-switch lattice:pace=0.4 --races 2 --out"
+        f" {folder / 'raced'}"
+    )
     assert main(words.split()) == 0
     return folder / "raced"
 
 
 def study_folder(folder: Path) -> Path:
-    """Write the folder of a study by hand, with the races of a tournament in its table and in its ratings."""
+    """Write the folder of a study by hand, with the races of a tournament in its table and in its
+    ratings.
+    """
     config, place = StudyConfig(**STUDY), folder / "study"
     ratings = shutil.copytree(tournament(folder), place / "ratings")
     for file in (place / "ratings.csv", place / "results.csv"):
         shutil.copy(ratings / "results.csv", file)
-    manifest = {"format": "pcs-racing job", "version": 1, "kind": "study", "settings": plain_settings(config)}
+    manifest = {
+        "format": "pcs-racing job",
+        "version": 1,
+        "kind": "study",
+        "settings": plain_settings(config),
+    }
     (place / "job.yaml").write_text(yaml.safe_dump(manifest))
     return place
 
 
 def card(folder: Path) -> Path:
-    scores = tuple(CardScore("all", circuits, 10, 0.5, 0.4, 0.6, 0.1, 0.0) for circuits in ("all", "seen", "unseen"))
+    scores = tuple(
+        CardScore("all", circuits, 10, 0.5, 0.4, 0.6, 0.1, 0.0)
+        for circuits in ("all", "seen", "unseen")
+    )
     gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
     return write_card(Card("p-v1", "ab" * 32, "mine", "cd" * 32, scores, gains), folder)[0]
 
@@ -164,31 +202,47 @@ def model(folder: Path) -> Path:
     torch = pytest.importorskip("torch")
     layers = {"mlp_extractor.policy_net.0": (4, 46), "action_net": (2, 4)}
     state = {f"{name}.weight": torch.zeros(shape) for name, shape in layers.items()}
-    state |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in layers.items()} | {"log_std": torch.zeros(2)}
+    state |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in layers.items()} | {
+        "log_std": torch.zeros(2)
+    }
     with zipfile.ZipFile(folder / "model.zip", "w") as file:
-        file.writestr("data", json.dumps({"policy_kwargs": {":type:": "<class 'torch.nn.modules.activation.Tanh'>"}}))
+        file.writestr(
+            "data",
+            json.dumps({"policy_kwargs": {":type:": "<class 'torch.nn.modules.activation.Tanh'>"}}),
+        )
         with file.open("policy.pth", "w") as weights:
             torch.save(state, weights)
-    return settings("model.yaml", {"see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]})(folder)
+    return settings("model.yaml", {"see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]})(
+        folder
+    )
 
 
 def replay(folder: Path) -> Path:
     ego, opponent = parse_policy("lattice"), parse_policy("pure-pursuit")
-    race = record_race(load_track("Pipkin"), ego, opponent, load_race_config("paper", duration=1.0), seed=1)
+    race = record_race(
+        load_track("Pipkin"), ego, opponent, load_race_config("paper", duration=1.0), seed=1
+    )
     return save_replay(race, folder / "replay.json")
 
 
 TREES = {
     "kind": "game trees",
     "settings": {
-        "archive": {"name": "a", "sha256": "0"}, "track": {"name": "t", "sha256": "0"}, "rules": {"moves": 1},
-        "preset": "paper", "pairs": [[0, 1]], "encoding": ["step"], "move_names": ["a +", "a -"],
+        "archive": {"name": "a", "sha256": "0"},
+        "track": {"name": "t", "sha256": "0"},
+        "rules": {"moves": 1},
+        "preset": "paper",
+        "pairs": [[0, 1]],
+        "encoding": ["step"],
+        "move_names": ["a +", "a -"],
     },
-}  # fmt: skip
+}
 NOTES = {"seconds": 1.0, "files": {"table/table.csv": "ab"}}
 
 
-def config(load: Callable[..., Any], values: Any = None, use: Callable[[Any], object] = lambda _: None) -> Kind:
+def config(
+    load: Callable[..., Any], values: Any = None, use: Callable[[Any], object] = lambda _: None
+) -> Kind:
     """Return the kind of a file of settings."""
     given = load() if values is None else values
     return Kind(settings("settings.yaml", given), lambda file: use(load(file)), load.__name__)
@@ -207,12 +261,19 @@ KINDS = {
         "read_manifest read_job read_csv",
     ),
     "job of a tournament": Kind(
-        lambda folder: tournament(folder) / "job.yaml", lambda file: raced(file.parent), "is_unchanged _check_same"
+        lambda folder: tournament(folder) / "job.yaml",
+        lambda file: raced(file.parent),
+        "is_unchanged _check_same",
     ),
-    "results of a study": Kind(lambda folder: study_folder(folder) / "results.csv", lambda file: raced(file.parent)),
-    "job of a study": Kind(lambda folder: study_folder(folder) / "job.yaml", lambda file: raced(file.parent)),
+    "results of a study": Kind(
+        lambda folder: study_folder(folder) / "results.csv", lambda file: raced(file.parent)
+    ),
+    "job of a study": Kind(
+        lambda folder: study_folder(folder) / "job.yaml", lambda file: raced(file.parent)
+    ),
     "ratings of a study": Kind(
-        lambda folder: study_folder(folder) / "ratings.csv", lambda file: raced(file.with_suffix(""))
+        lambda folder: study_folder(folder) / "ratings.csv",
+        lambda file: raced(file.with_suffix("")),
     ),
     "notes of a study": Kind(
         lambda folder: settings("done.yaml", NOTES)(made(folder / "table")),
@@ -220,7 +281,9 @@ KINDS = {
         "_notes",
     ),
     "study": config(
-        load_study_config, StudyConfig(**STUDY), lambda one: study_agents(Study(one, Path("none"), quiet=True))
+        load_study_config,
+        StudyConfig(**STUDY),
+        lambda one: study_agents(Study(one, Path("none"), quiet=True)),
     ),
     "protocol": config(load_protocol, ProtocolConfig(**PROTOCOL)),
     "score card": Kind(card, lambda file: board_page(read_cards([file])), "read_card"),
@@ -231,28 +294,39 @@ KINDS = {
     ),
     "network": Kind(
         shipped("pcs_racing_agents/data/networks", "default-paper-regret/manifest.yaml"),
-        lambda file: parse_agent(f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")),
+        lambda file: parse_agent(
+            f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")
+        ),
     ),
     "set of networks": Kind(
         shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
         lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
     ),
     "driver": Kind(
-        shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"), lambda file: load_driver(file.parent)
+        shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
+        lambda file: load_driver(file.parent),
     ),
     "fit": Kind(
         shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
         lambda file: make("best-fixed", archive="default", race="paper", fit=file),
     ),
     "replay": Kind(replay, lambda file: replay_page(read_replay(file)), "read_replay"),
-    "trees": Kind(settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"),
-    "model": Kind(model, lambda file: load_model(file.with_suffix(".zip")), "load_model load_sb3_policy"),
+    "trees": Kind(
+        settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"
+    ),
+    "model": Kind(
+        model, lambda file: load_model(file.with_suffix(".zip")), "load_model load_sb3_policy"
+    ),
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
         lambda file: [read_map(file.parent), load_map(file)],
         "parse_ros_yaml _map_yaml read_inside _load",
     ),
-    "track": Kind(shipped("maps", "Pipkin/Pipkin_track.yaml"), lambda file: read_map(file.parent), "parse_info"),
+    "track": Kind(
+        shipped("maps", "Pipkin/Pipkin_track.yaml"),
+        lambda file: read_map(file.parent),
+        "parse_info",
+    ),
     "race": config(load_race_config, RaceConfig()),
     "game": config(load_game_config, {"characteristics": ["aggressiveness"], "utility": "win"}),
     "vehicle": config(load_vehicle, F1TENTH),
@@ -270,17 +344,29 @@ KINDS = {
     "texts of opponents": Kind(settings("texts.yaml", {"": "lattice"}), competitor),
 }
 NAMELESS = {
-    "load_settings", "read_settings", "parse_yaml", "load_config",  # the readers that the others call
-    "_cached", "load_cached", "_restore", "read_chunk", "parse_waypoints",  # numbers alone
-    "read_defaults",  # the text of a copy of the gym beside a program that is run anyway: literals alone
-    "tuned_environments", "tuned_ppo",  # a shipped file
+    # the readers that the others call
+    "load_settings",
+    "read_settings",
+    "parse_yaml",
+    "load_config",
+    "_cached",
+    "load_cached",
+    "_restore",
+    "read_chunk",
+    "parse_waypoints",  # numbers alone
+    # the text of a copy of the gym beside a program that is run anyway: literals alone
+    "read_defaults",
+    "tuned_environments",
+    "tuned_ppo",  # a shipped file
     "parse_agent",  # a text, in which an option's value is no name of code
-}  # fmt: skip
+}
 """Functions that call a reader of files, and need no row."""
 
 
 def planted(value: Any, word: str) -> Iterator[Any]:
-    """Return copies of a value in which the word stands in one place: each text, none, or key of a mapping."""
+    """Return copies of a value in which the word stands in one place: each text, none, or key of a
+    mapping.
+    """
     if value is None or isinstance(value, str):
         yield word
     elif isinstance(value, dict):
@@ -304,7 +390,11 @@ def spoilt(file: Path) -> Iterator[bytes]:
     value = (json.loads if file.suffix == ".json" else yaml.safe_load)(file.read_text())
     for word in WORDS:
         for one in planted(value, word):
-            yield json.dumps(one).encode() if file.suffix == ".json" else yaml.safe_dump(one, sort_keys=False).encode()
+            yield (
+                json.dumps(one).encode()
+                if file.suffix == ".json"
+                else yaml.safe_dump(one, sort_keys=False).encode()
+            )
 
 
 @pytest.fixture
@@ -334,11 +424,20 @@ def test_no_name_in_a_file_is_code_that_runs(evil, kind):
 
 
 def test_every_reader_of_files_has_a_row():
-    """A function of the packages that calls a reader belongs to a kind of file above, or is known to hold no names."""
+    """A function of the packages that calls a reader belongs to a kind of file above, or is known
+    to hold no names.
+    """
     readers = {
-        "read_limited", "parse_yaml", "plain_yaml", "parse_json", "read_settings", "load_config", "load_settings",
-        "read_job", "unpack_arrays",
-    }  # fmt: skip
+        "read_limited",
+        "parse_yaml",
+        "plain_yaml",
+        "parse_json",
+        "read_settings",
+        "load_config",
+        "load_settings",
+        "read_job",
+        "unpack_arrays",
+    }
     found = {function for _, function, name, _ in calls() if name in readers}
     rows = {name for kind in KINDS.values() for name in kind.readers.split()}
     assert found - NAMELESS == rows
@@ -347,7 +446,14 @@ def test_every_reader_of_files_has_a_row():
 
 def test_code_is_run_for_words_of_the_command_line_alone():
     """Whatever else is to run code must be added here, where a reader sees it."""
-    doors = {"own_code", "parse_driver", "run_file", "driver_classes", "drivers_from", "load_entrant"}
+    doors = {
+        "own_code",
+        "parse_driver",
+        "run_file",
+        "driver_classes",
+        "drivers_from",
+        "load_entrant",
+    }
     found: dict[str, set[str]] = {}
     for file, _, name, node in calls():
         allowed = [ast.unparse(word.value) for word in node.keywords if word.arg == "code"]
@@ -369,8 +475,18 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/cli/tournament.py": {"parse_driver", "plan_tournament True"},
         "pcs_racing_agents/cli/view.py": {"parse_agent True"},
     }
-    importers = {"import_module", "resolve_name", "spec_from_file_location", "__import__", "exec", "eval", "loads"}
-    importing = {f"{file}:{ast.unparse(node.func)}" for file, _, name, node in calls() if name in importers}
+    importers = {
+        "import_module",
+        "resolve_name",
+        "spec_from_file_location",
+        "__import__",
+        "exec",
+        "eval",
+        "loads",
+    }
+    importing = {
+        f"{file}:{ast.unparse(node.func)}" for file, _, name, node in calls() if name in importers
+    }
     assert {name for name in importing if "/f1tenth/" not in name} == {
         "pcs_racing/__init__.py:import_module",
         "pcs_racing/base/files.py:json.loads",
@@ -404,10 +520,11 @@ def calls() -> Iterator[tuple[str, str, str, ast.Call]]:
 
 
 COMMANDS = {
-    "view": "view files/raced --no-open", "explain": "explain files/raced",
+    "view": "view files/raced --no-open",
+    "explain": "explain files/raced",
     "situations": "explain files/raced --situations {word}",
     "benchmark": "benchmark random-moves --protocol files/settings.yaml --out out",
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("word", WORDS)

@@ -1,4 +1,5 @@
-"""Inputs that fuzzing found (`dev/tools/fuzz.py`), which ended in another error than ours once, and hostile ones.
+"""Inputs that fuzzing found (`dev/tools/fuzz.py`), which ended in another error than ours once, and
+hostile ones.
 
 Nothing that is read runs code, leaves the map's folder, or takes memory or time out of proportion.
 """
@@ -28,7 +29,7 @@ from pcs_racing import (
     record_race,
     save_archive,
     save_replay,
-)  # fmt: skip
+)
 from pcs_racing.base.checks import check_number, check_seed
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.envs.drive_options import DriveOptions
@@ -72,37 +73,66 @@ NO_FILE = ["a\0b.{}", "\ud800.{}", "a/\0/b.{}"]
 def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     archive, track = load_archive("default"), load_track("Pipkin")
-    replay = record_race(track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0)
+    replay = record_race(
+        track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0
+    )
     folder, file, game = Path(name.format("d")), name.format, make_game_spec("default", "paper")
     for call in (
-        lambda: load_track(file("yaml")), lambda: load_archive(folder), lambda: read_replay(file("json")),
-        lambda: load_race_config(file("yaml")), lambda: load_fit(file("yaml")), lambda: load_model(file("zip")),
-        lambda: make_game("Pipkin", folder), lambda: load_network_set(folder),
-        lambda: load_network(folder), lambda: load_trees(folder), lambda: read_results(file("csv")),
-        lambda: open_results(folder), lambda: read_cards([folder]), lambda: load_ppo_settings(file("yaml")),
-        lambda: load_protocol(file("yaml")), lambda: load_study_config(file("yaml")), lambda: load_driver(folder),
-        lambda: read_lines(track, folder), lambda: save_archive(archive, folder),
-        lambda: save_replay(replay, file("html")), lambda: write_results([], folder), lambda: output_folder(folder),
-        lambda: write_map(read_map(track.folder)._replace(folder=folder)), lambda: write_gif(replay, folder),
-        lambda: open_job(folder, "kind", {}).__enter__(), lambda: parse_agent(file("zip"), game),
-    ):  # fmt: skip
+        lambda: load_track(file("yaml")),
+        lambda: load_archive(folder),
+        lambda: read_replay(file("json")),
+        lambda: load_race_config(file("yaml")),
+        lambda: load_fit(file("yaml")),
+        lambda: load_model(file("zip")),
+        lambda: make_game("Pipkin", folder),
+        lambda: load_network_set(folder),
+        lambda: load_network(folder),
+        lambda: load_trees(folder),
+        lambda: read_results(file("csv")),
+        lambda: open_results(folder),
+        lambda: read_cards([folder]),
+        lambda: load_ppo_settings(file("yaml")),
+        lambda: load_protocol(file("yaml")),
+        lambda: load_study_config(file("yaml")),
+        lambda: load_driver(folder),
+        lambda: read_lines(track, folder),
+        lambda: save_archive(archive, folder),
+        lambda: save_replay(replay, file("html")),
+        lambda: write_results([], folder),
+        lambda: output_folder(folder),
+        lambda: write_map(read_map(track.folder)._replace(folder=folder)),
+        lambda: write_gif(replay, folder),
+        lambda: open_job(folder, "kind", {}).__enter__(),
+        lambda: parse_agent(file("zip"), game),
+    ):
         refused(r"\S", call)
     assert not [*tmp_path.iterdir()]
 
 
 def test_values_of_other_types():
     for make in [
-        lambda: GameConfig(utility=["win"]), lambda: GameConfig(characteristics=[np.zeros(2)]),
-        lambda: RaceConfig(start=np.array([])), lambda: get_characteristics([["restraint"]]),
-        lambda: DriveOptions(max_range="far"), lambda: DriveOptions(fov=[1.0]),
-        lambda: DriveOptions(beams=10**9), lambda: StudyConfig(race=("contest",)),
-        lambda: StudyConfig(synthesis=("contest",)), lambda: StudyConfig(archive=0.5),
-        lambda: StudyConfig(ppo=5), lambda: load_ppo_settings(None), lambda: load_train_settings(b"study"),
+        lambda: GameConfig(utility=["win"]),
+        lambda: GameConfig(characteristics=[np.zeros(2)]),
+        lambda: RaceConfig(start=np.array([])),
+        lambda: get_characteristics([["restraint"]]),
+        lambda: DriveOptions(max_range="far"),
+        lambda: DriveOptions(fov=[1.0]),
+        lambda: DriveOptions(beams=10**9),
+        lambda: StudyConfig(race=("contest",)),
+        lambda: StudyConfig(synthesis=("contest",)),
+        lambda: StudyConfig(archive=0.5),
+        lambda: StudyConfig(ppo=5),
+        lambda: load_ppo_settings(None),
+        lambda: load_train_settings(b"study"),
         lambda: ArchiveConfig(tracks=None),
         lambda: Fit(["best-fixed"], 1, GameIdentity((), (), (0.5,), "a", "b", "c")),
-        lambda: Fit("best-fixed", 1, ("a", "b", "c", 0.5, 4)), lambda: load_fit(-1), lambda: load_fit({"a": 1}),
-        lambda: check_seed(-126), lambda: check_seed([1]), lambda: check_seed(True),
-    ]:  # fmt: skip
+        lambda: Fit("best-fixed", 1, ("a", "b", "c", 0.5, 4)),
+        lambda: load_fit(-1),
+        lambda: load_fit({"a": 1}),
+        lambda: check_seed(-126),
+        lambda: check_seed([1]),
+        lambda: check_seed(True),
+    ]:
         refused(" (is|are|must) ", make)
     assert GameConfig(epsilon=[np.array(0.5)]) == GameConfig(epsilon=0.5)
     with pytest.raises(InputError, match="line 2") as caught:
@@ -128,16 +158,27 @@ def test_values_of_other_types():
 
 
 SETTINGS = {
-    "archive": {"name": "a", "sha256": "0"}, "track": {"name": "t", "sha256": "0"}, "rules": {"moves": 1},
-    "pairs": [[0, 1]], "encoding": ["step"], "move_names": ["a +", "a -"],
-}  # fmt: skip
+    "archive": {"name": "a", "sha256": "0"},
+    "track": {"name": "t", "sha256": "0"},
+    "rules": {"moves": 1},
+    "pairs": [[0, 1]],
+    "encoding": ["step"],
+    "move_names": ["a +", "a -"],
+}
 
 
 def test_manifests_of_trees_that_say_something_else(tmp_path):
     for key, value in [
-        ("archive", 3), ("archive", {"name": "a"}), ("track", {"name": "t", "sha256": None}), ("rules", {"moves": "a"}),
-        ("rules", {"moves": 10**9}), ("pairs", []), ("pairs", [3]), ("encoding", None), ("move_names", [1]),
-    ]:  # fmt: skip
+        ("archive", 3),
+        ("archive", {"name": "a"}),
+        ("track", {"name": "t", "sha256": None}),
+        ("rules", {"moves": "a"}),
+        ("rules", {"moves": 10**9}),
+        ("pairs", []),
+        ("pairs", [3]),
+        ("encoding", None),
+        ("move_names", [1]),
+    ]:
         manifest = {"kind": "game trees", "settings": {**SETTINGS, key: value}}
         (tmp_path / "job.yaml").write_text(yaml.safe_dump(manifest))
         refused(key, load_trees, tmp_path)
@@ -146,11 +187,20 @@ def test_manifests_of_trees_that_say_something_else(tmp_path):
 def tree() -> dict[str, np.ndarray]:
     zero = np.zeros(1, np.int64)
     return {
-        "policies": np.array([0, 1]), "start_s": np.array(1.0), "side": np.array(0), "seeds": np.ones(1, np.uint64),
-        "table": np.array([[0, 1], [0, 1]]), "points": np.zeros((2, 2)), "driven": zero, "live": zero, "crashed": zero,
-        "payoffs": np.zeros((1, 2, 2), np.float32), "leads_0": np.zeros((1, 1, 1)),
-        "estimates_0": np.zeros((1, 1, 1, 2, 2), np.float32), "over_0": np.zeros((1, 1, 1), np.bool_),
-    }  # fmt: skip
+        "policies": np.array([0, 1]),
+        "start_s": np.array(1.0),
+        "side": np.array(0),
+        "seeds": np.ones(1, np.uint64),
+        "table": np.array([[0, 1], [0, 1]]),
+        "points": np.zeros((2, 2)),
+        "driven": zero,
+        "live": zero,
+        "crashed": zero,
+        "payoffs": np.zeros((1, 2, 2), np.float32),
+        "leads_0": np.zeros((1, 1, 1)),
+        "estimates_0": np.zeros((1, 1, 1, 2, 2), np.float32),
+        "over_0": np.zeros((1, 1, 1), np.bool_),
+    }
 
 
 def test_trees_that_the_next_tests_break_are_sound_and_one_too_large_is_refused():
@@ -164,10 +214,16 @@ def test_trees_that_the_next_tests_break_are_sound_and_one_too_large_is_refused(
 
 def test_trees_of_other_types_and_shapes():
     for name, array in [
-        ("side", np.array("a")), ("start_s", np.zeros(2)), ("seeds", np.zeros(0, np.uint64)), ("points", np.zeros(2)),
-        ("points", np.array([["a", "b"]] * 2)), ("table", np.zeros(2, np.int64)), ("crashed", np.zeros(3, np.int64)),
-        ("payoffs", np.full((1, 2, 2), "x")), ("over_0", np.zeros((1, 1, 1))),
-    ]:  # fmt: skip
+        ("side", np.array("a")),
+        ("start_s", np.zeros(2)),
+        ("seeds", np.zeros(0, np.uint64)),
+        ("points", np.zeros(2)),
+        ("points", np.array([["a", "b"]] * 2)),
+        ("table", np.zeros(2, np.int64)),
+        ("crashed", np.zeros(3, np.int64)),
+        ("payoffs", np.full((1, 2, 2), "x")),
+        ("over_0", np.zeros((1, 1, 1))),
+    ]:
         refused("it", tree_from_arrays, {**tree(), name: array}, 1, "it")
 
 
@@ -176,11 +232,17 @@ def test_tracks_that_are_no_name_and_a_picture_of_one_row():
         refused("track is", make_game, track)
     file = io.BytesIO()
     Image.fromarray(np.array([[0, 150, 255]], np.uint8)).save(file, "PNG")
-    grid = parse_grid(Path("x.png"), file.getvalue(), {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25})
+    grid = parse_grid(
+        Path("x.png"),
+        file.getvalue(),
+        {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25},
+    )
     assert grid.tolist() == [[True, False, False]]
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="limits of memory are tested on Linux")
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").is_file(), reason="limits of memory are tested on Linux"
+)
 def test_hostile_inputs_are_refused_in_little_memory(tmp_path):
     script = Path(__file__).with_name("hostile.py")
     command = [sys.executable, str(script), str(tmp_path)]

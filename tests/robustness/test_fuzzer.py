@@ -44,9 +44,17 @@ def test_an_answer_is_told_from_a_finding(fuzz):
 
 
 def test_a_campaign_writes_a_line_for_each_turn_and_goes_on_where_it_was(tmp_path):
-    command = [sys.executable, str(REPOSITORY / "dev" / "tools" / "fuzz.py"), "run", "--targets", "map yaml"]
+    command = [
+        sys.executable,
+        str(REPOSITORY / "dev" / "tools" / "fuzz.py"),
+        "run",
+        "--targets",
+        "map yaml",
+    ]
     options = ["--turns", "2", "--slice", "0.2", "--out", str(tmp_path)]
-    done = subprocess.run([*command, *options], capture_output=True, text=True, timeout=300, check=False)
+    done = subprocess.run(
+        [*command, *options], capture_output=True, text=True, timeout=300, check=False
+    )
     assert done.returncode == 0, done.stderr[-2000:]
     lines = [json.loads(text) for text in (tmp_path / "log.jsonl").read_text().splitlines()]
     assert [line["target"] for line in lines] == ["map yaml", "map yaml"]
@@ -66,4 +74,6 @@ def test_an_input_that_ends_the_process_is_kept(fuzz, tmp_path, monkeypatch):
     (line,) = fuzz.read_log(tmp_path)
     assert line["counts"]["DEAD"] == 1
     (kept,) = (tmp_path / "findings").glob("*.bin")
-    assert kept.read_bytes() == fuzz.broken_input("map yaml", 0, line["counts"]["not counted"], [valid])
+    assert kept.read_bytes() == fuzz.broken_input(
+        "map yaml", 0, line["counts"]["not counted"], [valid]
+    )

@@ -42,16 +42,42 @@ PARAMETERS = (
     replace(_line.TRAILING[_P], default=1.0),
     _line.TRAILING[_D],
     Parameter("speed_factor", 0.7, 1.0, 0.95, "smallest factor of the speed among the samples"),
-    Parameter("look_ahead", 1.0, 4.0, 2.2, "longest time among the samples to reach a place across the track, s"),
+    Parameter(
+        "look_ahead",
+        1.0,
+        4.0,
+        2.2,
+        "longest time among the samples to reach a place across the track, s",
+    ),
     Parameter("shift", 0.1, 1.0, 0.25, "most air beside the opponent among the samples, m"),
-    Parameter("shift_range", 3.0, 12.0, 6.0, "longest distance among the samples at which a pass begins, m"),
-    Parameter("blocking", 0.0, 1.0, 0.5, "largest share among the samples of the way in front of a car behind"),
+    Parameter(
+        "shift_range",
+        3.0,
+        12.0,
+        6.0,
+        "longest distance among the samples at which a pass begins, m",
+    ),
+    Parameter(
+        "blocking",
+        0.0,
+        1.0,
+        0.5,
+        "largest share among the samples of the way in front of a car behind",
+    ),
     Parameter("rivalry", 0.0, 1.0, 0.8, "what a metre of the opponent's progress costs, m"),
-    Parameter("side_weight", 0.1, 5.0, 0.8, "metres of progress that a metre of mean distance from the line costs"),
+    Parameter(
+        "side_weight",
+        0.1,
+        5.0,
+        0.8,
+        "metres of progress that a metre of mean distance from the line costs",
+    ),
     Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep away from the race line, m"),
     Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
 )
-SPEED, LOOK, SHIFT, RANGE, BLOCKING, RIVALRY, SIDE, WALL_AIR, OPPONENT_AIR = range(_D + 1, len(PARAMETERS))
+SPEED, LOOK, SHIFT, RANGE, BLOCKING, RIVALRY, SIDE, WALL_AIR, OPPONENT_AIR = range(
+    _D + 1, len(PARAMETERS)
+)
 
 SAMPLES = 12  # per car: a third pass right, a third stay, a third pass left
 NUMBERS = 5
@@ -111,9 +137,15 @@ def _near(distance, reach):
 def _lay_table(track, view, keep, table):
     """Write speed, curvature and eased free widths (m), from `BACK` m behind the car on."""
     for k in range(PLACES):
-        sample, row = track.line[line_index(track, view[_view.OWN_S] + k * SPACE - BACK)], table[4 * k :]
+        sample, row = (
+            track.line[line_index(track, view[_view.OWN_S] + k * SPACE - BACK)],
+            table[4 * k :],
+        )
         row[_SPEED], row[_KAPPA] = sample[_frenet.SPEED], sample[_frenet.KAPPA]
-        row[_RIGHT], row[_LEFT] = min(keep - sample[_frenet.RIGHT], 0.0), max(sample[_frenet.LEFT] - keep, 0.0)
+        row[_RIGHT], row[_LEFT] = (
+            min(keep - sample[_frenet.RIGHT], 0.0),
+            max(sample[_frenet.LEFT] - keep, 0.0),
+        )
     for k in range(PLACES - 1):
         for here, there in ((PLACES - 2 - k, PLACES - 1 - k), (k + 1, k)):
             for side, sign in ((_RIGHT, -1.0), (_LEFT, 1.0)):
@@ -128,7 +160,25 @@ def _row(table, s):
 
 
 @inner_kernel(forceinline=True)
-def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, rate, other_s, other_v, other_d):
+def _step(
+    theta,
+    table,
+    dt,
+    five,
+    decay,
+    home,
+    top,
+    grip,
+    long,
+    wide,
+    s,
+    v,
+    d,
+    rate,
+    other_s,
+    other_v,
+    other_d,
+):
     """Advance a car by ``dt``; return arc length, speed, distance from the line, its rate, cost."""
     here, time, gap = table[_row(table, s) :], five[_T], other_s - s
     soon = table[_row(table, s + 2.0 * v * time) :]  # the spring lags
@@ -144,7 +194,9 @@ def _step(theta, table, dt, five, decay, home, top, grip, long, wide, s, v, d, r
     d = place + (stray + pull * dt) * decay
     rate = (rate - pull * dt / time) * decay
     stretch = max(1.0 - here[_KAPPA] * d, 0.25)
-    wanted = min(five[_F] * top * here[_SPEED], np.sqrt(grip * stretch / max(abs(here[_KAPPA]), 1e-6)))
+    wanted = min(
+        five[_F] * top * here[_SPEED], np.sqrt(grip * stretch / max(abs(here[_KAPPA]), 1e-6))
+    )
     if gap > 0.0 and abs(other_d - d) < wide:
         wanted = min(wanted, max(other_v + theta[_P] * (gap - theta[_GAP]), 0.0))
     v = max(min(wanted, v + dt * MOST_ACCELERATION), v - dt * MOST_BRAKING, 0.0)
@@ -168,12 +220,43 @@ def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
     for k in range(STEPS):
         was_s, was_v, was_d = s, v, d
         s, v, d, rate, cost = _step(
-            theta, table, dt, own, own_decay, 0.0, scale, grip, long, near, s, v, d, rate, opp_s, opp_v, opp_d
+            theta,
+            table,
+            dt,
+            own,
+            own_decay,
+            0.0,
+            scale,
+            grip,
+            long,
+            near,
+            s,
+            v,
+            d,
+            rate,
+            opp_s,
+            opp_v,
+            opp_d,
         )
         opp_s, opp_v, opp_d, opp_rate, opp_cost = _step(
-            theta, table, dt, opp, opp_decay, home, opp_scale, grip, long, near, opp_s, opp_v, opp_d, opp_rate,
-            was_s, was_v, was_d,
-        )  # fmt: skip
+            theta,
+            table,
+            dt,
+            opp,
+            opp_decay,
+            home,
+            opp_scale,
+            grip,
+            long,
+            near,
+            opp_s,
+            opp_v,
+            opp_d,
+            opp_rate,
+            was_s,
+            was_v,
+            was_d,
+        )
         value, opp_value = value - cost, opp_value - opp_cost
         scratch[_PLAN + k], scratch[_PLAN + STEPS + k] = s, d
         # Missing clearance costs while the cars are level; in the first 0.5 s only an overlap does.
@@ -212,7 +295,9 @@ def best_of_potential(own, opponent, means, last):
             # Potential of a choice: its mean gain over the other car's samples, plus half of the
             # rest.
             gains = own[i * n + j] - means[j] + opponent[i * n + j] - means[n + i]
-            value = 0.5 * (gains + means[2 * n + i] + means[3 * n + j]) + (KEPT if i == last else 0.0)
+            value = 0.5 * (gains + means[2 * n + i] + means[3 * n + j]) + (
+                KEPT if i == last else 0.0
+            )
             if value > best:
                 row, column, best = i, j, value
     return row, column
@@ -221,7 +306,11 @@ def best_of_potential(own, opponent, means, last):
 @kernel
 def plan(track, theta, view, memory, scratch, path):
     """Play the game if the opponent is near, and drive the own part of the best pair."""
-    gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[_PACE]), scratch[_LANE:SCRATCH]
+    gap, scale, lane = (
+        gap_ahead(track, view),
+        _line.speed_scale(view, theta[_PACE]),
+        scratch[_LANE:SCRATCH],
+    )
     if abs(gap) > SIGHT:
         memory[0] = memory[_CHOSEN] = 0.0
         cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
@@ -229,9 +318,14 @@ def plan(track, theta, view, memory, scratch, path):
         return
     d, slope, goes_on = _line.last_lane(track, view, memory)
     if not goes_on:
-        d, slope = view[_view.OWN_D], tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0))
+        d, slope = (
+            view[_view.OWN_D],
+            tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0)),
+        )
     rate, opp_d = view[_view.OWN_V] * slope, view[_view.OPP_D]
-    opp_scale = view[_view.OPP_V] / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
+    opp_scale = (
+        view[_view.OPP_V] / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
+    )
     clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     _lay_table(track, view, keep, scratch[_TABLE:_LANE])
@@ -254,8 +348,16 @@ def plan(track, theta, view, memory, scratch, path):
     _line.hold_back(track, view, factor * scale, along, FINE, path)
 
 
-VARIANTS = {"blocks": {"blocking": 1.0, "rivalry": 1.0}, "lets-by": {"blocking": 0.0, "rivalry": 0.0}}
+VARIANTS = {
+    "blocks": {"blocking": 1.0, "rivalry": 1.0},
+    "lets-by": {"blocking": 0.0, "rivalry": 0.0},
+}
 ALPHA_RACER = Planner(
-    name="alpha-racer", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
+    name="alpha-racer",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """The near-potential game of two cars."""

@@ -36,15 +36,39 @@ from pcs_racing.track import frenet as _frenet
 PARAMETERS = (
     _line.PACE,
     Parameter("rounds", 1.0, 8.0, 3.0, "times that both cars improve their plans"),
-    Parameter("sensitivity", 0.0, 2.0, 0.3, "weight of what the opponent's constraint pushes it by"),
-    Parameter("line_weight", 0.02, 5.0, 0.3, "cost of a squared distance from the race line, 1/m^2"),
-    Parameter("acceleration_weight", 0.0005, 0.1, 0.005, "cost of a squared acceleration across the track, s^4/m^2"),
-    Parameter("side_weight", 0.1, 5.0, 0.5, "metres of progress that a metre of mean distance from the line costs"),
+    Parameter(
+        "sensitivity", 0.0, 2.0, 0.3, "weight of what the opponent's constraint pushes it by"
+    ),
+    Parameter(
+        "line_weight", 0.02, 5.0, 0.3, "cost of a squared distance from the race line, 1/m^2"
+    ),
+    Parameter(
+        "acceleration_weight",
+        0.0005,
+        0.1,
+        0.005,
+        "cost of a squared acceleration across the track, s^4/m^2",
+    ),
+    Parameter(
+        "side_weight",
+        0.1,
+        5.0,
+        0.5,
+        "metres of progress that a metre of mean distance from the line costs",
+    ),
     Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep, m"),
     Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
-    Parameter("follow_gap", 0.7, 3.0, 1.1, "distance between the cars' middles to keep behind the opponent, m"),
+    Parameter(
+        "follow_gap",
+        0.7,
+        3.0,
+        1.1,
+        "distance between the cars' middles to keep behind the opponent, m",
+    ),
 )
-_PACE, ROUNDS, SENSITIVITY, LINE, ACCELERATION, SIDE, WALL_AIR, OPPONENT_AIR, FOLLOW = range(len(PARAMETERS))
+_PACE, ROUNDS, SENSITIVITY, LINE, ACCELERATION, SIDE, WALL_AIR, OPPONENT_AIR, FOLLOW = range(
+    len(PARAMETERS)
+)
 
 STEPS, STEP = 15, 0.2  # number, length in s
 STEEP = 20.0  # cost per squared metre of missing clearance to the other car or a wall
@@ -128,7 +152,9 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
         for k in range(STEPS):
             was = out[k]
             # Squares of d[k] - 2 d[k - 1] + d[k - 2], with the two positions before the plan given.
-            main[k] = theta[LINE] + bend * (6.0 if k < STEPS - 2 else 5.0 if k == STEPS - 2 else 1.0)
+            main[k] = theta[LINE] + bend * (
+                6.0 if k < STEPS - 2 else 5.0 if k == STEPS - 2 else 1.0
+            )
             following[k] = bend * (-4.0 if k < STEPS - 2 else -2.0)
             after[k] = bend
             right = 0.0
@@ -155,7 +181,10 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
         lack = 0.0
         if abs(plan[k] - other[k]) < reach:
             lack = max(clear - abs(out[k] - other[STEPS + k]), 0.0)
-            missing = max(missing, max(clear - side * (out[k] - other[STEPS + k]), 0.0) if side != 0.0 else lack)
+            missing = max(
+                missing,
+                max(clear - side * (out[k] - other[STEPS + k]), 0.0) if side != 0.0 else lack,
+            )
         multiplier[k] = 2.0 * STEEP * lack
         missing = max(missing, max(out[k] - scratch[_LEFT + k], -scratch[_RIGHT + k] - out[k], 0.0))
     return missing
@@ -186,7 +215,12 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
         aside = 0.0
         for k in range(STEPS):
             aside += abs(trial[STEPS + k]) / STEPS
-        value = end - theta[SIDE] * aside - (20.0 * missing if not blocked else 0.0) + (0.3 if side == last else 0.0)
+        value = (
+            end
+            - theta[SIDE] * aside
+            - (20.0 * missing if not blocked else 0.0)
+            + (0.3 if side == last else 0.0)
+        )
         if not blocked and (missing > 0.12 and meets):
             value -= IMPOSSIBLE
         if not meets and not blocked:
@@ -212,7 +246,10 @@ def plan(track, theta, view, memory, scratch, path):
     lane = scratch[_LANE:SCRATCH]
     d0, slope, goes_on = _line.last_lane(track, view, memory)
     if not goes_on:
-        d0, slope = view[_view.OWN_D], tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0))
+        d0, slope = (
+            view[_view.OWN_D],
+            tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0)),
+        )
     rate = view[_view.OWN_V] * slope
     clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     far = not -SIGHT < gap < SIGHT
@@ -229,16 +266,40 @@ def plan(track, theta, view, memory, scratch, path):
         if turn > 0 and not far:
             none = scratch[_SIDE_OF : _SIDE_OF + STEPS]
             _reply(
-                track, theta, view, gap, view[_view.OPP_V], view[_view.OPP_D], view[_view.OPP_D_DOT], opp_scale, clear,
-                0.0, none, opponent, own, scratch,
-            )  # fmt: skip
+                track,
+                theta,
+                view,
+                gap,
+                view[_view.OPP_V],
+                view[_view.OPP_D],
+                view[_view.OPP_D_DOT],
+                opp_scale,
+                clear,
+                0.0,
+                none,
+                opponent,
+                own,
+                scratch,
+            )
             for k in range(STEPS):
                 # Only a car behind is blocked.
                 pull[k] = theta[SENSITIVITY] * pull[k] if gap < 0.0 else 0.0
         side = _reply(
-            track, theta, view, 0.0, view[_view.OWN_V], d0, rate, scale, clear, memory[_PASSED], pull, own, opponent,
+            track,
+            theta,
+            view,
+            0.0,
+            view[_view.OWN_V],
+            d0,
+            rate,
+            scale,
+            clear,
+            memory[_PASSED],
+            pull,
+            own,
+            opponent,
             scratch,
-        )  # fmt: skip
+        )
     memory[_PASSED] = side
     _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
     _line.keep_lane(view, lane, memory)

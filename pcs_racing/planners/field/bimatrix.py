@@ -29,9 +29,17 @@ from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
     *_line.TRAILING,
-    Parameter("cooperation", 0.0, 1.0, 0.3, "share of the cost of a collision that the car ahead bears"),
+    Parameter(
+        "cooperation", 0.0, 1.0, 0.3, "share of the cost of a collision that the car ahead bears"
+    ),
     Parameter("blocking", 0.0, 10.0, 0.0, "payoff of staying ahead for the car ahead, m"),
-    Parameter("side_weight", 0.1, 5.0, 1.0, "metres of progress that a metre of mean distance from the line costs"),
+    Parameter(
+        "side_weight",
+        0.1,
+        5.0,
+        1.0,
+        "metres of progress that a metre of mean distance from the line costs",
+    ),
     Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep away from the race line, m"),
     Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
 )
@@ -69,7 +77,9 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
         along, sample = begin, track.line[line_index(track, s0 + begin)]
         for k in range(STEPS):
             wanted = min(scale * sample[_frenet.SPEED], follow if move >= PLACES else np.inf)
-            speed = max(min(wanted, speed + STEP * MOST_ACCELERATION), speed - STEP * MOST_BRAKING, 0.0)
+            speed = max(
+                min(wanted, speed + STEP * MOST_ACCELERATION), speed - STEP * MOST_BRAKING, 0.0
+            )
             along += STEP * speed
             u = min((along - begin) / reach, 1.0)
             across = end + (1.0 - u) * (1.0 - u) * ((1.0 + 2.0 * u) * (d - end) + u * reach * slope)
@@ -77,7 +87,9 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
             sample = track.line[line_index(track, s0 + along)]
             off = abs(across) > _line.ON_LINE
             wall = across > sample[_frenet.LEFT] - keep or -across > sample[_frenet.RIGHT] - keep
-            slips = abs(sample[_frenet.KAPPA] + bend) * speed * speed > GRIP * max(scale * scale, 1.0)
+            slips = abs(sample[_frenet.KAPPA] + bend) * speed * speed > GRIP * max(
+                scale * scale, 1.0
+            )
             fits = fits and not (off and (wall or (slips and k > 0)))
             scratch[_S + first + k], scratch[_D + first + k] = along, across
             aside += abs(across - home) / STEPS
@@ -135,7 +147,11 @@ def solve(own, opponent, leads):
 @kernel
 def plan(track, theta, view, memory, scratch, path):
     """Play the game if the opponent is near, and drive the own trajectory."""
-    gap, scale, lane = gap_ahead(track, view), _line.speed_scale(view, theta[0]), scratch[_LANE:SCRATCH]
+    gap, scale, lane = (
+        gap_ahead(track, view),
+        _line.speed_scale(view, theta[0]),
+        scratch[_LANE:SCRATCH],
+    )
     if abs(gap) > SIGHT:
         memory[0] = memory[_CHOSEN] = 0.0
         cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
@@ -148,10 +164,14 @@ def plan(track, theta, view, memory, scratch, path):
     follow = _line.trailing_speed(theta, view, gap) if gap > 0.0 else PART * view[_view.OWN_V]
     opp_scale = opp_v / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
     opp_slope = view[_view.OPP_D_DOT] / max(opp_v, 1.0)
-    _trajectories(track, theta, view, 0, 0.0, view[_view.OWN_V], d, 0.0, slope, scale, follow, scratch)
+    _trajectories(
+        track, theta, view, 0, 0.0, view[_view.OWN_V], d, 0.0, slope, scale, follow, scratch
+    )
     behind = view[_view.OWN_V] if gap < 0.0 else PART * opp_v
     opp_d = view[_view.OPP_D]
-    _trajectories(track, theta, view, 1, gap, opp_v, opp_d, opp_d, opp_slope, opp_scale, behind, scratch)
+    _trajectories(
+        track, theta, view, 1, gap, opp_v, opp_d, opp_d, opp_slope, opp_scale, behind, scratch
+    )
     leads = gap < 0.0
     _payoffs(theta, view, leads, memory[_CHOSEN], scratch)
     move = solve(scratch[_OWN:_OPP], scratch[_OPP:_LANE], leads)
@@ -164,6 +184,11 @@ def plan(track, theta, view, memory, scratch, path):
 
 VARIANTS = {"blocks": {"blocking": 3.0}, "sequential": {"cooperation": 0.0}}
 BIMATRIX = Planner(
-    name="bimatrix-game", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
+    name="bimatrix-game",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """The bimatrix game of two cars."""

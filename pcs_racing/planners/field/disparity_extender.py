@@ -19,17 +19,46 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, farthest, scan, steer_for
+from pcs_racing.planners.scanning import (
+    ANGLES,
+    BEAMS,
+    SCAN_SIZE,
+    STEP,
+    beam_at,
+    farthest,
+    scan,
+    steer_for,
+)
 
 PARAMETERS = (
-    Parameter("disparity", 0.05, 1.0, 0.3, "difference of the ranges of two neighbouring beams that is an edge, m"),
+    Parameter(
+        "disparity",
+        0.05,
+        1.0,
+        0.3,
+        "difference of the ranges of two neighbouring beams that is an edge, m",
+    ),
     Parameter("tolerance", 0.0, 0.4, 0.15, "what is added to half of the car's width, m"),
     Parameter("steering_gain", 0.3, 1.5, 1.0, "steering angle per angle of the chosen direction"),
-    Parameter("side_distance", 0.1, 0.6, 0.3, "distance to something beside the car below which it does not turn, m"),
+    Parameter(
+        "side_distance",
+        0.1,
+        0.6,
+        0.3,
+        "distance to something beside the car below which it does not turn, m",
+    ),
     Parameter("safe_distance", 0.2, 3.0, 0.8, "distance straight ahead at which the car creeps, m"),
-    Parameter("full_distance", 4.0, 15.0, 8.0, "distance straight ahead from which it drives at its top speed, m"),
+    Parameter(
+        "full_distance",
+        4.0,
+        15.0,
+        8.0,
+        "distance straight ahead from which it drives at its top speed, m",
+    ),
     Parameter("top_speed", 2.0, 12.0, 7.0, "top speed, m/s"),
-    Parameter("lateral", 1.0, 8.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"),
+    Parameter(
+        "lateral", 1.0, 8.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"
+    ),
 )
 DISPARITY, TOLERANCE, GAIN, SIDE, SAFE, FULL, TOP_SPEED, LATERAL = range(len(PARAMETERS))
 
@@ -48,7 +77,9 @@ def extend_disparities(ranges, disparity, half_width, extended):
             continue
         near = min(left, right)
         beams = min(int(np.ceil(arctangent(half_width / max(near, 1e-3)) / STEP)), BEAMS)
-        first, last = (k + 1, min(k + 1 + beams, BEAMS)) if right < left else (max(k - beams, 0), k + 1)
+        first, last = (
+            (k + 1, min(k + 1 + beams, BEAMS)) if right < left else (max(k - beams, 0), k + 1)
+        )
         for i in range(first, last):
             extended[i] = min(extended[i], near)
 
@@ -58,7 +89,9 @@ def plan(track, theta, view, memory, scratch, path):
     """Scan, extend the disparities, and steer for the farthest point."""
     scan(track, view, scratch)
     ranges, extended = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], scratch[SCAN_SIZE:SCRATCH]
-    extend_disparities(ranges, theta[DISPARITY], 0.5 * view[_view.OWN_WIDTH] + theta[TOLERANCE], extended)
+    extend_disparities(
+        ranges, theta[DISPARITY], 0.5 * view[_view.OWN_WIDTH] + theta[TOLERANCE], extended
+    )
     first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
     steering = theta[GAIN] * ANGLES[farthest(extended, ANGLES, first, last + 1)]
     # Beams to the side of the turn, next to or behind the car.
@@ -71,8 +104,15 @@ def plan(track, theta, view, memory, scratch, path):
     steer_for(view, steering, speed, theta[LATERAL], path)
 
 
-VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "fast": {"full_distance": 7.0, "lateral": 6.0}}
+VARIANTS = {
+    "calm": {"top_speed": 5.0, "lateral": 4.0},
+    "fast": {"full_distance": 7.0, "lateral": 6.0},
+}
 DISPARITY_EXTENDER = Planner(
-    name="disparity-extender", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
+    name="disparity-extender",
+    parameters=PARAMETERS,
+    plan=plan,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """Planner that drives straight for the farthest point."""

@@ -20,21 +20,38 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import ANGLES, BEAMS, SCAN_SIZE, STEP, beam_at, farthest, scan, steer_for
+from pcs_racing.planners.scanning import (
+    ANGLES,
+    BEAMS,
+    SCAN_SIZE,
+    STEP,
+    beam_at,
+    farthest,
+    scan,
+    steer_for,
+)
 
 PARAMETERS = (
     Parameter("bubble", 0.15, 0.8, 0.3, "radius of the bubble around the nearest point, m"),
     Parameter("longest", 2.0, 15.0, 10.0, "range at which longer ones are cut off, m"),
-    Parameter("smoothing", 0.0, 0.2, 0.03, "angle to either side over which ranges are averaged, rad"),
-    Parameter("best_smoothing", 0.0, 0.4, 0.17, "the same for the choice of the farthest point, rad"),
+    Parameter(
+        "smoothing", 0.0, 0.2, 0.03, "angle to either side over which ranges are averaged, rad"
+    ),
+    Parameter(
+        "best_smoothing", 0.0, 0.4, 0.17, "the same for the choice of the farthest point, rad"
+    ),
     Parameter("steering_gain", 0.1, 1.0, 0.5, "steering angle per angle of the chosen direction"),
-    Parameter("straight_angle", 0.02, 0.2, 0.17, "steering angle up to which the car drives straight, rad"),
+    Parameter(
+        "straight_angle", 0.02, 0.2, 0.17, "steering angle up to which the car drives straight, rad"
+    ),
     Parameter("corner_angle", 0.2, 0.4, 0.35, "steering angle up to which it drives a bend, rad"),
     Parameter("straight_speed", 1.0, 10.0, 5.0, "speed up to the first angle, m/s"),
     Parameter("bend_speed", 1.0, 8.0, 3.5, "speed up to the second angle, m/s"),
     Parameter("corner_speed", 0.5, 6.0, 2.0, "speed beyond it, m/s"),
 )
-(BUBBLE, LONGEST, SMOOTHING, BEST, GAIN, STRAIGHT_ANGLE, CORNER_ANGLE, STRAIGHT, BEND, CORNER) = range(len(PARAMETERS))
+BUBBLE, LONGEST, SMOOTHING, BEST, GAIN, STRAIGHT_ANGLE, CORNER_ANGLE, STRAIGHT, BEND, CORNER = (
+    range(len(PARAMETERS))
+)
 
 NO_LIMIT = 1e6  # lateral acceleration, m/s^2: only the angles limit the speed
 _SMOOTH = SCAN_SIZE
@@ -95,7 +112,10 @@ def plan(track, theta, view, memory, scratch, path):
     steer_for(view, steering, speed, NO_LIMIT, path)
 
 
-VARIANTS = {"calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5}, "nearest": {"longest": 4.0}}
+VARIANTS = {
+    "calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5},
+    "nearest": {"longest": 4.0},
+}
 FOLLOW_THE_GAP = Planner(
     name="follow-the-gap", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
 )

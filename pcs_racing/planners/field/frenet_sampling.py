@@ -4,8 +4,8 @@ Ten times a second a set of trajectories is made. Across the track each is the q
 time from the present state to a distance from the race line, along the track the quartic to a
 speed. Its cost adds the integral of the squared jerk, the time and the deviation of the end state,
 across and along. The trajectories are tried in the order of their costs. The car drives the first
-feasible trajectory: off the walls and the predicted opponent, within the limits of acceleration. The
-next set starts from the state on that trajectory.
+feasible trajectory: off the walls and the predicted opponent, within the limits of acceleration.
+The next set starts from the state on that trajectory.
 
 Differences: the end speeds are shares of the track's profile there, and the speed of trailing;
 along the track the set starts from the car's own speed; the opponent is predicted to keep its share
@@ -31,17 +31,35 @@ from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
     *_line.TRAILING,
-    Parameter("k_jerk", 0.0, 0.1, 0.002, "weight of the integral of the squared jerk across the track, s^5/m^2"),
+    Parameter(
+        "k_jerk",
+        0.0,
+        0.1,
+        0.002,
+        "weight of the integral of the squared jerk across the track, s^5/m^2",
+    ),
     Parameter("k_time", 0.0, 5.0, 0.3, "weight of the duration, 1/s"),
-    Parameter("k_deviation", 0.1, 20.0, 2.0, "weight of the squared distance from the race line at the end, 1/m^2"),
+    Parameter(
+        "k_deviation",
+        0.1,
+        20.0,
+        2.0,
+        "weight of the squared distance from the race line at the end, 1/m^2",
+    ),
     Parameter("k_speed", 0.0, 5.0, 0.3, "weight of the squared lack of speed at the end, s^2/m^2"),
-    Parameter("k_lon_jerk", 0.0, 0.05, 0.0005, "weight of the integral of the squared jerk along the track, s^5/m^2"),
+    Parameter(
+        "k_lon_jerk",
+        0.0,
+        0.05,
+        0.0005,
+        "weight of the integral of the squared jerk along the track, s^5/m^2",
+    ),
     Parameter("wall_air", 0.05, 0.5, 0.15, "least air beside a wall away from the race line, m"),
     Parameter("opponent_air", 0.05, 0.6, 0.25, "least air beside the opponent, m"),
     Parameter("bumper_air", 0.05, 1.5, 0.3, "least air before and behind the opponent, m"),
 )
 TRAILING_GAP = 1
-(JERK, TIME, DEVIATION, SPEED, LON_JERK, WALL_AIR, OPPONENT_AIR, BUMPER_AIR) = range(
+JERK, TIME, DEVIATION, SPEED, LON_JERK, WALL_AIR, OPPONENT_AIR, BUMPER_AIR = range(
     len(_line.TRAILING), len(PARAMETERS)
 )
 
@@ -78,7 +96,10 @@ def quintic(d, d_dot, d_bend, end, end_rate, duration, out):
     out[4] = (-15.0 * rest * per + 7.0 * slope - bend * duration) * per * per * per
     out[5] = (6.0 * rest * per - 3.0 * slope + 0.5 * bend * duration) * per * per * per * per
     a, b, c, t = 6.0 * out[3], 24.0 * out[4], 60.0 * out[5], duration
-    return t * (a * a + t * (a * b + t * ((b * b + 2.0 * a * c) / 3.0 + t * (0.5 * b * c + t * c * c / 5.0))))
+    return t * (
+        a * a
+        + t * (a * b + t * ((b * b + 2.0 * a * c) / 3.0 + t * (0.5 * b * c + t * c * c / 5.0)))
+    )
 
 
 @inner_kernel
@@ -152,15 +173,23 @@ def _possible(track, theta, view, duration, number, seen, scratch):
         if a > MOST_ACCELERATION or a < -MOST_BRAKING or v < 0.0:
             return False
         sample = track.line[line_index(track, view[_view.OWN_S] + s)]
-        if abs(d) > _line.ON_LINE and (d > sample[_frenet.LEFT] - keep or -d > sample[_frenet.RIGHT] - keep):
+        if abs(d) > _line.ON_LINE and (
+            d > sample[_frenet.LEFT] - keep or -d > sample[_frenet.RIGHT] - keep
+        ):
             return False
         kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * d, 0.25)
         if abs(kappa * v * v + _bend(c, t)) > grip:
             return False
         # Up to `SOON` clearance may still be missing.
         soon = t < SOON
-        near = abs(scratch[_OPP + number * CHECKS + k - 1] - s) < reach - (theta[BUMPER_AIR] if soon else 0.0)
-        if seen and near and abs(view[_view.OPP_D] - d) < side - (theta[OPPONENT_AIR] if soon else 0.0):
+        near = abs(scratch[_OPP + number * CHECKS + k - 1] - s) < reach - (
+            theta[BUMPER_AIR] if soon else 0.0
+        )
+        if (
+            seen
+            and near
+            and abs(view[_view.OPP_D] - d) < side - (theta[OPPONENT_AIR] if soon else 0.0)
+        ):
             return False
     return True
 
@@ -190,7 +219,9 @@ def plan(track, theta, view, memory, scratch, path):
         profile = scale * track.line[line_index(track, s0 + v0 * duration), _frenet.SPEED]
         for f in range(SPEEDS):
             follow_s = opp_s if seen and gap > 0.0 else -1.0
-            lon_jerk, end_speed = _along(theta, v0, a0, profile, duration, f, follow_s, opp_v, along)
+            lon_jerk, end_speed = _along(
+                theta, v0, a0, profile, duration, f, follow_s, opp_v, along
+            )
             lack = profile - end_speed
             lon = theta[LON_JERK] * lon_jerk + theta[SPEED] * lack * lack + theta[TIME] * duration
             for o in range(OFFSETS):
@@ -235,7 +266,10 @@ def plan(track, theta, view, memory, scratch, path):
             t = min(t + _line.lane_step(view) / max(v, 0.5), duration)
 
 
-VARIANTS = {"calm": {"k_jerk": 0.01, "opponent_air": 0.4}, "close": {"opponent_air": 0.15, "trailing_gap": 1.1}}
+VARIANTS = {
+    "calm": {"k_jerk": 0.01, "opponent_air": 0.4},
+    "close": {"opponent_air": 0.15, "trailing_gap": 1.1},
+}
 FRENET_SAMPLING = Planner(
     name="frenet-sampling",
     parameters=PARAMETERS,

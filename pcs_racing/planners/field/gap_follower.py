@@ -28,12 +28,34 @@ STEP = FIELD_OF_VIEW / (BEAMS - 1)
 
 PARAMETERS = (
     Parameter("bubble", 0.20, 0.45, 0.26, "radius of the bubble around every point hit, m"),
-    Parameter("depth", 0.5, 0.95, 0.8, "share of the longest free distance from which a direction belongs to the gap"),
-    Parameter("side_air", 0.2, 1.2, 1.0, "distance to what is beside the car, from where on it leans away from it, m"),
-    Parameter("reach", 0.7, 2.0, 1.4, "distance in which the path turns into the chosen direction, m"),
+    Parameter(
+        "depth",
+        0.5,
+        0.95,
+        0.8,
+        "share of the longest free distance from which a direction belongs to the gap",
+    ),
+    Parameter(
+        "side_air",
+        0.2,
+        1.2,
+        1.0,
+        "distance to what is beside the car, from where on it leans away from it, m",
+    ),
+    Parameter(
+        "reach", 0.7, 2.0, 1.4, "distance in which the path turns into the chosen direction, m"
+    ),
     Parameter("top_speed", 2.0, 10.0, 8.0, "speed never exceeded, m/s"),
-    Parameter("braking", 1.0, 6.0, 4.5, "braking with which the car could stop within the free distance, m/s^2"),
-    Parameter("lateral", 1.0, 6.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"),
+    Parameter(
+        "braking",
+        1.0,
+        6.0,
+        4.5,
+        "braking with which the car could stop within the free distance, m/s^2",
+    ),
+    Parameter(
+        "lateral", 1.0, 6.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"
+    ),
 )
 BUBBLE, DEPTH, SIDE_AIR, REACH, TOP_SPEED, BRAKING, LATERAL = range(len(PARAMETERS))
 
@@ -62,7 +84,9 @@ def free_distances(ranges, bubble, free):
         for k in range(max(j - reach, 0), min(j + reach + 1, BEAMS)):
             # Where a beam enters a circle around a point `near` away, some beams aside.
             across = near * _APART_SIN[abs(k - j)]
-            ahead = near * _APART_COS[abs(k - j)] - np.sqrt(max(bubble * bubble - across * across, 0.0))
+            ahead = near * _APART_COS[abs(k - j)] - np.sqrt(
+                max(bubble * bubble - across * across, 0.0)
+            )
             free[k] = min(free[k], max(ahead, 0.0))
 
 
@@ -97,7 +121,9 @@ def plan(track, theta, view, memory, scratch, path):
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     ranges = scratch[WORK:_FREE]
     free = scratch[_FREE:SCRATCH]
-    scan_beams(track, Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN), view, course, scratch[:WORK], ranges)
+    scan_beams(
+        track, Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN), view, course, scratch[:WORK], ranges
+    )
     free_distances(ranges, theta[BUBBLE], free)
     angle, longest = widest_gap(free, theta[DEPTH])
     angle += lean(ranges, theta[SIDE_AIR])

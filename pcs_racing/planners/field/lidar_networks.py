@@ -87,7 +87,9 @@ def recur(flat, inputs, units, x, state, work):
     dense_forward(flat[(inputs + 1) * gates :], (units, gates), state, from_state, False)
     for k in range(units):
         reset = 0.5 + 0.5 * hyperbolic_tangent(0.5 * (from_inputs[k] + from_state[k]))
-        keep = 0.5 + 0.5 * hyperbolic_tangent(0.5 * (from_inputs[units + k] + from_state[units + k]))
+        keep = 0.5 + 0.5 * hyperbolic_tangent(
+            0.5 * (from_inputs[units + k] + from_state[units + k])
+        )
         new = hyperbolic_tangent(from_inputs[2 * units + k] + reset * from_state[2 * units + k])
         state[k] = new + keep * (state[k] - new)
 
@@ -116,7 +118,13 @@ SCANNED = {"cnn": BEAMS, "gru": BEAMS, "residual": _residual.BEAMS}
 SCRATCH = 800  # numbers of working memory of a network
 
 PARAMETERS = (
-    Parameter("pace", 0.0, 1.0, 0.0, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
+    Parameter(
+        "pace",
+        0.0,
+        1.0,
+        0.0,
+        "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+    ),
     Parameter("speed_share", 0.6, 1.1, 0.85, "factor of the speed that the network puts out"),
 )
 VARIANTS = {"calm": {"speed_share": 0.8}, "fast": {"speed_share": 0.95}}
@@ -180,7 +188,9 @@ def lay_path(view, outputs, share, path):
         y = (slope + bend * x) * x
         path[j, _view.PATH_X] = view[_view.OWN_X] + x * cosine - y * sine
         path[j, _view.PATH_Y] = view[_view.OWN_Y] + x * sine + y * cosine
-        path[j, _view.PATH_SPEED] = max(share * (near + (far - near) * (j - NEAR) / (FAR - NEAR)), SLOWEST)
+        path[j, _view.PATH_SPEED] = max(
+            share * (near + (far - near) * (j - NEAR) / (FAR - NEAR)), SLOWEST
+        )
         steep = 1.0 + (slope + 2.0 * bend * x) ** 2
         path[j, _view.PATH_KAPPA] = 2.0 * bend / (steep * np.sqrt(steep))
 
@@ -201,7 +211,12 @@ def _plan(network: str, frozen: bytes) -> Any:
 
 
 def save_lidar_driver(
-    folder: str | Path, network: str, layers: Sequence[Any], *, name: str, training: Mapping[str, Any]
+    folder: str | Path,
+    network: str,
+    layers: Sequence[Any],
+    *,
+    name: str,
+    training: Mapping[str, Any],
 ) -> Path:
     """Save a lidar planner in a folder, created if missing.
 
@@ -209,10 +224,19 @@ def save_lidar_driver(
     its layers, and ``training`` describes the training: texts and numbers by name.
     """
     pairs = enumerate(layers)
-    tensors = {f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)}
-    content = save_tensors({key: np.ascontiguousarray(value, np.float32) for key, value in tensors.items()})
+    tensors = {
+        f"layers.{i}.{kind}": a for i, pair in pairs for kind, a in zip(KINDS, pair, strict=True)
+    }
+    content = save_tensors(
+        {key: np.ascontiguousarray(value, np.float32) for key, value in tensors.items()}
+    )
     _flat(Path(folder), network, content)
-    fields = {"name": name, "network": network, "beams": SCANNED[network], "training": dict(training)}
+    fields = {
+        "name": name,
+        "network": network,
+        "beams": SCANNED[network],
+        "training": dict(training),
+    }
     return LIDAR_FORMAT.save(folder, fields, content)
 
 
@@ -227,14 +251,26 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
     try:
         tensors = load_tensors(content)
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder}: the weights are no safetensors file of numbers: {error}") from None
+        raise InputError(
+            f"{folder}: the weights are no safetensors file of numbers: {error}"
+        ) from None
     shapes: dict[str, tuple[int, ...]] = {}
     for i, (below, above) in enumerate(LAYERS[network]):
         shapes |= {f"layers.{i}.weight": (above, below), f"layers.{i}.bias": (above,)}
     found = {key: tensor.shape for key, tensor in tensors.items()}
-    if found != shapes or not all(t.dtype == np.float32 and (np.abs(t) <= MOST).all() for t in tensors.values()):
-        raise InputError(f"{folder}: a network {network!r} has float32 weights within {MOST:g} of the shapes {shapes}")
-    return flat_weights([(tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"]) for i in range(len(shapes) // 2)])
+    if found != shapes or not all(
+        t.dtype == np.float32 and (np.abs(t) <= MOST).all() for t in tensors.values()
+    ):
+        raise InputError(
+            f"{folder}: a network {network!r} has float32 weights within {MOST:g} of the shapes"
+            f" {shapes}"
+        )
+    return flat_weights(
+        [
+            (tensors[f"layers.{i}.weight"], tensors[f"layers.{i}.bias"])
+            for i in range(len(shapes) // 2)
+        ]
+    )
 
 
 def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
@@ -242,8 +278,14 @@ def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]
     folder = LIDAR_FORMAT.find(source)
     fields, content = LIDAR_FORMAT.load(folder)
     flat, beams = _flat(folder, fields["network"], content), SCANNED[fields["network"]]
-    if not isinstance(fields["name"], str) or fields["beams"] != beams or not isinstance(fields["training"], dict):
-        raise InputError(f"{folder / MANIFEST}: name must be a text, beams {beams} and training a mapping")
+    if (
+        not isinstance(fields["name"], str)
+        or fields["beams"] != beams
+        or not isinstance(fields["training"], dict)
+    ):
+        raise InputError(
+            f"{folder / MANIFEST}: name must be a text, beams {beams} and training a mapping"
+        )
     return fields["name"], fields["network"], flat
 
 
@@ -255,7 +297,9 @@ def load_lidar_driver(source: str | Path) -> Planner:
     return Planner(
         name=name,
         parameters=known,
-        plan=_residual.residual_plan(flat.tobytes()) if residual else _plan(network, flat.tobytes()),
+        plan=(
+            _residual.residual_plan(flat.tobytes()) if residual else _plan(network, flat.tobytes())
+        ),
         memory_size=MEMORY[network],
         scratch_size=_residual.SCRATCH if residual else WORK + SEEN + SCRATCH,
         variants=_residual.VARIANTS if residual else VARIANTS,

@@ -33,21 +33,62 @@ from pcs_racing.track.frenet import wrap_s
 
 PARAMETERS = (
     _line.PACE,
-    Parameter("temperature", 0.1, 50.0, 5.0, "cost by which a copy counts for less by a factor of e"),
-    Parameter("lateral_noise", 0.2, 6.0, 2.0, "standard deviation of the disturbance of the curvature, in m/s^2"),
-    Parameter("acceleration_noise", 0.2, 6.0, 1.0, "standard deviation of the disturbance of the acceleration, m/s^2"),
-    Parameter("speed_weight", 0.1, 10.0, 1.0, "cost of a squared difference from the speed profile, s^2/m^2"),
-    Parameter("line_weight", 0.1, 100.0, 20.0, "cost of a squared distance from the race line, 1/m^2"),
-    Parameter("wall_weight", 50.0, 2000.0, 400.0, "cost of a squared lack of air beside a wall, 1/m^2"),
+    Parameter(
+        "temperature", 0.1, 50.0, 5.0, "cost by which a copy counts for less by a factor of e"
+    ),
+    Parameter(
+        "lateral_noise",
+        0.2,
+        6.0,
+        2.0,
+        "standard deviation of the disturbance of the curvature, in m/s^2",
+    ),
+    Parameter(
+        "acceleration_noise",
+        0.2,
+        6.0,
+        1.0,
+        "standard deviation of the disturbance of the acceleration, m/s^2",
+    ),
+    Parameter(
+        "speed_weight",
+        0.1,
+        10.0,
+        1.0,
+        "cost of a squared difference from the speed profile, s^2/m^2",
+    ),
+    Parameter(
+        "line_weight", 0.1, 100.0, 20.0, "cost of a squared distance from the race line, 1/m^2"
+    ),
+    Parameter(
+        "wall_weight", 50.0, 2000.0, 400.0, "cost of a squared lack of air beside a wall, 1/m^2"
+    ),
     Parameter("opponent_weight", 5.0, 500.0, 60.0, "cost of the opponent's place"),
-    Parameter("smoothness", 0.0, 50.0, 10.0, "cost of a squared change of the curvature from step to step, m^2"),
+    Parameter(
+        "smoothness",
+        0.0,
+        50.0,
+        10.0,
+        "cost of a squared change of the curvature from step to step, m^2",
+    ),
     Parameter("opponent_length", 0.6, 4.0, 1.4, "half of the opponent's place along the track, m"),
-    Parameter("opponent_width", 0.35, 1.0, 0.55, "half of the opponent's place across the track, m"),
+    Parameter(
+        "opponent_width", 0.35, 1.0, 0.55, "half of the opponent's place across the track, m"
+    ),
 )
 (
-    _PACE, TEMPERATURE, LATERAL_NOISE, ACCELERATION_NOISE, SPEED_WEIGHT, LINE_WEIGHT, WALL_WEIGHT, OPPONENT_WEIGHT,
-    SMOOTHNESS, OPPONENT_LENGTH, OPPONENT_WIDTH,
-) = range(len(PARAMETERS))  # fmt: skip
+    _PACE,
+    TEMPERATURE,
+    LATERAL_NOISE,
+    ACCELERATION_NOISE,
+    SPEED_WEIGHT,
+    LINE_WEIGHT,
+    WALL_WEIGHT,
+    OPPONENT_WEIGHT,
+    SMOOTHNESS,
+    OPPONENT_LENGTH,
+    OPPONENT_WIDTH,
+) = range(len(PARAMETERS))
 
 SAMPLES, STEPS, STEP = 256, 15, 0.1  # copies, steps, step length in s
 HELD = 3  # steps per disturbance: fewer numbers to sample, and smooth plans
@@ -68,7 +109,10 @@ def normal_table(size: int) -> NDArray[np.float64]:
     Each is a sum of four uniform numbers of 16 bits, from a counter.
     """
     key = scramble(np.arange(1, size + 1, dtype=np.uint64) * GOLDEN)
-    total = sum(((key >> np.uint64(shift)) & np.uint64(0xFFFF)).astype(np.float64) for shift in (0, 16, 32, 48))
+    total = sum(
+        ((key >> np.uint64(shift)) & np.uint64(0xFFFF)).astype(np.float64)
+        for shift in (0, 16, 32, 48)
+    )
     drawn = (np.asarray(total) / 65535.0 - 2.0) * np.sqrt(3.0)
     return np.ascontiguousarray(drawn - drawn.mean())
 
@@ -111,7 +155,10 @@ def _advance(s, d, e, v, kappa, a, line_kappa):
 @inner_kernel
 def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a0, scratch):
     """Drive all copies by one step of the plan, and add its cost (code for vectorisation)."""
-    kappas, accelerations = NOISE[_place(view[0], k // HELD, 0) :], NOISE[_place(view[0], k // HELD, 1) :]
+    kappas, accelerations = (
+        NOISE[_place(view[0], k // HELD, 0) :],
+        NOISE[_place(view[0], k // HELD, 1) :],
+    )
     s_, d_, e_, v_ = scratch[_S:_D], scratch[_D:_E], scratch[_E:_V], scratch[_V:_K]
     k_, cost = scratch[_K:_COST], scratch[_COST:_LINE_KAPPA]
     line_kappa, line_speed = scratch[_LINE_KAPPA:_LINE_SPEED], scratch[_LINE_SPEED:_LINE_RIGHT]
@@ -211,15 +258,24 @@ def plan(track, theta, view, memory, scratch, path):
     # The opponent keeps its share of the profile and its position across the track.
     opp_s = gap_ahead(track, view)
     behind = opp_s <= -0.5 * view[_view.OWN_LENGTH]
-    share = view[_view.OPP_V] / track.line[line_index(track, wrap_s(track, view[_view.OPP_S])), _frenet.SPEED]
+    share = (
+        view[_view.OPP_V]
+        / track.line[line_index(track, wrap_s(track, view[_view.OPP_S])), _frenet.SPEED]
+    )
     for k in range(STEPS):
         opp_s += STEP * share * track.line[line_index(track, s0 + opp_s), _frenet.SPEED]
         # A car that is entirely behind is responsible for itself.
         seen = -1e3 if behind else opp_s
         kappa, a = memory[_KAPPAS + k], memory[_ACCELERATIONS + k]
-        _drive_copies(theta, view, sd_kappa, grip, scale, k, seen, view[_view.OPP_D], kappa, a, scratch)
+        _drive_copies(
+            theta, view, sd_kappa, grip, scale, k, seen, view[_view.OPP_D], kappa, a, scratch
+        )
     _average(theta, view[_view.TIME], sd_kappa, memory, scratch)
-    along, across, speeds = scratch[_ALONG:_ACROSS], scratch[_ACROSS:_SPEEDS], scratch[_SPEEDS:_LANE]
+    along, across, speeds = (
+        scratch[_ALONG:_ACROSS],
+        scratch[_ACROSS:_SPEEDS],
+        scratch[_SPEEDS:_LANE],
+    )
     lane = scratch[_LANE:SCRATCH]
     _drive_plan(track, view, d0, e0, memory, along, across, speeds)
     _line.lay_lane(view, d0, along, across, lane)
@@ -231,11 +287,21 @@ def plan(track, theta, view, memory, scratch, path):
             k += 1
         before_s, before_v = (along[k - 1], speeds[k - 1]) if k > 0 else (0.0, v0)
         share = min((j * _line.lane_step(view) - before_s) / max(along[k] - before_s, 1e-3), 1.0)
-        path[j, _view.PATH_SPEED] = min(path[j, _view.PATH_SPEED], before_v + share * (speeds[k] - before_v))
+        path[j, _view.PATH_SPEED] = min(
+            path[j, _view.PATH_SPEED], before_v + share * (speeds[k] - before_v)
+        )
 
 
-VARIANTS = {"sharp": {"temperature": 2.0}, "close": {"opponent_width": 0.45, "opponent_length": 1.0}}
+VARIANTS = {
+    "sharp": {"temperature": 2.0},
+    "close": {"opponent_width": 0.45, "opponent_length": 1.0},
+}
 MPPI = Planner(
-    name="mppi", parameters=PARAMETERS, plan=plan, memory_size=MEMORY, scratch_size=SCRATCH, variants=VARIANTS
+    name="mppi",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=MEMORY,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """Model predictive path integral control."""

@@ -29,9 +29,17 @@ PARAMETERS = (
     Parameter("repulsion", 0.0, 5.0, 0.5, "strength of what pushes, against the pull"),
     Parameter("reach", 0.3, 3.0, 1.0, "range within which something pushes, m"),
     Parameter("steering_gain", 0.3, 2.0, 0.8, "steering angle per angle of the sum"),
-    Parameter("braking", 1.0, 8.0, 3.0, "deceleration with which it would stop within the free distance, m/s^2"),
+    Parameter(
+        "braking",
+        1.0,
+        8.0,
+        3.0,
+        "deceleration with which it would stop within the free distance, m/s^2",
+    ),
     Parameter("top_speed", 2.0, 12.0, 7.0, "top speed, m/s"),
-    Parameter("lateral", 1.0, 8.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"),
+    Parameter(
+        "lateral", 1.0, 8.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"
+    ),
 )
 POWER, REPULSION, REACH, GAIN, BRAKING, TOP_SPEED, LATERAL = range(len(PARAMETERS))
 
@@ -73,6 +81,10 @@ def plan(track, theta, view, memory, scratch, path):
 
 VARIANTS = {"calm": {"top_speed": 5.0, "lateral": 4.0}, "bold": {"braking": 4.0, "lateral": 6.0}}
 POTENTIAL_FIELD = Planner(
-    name="potential-field", parameters=PARAMETERS, plan=plan, scratch_size=SCAN_SIZE, variants=VARIANTS
+    name="potential-field",
+    parameters=PARAMETERS,
+    plan=plan,
+    scratch_size=SCAN_SIZE,
+    variants=VARIANTS,
 )
 """Planner that drives along the field of the ranges."""

@@ -31,17 +31,51 @@ from pcs_racing.track.frenet import wrap_s
 
 PARAMETERS = (
     *_line.TRAILING,
-    Parameter("evasion_dist", 0.4, 1.25, 0.65, "distance across the track from the opponent to keep, m"),
-    Parameter("spline_bound_mindist", 0.05, 0.6, 0.2, "least distance from the side of the car to a wall, m"),
-    Parameter("ramp", 1.0, 10.0, 5.0, "distance in which the spline leaves the race line and returns to it, m"),
+    Parameter(
+        "evasion_dist", 0.4, 1.25, 0.65, "distance across the track from the opponent to keep, m"
+    ),
+    Parameter(
+        "spline_bound_mindist",
+        0.05,
+        0.6,
+        0.2,
+        "least distance from the side of the car to a wall, m",
+    ),
+    Parameter(
+        "ramp",
+        1.0,
+        10.0,
+        5.0,
+        "distance in which the spline leaves the race line and returns to it, m",
+    ),
     Parameter("horizon", 1.0, 8.0, 5.0, "time ahead in which a pass must be over, s"),
-    Parameter("begin", 0.6, 3.0, 1.2, "distance behind the opponent at which the region of collision begins, m"),
+    Parameter(
+        "begin",
+        0.6,
+        3.0,
+        1.2,
+        "distance behind the opponent at which the region of collision begins, m",
+    ),
     Parameter("end", 0.6, 3.0, 1.2, "distance before the opponent at which it ends, m"),
-    Parameter("length_scale", 1.0, 20.0, 5.0, "distance over which the opponent's driving is correlated, m"),
-    Parameter("observation_noise", 0.02, 1.0, 0.1, "variance of an observation, as a share of the process's"),
+    Parameter(
+        "length_scale",
+        1.0,
+        20.0,
+        5.0,
+        "distance over which the opponent's driving is correlated, m",
+    ),
+    Parameter(
+        "observation_noise",
+        0.02,
+        1.0,
+        0.1,
+        "variance of an observation, as a share of the process's",
+    ),
 )
 TRAILING_GAP = 1
-EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(len(_line.TRAILING), len(PARAMETERS))
+EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(
+    len(_line.TRAILING), len(PARAMETERS)
+)
 
 BINS = 160  # bins per lap
 AHEAD = 48  # predicted bins from the opponent on
@@ -136,7 +170,9 @@ def _region(track, theta, view, scale, gap, per_bin, shares):
             begins = own
         if opponent - own < -theta[END]:
             return max(begins, 0.0), own
-        v = min(v + ACCELERATION * STEP, scale * track.line[line_index(track, s0 + own), _frenet.SPEED])
+        v = min(
+            v + ACCELERATION * STEP, scale * track.line[line_index(track, s0 + own), _frenet.SPEED]
+        )
         profile = scale * track.line[line_index(track, s0 + opponent), _frenet.SPEED]
         own += STEP * v
         opponent += STEP * profile * _ahead(shares, per_bin, opponent - gap)
@@ -168,7 +204,10 @@ def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends):
         sample = track.line[line_index(track, view[_view.OWN_S] + x)]
         d = _evasion(theta, offsets, per_bin, gap, side, begins, ends, x)
         if abs(d) > _line.ON_LINE:
-            least = min(least, (sample[_frenet.LEFT] - d if side > 0.0 else sample[_frenet.RIGHT] + d) - keep)
+            least = min(
+                least,
+                (sample[_frenet.LEFT] - d if side > 0.0 else sample[_frenet.RIGHT] + d) - keep,
+            )
         x += 0.8
     return least
 
@@ -200,12 +239,16 @@ def plan(track, theta, view, memory, scratch, path):
         # Without room or time for a pass the car trails, but it aborts a pass only with room to
         # brake.
         closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
-        committed = memory_side != 0.0 and gap < theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING)
+        committed = memory_side != 0.0 and gap < theta[TRAILING_GAP] + closing * closing / (
+            2.0 * BRAKING
+        )
         if passes or committed:
             memory[_SIDE] = side
             ends = ends if ends > 0.0 else NEVER
             for j in range(_line.LANE_POINTS):
-                lane[j] = _evasion(theta, offsets, per_bin, gap, side, begins, ends, j * _line.lane_step(view))
+                lane[j] = _evasion(
+                    theta, offsets, per_bin, gap, side, begins, ends, j * _line.lane_step(view)
+                )
             if not passes and gap > 0.0:
                 cap = _line.trailing_speed(theta, view, gap)
             _line.hold_off(track, view, theta[BOUND] + 0.5 * view[_view.OWN_WIDTH], lane)

@@ -22,10 +22,24 @@ from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, to_cartesian, wrap_s
 
 PARAMETERS = (
-    Parameter("pace", 0.0, 1.0, 0.2, "speed scale between the slowest (0) and fastest (1) of the race's speed range"),
-    Parameter("lookahead", 1.0, 3.0, 1.5, "distance in which the path returns to the race line at standstill, m"),
+    Parameter(
+        "pace",
+        0.0,
+        1.0,
+        0.2,
+        "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+    ),
+    Parameter(
+        "lookahead",
+        1.0,
+        3.0,
+        1.5,
+        "distance in which the path returns to the race line at standstill, m",
+    ),
     Parameter("lookahead_time", 0.1, 0.5, 0.2, "how that distance grows with the speed, s"),
-    Parameter("follow_distance", 0.0, 4.0, 1.2, "distance to keep behind the opponent, m; 0 ignores it"),
+    Parameter(
+        "follow_distance", 0.0, 4.0, 1.2, "distance to keep behind the opponent, m; 0 ignores it"
+    ),
 )
 PACE, LOOKAHEAD, LOOKAHEAD_TIME, FOLLOW_DISTANCE = range(len(PARAMETERS))
 
@@ -50,7 +64,9 @@ def gap_ahead(track, view):
 @compiled(forceinline=True)
 def side_air(view):
     """Return the lateral clearance of both cars, m; negative if one would hit the other's rear."""
-    return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (
+        view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]
+    )
 
 
 @compiled(forceinline=True)
@@ -102,7 +118,9 @@ def plan(track, theta, view, memory, scratch, path):
         path[j, _view.PATH_X] = x
         path[j, _view.PATH_Y] = y
         path[j, _view.PATH_SPEED] = min(scale * line[_frenet.SPEED], most)
-        path[j, _view.PATH_KAPPA] = line[_frenet.KAPPA] / max(1.0 - line[_frenet.KAPPA] * d, 0.25) + d_bend
+        path[j, _view.PATH_KAPPA] = (
+            line[_frenet.KAPPA] / max(1.0 - line[_frenet.KAPPA] * d, 0.25) + d_bend
+        )
 
 
 PURE_PURSUIT = Planner(name="pure-pursuit", parameters=PARAMETERS, plan=plan)

@@ -23,7 +23,12 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import dense_forward
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.potential_field import NO_LIMIT, POTENTIAL_FIELD, SLOWEST, field_command
+from pcs_racing.planners.field.potential_field import (
+    NO_LIMIT,
+    POTENTIAL_FIELD,
+    SLOWEST,
+    field_command,
+)
 from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, steer_for
 
@@ -36,7 +41,13 @@ STEERING, SPEED = 0.2, 3.0  # max corrections, rad and m/s
 SCRATCH = SCAN_SIZE + 2 * WIDTH
 
 PARAMETERS = (
-    Parameter("correction", 0.0, 1.0, 1.0, "share of the network's correction that is added; 0 is the field alone"),
+    Parameter(
+        "correction",
+        0.0,
+        1.0,
+        1.0,
+        "share of the network's correction that is added; 0 is the field alone",
+    ),
     Parameter("speed_share", 0.6, 1.1, 1.0, "factor of the corrected speed"),
 )
 VARIANTS = {"calm": {"speed_share": 0.85}, "field": {"correction": 0.0}}

@@ -27,9 +27,27 @@ from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
     *_line.TRAILING,
-    Parameter("evasion_dist", 0.4, 1.25, 0.65, "distance across the track from the opponent to the apex, m"),
-    Parameter("obs_traj_thresh", 0.1, 1.5, 0.3, "air beside the race line below which the opponent is in the way, m"),
-    Parameter("spline_bound_mindist", 0.05, 0.6, 0.2, "least distance from the side of the car to a wall, m"),
+    Parameter(
+        "evasion_dist",
+        0.4,
+        1.25,
+        0.65,
+        "distance across the track from the opponent to the apex, m",
+    ),
+    Parameter(
+        "obs_traj_thresh",
+        0.1,
+        1.5,
+        0.3,
+        "air beside the race line below which the opponent is in the way, m",
+    ),
+    Parameter(
+        "spline_bound_mindist",
+        0.05,
+        0.6,
+        0.2,
+        "least distance from the side of the car to a wall, m",
+    ),
     Parameter("lookahead", 4.0, 15.0, 10.0, "distance within which an opponent is considered, m"),
     Parameter("pre_apex_0", 3.2, 8.0, 4.0, "first point before the apex, m"),
     Parameter("pre_apex_1", 2.1, 3.1, 3.0, "second point before the apex, m"),
@@ -37,11 +55,19 @@ PARAMETERS = (
     Parameter("post_apex_0", 0.5, 2.4, 2.0, "first point after the apex, m"),
     Parameter("post_apex_1", 2.5, 3.9, 3.0, "second point after the apex, m"),
     Parameter("post_apex_2", 4.0, 12.0, 4.0, "third point after the apex, m"),
-    Parameter("sector_kappa", 0.02, 0.5, 0.15, "curvature of the race line, 1/m, up to which a pass may begin"),
+    Parameter(
+        "sector_kappa",
+        0.02,
+        0.5,
+        0.15,
+        "curvature of the race line, 1/m, up to which a pass may begin",
+    ),
     Parameter("fixed_pred_time", 0.0, 1.0, 0.15, "time for which the opponent is propagated, s"),
 )
 TRAILING_GAP = 1
-EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(len(_line.TRAILING), len(_line.TRAILING) + 5)
+EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(
+    len(_line.TRAILING), len(_line.TRAILING) + 5
+)
 SECTOR, PREDICTION = len(PARAMETERS) - 2, len(PARAMETERS) - 1
 TOP_SPEED = 8.0  # top speed of the profile, m/s; the speed scales point distances by 1 to 1.5
 SECTOR_REACH = 10.0  # m
@@ -50,7 +76,8 @@ CHECK_STEP = 0.4  # spacing of the spline points compared with the track's bound
 
 _SIDE = 0  # memory: the side of a pass (-1 right, 1 left), or 0
 KNOTS = 7
-_AT, _MOMENT, _FACTOR = (KNOTS * k for k in range(3))  # scratch: the points, the spline's moments, work
+# scratch: the points, the spline's moments, work
+_AT, _MOMENT, _FACTOR = (KNOTS * k for k in range(3))
 _LANE = 3 * KNOTS
 SCRATCH = _LANE + _line.LANE_SIZE
 
@@ -63,7 +90,9 @@ def lay_spline(theta, stretch, scratch):
     """
     for k in range(KNOTS):
         sign = -1.0 if k < 3 else 1.0
-        scratch[_AT + k] = 0.0 if k == 3 else sign * stretch * theta[FIRST_POINT + (k if k < 3 else k - 1)]
+        scratch[_AT + k] = (
+            0.0 if k == 3 else sign * stretch * theta[FIRST_POINT + (k if k < 3 else k - 1)]
+        )
     scratch[_MOMENT] = scratch[_FACTOR] = scratch[_MOMENT + KNOTS - 1] = 0.0
     for k in range(1, KNOTS - 1):
         before = scratch[_AT + k] - scratch[_AT + k - 1]
@@ -119,13 +148,19 @@ def plan(track, theta, view, memory, scratch, path):
     stretch = min(1.0 + view[_view.OWN_V] / TOP_SPEED, 1.5)
     lay_spline(theta, stretch, scratch)
     now = gap_ahead(track, view)
-    blocks = abs(opp_d) - 0.5 * view[_view.OPP_WIDTH] < theta[IN_THE_WAY] + 0.5 * view[_view.OWN_WIDTH]
+    blocks = (
+        abs(opp_d) - 0.5 * view[_view.OPP_WIDTH] < theta[IN_THE_WAY] + 0.5 * view[_view.OWN_WIDTH]
+    )
     passing = memory[_SIDE] != 0.0 and gap > -scratch[_AT + KNOTS - 1]
     lane = scratch[_LANE:SCRATCH]
     side = 0.0
     cap = np.inf
     if blocks and (
-        passing or (0.0 < now < theta[LOOKAHEAD] and _line.sharpest_bend(track, s0, SECTOR_REACH, 0.5) < theta[SECTOR])
+        passing
+        or (
+            0.0 < now < theta[LOOKAHEAD]
+            and _line.sharpest_bend(track, s0, SECTOR_REACH, 0.5) < theta[SECTOR]
+        )
     ):
         here = track.line[line_index(track, s0 + gap)]
         roomier = 1.0 if here[_frenet.LEFT] - opp_d > here[_frenet.RIGHT] + opp_d else -1.0
@@ -136,7 +171,10 @@ def plan(track, theta, view, memory, scratch, path):
         for j in range(_line.LANE_POINTS):
             lane[j] = apex * spline_at(j * _line.lane_step(view) * closes - gap, scratch)
         keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
-        if not (_line.lane_fits(track, view, keep, lane) and fits(track, view, keep, s0, apex, gap, scratch)):
+        if not (
+            _line.lane_fits(track, view, keep, lane)
+            and fits(track, view, keep, s0, apex, gap, scratch)
+        ):
             # A pass is aborted only with room to brake.
             closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
             if now > theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING) or not passing:
@@ -151,11 +189,21 @@ def plan(track, theta, view, memory, scratch, path):
 
 
 VARIANTS = {
-    "published": {"obs_traj_thresh": 1.0, "evasion_dist": 0.6, "spline_bound_mindist": 0.3, "pre_apex_2": 2.0},
+    "published": {
+        "obs_traj_thresh": 1.0,
+        "evasion_dist": 0.6,
+        "spline_bound_mindist": 0.3,
+        "pre_apex_2": 2.0,
+    },
     "close": {"evasion_dist": 0.5},
     "wide": {"evasion_dist": 0.8},
 }
 SPLINER = Planner(
-    name="spliner", parameters=PARAMETERS, plan=plan, memory_size=1, scratch_size=SCRATCH, variants=VARIANTS
+    name="spliner",
+    parameters=PARAMETERS,
+    plan=plan,
+    memory_size=1,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """The spliner: evasion by a spline, or trailing."""

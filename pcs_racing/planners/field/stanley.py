@@ -63,12 +63,16 @@ def control(track, theta, view, memory, scratch, path, command):
     # Errors of the front axle: heading, and distance from the path.
     turns = angle_between(sample[_frenet.PSI] + slope, view[_view.OWN_PSI])
     here = track.line[line_index(track, view[_view.OWN_S]), _frenet.PSI]
-    axle = (view[_view.WHEELBASE] - view[_view.REAR_AXLE]) * angle_between(view[_view.OWN_PSI], here)
+    axle = (view[_view.WHEELBASE] - view[_view.REAR_AXLE]) * angle_between(
+        view[_view.OWN_PSI], here
+    )
     error = view[_view.OWN_D] + axle - lane
     since = view[_view.TIME] - PLAN_PERIOD * np.floor(view[_view.TIME] / PLAN_PERIOD + 0.01)
     ahead = int(min(v * (since + PREVIEW) / memory[2], PATH_POINTS - 1.0))
     speed, acceleration = calm_speed(v, path[ahead, _view.PATH_SPEED])
-    slip = view[_view.REAR_SLIP] + view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
+    slip = (
+        view[_view.REAR_SLIP] + view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
+    )
     steer = turns + slip * v * v * kappa - arctangent(theta[K] * error / (theta[K_SOFT] + v))
     steer -= theta[YAW_DAMPING] * (view[_view.OWN_PSI_DOT] - v * kappa)
     steer += theta[STEER_DAMPING] * (memory[_BEFORE] - view[_view.OWN_DELTA])

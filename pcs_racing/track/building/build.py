@@ -9,9 +9,27 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.causes import find_gap
-from pcs_racing.track.building.curves import MAX_LENGTH, LineSamples, clean_closed, first_crossing, sample_closed
+from pcs_racing.track.building.curves import (
+    MAX_LENGTH,
+    LineSamples,
+    clean_closed,
+    first_crossing,
+    sample_closed,
+)
 from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
-from pcs_racing.track.frenet import COS, KAPPA, LEFT, LINE_COLUMNS, PSI, RIGHT, SIN, SPEED, TrackArrays, X, Y
+from pcs_racing.track.frenet import (
+    COS,
+    KAPPA,
+    LEFT,
+    LINE_COLUMNS,
+    PSI,
+    RIGHT,
+    SIN,
+    SPEED,
+    TrackArrays,
+    X,
+    Y,
+)
 from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid
 
 Floats = NDArray[np.float64]
@@ -36,24 +54,31 @@ def check_line(points: ArrayLike, label: str) -> Floats:
         raise MapError(f"{label} must be an array of shape (K, 2), got {xy.shape}")
     bad = ~(np.abs(xy) <= 1e6).all(axis=1)
     if bad.any():
-        raise MapError(f"{label} holds the impossible point {_at(xy[bad][0])}: coordinates must be finite, in metres")
+        raise MapError(
+            f"{label} holds the impossible point {_at(xy[bad][0])}: coordinates must be finite, in"
+            " metres"
+        )
     xy = clean_closed(xy)
     if len(xy) < 10:
         raise MapError(f"{label} has {len(xy)} different points: at least 10 are needed")
     step = lengths(np.roll(xy, -1, axis=0) - xy)
     if step[-1] > max(3.0 * step[:-1].max(), 1.0):
         raise MapError(
-            f"{label} is open: from its last point {_at(xy[-1])} to its first {_at(xy[0])} it is {step[-1]:.2f} m, "
-            f"more than three of its longest steps; it must lead all the way round"
+            f"{label} is open: from its last point {_at(xy[-1])} to its first {_at(xy[0])} it is"
+            f" {step[-1]:.2f} m, more than three of its longest steps; it must lead all the way"
+            " round"
         )
     if step.sum() > MAX_LENGTH:
         raise MapError(
-            f"{label} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are possible (is it in metres?)"
+            f"{label} is {step.sum():.0f} m long: at most {MAX_LENGTH:.0f} m are possible (is it in"
+            " metres?)"
         )
     samples = sample_closed(xy, 2.0 * LINE_SPACING).xy
     crossing = first_crossing(samples)[0]
     if crossing >= 0:
-        raise MapError(f"{label} crosses itself near {_at(samples[crossing])}: it must be a simple closed line")
+        raise MapError(
+            f"{label} crosses itself near {_at(samples[crossing])}: it must be a simple closed line"
+        )
     return xy
 
 
@@ -61,20 +86,28 @@ def check_centerline(centerline: ArrayLike, label: str) -> Floats:
     """Check a centre line with its widths; see `check_line`."""
     rows = np.array(centerline, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] != 4:
-        raise MapError(f"{label} must have 4 columns (x, y, width to the right, to the left), got shape {rows.shape}")
+        raise MapError(
+            f"{label} must have 4 columns (x, y, width to the right, to the left), got shape"
+            f" {rows.shape}"
+        )
     check_line(rows[:, :2], label)
     bad = ~((rows[:, 2:] > 0.0) & (rows[:, 2:] < MAX_LENGTH)).all(axis=1)
     if bad.any():
         row = int(np.argmax(bad))
         raise MapError(
-            f"{label}: the track is {rows[row, 2]} m wide to the right and {rows[row, 3]} m to the left of point "
-            f"{_at(rows[row])}: both must be positive"
+            f"{label}: the track is {rows[row, 2]} m wide to the right and {rows[row, 3]} m to the"
+            f" left of point {_at(rows[row])}: both must be positive"
         )
     return rows
 
 
 def drivable_region(
-    occupied: Grid, resolution: float, origin: Floats, samples: LineSamples, center: Floats, label: str
+    occupied: Grid,
+    resolution: float,
+    origin: Floats,
+    samples: LineSamples,
+    center: Floats,
+    label: str,
 ) -> tuple[Grid, int, int]:
     """Return the region connected with a line, cropped to its bounding box and a margin.
 
@@ -98,14 +131,24 @@ def drivable_region(
     # A wide track's race line is much shorter than the track: the larger of both estimates counts.
     usual = 0.0
     for line in (samples, sample_closed(center[:, :2], LINE_SPACING)):
-        if not ((line.xy < origin) | (line.xy >= origin + resolution * np.array(occupied.shape[::-1]))).any():
-            across = _free_widths(drivable, *_in_cells(line, resolution, origin, bottom, left)).sum(axis=1)
+        if not (
+            (line.xy < origin) | (line.xy >= origin + resolution * np.array(occupied.shape[::-1]))
+        ).any():
+            across = _free_widths(drivable, *_in_cells(line, resolution, origin, bottom, left)).sum(
+                axis=1
+            )
             usual = max(usual, float(across.mean()) * line.length / resolution)
     area = int(np.count_nonzero(reached))
     if open_to_border or area > LEAK * usual:
         gap = find_gap(occupied, reached, resolution, origin, 1.0 if open_to_border else 0.9)
-        extent = "the border of the picture" if open_to_border else f"{area / usual:.1f} times the area of the track"
-        raise MapError(f"{label} reaches {extent}: {gap or 'the walls have a gap; close it in the picture'}")
+        extent = (
+            "the border of the picture"
+            if open_to_border
+            else f"{area / usual:.1f} times the area of the track"
+        )
+        raise MapError(
+            f"{label} reaches {extent}: {gap or 'the walls have a gap; close it in the picture'}"
+        )
     return drivable, bottom, left
 
 
@@ -124,8 +167,9 @@ def build_arrays(
     sharpest = int(np.argmax(np.abs(samples.kappa)))
     if abs(samples.kappa[sharpest]) > MAX_CURVATURE:
         raise MapError(
-            f"{label}: the race line has a kink at {_at(samples.xy[sharpest])}, its radius there is "
-            f"{1.0 / abs(samples.kappa[sharpest]):.2f} m; it must be at least {1.0 / MAX_CURVATURE} m everywhere"
+            f"{label}: the race line has a kink at {_at(samples.xy[sharpest])}, its radius there is"
+            f" {1.0 / abs(samples.kappa[sharpest]):.2f} m; it must be at least"
+            f" {1.0 / MAX_CURVATURE} m everywhere"
         )
     drivable, row, col = drivable_region(occupied, resolution, origin, samples, center, label)
     corner = np.array([origin[0] + col * resolution, origin[1] + row * resolution])
@@ -143,7 +187,9 @@ def build_arrays(
     segments, owner, start = simplify(outlines, max(SIMPLIFY_CELLS, SIMPLIFY / resolution), INSET)
     stretches = max(round(samples.length / SEEN_STRETCH), 1)
     sections = (_viewpoints(line, stretches) - corner) / resolution
-    seen_start, seen, seen_distance = seen_lists(drivable, outlines, segments, owner, start, sections)
+    seen_start, seen, seen_distance = seen_lists(
+        drivable, outlines, segments, owner, start, sections
+    )
     walls = segments * resolution + np.tile(corner, 2)
     corners_start, corners = corner_lists(walls, seen_start, seen)
     block = max(round(LOOKUP_CELL / resolution), 1)
@@ -159,7 +205,9 @@ def build_arrays(
         seen_start=seen_start,
         seen=seen,
         # Rounded down: a search up to a distance must never end too early.
-        seen_distance=np.nextafter((seen_distance * resolution).astype(np.float32), np.float32(-1.0)),
+        seen_distance=np.nextafter(
+            (seen_distance * resolution).astype(np.float32), np.float32(-1.0)
+        ),
         seen_middle=sections[1::2].mean(axis=1) * resolution + corner,
         seen_stretch=samples.length / stretches,
         corners_start=corners_start,
@@ -183,11 +231,14 @@ def _cells(
     outside = (rows < 0) | (cols < 0) | (rows >= height) | (cols >= width)
     if outside.any():
         raise MapError(
-            f"{label} leaves the map at {_at(xy[outside][0])}: do resolution, origin and the line fit together?"
+            f"{label} leaves the map at {_at(xy[outside][0])}: do resolution, origin and the line"
+            " fit together?"
         )
     hit = occupied[rows, cols]
     if hit.any():
-        raise MapError(f"{label} runs through a wall at {_at(xy[hit][0])}: it must stay between the walls")
+        raise MapError(
+            f"{label} runs through a wall at {_at(xy[hit][0])}: it must stay between the walls"
+        )
     return rows, cols
 
 
@@ -202,7 +253,9 @@ def _in_cells(
 
 def _viewpoints(line: Floats, stretches: int) -> Floats:
     """Return points across each stretch's start and middle, (2 * stretches, SEEN_ACROSS, 2)."""
-    index = np.round(np.arange(2 * stretches) * (len(line) / (2 * stretches))).astype(int) % len(line)
+    index = np.round(np.arange(2 * stretches) * (len(line) / (2 * stretches))).astype(int) % len(
+        line
+    )
     at = line[index][:, None, :]
     across = np.linspace(-0.98, 0.98, SEEN_ACROSS)
     d = across * np.where(across < 0.0, at[..., RIGHT], at[..., LEFT])

@@ -13,7 +13,9 @@ def at_cell(row: int, col: int, height: int, resolution: float, corner: np.ndarr
     return f"({x:.2f}, {y:.2f}) m, pixel ({col}, {height - 1 - row})"
 
 
-def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np.ndarray, share: float = 1.0) -> str:
+def find_gap(
+    grid: np.ndarray, region: np.ndarray, resolution: float, corner: np.ndarray, share: float = 1.0
+) -> str:
     """Return a text about the gap that makes a free region more than a ring; empty without a gap.
 
     Growing walls close gaps: a leaking track becomes a ring of at most a ``share`` of the free
@@ -46,12 +48,17 @@ def find_gap(grid: np.ndarray, region: np.ndarray, resolution: float, corner: np
     return ""
 
 
-def no_loop(grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.ndarray | None) -> str:
+def no_loop(
+    grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.ndarray | None
+) -> str:
     """Return the message for a grid without a free ring (at the seed point, if any)."""
     from scipy import ndimage
 
     if grid.all() or not grid.any():
-        return f"no closed loop found: the picture has no {'free cell' if grid.all() else 'wall'}; check its thresholds"
+        return (
+            f"no closed loop found: the picture has no {'free cell' if grid.all() else 'wall'};"
+            " check its thresholds"
+        )
     labels, _ = ndimage.label(~grid)
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     region, where, several = labels > 0, "the picture", ~np.isin(labels, border)
@@ -71,13 +78,16 @@ def no_loop(grid: np.ndarray, resolution: float, corner: np.ndarray, seed: np.nd
             # The nearest place to the two largest holes: a crossing of lines, or near an obstacle.
             first, second = sorted(large, key=lambda hole: -np.count_nonzero(holes == hole))[:2]
             away = [ndimage.distance_transform_edt(holes != hole) for hole in (first, second)]
-            i, j = np.unravel_index(np.argmin(np.where(holes == 0, np.maximum(*away), np.inf)), holes.shape)
+            i, j = np.unravel_index(
+                np.argmin(np.where(holes == 0, np.maximum(*away), np.inf)), holes.shape
+            )
             place = at_cell(i + rows.start - 1, j + cols.start - 1, len(grid), resolution, corner)
             return (
-                f"{where} has no single loop: it surrounds {len(large)} islands, and crosses itself or branches near "
-                f"{place}: close all ways but one by walls, and remove large obstacles"
+                f"{where} has no single loop: it surrounds {len(large)} islands, and crosses itself"
+                f" or branches near {place}: close all ways but one by walls, and remove large"
+                " obstacles"
             )
     return (
-        f"{where} has no closed loop: no free region lies between one inner and one outer wall (walls are the "
-        f"cells darker than the threshold; one may lie across the track)"
+        f"{where} has no closed loop: no free region lies between one inner and one outer wall"
+        " (walls are the cells darker than the threshold; one may lie across the track)"
     )

@@ -44,7 +44,8 @@ def centerline_from_grid(
         free region that surrounds exactly one hole and does not touch the border of the map, and
         the line begins on its longest straight.
     direction : {"counterclockwise", "clockwise"} or float, optional
-        Driving direction, or the heading in rad at the beginning of the line. Default: counterclockwise.
+        Driving direction, or the heading in rad at the beginning of the line. Default:
+        counterclockwise.
 
     Returns
     -------
@@ -56,8 +57,13 @@ def centerline_from_grid(
     from scipy import ndimage
 
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
-    if not (direction is None or direction in ("counterclockwise", "clockwise") or is_number(direction)):
-        raise MapError(f"direction is {direction!r}: it must be 'counterclockwise', 'clockwise' or a heading in rad")
+    if not (
+        direction is None or direction in ("counterclockwise", "clockwise") or is_number(direction)
+    ):
+        raise MapError(
+            f"direction is {direction!r}: it must be 'counterclockwise', 'clockwise' or a heading"
+            " in rad"
+        )
     seed = None if seed_point is None else _checked_seed(seed_point, grid, resolution, corner)
     region, hole, row, col = _ring(grid, resolution, corner, seed)
     corner = corner + resolution * np.array([col, row])
@@ -65,8 +71,8 @@ def centerline_from_grid(
     shortest = 2.0 * resolution * math.hypot(*(size - 2 * RIM for size in region.shape))
     if shortest > MAX_LENGTH:
         raise MapError(
-            f"the track is at least {shortest:.0f} m long: at most {MAX_LENGTH:.0f} m are supported (is the "
-            f"resolution, {resolution:g} m, right?)"
+            f"the track is at least {shortest:.0f} m long: at most {MAX_LENGTH:.0f} m are supported"
+            f" (is the resolution, {resolution:g} m, right?)"
         )
     # Distance from every cell to the inner and to the outer wall.
     to_hole = distance_to_walls(np.pad(~hole[1:-1, 1:-1], 1), resolution)
@@ -76,24 +82,32 @@ def centerline_from_grid(
     first = straightest(line) if seed is None else int(np.argmin(lengths(line - seed)))
     line = directed(np.roll(line, -first, axis=0), direction)
     cells = ((line - corner) / resolution - 0.5).T[::-1]
-    inner, outer = (ndimage.map_coordinates(field, cells, order=1) for field in (to_hole, to_outside))
+    inner, outer = (
+        ndimage.map_coordinates(field, cells, order=1) for field in (to_hole, to_outside)
+    )
     left, right = (inner, outer) if signed_area(line) > 0.0 else (outer, inner)
     return np.column_stack([line, right, left])
 
 
 def _checked_seed(
-    seed_point: Sequence[float] | np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray
+    seed_point: Sequence[float] | np.ndarray,
+    grid: np.ndarray,
+    resolution: float,
+    corner: np.ndarray,
 ) -> np.ndarray:
     seed = np.asarray(seed_point, dtype=np.float64)
     if seed.shape != (2,) or not np.isfinite(seed).all():
-        raise MapError(f"seed point {seed_point!r} is not a point: two finite coordinates in metres are needed")
+        raise MapError(
+            f"seed point {seed_point!r} is not a point: two finite coordinates in metres are needed"
+        )
     col, row = np.floor((seed - corner) / resolution).astype(int)
     name = f"seed point ({seed[0]:g}, {seed[1]:g})"
     height, width = grid.shape
     if not (0 <= row < height and 0 <= col < width):
         low, high = corner, corner + resolution * np.array([width, height])
         raise MapError(
-            f"{name} is off the map, which reaches from ({low[0]:.2f}, {low[1]:.2f}) to ({high[0]:.2f}, {high[1]:.2f})"
+            f"{name} is off the map, which reaches from ({low[0]:.2f}, {low[1]:.2f}) to"
+            f" ({high[0]:.2f}, {high[1]:.2f})"
         )
     if grid[row, col]:
         raise MapError(f"{name} lies in a wall: give a point on the track")
@@ -122,7 +136,9 @@ def _ring(
         region, holes, large = fill_islands(np.pad(labels[rows, cols] == k, RIM), resolution)
         if len(large) == 1:
             size = float(np.count_nonzero(holes == large[0]))
-            rings.append((size, region, holes == large[0], int(rows.start) - RIM, int(cols.start) - RIM))
+            rings.append(
+                (size, region, holes == large[0], int(rows.start) - RIM, int(cols.start) - RIM)
+            )
     rings.sort(key=lambda ring: -ring[0])
     if not rings:
         raise MapError(no_loop(grid, resolution, corner, seed))
@@ -132,12 +148,17 @@ def _ring(
             i, j = np.argwhere(region)[0]
             x, y = corner + resolution * (np.array([j + col, i + row]) + 0.5)
             points.append(f"({x:.2f}, {y:.2f})")
-        raise MapError(f"{len(rings)} regions could be the track: choose one by a seed point, as {' or '.join(points)}")
+        raise MapError(
+            f"{len(rings)} regions could be the track: choose one by a seed point, as"
+            f" {' or '.join(points)}"
+        )
     _, region, hole, row, col = rings[0]
     return region, hole, row, col
 
 
-def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray) -> np.ndarray:
+def around_islands(
+    line: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray
+) -> np.ndarray:
     """Return a closed line, or a centre line that passes each obstacle on it on the wider side.
 
     Each obstacle is joined to the nearest other wall: then the ring has no island there.
@@ -147,10 +168,14 @@ def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner
     height, width = grid.shape
     for _ in range(MAX_DETOURS):
         col, row = np.floor((resample(line, resolution) - corner) / resolution).astype(int).T
-        if ((row < 0) | (col < 0) | (row >= height) | (col >= width)).any() or not grid[row, col].any():
+        if ((row < 0) | (col < 0) | (row >= height) | (col >= width)).any() or not grid[
+            row, col
+        ].any():
             return line
         walls, _ = ndimage.label(grid, structure=np.ones((3, 3)))
-        extent = [max(part.stop - part.start for part in box) for box in ndimage.find_objects(walls)]
+        extent = [
+            max(part.stop - part.start for part in box) for box in ndimage.find_objects(walls)
+        ]
         grid = grid.copy()
         for k in np.setdiff1d(walls[row, col], 0):
             if extent[k - 1] > ISLAND * max(extent):
@@ -168,7 +193,9 @@ def around_islands(line: np.ndarray, grid: np.ndarray, resolution: float, corner
             return line
         seed = corner + resolution * (np.array([col[free][0], row[free][0]]) + 0.5)
         direction = "counterclockwise" if signed_area(line) > 0.0 else "clockwise"
-        line = centerline_from_grid(grid, resolution, corner, seed_point=seed, direction=direction)[:, :2]
+        line = centerline_from_grid(grid, resolution, corner, seed_point=seed, direction=direction)[
+            :, :2
+        ]
     return line
 
 
@@ -176,7 +203,9 @@ def _zero_contour(values: np.ndarray) -> np.ndarray:
     """Return the sign changes (x, y) of cell-centre values, in cells from the lower left corner."""
     from skimage.measure import find_contours
 
-    closed = [contour for contour in find_contours(values, 0.0) if np.array_equal(contour[0], contour[-1])]
+    closed = [
+        contour for contour in find_contours(values, 0.0) if np.array_equal(contour[0], contour[-1])
+    ]
     # The contour is one closed curve; if rounding splits off a fragment, the longest curve counts.
     return max(closed, key=len)[:-1, ::-1] + 0.5
 
@@ -204,8 +233,8 @@ def directed(line: np.ndarray, direction: str | float | None) -> np.ndarray:
         _, along = sine_cosine(psi - float(direction))
         if abs(along) < 0.2:
             raise MapError(
-                f"heading {direction:g} rad lies across the track, which runs at {psi:.2f} or {psi + math.pi:.2f} rad "
-                f"at its start ({line[0, 0]:.2f}, {line[0, 1]:.2f})"
+                f"heading {direction:g} rad lies across the track, which runs at {psi:.2f} or"
+                f" {psi + math.pi:.2f} rad at its start ({line[0, 0]:.2f}, {line[0, 1]:.2f})"
             )
         against = along < 0.0
     return np.roll(line[::-1], 1, axis=0) if against else line

@@ -22,10 +22,13 @@ def checked_grid(
     grid = np.ascontiguousarray(occupied)
     if grid.ndim != 2 or grid.dtype != np.bool_ or min(grid.shape) < 8:
         raise MapError(
-            f"{label}: the grid is {grid.dtype} of shape {grid.shape}; it must be a boolean array of at least 8 x 8"
+            f"{label}: the grid is {grid.dtype} of shape {grid.shape}; it must be a boolean array"
+            " of at least 8 x 8"
         )
     check_number(f"{label}: resolution", resolution, maximum=1.0, above=0.0, error=MapError)
-    corner = check_array(f"{label}: origin", origin, (2,), minimum=-1e6, maximum=1e6, error=MapError)
+    corner = check_array(
+        f"{label}: origin", origin, (2,), minimum=-1e6, maximum=1e6, error=MapError
+    )
     return grid, float(resolution), corner
 
 

@@ -19,7 +19,13 @@ Floats = NDArray[np.float64]
 # Five-point Gauss-Legendre rule on [0, 1], the same bits everywhere (numpy computes it by LAPACK):
 # exact for the arc length of near-cubic curves.
 _NODES = (0.046910077030668004, 0.23076534494715845, 0.5, 0.7692346550528415, 0.953089922969332)
-_WEIGHTS = (0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.23931433524968324, 0.11846344252809454)
+_WEIGHTS = (
+    0.11846344252809454,
+    0.23931433524968324,
+    0.28444444444444444,
+    0.23931433524968324,
+    0.11846344252809454,
+)
 
 
 class LineSamples(NamedTuple):
@@ -186,11 +192,14 @@ def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
     xy = xy[:, :2]
     if not np.isfinite(xy).all():
         raise MapError(
-            f"the {label} holds a coordinate that is not finite, in row {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
+            f"the {label} holds a coordinate that is not finite, in row"
+            f" {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
         )
     xy = xy[lengths(xy - np.roll(xy, 1, axis=0)) > 1e-9]
     if len(xy) < 4:
-        raise MapError(f"the {label} has {len(xy)} different points: a closed curve needs at least 4")
+        raise MapError(
+            f"the {label} has {len(xy)} different points: a closed curve needs at least 4"
+        )
     steps = lengths(np.roll(xy, -1, axis=0) - xy)
     if steps[-1] > 10.0 * np.median(steps) and steps[-1] > 0.1 * steps.sum():
         raise MapError(f"the {label} is open: its last point lies {steps[-1]:.2f} m from its first")

@@ -9,7 +9,13 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths
 from pcs_racing.base.errors import MapError, require
 from pcs_racing.track.building.centerline import around_islands
-from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, corridor, room_at, wall_clearance
+from pcs_racing.track.building.clearance import (
+    CLEARANCE,
+    checked_grid,
+    corridor,
+    room_at,
+    wall_clearance,
+)
 from pcs_racing.track.building.curves import (
     checked_curve,
     curve_length,
@@ -85,7 +91,9 @@ def minimum_curvature_raceline(
     return line
 
 
-def _pass(start: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray, clearance: float) -> np.ndarray:
+def _pass(
+    start: np.ndarray, grid: np.ndarray, resolution: float, corner: np.ndarray, clearance: float
+) -> np.ndarray:
     """Return the line after rounds with a shrinking trust region; a point moves 2.5 m at most."""
     grid, corner = _crop(grid, resolution, corner, start)
     room = distance_to_walls(~grid, resolution)
@@ -109,15 +117,20 @@ def _pass(start: np.ndarray, grid: np.ndarray, resolution: float, corner: np.nda
         if shortfall <= 0.0:
             if first_crossing(result)[0] >= 0:
                 x, y = result[first_crossing(result)[0]]
-                raise MapError(f"the race line crosses itself near ({x:.2f}, {y:.2f}): is the centre line simple?")
+                raise MapError(
+                    f"the race line crosses itself near ({x:.2f}, {y:.2f}): is the centre line"
+                    " simple?"
+                )
             return result
         slack += shortfall + 0.001
     if math.isinf(shortfall):
-        raise MapError(f"no race line was found in {ROUNDS} rounds: the centre line may not follow the circuit")
+        raise MapError(
+            f"no race line was found in {ROUNDS} rounds: the centre line may not follow the circuit"
+        )
     x, y = dense[int(np.argmin(free))]
     raise MapError(
-        f"no line keeps {clearance:.3f} m from the walls near ({x:.2f}, {y:.2f}): {free.min():.3f} m is the best found "
-        f"in {ROUNDS} rounds"
+        f"no line keeps {clearance:.3f} m from the walls near ({x:.2f}, {y:.2f}): {free.min():.3f}"
+        f" m is the best found in {ROUNDS} rounds"
     )
 
 
@@ -139,7 +152,9 @@ def raceline_rows(xy: np.ndarray) -> np.ndarray:
     return np.vstack([rows, last])
 
 
-def _crop(grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _crop(
+    grid: np.ndarray, resolution: float, corner: np.ndarray, line: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the grid within ``REACH`` of a line's box; raise an error for a line off the grid."""
     height, width = grid.shape
     cells = np.floor((line - corner) / resolution).astype(int)  # column, row
@@ -169,7 +184,12 @@ def _reference(
 
 
 def _improve(
-    line: np.ndarray, room: np.ndarray, resolution: float, corner: np.ndarray, need: float, trust: float
+    line: np.ndarray,
+    room: np.ndarray,
+    resolution: float,
+    corner: np.ndarray,
+    need: float,
+    trust: float,
 ) -> tuple[np.ndarray, float]:
     """Return the line after one round, and the longest move in m."""
     line = resample(line, STEP)
@@ -187,8 +207,8 @@ def _improve(
     if (low > high).any():
         x, y = line[int(np.argmax(low > high))]
         raise MapError(
-            f"the circuit is too narrow near ({x:.2f}, {y:.2f}): a line must have {need:.3f} m to both sides, half the "
-            f"width of a car and some air, also beside an obstacle"
+            f"the circuit is too narrow near ({x:.2f}, {y:.2f}): a line must have {need:.3f} m to"
+            " both sides, half the width of a car and some air, also beside an obstacle"
         )
     # A point stops short of its centre of curvature, where neighbours would meet.
     limit = np.minimum(trust, 0.8 / np.maximum(np.abs(kappa), 1e-9))

@@ -315,7 +315,9 @@ def seen_lists(drivable, outlines, segments, owner, start, sections):
         middle = sections[2 * m + 1]
         away = np.empty(indices.shape[0])
         for k in range(indices.shape[0]):
-            away[k] = _nearest_squared(segments[indices[k]], middle[:, 0].mean(), middle[:, 1].mean())
+            away[k] = _nearest_squared(
+                segments[indices[k]], middle[:, 0].mean(), middle[:, 1].mean()
+            )
         if size + indices.shape[0] > seen.shape[0]:
             more = size + indices.shape[0]
             seen = np.concatenate((seen, np.empty(more, dtype=np.int32)))
@@ -341,7 +343,9 @@ def corner_lists(
     joining segment, and at the end of each list.
     """
     stretches = range(len(seen_start) - 1)
-    lists = [corners_along(walls[np.sort(seen[seen_start[m] : seen_start[m + 1]])]) for m in stretches]
+    lists = [
+        corners_along(walls[np.sort(seen[seen_start[m] : seen_start[m + 1]])]) for m in stretches
+    ]
     start = np.cumsum([0, *(len(points) for points in lists)]).astype(np.int32)
     return start, np.ascontiguousarray(np.concatenate(lists).T)
 

@@ -12,7 +12,14 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError, require
 from pcs_racing.track.building.centerline import centerline_from_grid, directed, straightest
-from pcs_racing.track.building.curves import curve_length, first_crossing, resample, sample_closed, signed_area, smooth
+from pcs_racing.track.building.curves import (
+    curve_length,
+    first_crossing,
+    resample,
+    sample_closed,
+    signed_area,
+    smooth,
+)
 from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows
 from pcs_racing.track.mapping.shapes import STYLES, rounded
 from pcs_racing.track.maps import MapFolder, read_map, write_map
@@ -81,13 +88,19 @@ def generate_circuit(
     if style not in STYLES:
         raise UnknownNameError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
     if direction not in ("counterclockwise", "clockwise"):
-        raise InputError(f"direction is {direction!r}: it must be 'counterclockwise' or 'clockwise'")
-    for name, value, low, high in (("width", width, 1.2, 10.0), ("resolution", resolution, 0.02, 0.2)):
+        raise InputError(
+            f"direction is {direction!r}: it must be 'counterclockwise' or 'clockwise'"
+        )
+    for name, value, low, high in (
+        ("width", width, 1.2, 10.0),
+        ("resolution", resolution, 0.02, 0.2),
+    ):
         check_number(name, value, low, high)
     shortest, longest = (float(value) for value in length_range)
     if not 10.0 * width <= shortest < longest <= 1000.0:
         raise InputError(
-            f"length_range is {length_range!r}: two lengths are needed, ascending, from 10 widths to 1000 m"
+            f"length_range is {length_range!r}: two lengths are needed, ascending, from 10 widths"
+            " to 1000 m"
         )
     check_seed(seed)
     refusals: dict[str, int] = {}
@@ -110,8 +123,12 @@ def generate_circuit(
                     return Circuit(center, raceline, grid, resolution, origin)
                 refusal = "with too few braking zones"
         refusals[refusal] = refusals.get(refusal, 0) + 1
-    why = ", ".join(f"{count} {reason}" for reason, count in sorted(refusals.items(), key=lambda item: -item[1]))
-    raise MapError(f"no circuit of style {style!r} came from seed {seed} in {attempts} drafts: {why}")
+    why = ", ".join(
+        f"{count} {reason}" for reason, count in sorted(refusals.items(), key=lambda item: -item[1])
+    )
+    raise MapError(
+        f"no circuit of style {style!r} came from seed {seed} in {attempts} drafts: {why}"
+    )
 
 
 def straights(line: np.ndarray) -> np.ndarray:
@@ -134,10 +151,15 @@ def braking_zones(v: np.ndarray) -> int:
     v = np.roll(v, -int(np.argmax(v)))
     falling = np.diff(v, append=v[0]) < 0.0
     edges = np.flatnonzero(np.diff(falling.astype(int), prepend=0, append=0))
-    return sum(v[begin] - v[end % len(v)] >= 1.0 for begin, end in zip(edges[::2], edges[1::2], strict=True))
+    return sum(
+        v[begin] - v[end % len(v)] >= 1.0
+        for begin, end in zip(edges[::2], edges[1::2], strict=True)
+    )
 
 
-def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np.ndarray, np.ndarray]:
+def walls_to_grid(
+    line: np.ndarray, width: float, resolution: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Return a grid with two thin walls, ``width`` m apart, along a centre line (as in real maps).
 
     Returns ``occupied`` and its lower left corner in m, a multiple of the resolution.
@@ -148,7 +170,9 @@ def walls_to_grid(line: np.ndarray, width: float, resolution: float) -> tuple[np
     cols, rows = (np.ceil((dense.max(axis=0) + border) / resolution) - low).astype(int)
     # At least two cells: else a car could pass between the corners of two cells.
     wall = max(WALL, 2.0 * resolution)
-    distance = _distance_to_points(dense / resolution - low, int(rows), int(cols), (0.5 * width + wall) / resolution)
+    distance = _distance_to_points(
+        dense / resolution - low, int(rows), int(cols), (0.5 * width + wall) / resolution
+    )
     return (distance >= 0.5 * width / resolution) & np.isfinite(distance), low * resolution
 
 
@@ -210,7 +234,9 @@ def _apart(line, step, distance):
     near = int(0.5 * np.pi * distance / step) + 1
     for i in range(n):
         for j in range(i + near, min(n, i + n - near + 1)):
-            if (line[i, 0] - line[j, 0]) ** 2 + (line[i, 1] - line[j, 1]) ** 2 < distance * distance:
+            if (line[i, 0] - line[j, 0]) ** 2 + (
+                line[i, 1] - line[j, 1]
+            ) ** 2 < distance * distance:
                 return False
     return True
 
@@ -268,7 +294,11 @@ def import_map(
         # The given centre line decides the start and the driving direction.
         line = content.centerline[:, :2]
         seed_point = line[0].tolist() if seed_point is None else seed_point
-        direction = ("counterclockwise", "clockwise")[signed_area(line) < 0.0] if direction is None else direction
+        direction = (
+            ("counterclockwise", "clockwise")[signed_area(line) < 0.0]
+            if direction is None
+            else direction
+        )
     grid = (content.occupied, content.resolution, content.origin)
     center = centerline_from_grid(*grid, seed_point=seed_point, direction=direction)
     race = minimum_curvature_raceline(center, *grid)

@@ -17,7 +17,10 @@ def hull_polygon(rng: np.random.Generator) -> np.ndarray:
 
     The long sides are bent in or out in the middle. The polygon may cross itself.
     """
-    points = rng.uniform(-0.5, 0.5, size=(int(rng.integers(9, 16)), 2)) * (1.0, rng.uniform(0.5, 0.9))
+    points = rng.uniform(-0.5, 0.5, size=(int(rng.integers(9, 16)), 2)) * (
+        1.0,
+        rng.uniform(0.5, 0.9),
+    )
     hull = _convex_hull(points)
     corners = []
     for a, b in zip(hull, np.roll(hull, -1, axis=0), strict=True):
@@ -27,7 +30,9 @@ def hull_polygon(rng: np.random.Generator) -> np.ndarray:
         if length > 0.25:
             # Inwards is to the left of a side; dents go deeper than bulges.
             depth = length * rng.triangular(-0.15, 0.25, 0.55)
-            corners.append(a + rng.uniform(0.35, 0.65) * side + depth * np.array([-side[1], side[0]]) / length)
+            corners.append(
+                a + rng.uniform(0.35, 0.65) * side + depth * np.array([-side[1], side[0]]) / length
+            )
     return np.array(corners)
 
 
@@ -40,9 +45,13 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
 
     across = 7
     columns, rows = np.meshgrid(np.arange(across), np.arange(across))
-    sites = np.column_stack([columns.ravel(), rows.ravel()]) + rng.uniform(-0.42, 0.42, size=(across**2, 2))
+    sites = np.column_stack([columns.ravel(), rows.ravel()]) + rng.uniform(
+        -0.42, 0.42, size=(across**2, 2)
+    )
     diagram = Voronoi(sites)
-    inner = {k for k in range(across**2) if 0 < k % across < across - 1 and 0 < k // across < across - 1}
+    inner = {
+        k for k in range(across**2) if 0 < k % across < across - 1 and 0 < k // across < across - 1
+    }
     neighbours: dict[int, set[int]] = {k: set() for k in inner}
     for a, b in diagram.ridge_points.tolist():
         if a in inner and b in inner:
@@ -51,7 +60,12 @@ def voronoi_polygon(rng: np.random.Generator) -> np.ndarray:
     selected = [int(rng.choice(sorted(inner)))]
     for _ in range(int(rng.integers(4, 9))):
         # Cells that touch few chosen cells make long, winding unions.
-        around = {k: len(neighbours[k] & set(selected)) for c in selected for k in neighbours[c] if k not in selected}
+        around = {
+            k: len(neighbours[k] & set(selected))
+            for c in selected
+            for k in neighbours[c]
+            if k not in selected
+        }
         names = sorted(around)
         weights = np.array([math.prod([0.3] * around[k]) for k in names])
         selected.append(int(rng.choice(names, p=weights / weights.sum())))

@@ -26,7 +26,13 @@ from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.over_batch import Declared
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.planners.network import INPUTS, TOP_SPEED, WEIGHT_LIMIT, network_inputs, network_planner
+from pcs_racing.planners.network import (
+    INPUTS,
+    TOP_SPEED,
+    WEIGHT_LIMIT,
+    network_inputs,
+    network_planner,
+)
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.trained import save_driver
@@ -76,7 +82,9 @@ class LearnerBatch(DriveBatch):
         """Return steering and speed in [-1, 1] from the outputs of a network's last layer."""
         return np.tanh(super().check_actions(actions, shape))
 
-    def step(self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()) -> BatchStep:
+    def step(
+        self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()
+    ) -> BatchStep:
         """Advance every race by one step."""
         _, rewards, terminated, truncated = super().step(actions, generators)
         # The leading car at the end of a step counts as leading during the whole step.
@@ -88,7 +96,9 @@ class LearnerBatch(DriveBatch):
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the network inputs of some races into the same rows of ``out``."""
         settings = self.setup.settings
-        _observe(self.track.arrays, self.state, self.vehicles, settings, rows, *self._view_buffers, out)
+        _observe(
+            self.track.arrays, self.state, self.vehicles, settings, rows, *self._view_buffers, out
+        )
 
 
 class LearnerEnv(BatchVectorEnv):
@@ -155,7 +165,9 @@ class DriveTask:
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
         """Race a policy as a planner, without exploration noise, under the unchanged rules."""
-        policy = _learner_planner(layers.hidden, self.settings.hold).policy(layers.flat(), name="learner")
+        policy = _learner_planner(layers.hidden, self.settings.hold).policy(
+            layers.flat(), name="learner"
+        )
         names = list(self.settings.opponents)
         # An even number, since every start line is raced from both sides.
         races = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
@@ -163,7 +175,9 @@ class DriveTask:
         scores = {}
         for track in self.tracks:
             for config in self.rules:
-                result = run_races(track, policy, opponents, config, seed=EVALUATION_SEED, threads=1)
+                result = run_races(
+                    track, policy, opponents, config, seed=EVALUATION_SEED, threads=1
+                )
                 winner, blamed = result.winner, result.own_crash[:, 0]
                 payoffs = np.where(winner == 0, 1.0, np.where((winner == 1) | blamed, -1.0, 0.0))
                 for k, name in enumerate(names):

@@ -54,12 +54,18 @@ class DuelTask:
     def identity(self) -> dict[str, Any]:
         """Inputs of the results in addition to the settings: content hashes and replaced rules."""
         tracks = {track.name: track.content_hash for track in self.tracks}
-        return {"archive_sha256": self.archive.content_hash, "tracks_sha256": tracks, **self.overrides}
+        return {
+            "archive_sha256": self.archive.content_hash,
+            "tracks_sha256": tracks,
+            **self.overrides,
+        }
 
     def env_groups(self) -> list[DuelVectorEnv]:
         """Make the training environments."""
         groups = len(self.tracks) * len(self.mixtures)
-        shares = split_envs(self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures])
+        shares = split_envs(
+            self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures]
+        )
         return [
             DuelVectorEnv(
                 share,
@@ -74,7 +80,9 @@ class DuelTask:
             for share, mixture in zip(shares, self.mixtures, strict=True)
         ]
 
-    def network(self, layers: DenseLayers, name: str, about: Mapping[str, Any] | None = None) -> RegretNetwork:
+    def network(
+        self, layers: DenseLayers, name: str, about: Mapping[str, Any] | None = None
+    ) -> RegretNetwork:
         """Return a policy as a network with the logits of the moves as values."""
         size = len(self.game.observation_elements)
         return RegretNetwork(

@@ -39,7 +39,9 @@ class MatchupScore(NamedTuple):
     lead: float  #: Mean lead at the end, m.
 
 
-def score_races(payoffs: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState) -> MatchupScore:
+def score_races(
+    payoffs: NDArray[np.float64], winner: NDArray[np.int8], race: RaceState
+) -> MatchupScore:
     """Return the score of races.
 
     ``payoffs``, ``winner``: shape (B,), winner 0 is the learner. ``race``: final states.
@@ -64,7 +66,9 @@ def mean_score(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, int
     rows = np.array([score[1:] for score in scores.values()])
     means = dict(zip(MatchupScore._fields[1:], (shares @ rows).tolist(), strict=True))
     # Races of different matchups are independent: their variances add up.
-    means["error"] = float(np.sqrt(np.sum((shares * rows[:, MatchupScore._fields.index("error") - 1]) ** 2)))
+    means["error"] = float(
+        np.sqrt(np.sum((shares * rows[:, MatchupScore._fields.index("error") - 1]) ** 2))
+    )
     return MatchupScore(sum(score.races for score in scores.values()), **means)
 
 
@@ -74,11 +78,14 @@ def score_table(scores: Mapping[Matchup, MatchupScore], weights: Mapping[str, in
     groups = list(dict.fromkeys((matchup.track, matchup.race) for matchup in scores))
     for group in [*groups, None]:
         mean = mean_score(
-            {matchup: score for matchup, score in scores.items() if group in (None, matchup[:2])}, weights
+            {matchup: score for matchup, score in scores.items() if group in (None, matchup[:2])},
+            weights,
         )
         shares = [f"{share:.1%}" for share in (mean.won, mean.lost, mean.crashed, mean.fault)]
         name = " ".join(group) if group else "all"
-        table.append([name, f"{mean.worth:.3f}", f"{mean.error:.3f}", *shares, f"{mean.lead:.1f} m"])
+        table.append(
+            [name, f"{mean.worth:.3f}", f"{mean.error:.3f}", *shares, f"{mean.lead:.1f} m"]
+        )
     return "\n".join(aligned(table, left=1))
 
 
@@ -112,24 +119,45 @@ def read_evaluations(file: Path) -> list[EvaluationCurve]:
     curves: dict[int, dict[int, dict[Matchup, MatchupScore]]] = {}
     table = read_csv(file)
     if table.columns != EVALUATION_COLUMNS:
-        raise InputError(f"{file} has columns {', '.join(table.columns)}; a curve has {', '.join(EVALUATION_COLUMNS)}")
+        raise InputError(
+            f"{file} has columns {', '.join(table.columns)}; a curve has"
+            f" {', '.join(EVALUATION_COLUMNS)}"
+        )
     for number, row in table.lines():
         try:
-            score = MatchupScore(int(row["races"]), *(float(row[key]) for key in MatchupScore._fields[1:]))
+            score = MatchupScore(
+                int(row["races"]), *(float(row[key]) for key in MatchupScore._fields[1:])
+            )
             matchup = Matchup(*(row[key] for key in Matchup._fields))
-            curves.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[matchup] = score
+            curves.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[matchup] = (
+                score
+            )
         except ValueError as error:
-            raise InputError(f"{file}, line {number} is none of a learning curve: {error}") from None
-    return [EvaluationCurve(seed, tuple(moments), tuple(moments.values())) for seed, moments in curves.items()]
+            raise InputError(
+                f"{file}, line {number} is none of a learning curve: {error}"
+            ) from None
+    return [
+        EvaluationCurve(seed, tuple(moments), tuple(moments.values()))
+        for seed, moments in curves.items()
+    ]
 
 
-def evaluation_curves(curves: Sequence[EvaluationCurve], weights: Mapping[str, int]) -> dict[str, list[Curve]]:
+def evaluation_curves(
+    curves: Sequence[EvaluationCurve], weights: Mapping[str, int]
+) -> dict[str, list[Curve]]:
     """Return panels of payoffs, wins and own crashes over millions of steps, one line per seed."""
     panels: dict[str, list[Curve]] = {}
-    for key, title in (("worth", "payoff of a race"), ("won", "races won"), ("fault", "crashes by own fault")):
+    for key, title in (
+        ("worth", "payoff of a race"),
+        ("won", "races won"),
+        ("fault", "crashes by own fault"),
+    ):
         for curve in curves:
             means = [mean_score(scores, weights) for scores in curve.scores]
             error = np.array([mean.error for mean in means]) if key == "worth" else None
-            steps, values = np.array(curve.steps) / 1e6, np.array([getattr(mean, key) for mean in means])
+            steps, values = (
+                np.array(curve.steps) / 1e6,
+                np.array([getattr(mean, key) for mean in means]),
+            )
             panels.setdefault(title, []).append(Curve(steps, values, f"seed {curve.seed}", error))
     return panels

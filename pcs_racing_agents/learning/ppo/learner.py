@@ -32,7 +32,9 @@ def check_packages() -> None:
     try:
         import stable_baselines3  # noqa: F401
     except ImportError:
-        raise ModuleNotFoundError('PPO needs Stable-Baselines3: pip install "pcs-racing[learning]"') from None
+        raise ModuleNotFoundError(
+            'PPO needs Stable-Baselines3: pip install "pcs-racing[learning]"'
+        ) from None
 
 
 @contextmanager
@@ -56,7 +58,9 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
 
     No two groups, seeds or purposes (0 to learn, 1 to evaluate) share a random generator.
     """
-    sequences = [np.random.SeedSequence(seed, spawn_key=(purpose, group)) for group in range(groups)]
+    sequences = [
+        np.random.SeedSequence(seed, spawn_key=(purpose, group)) for group in range(groups)
+    ]
     # Environment i of a group has the seed of the group plus i: two free bits avoid an overflow.
     return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]
 
@@ -77,7 +81,11 @@ def split_envs(envs: int, weights: Sequence[int]) -> list[int]:
 
 
 def make_model(
-    settings: PPOSettings, groups: Sequence[BatchVectorEnv], seed: int, activation: str, threads: int = 1
+    settings: PPOSettings,
+    groups: Sequence[BatchVectorEnv],
+    seed: int,
+    activation: str,
+    threads: int = 1,
 ) -> "PPO":
     """Make an untrained model.
 
@@ -153,10 +161,12 @@ def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, f
     with torch.no_grad():
         for parameter in _actor(model):
             parameter.clamp_(-limit, limit)
-    if is_nan or not all(torch.isfinite(parameter).all() for parameter in model.policy.parameters()):
+    if is_nan or not all(
+        torch.isfinite(parameter).all() for parameter in model.policy.parameters()
+    ):
         raise InputError(
-            f"a weight is no longer a number after {model.num_timesteps} steps; take a learning_rate below "
-            f"{settings.learning_rate:g}"
+            f"a weight is no longer a number after {model.num_timesteps} steps; take a"
+            f" learning_rate below {settings.learning_rate:g}"
         )
     values = model.logger.name_to_value
     return {

@@ -10,7 +10,16 @@ from annotated_types import Interval, Len, MinLen
 
 from pcs_racing.base.checks import check_choice, check_path
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import DIFFERENT, Layers, Names, OneOf, Settings, Text, load_settings, read_settings
+from pcs_racing.base.settings import (
+    DIFFERENT,
+    Layers,
+    Names,
+    OneOf,
+    Settings,
+    Text,
+    load_settings,
+    read_settings,
+)
 from pcs_racing_agents.base.configurations import shipped_configs
 
 TRAINING_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
@@ -28,41 +37,58 @@ class PPOSettings(Settings):
         _Weights,
         "Opponents, and the relative frequency of each.",
     ] = field(default_factory=dict, hash=False)
-    steps: Annotated[int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."] = 1_000_000
+    steps: Annotated[
+        int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."
+    ] = 1_000_000
     seeds: Annotated[
         tuple[Annotated[int, Interval(ge=0, le=2**31 - 1)], ...],
         Len(1, 1000),
         DIFFERENT,
         "Seeds; one policy is trained with each, and the best is kept.",
     ] = (0,)
-    envs: Annotated[int, Interval(ge=1, le=100_000), "Parallel races for each circuit and set of rules."] = 64
-    rollout: Annotated[int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."] = 64
+    envs: Annotated[
+        int, Interval(ge=1, le=100_000), "Parallel races for each circuit and set of rules."
+    ] = 64
+    rollout: Annotated[
+        int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."
+    ] = 64
     batch_size: Annotated[
         int,
         Interval(ge=2, le=10_000_000),
         "Environment steps in the batch of a gradient step.",
     ] = 1024
-    epochs: Annotated[int, Interval(ge=1, le=1000), "Passes over the collected steps in an update."] = 8
-    learning_rate: Annotated[float, Interval(ge=1e-8, le=1.0), "Initial learning rate of Adam."] = 1e-3
+    epochs: Annotated[
+        int, Interval(ge=1, le=1000), "Passes over the collected steps in an update."
+    ] = 8
+    learning_rate: Annotated[float, Interval(ge=1e-8, le=1.0), "Initial learning rate of Adam."] = (
+        1e-3
+    )
     final_learning_rate: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
         "Final learning rate of Adam; the schedule is linear in the steps.",
     ] = 1e-4
     discount: Annotated[float, Interval(ge=0.0, le=1.0), "Discount factor per step."] = 1.0
-    gae_lambda: Annotated[float, Interval(ge=0.0, le=1.0), "Lambda of generalised advantage estimation."] = 0.95
-    clip_range: Annotated[float, Interval(ge=1e-3, le=10.0), "Clip range of the probability ratio."] = 0.2
+    gae_lambda: Annotated[
+        float, Interval(ge=0.0, le=1.0), "Lambda of generalised advantage estimation."
+    ] = 0.95
+    clip_range: Annotated[
+        float, Interval(ge=1e-3, le=10.0), "Clip range of the probability ratio."
+    ] = 0.2
     entropy: Annotated[float, Interval(ge=0.0, le=10.0), "Weight of the entropy in the loss."] = 0.0
     value_weight: Annotated[float, Interval(ge=0.0, le=100.0), "Weight of the value loss."] = 0.5
     max_gradient: Annotated[float, Interval(ge=1e-6, le=1e6), "Maximum norm of a gradient."] = 0.5
     hidden: Annotated[Layers, "Units of each hidden layer of the policy."] = (64, 64)
     value_hidden: Annotated[Layers, "Units of each hidden layer of the value network."] = (64, 64)
     reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 1.0
-    evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = 50_000
+    evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = (
+        50_000
+    )
     evaluation_races: Annotated[
         int,
         Interval(ge=2, le=1_000_000),
-        "Races of an evaluation on each circuit (and under each set of rules), against the opponents in turn.",
+        "Races of an evaluation on each circuit (and under each set of rules), against the"
+        " opponents in turn.",
     ] = 200
     patience: Annotated[
         int,
@@ -78,13 +104,18 @@ class DuelSettings(PPOSettings):
     level: Annotated[str, OneOf(("duel",)), "Level of the training."] = "duel"
     archive: Annotated[Text, "Name or folder of the archive of policies."] = "default"
     race: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
-    epsilon: Annotated[float, Interval(ge=1e-6, le=10.0), "Length of a move, in units of the archive's range."] = 0.5
+    epsilon: Annotated[
+        float, Interval(ge=1e-6, le=10.0), "Length of a move, in units of the archive's range."
+    ] = 0.5
     opponents: Annotated[
         _Weights,
-        "never-switch, random-moves, always-MOVE, or drivers such as lane-switcher:3, with relative frequencies.",
+        "never-switch, random-moves, always-MOVE, or drivers such as lane-switcher:3, with relative"
+        " frequencies.",
     ] = field(default_factory=lambda: {"never-switch": 1}, hash=False)
     envs: Annotated[int, Interval(ge=1, le=100_000), "Parallel races for each circuit."] = 64
-    rollout: Annotated[int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."] = 16
+    rollout: Annotated[
+        int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."
+    ] = 16
     reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 0.1
 
 
@@ -109,26 +140,31 @@ class DriveSettings(PPOSettings):
     slowest: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Speed scale of an opponent's pace 0 in training; 0 for that of the rules. Slow opponents let the agent learn"
-        " to overtake; behind an opponent of equal speed the risk is not worth it.",
+        "Speed scale of an opponent's pace 0 in training; 0 for that of the rules. Slow opponents"
+        " let the agent learn to overtake; behind an opponent of equal speed the risk is not"
+        " worth it.",
     ] = 0.3
     hold: Annotated[
         int,
         Interval(ge=2, le=100),
-        "Simulation steps of 0.01 s for which an action holds, an even number; 2 is the 50 Hz of the other planners.",
+        "Simulation steps of 0.01 s for which an action holds, an even number; 2 is the 50 Hz of"
+        " the other planners.",
     ] = 4
     rivalry: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Share of the opponent's progress that is subtracted from the own progress in the reward: 0 rewards progress,"
-        " 1 rewards the lead.",
+        "Share of the opponent's progress that is subtracted from the own progress in the reward: 0"
+        " rewards progress, 1 rewards the lead.",
     ] = 0.9
     leading: Annotated[
         float,
         Interval(ge=0.0, le=1e6),
-        "Reward of a second in front, m. (With a penalty for being behind, a crash would avoid it.)",
+        "Reward of a second in front, m. (With a penalty for being behind, a crash would avoid"
+        " it.)",
     ] = 2.0
-    crash_penalty: Annotated[float, Interval(ge=0.0, le=1e6), "Penalty for a crash by own fault, m."] = 10.0
+    crash_penalty: Annotated[
+        float, Interval(ge=0.0, le=1e6), "Penalty for a crash by own fault, m."
+    ] = 10.0
     noise: Annotated[
         float,
         Interval(ge=1e-3, le=10.0),
@@ -137,19 +173,28 @@ class DriveSettings(PPOSettings):
     noise_steps: Annotated[
         int,
         Interval(ge=0, le=10_000),
-        "Steps between two draws of the exploration noise, which depends on the state (gSDE, Raffin et al. 2021); 0 "
-        "draws independent noise in each step.",
+        "Steps between two draws of the exploration noise, which depends on the state (gSDE, Raffin"
+        " et al. 2021); 0 draws independent noise in each step.",
     ] = 0
     discount: Annotated[float, Interval(ge=0.0, le=1.0), "Discount factor per step."] = 0.998
     reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 0.1
-    steps: Annotated[int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."] = 5_000_000
-    rollout: Annotated[int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."] = 128
-    evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = 500_000
+    steps: Annotated[
+        int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."
+    ] = 5_000_000
+    rollout: Annotated[
+        int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."
+    ] = 128
+    evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = (
+        500_000
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.hold % 2:
-            raise ConfigError(f"hold is {self.hold}; it must be even: drivers are asked every second simulation step")
+            raise ConfigError(
+                f"hold is {self.hold}; it must be even: drivers are asked every second simulation"
+                " step"
+            )
 
 
 LEVELS: dict[str, PPOSettings] = {"duel": DuelSettings(), "drive": DriveSettings()}

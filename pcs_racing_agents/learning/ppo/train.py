@@ -44,7 +44,12 @@ from pcs_racing_agents.learning.ppo.learner import (
     make_model,
     own_randomness,
 )
-from pcs_racing_agents.learning.ppo.settings import DriveSettings, DuelSettings, PPOSettings, load_ppo_settings
+from pcs_racing_agents.learning.ppo.settings import (
+    DriveSettings,
+    DuelSettings,
+    PPOSettings,
+    load_ppo_settings,
+)
 
 LearningTask = DuelTask | DriveTask
 
@@ -88,7 +93,9 @@ class SeedRecord:
         return {
             "steps": np.array(self.steps, np.int64),
             "matchups": np.array([list(matchup) for matchup in self.scores[0]], np.str_),
-            "scores": np.array([[list(score) for score in scores.values()] for scores in self.scores]),
+            "scores": np.array(
+                [[list(score) for score in scores.values()] for scores in self.scores]
+            ),
             "updates": np.array(self.updates, np.float64),
             "best": np.frombuffer(layers_to_bytes(self.best), np.uint8),
             "seconds": np.array(self.seconds),
@@ -98,7 +105,10 @@ class SeedRecord:
     def from_arrays(cls, seed: int, task: LearningTask, arrays: Arrays) -> "SeedRecord":
         """Return the record with the contents of such arrays."""
         matchups = [Matchup(*row) for row in arrays["matchups"].tolist()]
-        scores = [[MatchupScore(int(row[0]), *row[1:]) for row in rows] for rows in arrays["scores"].tolist()]
+        scores = [
+            [MatchupScore(int(row[0]), *row[1:]) for row in rows]
+            for rows in arrays["scores"].tolist()
+        ]
         hidden = list(task.settings.hidden)
         return cls(
             seed,
@@ -190,7 +200,8 @@ def train_ppo(
     with open_job(folder, "ppo", identity) as job:
         results = job.run("seed", train, settings.seeds, executor=elsewhere, progress=seeds_done)
         runs = [
-            SeedRecord.from_arrays(seed, task, result) for seed, result in zip(settings.seeds, results, strict=True)
+            SeedRecord.from_arrays(seed, task, result)
+            for seed, result in zip(settings.seeds, results, strict=True)
         ]
         run = max(runs, key=lambda run: run.payoff(run.best_at))  # the first one in case of a tie
         curves = tuple(run.curve for run in runs)
@@ -212,7 +223,9 @@ def train_ppo(
     return trained
 
 
-def train_seed(task: LearningTask, on_update: Callable[[SeedRecord], None] | None, seed: int) -> Arrays:
+def train_seed(
+    task: LearningTask, on_update: Callable[[SeedRecord], None] | None, seed: int
+) -> Arrays:
     """Train with a seed until the settings' number of steps or the end of their patience.
 
     Parameters
@@ -234,7 +247,10 @@ def train_seed(task: LearningTask, on_update: Callable[[SeedRecord], None] | Non
         while True:
             # Evaluate before the first update, after each multiple of the interval, and at the end.
             # Updates consist of whole rollouts, so few of them end at a multiple.
-            crossed = not record.steps or steps // settings.evaluate_every > record.steps[-1] // settings.evaluate_every
+            crossed = (
+                not record.steps
+                or steps // settings.evaluate_every > record.steps[-1] // settings.evaluate_every
+            )
             if crossed or steps >= settings.steps:
                 layers = actor_layers(model)
                 record.add(steps, task.evaluate(layers), layers)
@@ -263,12 +279,16 @@ def make_task(
     if isinstance(settings, DuelSettings):
         return make_duel_task(settings, archive, rules, threads)
     if archive is not None or rules is not None:
-        raise InputError("settings of level drive know no archive and no game; give settings of level duel")
+        raise InputError(
+            "settings of level drive know no archive and no game; give settings of level duel"
+        )
     assert isinstance(settings, DriveSettings)
     return make_drive_task(settings)
 
 
-def _named(settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None) -> DuelSettings:
+def _named(
+    settings: DuelSettings, archive: PolicyArchive | None, rules: GameConfig | None
+) -> DuelSettings:
     """Return the settings, to be stored, with the names of the replacing archive and rules."""
     if archive is not None:
         settings = replace(settings, archive=archive.name)
@@ -284,7 +304,10 @@ def _named(settings: DuelSettings, archive: PolicyArchive | None, rules: GameCon
 def _write_updates(runs: Sequence[SeedRecord], file: Path) -> None:
     rows: list[tuple[object, ...]] = [("seed", "steps", *FIGURES, "reward")]
     for run in runs:
-        rows += [(run.seed, int(steps), *(f"{value:.6g}" for value in figures)) for steps, *figures in run.updates]
+        rows += [
+            (run.seed, int(steps), *(f"{value:.6g}" for value in figures))
+            for steps, *figures in run.updates
+        ]
     write_csv(rows, file)
 
 

@@ -70,7 +70,10 @@ class TunedPPO:
             envs = UnequalCars(envs, seed=seed, **self.unequal_cars)
         if self.normalize:
             envs = VecNormalize(envs, gamma=float(self.settings.get("gamma", 0.99)))
-        settings = {**self.settings, "learning_rate": learning_rate(self.settings.get("learning_rate", 3e-4))}
+        settings = {
+            **self.settings,
+            "learning_rate": learning_rate(self.settings.get("learning_rate", 3e-4)),
+        }
         return PPO(env=envs, seed=seed, device="cpu", **settings)
 
 
@@ -116,5 +119,7 @@ def learning_rate(value: float | str) -> Any:
     except ValueError:
         first = float("nan")
     if not first > 0.0:
-        raise ConfigError(f"learning_rate is {value!r}; it must be a number, or one after {LINEAR!r}")
+        raise ConfigError(
+            f"learning_rate is {value!r}; it must be a number, or one after {LINEAR!r}"
+        )
     return lambda left: left * first

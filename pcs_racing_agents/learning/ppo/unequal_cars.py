@@ -15,7 +15,9 @@ from pcs_racing.base.checks import check_number
 try:
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper
 except ImportError as error:
-    raise ImportError('self-play needs Stable-Baselines3: pip install "pcs-racing[learning]"') from error
+    raise ImportError(
+        'self-play needs Stable-Baselines3: pip install "pcs-racing[learning]"'
+    ) from error
 
 
 class UnequalCars(VecEnvWrapper):
@@ -36,7 +38,9 @@ class UnequalCars(VecEnvWrapper):
         super().__init__(venv)
         self.slowest = check_number("slowest", slowest, 0.01, 1.0)
         names = [element.name for element in venv.get_attr("elements", 0)[0]]
-        self.about_opponent = np.array([name == "lead" or name.startswith("opponent") for name in names])
+        self.about_opponent = np.array(
+            [name == "lead" or name.startswith("opponent") for name in names]
+        )
         self.rng = np.random.default_rng(seed)
         self.speed, self.blind = np.ones(venv.num_envs), np.zeros(venv.num_envs, np.bool_)
 
@@ -51,11 +55,15 @@ class UnequalCars(VecEnvWrapper):
         speed = self.speed * (1.0 + np.clip(actions[:, 1], -1.0, 1.0)) - 1.0
         self.venv.step_async(np.stack([actions[:, 0], speed], axis=1))
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(
+        self,
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         """Complete the step; after the end of a race, draw its slower car again."""
         observations, rewards, done, infos = self.venv.step_wait()
         for i in np.flatnonzero(done & self.blind):
-            infos[i]["terminal_observation"] = np.where(self.about_opponent, 0.0, infos[i]["terminal_observation"])
+            infos[i]["terminal_observation"] = np.where(
+                self.about_opponent, 0.0, infos[i]["terminal_observation"]
+            )
         self._draw(np.flatnonzero(done[::2]))
         return self._hide(observations), rewards, done, infos  # type: ignore[arg-type]
 

@@ -3,7 +3,11 @@
 from pcs_racing_agents.learning.responses.best_reply import BestReply, best_reply
 from pcs_racing_agents.learning.responses.branches import Branches, branch_games
 from pcs_racing_agents.learning.responses.kept_networks import merge_networks
-from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response, load_response_settings
+from pcs_racing_agents.learning.responses.learner import (
+    ResponseSettings,
+    learn_response,
+    load_response_settings,
+)
 
 __all__ = [
     "BestReply",

@@ -74,9 +74,13 @@ def best_reply(
         Prefix of the names of this work in the job.
     """
     check_whole("races", races, FEWEST * len(games))
-    reply = learn_response(games, [agent], spec, settings, job, name="best-reply", part=f"{part}reply-", **workers)
+    reply = learn_response(
+        games, [agent], spec, settings, job, name="best-reply", part=f"{part}reply-", **workers
+    )
     pilot = network_agent(reply, spec, settings.seed)
-    table = race_on_circuits(games, pilot, agent, races, settings.seed, job, name=f"{part}races", **workers)
+    table = race_on_circuits(
+        games, pilot, agent, races, settings.seed, job, name=f"{part}races", **workers
+    )
     return BestReply(reply, table, excess_estimate(table))
 
 
@@ -99,10 +103,18 @@ def race_on_circuits(
     rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
     # Both cars have the same start policies: an agent against itself wins as often as it loses.
     policies = np.sort(rng.permutation(len(games[0].archive))[:count]).tolist()
-    variants: list[int | list[int]] = [count if isinstance(car, Driver) else policies for car in (ego, opponent)]
+    variants: list[int | list[int]] = [
+        count if isinstance(car, Driver) else policies for car in (ego, opponent)
+    ]
     pairings = [
         cross_pairing(
-            game, ego, opponent, egos=variants[0], opponents=variants[1], lines=LINES, seed=seed + RACE_SEED + i
+            game,
+            ego,
+            opponent,
+            egos=variants[0],
+            opponents=variants[1],
+            lines=LINES,
+            seed=seed + RACE_SEED + i,
         )
         for i, game in enumerate(games)
     ]
@@ -130,7 +142,10 @@ def excess_estimate(races: RaceTable) -> Estimate:
 
 
 def _without_policies(
-    excess: NDArray[np.float64], track: NDArray[np.int64], ego: NDArray[np.int64], opponent: NDArray[np.int64]
+    excess: NDArray[np.float64],
+    track: NDArray[np.int64],
+    ego: NDArray[np.int64],
+    opponent: NDArray[np.int64],
 ) -> NDArray[np.float64]:
     """Return the excess of races without the effect of the two start policies.
 
@@ -149,18 +164,39 @@ def _without_policies(
 
 
 ALL = "all"
-REPLY_HEAD = ("agent", "circuit", "loss", "95 % interval", "races", "reply won", "agent won", "agent's own crashes")
+REPLY_HEAD = (
+    "agent",
+    "circuit",
+    "loss",
+    "95 % interval",
+    "races",
+    "reply won",
+    "agent won",
+    "agent's own crashes",
+)
 REPLY_NOTE = """loss: half of the reply's wins minus the agent's, as a share of the races; 0.1 means that the reply
 won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a better reply. The interval is robust
 to clusters of start policies and start lines."""
-COLUMNS = ("agent", "track", "loss", "low", "high", "se", "df", "races", "reply_won", "agent_won", "agent_own_crash")
+COLUMNS = (
+    "agent",
+    "track",
+    "loss",
+    "low",
+    "high",
+    "se",
+    "df",
+    "races",
+    "reply_won",
+    "agent_won",
+    "agent_own_crash",
+)
 
 
 def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> str:
     """Return the table of losses of several agents, with the learner's budget."""
     budget = (
-        f"learner: {settings.starts} games branched at every step and on each circuit, {settings.rounds} rounds, "
-        f"{settings.members} networks"
+        f"learner: {settings.starts} games branched at every step and on each circuit,"
+        f" {settings.rounds} rounds, {settings.members} networks"
     )
     return "\n".join([*aligned([REPLY_HEAD, *reply_rows(replies)]), "", REPLY_NOTE, budget])
 
@@ -186,7 +222,9 @@ def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
     lines: list[tuple[object, ...]] = [COLUMNS]
     for agent, track, loss, shares in _lines(replies):
         numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
-        lines.append((agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares)))
+        lines.append(
+            (agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares))
+        )
     return write_csv(lines, path)
 
 

@@ -46,10 +46,14 @@ def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock
     """Return ``count`` games in blocks; a game depends only on seed, place and its number."""
     spawn = np.random.SeedSequence(seed, spawn_key=place)
     root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
-    return [GameBlock(place, first, min(first + BLOCK, count), root) for first in range(0, count, BLOCK)]
+    return [
+        GameBlock(place, first, min(first + BLOCK, count), root) for first in range(0, count, BLOCK)
+    ]
 
 
-def block_rows(arrays: Arrays, block: GameBlock, place: int, step: int, weight: float = 1.0) -> Rows:
+def block_rows(
+    arrays: Arrays, block: GameBlock, place: int, step: int, weight: float = 1.0
+) -> Rows:
     """Return training rows of ``observations`` and ``advantages`` in the games ``game`` of a block.
 
     ``place``: unique number of the place.
@@ -127,7 +131,9 @@ def branch_games(
     policies = None
     if isinstance(opponent, Driver):
         # By key, not by game number: a block must not depend on the rest of the batch.
-        policies = [opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers]
+        policies = [
+            opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers
+        ]
     state = game.reset(numbers, opponents=policies)
     behaviour_of = np.arange(state.games) % len(behaviours)
     for _ in range(step):

@@ -34,11 +34,18 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
     for network in networks:
         for key in ("identity", "target", "clipped"):
             if getattr(network, key) != getattr(first, key):
-                raise InputError(f"networks {first.name!r} and {network.name!r} differ in {key}; they can't be merged")
+                raise InputError(
+                    f"networks {first.name!r} and {network.name!r} differ in {key}; they can't be"
+                    " merged"
+                )
         if len(network.layers.weights) != len(first.layers.weights):
-            raise InputError(f"networks {first.name!r} and {network.name!r} have different numbers of layers")
+            raise InputError(
+                f"networks {first.name!r} and {network.name!r} have different numbers of layers"
+            )
     if first.clipped and len(networks) > 1:
-        raise InputError("the mean of clipped networks is no network; merge networks that are not clipped")
+        raise InputError(
+            "the mean of clipped networks is no network; merge networks that are not clipped"
+        )
     weights, biases = [], []
     last = len(first.layers.weights) - 1
     for layer in range(last + 1):
@@ -61,8 +68,13 @@ def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwor
     )
 
 
-def _layer(network: RegretNetwork, layer: int, like: RegretNetwork) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    weight, bias = network.layers.weights[layer].astype(np.float64), network.layers.biases[layer].astype(np.float64)
+def _layer(
+    network: RegretNetwork, layer: int, like: RegretNetwork
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    weight, bias = (
+        network.layers.weights[layer].astype(np.float64),
+        network.layers.biases[layer].astype(np.float64),
+    )
     if layer > 0:
         return weight, bias
     # (x - mean) / scale of this network, in terms of the scaled inputs of the first network.
@@ -95,7 +107,9 @@ def train_kept(
     # Rows are large and common to all members: a task holds their digest, the function holds them.
     digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
     tasks = [_NetworkTask(digest, one) for one in settings]
-    kept = job.run(part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor))
+    kept = job.run(
+        part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor)
+    )
     return [_unpacked(arrays, identity, name) for arrays in kept]
 
 
@@ -110,7 +124,9 @@ def _learn(rows: Rows, identity: GameIdentity, name: str, task: _NetworkTask) ->
 
 def _unpacked(arrays: Arrays, identity: GameIdentity, name: str) -> RegretNetwork:
     count = sum(key.startswith("weights_") for key in arrays)
-    weights, biases = (tuple(arrays[f"{kind}_{i}"] for i in range(count)) for kind in ("weights", "biases"))
+    weights, biases = (
+        tuple(arrays[f"{kind}_{i}"] for i in range(count)) for kind in ("weights", "biases")
+    )
     return RegretNetwork(
         name=name,
         identity=identity,

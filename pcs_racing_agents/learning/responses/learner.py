@@ -48,11 +48,17 @@ class LearnerSettings(Settings):
     """Settings of the payoff of branched games and of network training."""
 
     # The name of this option is in the files of shipped networks.
-    worth: Annotated[str, OneOf(PAYOFFS), "Payoff of a game: a race won, or the game's utility."] = "win"
+    worth: Annotated[
+        str, OneOf(PAYOFFS), "Payoff of a game: a race won, or the game's utility."
+    ] = "win"
     hidden: Annotated[Layers, "Units of each hidden layer of a network."] = (64, 64)
-    learning_rate: Annotated[float, Interval(ge=1e-8, le=10.0), "Initial learning rate of Adam."] = 3e-3
+    learning_rate: Annotated[
+        float, Interval(ge=1e-8, le=10.0), "Initial learning rate of Adam."
+    ] = 3e-3
     weight_decay: Annotated[float, Interval(ge=0.0, le=10.0), "Weight decay of AdamW."] = 1e-3
-    batch_size: Annotated[int, Interval(ge=1, le=1_000_000), "Rows in the batch of a gradient step."] = 512
+    batch_size: Annotated[
+        int, Interval(ge=1, le=1_000_000), "Rows in the batch of a gradient step."
+    ] = 512
     epochs: Annotated[int, Interval(ge=1, le=100_000), "Maximum number of epochs."] = 60
     patience: Annotated[
         int,
@@ -81,16 +87,18 @@ class ResponseSettings(LearnerSettings):
     starts: Annotated[
         int,
         Interval(ge=4, le=1_000_000),
-        "Games branched at every step of a round, on each circuit: against each opponent of the pool or, where the "
-        "opponents have shares, against all of them together.",
+        "Games branched at every step of a round, on each circuit: against each opponent of the"
+        " pool or, where the opponents have shares, against all of them together.",
     ] = 1024
     rounds: Annotated[
         int,
         Interval(ge=1, le=20),
-        "Passes from the last step to the first. In the first pass, games reach a step by random moves; in later "
-        "passes, every other game reaches it by the moves of the current network.",
+        "Passes from the last step to the first. In the first pass, games reach a step by random"
+        " moves; in later passes, every other game reaches it by the moves of the current network.",
     ] = 2
-    members: Annotated[int, Interval(ge=1, le=32), "Networks of the ensemble; the response is their mean."] = 4
+    members: Annotated[
+        int, Interval(ge=1, le=32), "Networks of the ensemble; the response is their mean."
+    ] = 4
     seed: Annotated[int, Interval(ge=0, le=2**57 - 1), "Seed of the games and of the networks."] = 0
 
     def train_settings(self, member: int) -> TrainSettings:
@@ -98,7 +106,9 @@ class ResponseSettings(LearnerSettings):
         return self.fit_settings(self.seed * 64 + member)
 
 
-def load_response_settings(source: str | Path | ResponseSettings | None = None, **changes: Any) -> ResponseSettings:
+def load_response_settings(
+    source: str | Path | ResponseSettings | None = None, **changes: Any
+) -> ResponseSettings:
     """Return settings from a name, a YAML file or settings, with changes (:func:`load_config`)."""
     return load_config("response", ResponseSettings(), source, **changes)
 
@@ -134,26 +144,38 @@ def learn_response(
         units of utility).
     """
     if len(games) == 0 or len(pool) == 0:
-        raise InputError(f"there are {len(games)} games and {len(pool)} opponents; give at least one of each")
+        raise InputError(
+            f"there are {len(games)} games and {len(pool)} opponents; give at least one of each"
+        )
     starts = _starts(settings.starts, len(pool), shares)
     identity = game_identity(games[0])
     random_moves = random_player(games[0], spec, settings.seed)
     played = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
-            raise InputError(f"the game on {game.track.name!r} differs from the first in archive, moves or rules")
+            raise InputError(
+                f"the game on {game.track.name!r} differs from the first in archive, moves or rules"
+            )
     rows: list[Rows] = []
     network: RegretNetwork | None = None
 
     def fit(members: int, part_name: str) -> RegretNetwork:
         member_settings = [settings.train_settings(i) for i in range(members)]
         networks = train_kept(
-            job, f"{part_name}-networks", join_rows(rows), identity, member_settings, name, workers.get("executor")
+            job,
+            f"{part_name}-networks",
+            join_rows(rows),
+            identity,
+            member_settings,
+            name,
+            workers.get("executor"),
         )
         return merge_networks(networks, name)
 
     for round_ in range(settings.rounds):
-        behaviours = [random_moves] if network is None else [random_moves, network_agent(network, spec)]
+        behaviours = (
+            [random_moves] if network is None else [random_moves, network_agent(network, spec)]
+        )
         for step in reversed(range(games[0].config.moves)):
             # In the first pass, branches of the last step have no later moves: the continuation is
             # irrelevant.
@@ -164,13 +186,17 @@ def learn_response(
                 for j, count in enumerate(starts)
                 for block in game_blocks(settings.seed, (i, j, step, round_), count)
             ]
-            work = partial(_branch, played, pool, behaviours, continuation, settings.worth, len(identity.moves))
+            work = partial(
+                _branch, played, pool, behaviours, continuation, settings.worth, len(identity.moves)
+            )
             part_name = f"{part}round-{round_}-step-{step}"
             branched = job.run(part_name, work, blocks, **workers)
             for arrays, block in zip(branched, blocks, strict=True):
                 if len(arrays["game"]):  # some of its games were still running
                     i, j, _, _ = block.place
-                    rows.append(block_rows(arrays, block, (round_ * 100 + step) * 1000 + i * 50 + j, step))
+                    rows.append(
+                        block_rows(arrays, block, (round_ * 100 + step) * 1000 + i * 50 + j, step)
+                    )
             # Intermediate networks only continue branches; more members would change little.
             last = round_ == settings.rounds - 1 and step == 0
             network = fit(settings.members if last else min(settings.members, 2), part_name)
@@ -199,7 +225,9 @@ def _branch(
     block: GameBlock,
 ) -> Arrays:
     i, j, step, _ = block.place
-    branches = branch_games(played[i][j], pool[j], block.keys, step, behaviours, continuation, payoff, count)
+    branches = branch_games(
+        played[i][j], pool[j], block.keys, step, behaviours, continuation, payoff, count
+    )
     # The mean over all moves is the value of the situation, irrelevant for the choice of a move.
     advantages = branches.outcomes - branches.outcomes.mean(axis=1, keepdims=True)
     return {"observations": branches.observations, "advantages": advantages, "game": branches.game}

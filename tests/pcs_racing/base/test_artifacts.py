@@ -11,9 +11,14 @@ NOTE = ManifestFormat("note", ("text", "pages"), "write_note")
 @pytest.fixture
 def album(tmp_path) -> ArtifactFormat:
     return ArtifactFormat(
-        "album", ("name", "photos_sha256"), "save_album", data_file="photos.bin", digest_key="photos_sha256",
-        max_bytes=10, shipped=tmp_path / "albums",
-    )  # fmt: skip
+        "album",
+        ("name", "photos_sha256"),
+        "save_album",
+        data_file="photos.bin",
+        digest_key="photos_sha256",
+        max_bytes=10,
+        shipped=tmp_path / "albums",
+    )
 
 
 def test_what_is_saved_is_loaded_and_data_of_another_manifest_are_noticed(album, tmp_path):
@@ -21,7 +26,8 @@ def test_what_is_saved_is_loaded_and_data_of_another_manifest_are_noticed(album,
     fields, data = album.load(folder)
     assert (fields["name"], data) == ("summer", b"sun")
     assert {file.name for file in folder.iterdir()} == {"photos.bin", MANIFEST}
-    assert [file.name for file in folder.parent.iterdir()] == ["summer"]  # no temporary folder is left
+    # no temporary folder is left
+    assert [file.name for file in folder.parent.iterdir()] == ["summer"]
     album.save(folder, {"name": "autumn"}, b"rain")  # into a folder that exists
     assert album.load(folder)[1] == b"rain"
     folder = album.save(tmp_path / "summer", {"name": "summer"}, b"sun")
@@ -54,7 +60,12 @@ def test_the_shipped_ones_are_listed_and_lie_beside_the_package_or_in_it(album, 
     assert album.shipped_names() == ["summer", "winter"]
     assert album.find("winter") == tmp_path / "albums" / "winter"
     assert album.find(tmp_path) == tmp_path
-    refused(r"unknown album 'spring': .*\(summer, winter\)", album.find, "spring", error=UnknownNameError)
+    refused(
+        r"unknown album 'spring': .*\(summer, winter\)",
+        album.find,
+        "spring",
+        error=UnknownNameError,
+    )
     refused("album 3 ", album.find, 3)
     package = tmp_path / "package"
     package.mkdir()
@@ -77,7 +88,9 @@ def test_a_manifest_of_something_else_is_refused(tmp_path, change, message):
     NOTE.write(file, {"text": "Grüße", "pages": 2})
     assert NOTE.read(file) == {"text": "Grüße", "pages": 2}
     values = {**yaml.safe_load(file.read_text(encoding="utf-8")), **change}
-    file.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not ...}))
+    file.write_text(
+        yaml.safe_dump({key: value for key, value in values.items() if value is not ...})
+    )
     refused(message, NOTE.read, file)
     file.write_text("- 1")
     refused("manifest of a note", NOTE.read, file)

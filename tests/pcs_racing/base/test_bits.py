@@ -1,10 +1,10 @@
 """Races and tracks are the same to the bit whatever instructions the processor has.
 
-Numba's code: it is looked through for what the rounding could depend on, which are operations that the compiler may
-fuse or put into another order, and functions of the C library. The rest: a second process is told to do without new
-instructions, so numpy, the C library and BLAS take the code that they keep for the oldest processors.
-`dev/benchmarks/bits.py` and `dev/tools/try_machines.py` also compile everything for any x86-64
-processor, which takes minutes.
+Numba's code: it is looked through for what the rounding could depend on, which are operations that
+the compiler may fuse or put into another order, and functions of the C library. The rest: a second
+process is told to do without new instructions, so numpy, the C library and BLAS take the code that
+they keep for the oldest processors. `dev/benchmarks/bits.py` and `dev/tools/try_machines.py` also
+compile everything for any x86-64 processor, which takes minutes.
 """
 
 import hashlib
@@ -24,7 +24,14 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
-from pcs_racing import build_track, draw_starts, load_race_config, load_track, parse_policy, start_races
+from pcs_racing import (
+    build_track,
+    draw_starts,
+    load_race_config,
+    load_track,
+    parse_policy,
+    start_races,
+)
 from pcs_racing.race.races import RaceSetup, advance, pad_parameters, race_seeds
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.raceline import minimum_curvature_raceline
@@ -55,7 +62,9 @@ def races() -> dict[str, str]:
             rival = parse_policy(text)
             setup = RaceSetup(track, config, (ego.planner, rival.planner))
             state = start_races(setup, draw_starts(track, config, 2, 0), race_seeds(0, 2))
-            theta = np.broadcast_to(pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)).copy()
+            theta = np.broadcast_to(
+                pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)
+            ).copy()
             advance(setup, state, theta, config.ticks, threads=1)
             found[f"{preset}, {text}"] = digest(state)
     return found
@@ -84,10 +93,12 @@ LOOSE = re.compile(r" = (?:tail )?(f\w+|call|select|phi) .*?\b(fast|contract|rea
 
 
 def inexact(dispatcher: CPUDispatcher) -> Iterator[str]:
-    """What the bits of a compiled function's results could depend on: the processor's instructions and its libraries.
+    """What the bits of a compiled function's results could depend on: the processor's instructions
+    and its libraries.
 
-    The code is that of the compiler, with everything that was inlined, before it becomes machine code. Numba shows it
-    only of functions that this process has compiled itself; those from its cache keep it in ``_shared_module``.
+    The code is that of the compiler, with everything that was inlined, before it becomes machine
+    code. Numba shows it only of functions that this process has compiled itself; those from its
+    cache keep it in ``_shared_module``.
     """
     for overload in dispatcher.overloads.values():
         library = overload.library
@@ -95,12 +106,17 @@ def inexact(dispatcher: CPUDispatcher) -> Iterator[str]:
         functions = {match[1] for match in DEFINE.finditer(text)}
         for body in re.split(r"^(?=define )", text, flags=re.MULTILINE):
             named = DEFINE.match(body)
-            if named is None or "raise_with_shape" in named[1]:  # numba's: how many digits an error has to show
+            # numba's: how many digits an error has to show
+            if named is None or "raise_with_shape" in named[1]:
                 continue
             yield from (" ".join(match.groups()) for match in LOOSE.finditer(body))
             for result, name, arguments in CALL.findall(body):
                 function = re.sub(r"^llvm\.([a-z0-9]+).*", r"\1", name)
-                known = function in EXACT or name in functions or name.startswith(("Py", "llvm.masked."))
+                known = (
+                    function in EXACT
+                    or name in functions
+                    or name.startswith(("Py", "llvm.masked."))
+                )
                 linear_algebra = name.startswith(("numba_xx", "numba_ez", "numba_raw"))
                 if linear_algebra or (not known and FLOATING.search(f"{result} {arguments}")):
                     yield name
@@ -120,11 +136,15 @@ def test_fused_operations_and_functions_of_the_c_library_are_found():
     assert list(inexact(plain)) == []
 
 
-@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the promise is about x86-64")
+@pytest.mark.skipif(
+    platform.machine() not in ("x86_64", "AMD64"), reason="the promise is about x86-64"
+)
 def test_races_and_tracks_need_no_instruction_of_a_newer_processor(tmp_path):
     source = str(Path(__file__).resolve().parents[3])
     environment = {**os.environ, **WITHOUT, "PCS_RACING_CACHE": str(tmp_path), "PYTHONPATH": source}
-    child = subprocess.run([sys.executable, __file__], env=environment, capture_output=True, text=True)
+    child = subprocess.run(
+        [sys.executable, __file__], env=environment, capture_output=True, text=True
+    )
     assert child.returncode == 0, child.stderr
     theirs = json.loads(child.stdout.splitlines()[-1])
     assert theirs.pop("inexact") == []
@@ -136,11 +156,23 @@ def called() -> list[CPUDispatcher]:
     """The compiled functions of ours that Python has called, with all those which they call."""
     modules = [module for name, module in sys.modules.items() if name.startswith("pcs_racing")]
     functions = {id(value): value for module in modules for value in vars(module).values()}
-    return [value for value in functions.values() if isinstance(value, CPUDispatcher) and value.overloads]
+    return [
+        value
+        for value in functions.values()
+        if isinstance(value, CPUDispatcher) and value.overloads
+    ]
 
 
 if __name__ == "__main__":
     found = results()
     compiled = called()
     names = [function.py_func.__qualname__ for function in compiled]
-    print(json.dumps({**found, "compiled": names, "inexact": sorted({x for f in compiled for x in inexact(f)})}))
+    print(
+        json.dumps(
+            {
+                **found,
+                "compiled": names,
+                "inexact": sorted({x for f in compiled for x in inexact(f)}),
+            }
+        )
+    )

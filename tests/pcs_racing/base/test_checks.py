@@ -14,10 +14,16 @@ def test_whole_and_other_numbers_within_a_range_and_huge_ones():
     assert type(checks.check_whole("n", np.int64(3), 0, 5)) is int
     for value in [True, 1.0, "1", None, np.True_, np.float64(1.0), -1, 6, [1]]:
         refused(r"^n is .* from 0 to 5$", checks.check_whole, "n", value, 0, 5)
-    assert [checks.check_number("x", good, 0.0, 1.0) for good in (0, 1.0, np.float32(0.5))] == [0.0, 1.0, 0.5]
+    assert [checks.check_number("x", good, 0.0, 1.0) for good in (0, 1.0, np.float32(0.5))] == [
+        0.0,
+        1.0,
+        0.5,
+    ]
     assert type(checks.check_number("x", np.float32(0.5))) is float
     for value in [True, "1", None, math.nan, math.inf, -math.inf, -0.1, 1.1, 0.0]:
-        refused(r"^x is .* above 0 up to 1$", checks.check_number, "x", value, maximum=1.0, above=0.0)
+        refused(
+            r"^x is .* above 0 up to 1$", checks.check_number, "x", value, maximum=1.0, above=0.0
+        )
     assert checks.check_number("x", 10**400) == 10**400
     refused("from 0 to 1", checks.check_number, "x", 10**400, 0.0, 1.0)
 
@@ -39,22 +45,49 @@ def test_texts_flags_paths_seeds_and_names_that_resemble():
         refused(r"^it (is|are) ", check, "it", odd)
     refused("seed is -1", checks.check_seed, -1)
     assert checks.check_choice("kind", "map", ("map", "kdpp")) == "map"
-    with pytest.raises(InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"):
+    with pytest.raises(
+        InputError, match=r"kind is 'mpa'; it must be one of map, kdpp \(did you mean 'map'\?\)"
+    ):
         checks.check_choice("kind", "mpa", ("map", "kdpp"))
     for odd in (None, 3, ["map"], "lattice"):
-        refused(r"one of map, kdpp$", checks.check_choice, "kind", odd, ("map", "kdpp"), ConfigError, error=ConfigError)
+        refused(
+            r"one of map, kdpp$",
+            checks.check_choice,
+            "kind",
+            odd,
+            ("map", "kdpp"),
+            ConfigError,
+            error=ConfigError,
+        )
 
 
 def test_lists_and_arrays_of_whole_numbers():
     assert checks.check_wholes("widths", [np.int64(3), 4], 1, 9, (0, 2)) == (3, 4)
     for odd in ([0], [1, 2, 3], [True], "12", 3, [1.0]):
-        refused(r"^widths is .* at most 2 whole numbers", checks.check_wholes, "widths", odd, 1, 9, (0, 2))
-    np.testing.assert_array_equal(checks.check_whole_array("n", [[1, 2]], (None, 2), minimum=0, maximum=2), [[1, 2]])
+        refused(
+            r"^widths is .* at most 2 whole numbers",
+            checks.check_wholes,
+            "widths",
+            odd,
+            1,
+            9,
+            (0, 2),
+        )
+    np.testing.assert_array_equal(
+        checks.check_whole_array("n", [[1, 2]], (None, 2), minimum=0, maximum=2), [[1, 2]]
+    )
     assert checks.check_whole_array("n", np.uint8(3)).dtype == np.int64
     for wrong in ([[1.0, 2.0]], [[True, False]], [["a", "b"]], [[1], [2, 3]]):
         refused(r"^n has shape .* type", checks.check_whole_array, "n", wrong, (None, 2))
     refused(r"^n is 2\.5;", checks.check_whole_array, "n", 2.5, (None,))
-    refused(r"^n has shape \(3,\) .*\(2,\) or \(4, 2\)", checks.check_whole_array, "n", [1, 2, 3], (2,), (4, 2))
+    refused(
+        r"^n has shape \(3,\) .*\(2,\) or \(4, 2\)",
+        checks.check_whole_array,
+        "n",
+        [1, 2, 3],
+        (2,),
+        (4, 2),
+    )
     with pytest.raises(InputError, match=r"^n holds -1 at \(0, 1\); .* from 0 to 5"):
         checks.check_whole_array("n", [[1, -1]], (1, 2), minimum=0, maximum=5)
     refused(r"^n is 6; .* up to 5", checks.check_whole_array, "n", 6, maximum=5)

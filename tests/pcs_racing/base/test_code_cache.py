@@ -1,4 +1,6 @@
-"""Compiled code on disk: it follows its sources, can be broken, and is written by one process at a time."""
+"""Compiled code on disk: it follows its sources, can be broken, and is written by one process at a
+time.
+"""
 
 import os
 import runpy
@@ -23,7 +25,12 @@ FLOORS = (*SIMULATOR, "track/building", "game")
 def packages(tmp_path, monkeypatch) -> Path:
     """A folder with the two packages, and beside them modules of a user."""
     monkeypatch.setattr(code_cache, "_PACKAGE", tmp_path / "pcs_racing")
-    for folder in (*(f"pcs_racing/{floor}" for floor in FLOORS), "pcs_racing_agents/trees", "user", "user/below"):
+    for folder in (
+        *(f"pcs_racing/{floor}" for floor in FLOORS),
+        "pcs_racing_agents/trees",
+        "user",
+        "user/below",
+    ):
         (tmp_path / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / folder / "module.py").write_text("A = 1\n")
     return tmp_path
@@ -49,7 +56,10 @@ def test_an_edit_of_the_simulator_changes_all_code_and_one_above_it_only_what_is
     above = {"pcs_racing/game", "pcs_racing_agents/trees", "user"}
     assert changed_by(packages, "pcs_racing/game/module.py") == above
     assert changed_by(packages, "pcs_racing/game/new.py") == above
-    assert changed_by(packages, "pcs_racing_agents/trees/module.py") == {"pcs_racing_agents/trees", "user"}
+    assert changed_by(packages, "pcs_racing_agents/trees/module.py") == {
+        "pcs_racing_agents/trees",
+        "user",
+    }
     assert changed_by(packages, "user/module.py") == {"user"}
     assert not changed_by(packages, "user/below/module.py")
     assert not changed_by(packages, "user/notes.txt")
@@ -77,7 +87,9 @@ def test_the_order_in_which_a_system_lists_files_does_not_matter(packages, monke
 
 def test_the_simulator_is_where_the_package_is():
     assert Path(pcs_racing.__file__).resolve().parent == code_cache._PACKAGE
-    assert [floor for floor in SIMULATOR if not (code_cache._PACKAGE / floor / "__init__.py").is_file()] == []
+    assert [
+        floor for floor in SIMULATOR if not (code_cache._PACKAGE / floor / "__init__.py").is_file()
+    ] == []
 
 
 @pytest.fixture
@@ -92,7 +104,9 @@ def code(packages) -> Path:
 
 
 def forget(code: Path) -> int:
-    """Do what a new process does before it looks for code; return the number of files that are left."""
+    """Do what a new process does before it looks for code; return the number of files that are
+    left.
+    """
     code_cache.sources_digest.cache_clear()
     code_cache.forget_stale_code.cache_clear()
     code_cache.forget_stale_code(str(code.parent), str(code))
@@ -128,7 +142,10 @@ print(answer(), answer.stats.cache_path)
 
 def test_numba_s_own_code_of_a_user_s_module_follows_what_it_imports(tmp_path):
     """Wherever numba keeps it: here beside the sources, and in a folder of the user's choice."""
-    base = "from pcs_racing.base.compilation import compiled\n\n@compiled\ndef three():\n    return {}\n"
+    base = (
+        "from pcs_racing.base.compilation import compiled\n\n@compiled\ndef three():\n    return"
+        " {}\n"
+    )
     package = tmp_path / "pcs_racing_example"
     package.mkdir()
     (package / "__init__.py").touch()
@@ -139,7 +156,9 @@ def test_numba_s_own_code_of_a_user_s_module_follows_what_it_imports(tmp_path):
         for number in (3, 4):
             (package / "base.py").write_text(base.format(number))
             command = [sys.executable, "-m", "pcs_racing_example.planner"]
-            said = subprocess.run(command, capture_output=True, text=True, check=True, env=environment).stdout.split()
+            said = subprocess.run(
+                command, capture_output=True, text=True, check=True, env=environment
+            ).stdout.split()
             assert said[0] == str(number + 1)
             assert said[1].startswith(folder or str(package))
 
@@ -201,7 +220,10 @@ def test_code_of_another_function_is_not_taken_and_that_one_keeps_its_own(tmp_pa
     other.write_bytes(own)
     assert runpy.run_path(str(module))["value"] == pytest.approx(31.5)
     assert "compiled again" in capsys.readouterr().err
-    assert (file.read_bytes(), len(list(tmp_path.glob("__pycache__/module.answer*.nb[ci]")))) == (own, 4)
+    assert (file.read_bytes(), len(list(tmp_path.glob("__pycache__/module.answer*.nb[ci]")))) == (
+        own,
+        4,
+    )
 
 
 def test_a_full_disk_is_told_once_and_the_function_runs(tmp_path, capsys, monkeypatch):
@@ -213,7 +235,10 @@ def test_a_full_disk_is_told_once_and_the_function_runs(tmp_path, capsys, monkey
     (tmp_path / "module.py").write_text(MODULE + MODULE.replace("answer", "answer_2"))
     assert runpy.run_path(str(tmp_path / "module.py"))["value"] == 22.5
     cached = tmp_path / "__pycache__"
-    assert capsys.readouterr().err == f"pcs-racing: compiled code can't be kept in {cached}: No space left on device\n"
+    assert (
+        capsys.readouterr().err
+        == f"pcs-racing: compiled code can't be kept in {cached}: No space left on device\n"
+    )
 
 
 def add(a):
@@ -221,7 +246,9 @@ def add(a):
 
 
 def test_two_writers_of_one_index_take_turns(monkeypatch):
-    """Without turns both read the index before the other has written it, and a line is lost or points elsewhere."""
+    """Without turns both read the index before the other has written it, and a line is lost or
+    points elsewhere.
+    """
     load_index = IndexDataCacheFile._load_index
 
     def slowly(self):
@@ -230,10 +257,21 @@ def test_two_writers_of_one_index_take_turns(monkeypatch):
         return index
 
     monkeypatch.setattr(IndexDataCacheFile, "_load_index", slowly)
-    monkeypatch.setattr(FunctionCache, "_save_overload", lambda self, sig, data: self._cache_file.save(sig, data))
+    monkeypatch.setattr(
+        FunctionCache, "_save_overload", lambda self, sig, data: self._cache_file.save(sig, data)
+    )
     with ThreadPoolExecutor(6) as pool:
-        list(pool.map(lambda number: CodeCache(add).save_overload(f"signature {number}", f"code {number}"), range(6)))
+        list(
+            pool.map(
+                lambda number: CodeCache(add).save_overload(
+                    f"signature {number}", f"code {number}"
+                ),
+                range(6),
+            )
+        )
     monkeypatch.undo()
     file = CodeCache(add)._cache_file
-    assert [file.load(f"signature {number}") for number in range(6)] == [f"code {number}" for number in range(6)]
+    assert [file.load(f"signature {number}") for number in range(6)] == [
+        f"code {number}" for number in range(6)
+    ]
     file.flush()

@@ -36,7 +36,9 @@ def quarter(a):
 
 def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:
     """What the announcement looks at."""
-    return SimpleNamespace(signatures=signatures, py_func=divide.py_func, stats=SimpleNamespace(cache_path=str(cache)))
+    return SimpleNamespace(
+        signatures=signatures, py_func=divide.py_func, stats=SimpleNamespace(cache_path=str(cache))
+    )
 
 
 def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
@@ -97,7 +99,8 @@ def test_one_process_compiles_and_the_others_wait(tmp_path):
     command = [sys.executable, str(script), str(cache)]
     environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
     workers = [
-        subprocess.Popen([*command, str(i)], stderr=subprocess.PIPE, text=True, env=environment) for i in range(3)
+        subprocess.Popen([*command, str(i)], stderr=subprocess.PIPE, text=True, env=environment)
+        for i in range(3)
     ]
     said = [worker.communicate(timeout=120)[1] for worker in workers]
     assert [worker.returncode for worker in workers] == [0, 0, 0]
@@ -129,11 +132,19 @@ for function, what in ((double, "one"), (half, "two")):
 
 def test_what_can_not_be_kept_is_compiled_and_said_once(tmp_path):
     (tmp_path / "program.py").write_text(NOWHERE)
-    command, environment = [sys.executable, "program.py"], {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment)
+    command, environment = (
+        [sys.executable, "program.py"],
+        {**os.environ, "PYTHONPATH": str(REPOSITORY)},
+    )
+    done = subprocess.run(
+        command, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment
+    )
     assert done.stdout == "6.0\n1.5\n"
     assert done.stderr.splitlines() == [
-        "pcs-racing: compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR names one",
+        (
+            "pcs-racing: compiled code can't be kept: no folder for it can be written;"
+            " NUMBA_CACHE_DIR names one"
+        ),
         "pcs-racing: compiling one (about 7 s, in each process)",
         "pcs-racing: compiling two (about 7 s, in each process)",
     ]

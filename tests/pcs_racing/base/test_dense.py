@@ -9,7 +9,13 @@ from refusal import refused
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from pcs_racing.base.dense import DenseLayers, dense_forward, dense_rows, layers_from_bytes, layers_to_bytes
+from pcs_racing.base.dense import (
+    DenseLayers,
+    dense_forward,
+    dense_rows,
+    layers_from_bytes,
+    layers_to_bytes,
+)
 
 FILE = Path("net/weights.safetensors")
 
@@ -42,7 +48,9 @@ def test_a_row_has_the_same_bits_in_a_batch_of_any_size(rows, seed):
         assert dense_rows(some, own.flat(), np.array(own.sizes), np.empty((2, 9), np.float32), out)
         return out
 
-    np.testing.assert_array_equal(outputs(x), np.concatenate([outputs(x[i : i + 1]) for i in range(rows)]))
+    np.testing.assert_array_equal(
+        outputs(x), np.concatenate([outputs(x[i : i + 1]) for i in range(rows)])
+    )
 
 
 def test_infinite_inputs_are_noticed_and_impossible_layers_refused():

@@ -74,7 +74,10 @@ def test_values_at_the_ends_of_the_range_and_lengths_of_vectors():
     ):
         assert np.isnan(found)
     for x in spread(0.0, 3.0, 200):
-        assert elementary.sine_cosine(-x) == (-elementary.sine_cosine(x)[0], elementary.sine_cosine(x)[1])
+        assert elementary.sine_cosine(-x) == (
+            -elementary.sine_cosine(x)[0],
+            elementary.sine_cosine(x)[1],
+        )
         assert elementary.arctangent(-x) == -elementary.arctangent(x)
         assert elementary.hyperbolic_tangent(-x) == -elementary.hyperbolic_tangent(x)
     assert elementary.hyperbolic_tangent(400.0) == elementary.hyperbolic_tangent(np.inf) == 1.0

@@ -15,7 +15,9 @@ from pcs_racing.base.files import plain_yaml, read_limited, unpack_arrays
 finite = st.floats(allow_nan=False, allow_infinity=False)
 plain = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**62), 2**62) | finite | st.text(max_size=10),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
     max_leaves=10,
 )
 
@@ -100,18 +102,33 @@ def test_other_files_of_arrays_are_refused():
         (b"", "zip"),
         (b"PK\x03\x04 and no more", "zip"),
         (npz(a=np.zeros(9))[:-30], "zip"),
-        (member("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"), "allocate|EOF"),
-        (member("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 10000000000000), }"), "float64 and shape"),
+        (
+            member("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"),
+            "allocate|EOF",
+        ),
+        (
+            member("{'descr': '<f8', 'fortran_order': False, 'shape': (0, 10000000000000), }"),
+            "float64 and shape",
+        ),
         (member("{'descr': '<f8', 'fortran_order': False, 'shape': (-1,), }"), "negative"),
         (member("{'descr': '<U500000000', 'fortran_order': False, 'shape': (), }"), "allocate|EOF"),
         (member("{'descr': '<U0', 'fortran_order': False, 'shape': (1000000,), }"), "of type <U0"),
         (member("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }", bytes(15)), "EOF"),
-        (member("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }", bytes(17)), "more follows"),
         (
-            member("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", b"cos\nsystem\n(S'ls'\ntR."),
+            member("{'descr': '<f8', 'fortran_order': False, 'shape': (2,), }", bytes(17)),
+            "more follows",
+        ),
+        (
+            member(
+                "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }",
+                b"cos\nsystem\n(S'ls'\ntR.",
+            ),
             "allow_pickle",
         ),
-        (member("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }", bytes(8)), "of type"),
+        (
+            member("{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (1,), }", bytes(8)),
+            "of type",
+        ),
         (member("__import__('os')"), "."),
     ]:
         refused(why, unpack_arrays, content)

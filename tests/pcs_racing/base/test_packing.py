@@ -77,7 +77,13 @@ def test_segments_join_to_loops_and_paths_may_differ_in_length():
     assert np.nanmax(np.abs(back - paths)) <= 0.005 + 1e-9
 
 
-@given(hnp.arrays(float, st.tuples(st.integers(0, 30), st.just(4)), elements=st.sampled_from([0.0, 0.5, 1.0, 1.5])))
+@given(
+    hnp.arrays(
+        float,
+        st.tuples(st.integers(0, 30), st.just(4)),
+        elements=st.sampled_from([0.0, 0.5, 1.0, 1.5]),
+    )
+)
 def test_segments_come_back_in_some_order(segments):
     packed = packing.pack_segments(segments)
     back = packing.unpack_segments(packed, "walls")
@@ -85,7 +91,9 @@ def test_segments_come_back_in_some_order(segments):
     assert packing.pack_segments(back) == packed
 
 
-@given(hnp.arrays(float, (2, 3), elements=st.floats(-1e6, 1e6) | st.just(np.inf) | st.floats(0, 1e-3)))
+@given(
+    hnp.arrays(float, (2, 3), elements=st.floats(-1e6, 1e6) | st.just(np.inf) | st.floats(0, 1e-3))
+)
 def test_costs_keep_their_order_and_their_rejections(costs):
     back = packing.unpack_costs(json.loads(json.dumps(packing.pack_costs(costs))), "costs")
     assert np.array_equal(np.isinf(back), np.isinf(costs))

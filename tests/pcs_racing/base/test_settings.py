@@ -33,13 +33,19 @@ class Soup(loading.Settings):
     salt: Annotated[float, Interval(ge=0.0, le=1.0), "Salt, g."] = 0.5
     bowls: Annotated[int, Interval(ge=1, le=9), "How many bowls."] = 2
     herbs: Annotated[loading.Names, "What is green in it."] = ("dill",)
-    minutes: Annotated[float, Interval(ge=0.1, le=60.0), MultipleOf(0.1), "Time on the fire."] = 20.0
+    minutes: Annotated[float, Interval(ge=0.1, le=60.0), MultipleOf(0.1), "Time on the fire."] = (
+        20.0
+    )
     hot: Annotated[bool, "Whether it is served hot."] = True
     cook: Annotated[loading.Text, "Who makes it."] = "Ann"
     kind: Annotated[str, loading.OneOf(("clear", "thick")), "What it looks like."] = "clear"
-    spoons: Annotated[tuple[Annotated[int, Interval(ge=1, le=9)], ...], Len(0, 3), "Sizes of the spoons."] = (3, 4)
+    spoons: Annotated[
+        tuple[Annotated[int, Interval(ge=1, le=9)], ...], Len(0, 3), "Sizes of the spoons."
+    ] = (3, 4)
     parts: Annotated[
-        Mapping[loading.Text, Annotated[int, Interval(ge=1, le=5)]], MinLen(1), "What is in it, and how much."
+        Mapping[loading.Text, Annotated[int, Interval(ge=1, le=5)]],
+        MinLen(1),
+        "What is in it, and how much.",
     ] = field(default_factory=lambda: {"leek": 1}, hash=False)
     guests: Annotated[int, loading.Checked(even), "How many eat."] = 2
     bread: Annotated[loading.Text | None, "What is eaten with it; None for nothing."] = None
@@ -82,11 +88,20 @@ def test_values_are_kept_in_one_form_and_are_the_documentation():
 
 
 WRONG = {
-    "salt": (1.01, float("nan"), True, "0.5"), "bowls": (0, 10, 2.0, True, None),
-    "herbs": ("dill", (), ("dill", "dill"), ("dill", 3)), "minutes": (0.25, 0.5), "hot": (1,), "cook": ("",),
-    "kind": ("claer", 3), "spoons": ((0,), (1, 2, 3, 4), (True,)), "parts": ({}, {"leek": 6}, {"": 1}, ["leek"]),
-    "guests": (3,), "bread": ("", 4), "plate": ("falt",), "size": ((2.0, 1.0), (True, 1.0)),
-}  # fmt: skip
+    "salt": (1.01, float("nan"), True, "0.5"),
+    "bowls": (0, 10, 2.0, True, None),
+    "herbs": ("dill", (), ("dill", "dill"), ("dill", 3)),
+    "minutes": (0.25, 0.5),
+    "hot": (1,),
+    "cook": ("",),
+    "kind": ("claer", 3),
+    "spoons": ((0,), (1, 2, 3, 4), (True,)),
+    "parts": ({}, {"leek": 6}, {"": 1}, ["leek"]),
+    "guests": (3,),
+    "bread": ("", 4),
+    "plate": ("falt",),
+    "size": ((2.0, 1.0), (True, 1.0)),
+}
 
 
 def test_wrong_values_are_refused_and_options_come_from_the_declaration():
@@ -96,16 +111,25 @@ def test_wrong_values_are_refused_and_options_come_from_the_declaration():
     refused(unknown, loading.load_settings, "soup", Soup(), "borscht", error=UnknownNameError)
     with pytest.raises(UnknownNameError, match="did you mean 'salty'"):
         loading.load_settings("soup", Soup(), "slaty", {"salty": Soup(1.0)})
-    refused(r"the arguments: .*'pepper'", loading.load_settings, "soup", Soup(), pepper=1, error=ConfigError)
+    refused(
+        r"the arguments: .*'pepper'",
+        loading.load_settings,
+        "soup",
+        Soup(),
+        pepper=1,
+        error=ConfigError,
+    )
     refused("soup settings are 3;", loading.load_settings, "soup", Soup(), 3, error=ConfigError)
 
 
 def test_the_default_of_every_option_obeys_its_rule_and_pydantic_waits_for_a_wrong_value():
     code = (
-        "import gymnasium as gym, pcs_racing; gym.make('pcs_racing/Drive-v1', track='Pipkin', opponent=None, beams=9)"
+        "import gymnasium as gym, pcs_racing; gym.make('pcs_racing/Drive-v1', track='Pipkin',"
+        " opponent=None, beams=9)"
     )
     done = subprocess.run(
-        [sys.executable, "-c", f"{code}; import sys; assert 'pydantic' not in sys.modules"], check=False
+        [sys.executable, "-c", f"{code}; import sys; assert 'pydantic' not in sys.modules"],
+        check=False,
     )
     assert done.returncode == 0
     checked = 0
@@ -125,8 +149,13 @@ def test_a_file_sets_some_fields_and_the_arguments_others_before_they_are_checke
     file.write_text("salt: 0.25\nherbs: [mint, dill]\n")
     assert loading.load_settings("soup", Soup(), file, bowls=3) == Soup(0.25, 3, ("mint", "dill"))
     assert loading.load_settings("soup", Soup(), Soup(bowls=4)) == Soup(bowls=4)
-    assert loading.load_settings("soup", Soup(), "mine", {"mine": file, "salty": Soup(1.0)}).salt == 0.25
-    assert loading.load_settings("soup", Soup(), "salty", {"mine": file, "salty": Soup(1.0)}, bowls=5) == Soup(1.0, 5)
+    assert (
+        loading.load_settings("soup", Soup(), "mine", {"mine": file, "salty": Soup(1.0)}).salt
+        == 0.25
+    )
+    assert loading.load_settings(
+        "soup", Soup(), "salty", {"mine": file, "salty": Soup(1.0)}, bowls=5
+    ) == Soup(1.0, 5)
     file.write_text("base: salty\nbowls: 6\n")
     assert loading.load_settings("soup", Soup(), file, {"salty": Soup(1.0)}, "base") == Soup(1.0, 6)
     file.write_text("minutes: 0.5\n")

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pcs_racing.car.collision import FIELD_ERROR, Rectangle, car_hits_wall, inside_wall, rectangles_overlap
+from pcs_racing.car.collision import (
+    FIELD_ERROR,
+    Rectangle,
+    car_hits_wall,
+    inside_wall,
+    rectangles_overlap,
+)
 from pcs_racing.car.collision import contact_fault as fault_of_bodies
 from pcs_racing.track.loading import load_track
 
@@ -22,7 +28,9 @@ def corners(x, y, psi, half_length=HALF[0], half_width=HALF[1]):
 
 
 def overlap(first, second):
-    """Corners of the intersection of two convex polygons, by cutting one along the sides of the other."""
+    """Corners of the intersection of two convex polygons, by cutting one along the sides of the
+    other.
+    """
     polygon = list(first)
     for a, b in zip(second, np.roll(second, -1, axis=0), strict=True):
         inside = [(b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0]) for p in polygon]
@@ -39,11 +47,17 @@ def overlap(first, second):
 
 def area_of(polygon):
     x, y = polygon.T
-    return 0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1))) if len(polygon) > 2 else 0.0
+    return (
+        0.5 * abs(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))
+        if len(polygon) > 2
+        else 0.0
+    )
 
 
 def hits_segment(walls, x, y, psi, half=HALF):
-    """Whether any of the segments (S, 4) passes through the inside of the car, by clipping them to it."""
+    """Whether any of the segments (S, 4) passes through the inside of the car, by clipping them to
+    it.
+    """
     c, s = np.cos(psi), np.sin(psi)
     low, high = np.zeros(len(walls)), np.ones(len(walls))
     start = (walls[:, :2] - [x, y]) @ np.array([[c, -s], [s, c]])
@@ -51,7 +65,9 @@ def hits_segment(walls, x, y, psi, half=HALF):
     for axis in range(2):
         way = end[:, axis] - start[:, axis]
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.sort(np.stack([(side * half[axis] - start[:, axis]) / way for side in (-1, 1)]), axis=0)
+            t = np.sort(
+                np.stack([(side * half[axis] - start[:, axis]) / way for side in (-1, 1)]), axis=0
+            )
         outside = (way == 0.0) & (abs(start[:, axis]) >= half[axis])
         low = np.where(way == 0.0, np.where(outside, 2.0, low), np.maximum(low, t[0]))
         high = np.where(way == 0.0, high, np.minimum(high, t[1]))
@@ -64,7 +80,9 @@ def state(x=0.0, y=0.0, psi=0.0, v=0.0, rate=0.0, beta=0.0):
 
 def contact_fault(first, second, sizes=(HALF, HALF)):
     """Who is to blame when two cars of these sizes touch."""
-    bodies = (Rectangle(*car[[0, 1, 4]], *size) for car, size in zip((first, second), sizes, strict=True))
+    bodies = (
+        Rectangle(*car[[0, 1, 4]], *size) for car, size in zip((first, second), sizes, strict=True)
+    )
     return fault_of_bodies(first, second, *bodies)
 
 
@@ -77,7 +95,14 @@ def test_overlaps_of_the_reference(reference):
 
 
 @settings(deadline=None, max_examples=300)
-@given(st.floats(-1.2, 1.2), st.floats(-1.2, 1.2), angles, angles, st.floats(0.05, 0.6), st.floats(0.05, 0.6))
+@given(
+    st.floats(-1.2, 1.2),
+    st.floats(-1.2, 1.2),
+    angles,
+    angles,
+    st.floats(0.05, 0.6),
+    st.floats(0.05, 0.6),
+)
 def test_rectangles_overlap_where_they_share_an_area(x, y, psi0, psi1, half_length, half_width):
     area = area_of(overlap(corners(0.0, 0.0, psi0), corners(x, y, psi1, half_length, half_width)))
     assume(area == 0.0 or area > 1e-9)
@@ -87,7 +112,12 @@ def test_rectangles_overlap_where_they_share_an_area(x, y, psi0, psi1, half_leng
 
 def test_touching_is_no_overlap():
     for x, overlaps in ((1.0, False), (0.999, True)):
-        assert rectangles_overlap(Rectangle(0.0, 0.0, 0.0, 0.5, 0.25), Rectangle(x, 0.0, 0.0, 0.5, 0.25)) == overlaps
+        assert (
+            rectangles_overlap(
+                Rectangle(0.0, 0.0, 0.0, 0.5, 0.25), Rectangle(x, 0.0, 0.0, 0.5, 0.25)
+            )
+            == overlaps
+        )
 
 
 def poses_around(track, count, rng):
@@ -158,14 +188,22 @@ NEITHER_MORE, FIRST, SECOND = (True, True), (True, False), (False, True)
 def test_who_is_at_fault_whatever_the_order_of_the_cars():
     for first, second, faults in [
         # Into the rear of a car, also when that one brakes to a stop or stands to one side.
-        *((state(v=5.0), state(x=0.55, y=y, v=v), FIRST) for v in (3.0, 0.5, 0.0) for y in (-0.2, 0.0, 0.2)),
+        *(
+            (state(v=5.0), state(x=0.55, y=y, v=v), FIRST)
+            for v in (3.0, 0.5, 0.0)
+            for y in (-0.2, 0.0, 0.2)
+        ),
         # A leader that reverses shares the fault by its speed.
         (state(v=2.0), state(x=0.55, v=-4.0), SECOND),
         (state(v=2.0), state(x=0.55, v=-2.0), NEITHER_MORE),
         # Side by side, the car that moves over, or moves over faster.
-        *((state(v=6.0), state(x=0.1, y=y, v=5.0, beta=-0.05 * np.sign(y)), SECOND) for y in (0.3, -0.3)),
+        *(
+            (state(v=6.0), state(x=0.1, y=y, v=5.0, beta=-0.05 * np.sign(y)), SECOND)
+            for y in (0.3, -0.3)
+        ),
         (state(v=6.0, beta=0.01), state(y=0.3, v=6.0, beta=-0.03), SECOND),
-        # A car that spins counterclockwise hits with its tail to the right, and with its nose to the left.
+        # A car that spins counterclockwise hits with its tail to the right, and with its nose to
+        # the left.
         (state(v=5.0, rate=1.0), state(x=-0.4, y=-0.3, v=5.0), FIRST),
         (state(v=5.0, rate=1.0), state(x=0.4, y=0.3, v=5.0), FIRST),
         # Head on.
@@ -198,8 +236,13 @@ def centroid(polygon):
 
 
 def closing_speeds(first, second, sizes):
-    """How fast each car's body moves into the other one, at the middle of what they share and along the contact."""
-    boxes = [corners(car[0], car[1], car[4], *size) for car, size in zip((first, second), sizes, strict=True)]
+    """How fast each car's body moves into the other one, at the middle of what they share and along
+    the contact.
+    """
+    boxes = [
+        corners(car[0], car[1], car[4], *size)
+        for car, size in zip((first, second), sizes, strict=True)
+    ]
     way = second[:2] - first[:2]
     axes = []
     for angle in (first[4], first[4] + 0.5 * np.pi, second[4], second[4] + 0.5 * np.pi):
@@ -214,24 +257,35 @@ def closing_speeds(first, second, sizes):
     speeds = []
     for car, sign in ((first, 1.0), (second, -1.0)):
         course, arm = car[4] + car[6], middle - car[:2]
-        velocity = car[3] * np.array([np.cos(course), np.sin(course)]) + car[5] * np.array([-arm[1], arm[0]])
+        velocity = car[3] * np.array([np.cos(course), np.sin(course)]) + car[5] * np.array(
+            [-arm[1], arm[0]]
+        )
         speeds.append(max(sign * (velocity @ normal), 0.0))
     return speeds
 
 
-@pytest.mark.parametrize("sizes", [(HALF, HALF), ((0.35, 0.12), (0.22, 0.18))], ids=["alike", "different"])
+@pytest.mark.parametrize(
+    "sizes", [(HALF, HALF), ((0.35, 0.12), (0.22, 0.18))], ids=["alike", "different"]
+)
 def test_the_car_that_moves_into_the_other_one_faster_is_at_fault(sizes):
-    """Against polygons: the axis of least overlap, the middle of the shared area, the velocity of the bodies there."""
+    """Against polygons: the axis of least overlap, the middle of the shared area, the velocity of
+    the bodies there.
+    """
     rng = np.random.default_rng(3)
     seen = []
     for _ in range(600):
         first = state(
-            *rng.uniform(-3.0, 3.0, 3), rng.uniform(-2.0, 8.0), rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.5)
+            *rng.uniform(-3.0, 3.0, 3),
+            rng.uniform(-2.0, 8.0),
+            rng.uniform(-3.0, 3.0),
+            rng.uniform(-0.5, 0.5),
         )
         bearing, away = rng.uniform(-np.pi, np.pi), rng.uniform(0.15, 0.7)
         at = first[:2] + away * np.array([np.cos(bearing), np.sin(bearing)])
         turn = first[4] + (rng.normal(0.0, 0.3) if rng.random() < 0.5 else rng.uniform(-3.0, 3.0))
-        second = state(*at, turn, rng.uniform(-2.0, 8.0), rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.5))
+        second = state(
+            *at, turn, rng.uniform(-2.0, 8.0), rng.uniform(-3.0, 3.0), rng.uniform(-0.5, 0.5)
+        )
         own, other = closing_speeds(first, second, sizes)
         margin = max(0.05 * max(own, other), 1e-3)
         if abs(abs(own - other) - margin) < 1e-6:

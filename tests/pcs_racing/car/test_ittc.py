@@ -1,4 +1,6 @@
-"""The minimum iTTC against dense scans, dense samples of walls, and cases that can be worked out by hand."""
+"""The minimum iTTC against dense scans, dense samples of walls, and cases that can be worked out by
+hand.
+"""
 
 import numpy as np
 import pytest
@@ -18,7 +20,10 @@ coordinate = st.floats(-20.0, 20.0)
 def sides(x, y, psi):
     """The four sides (4, 4) of a car's rectangle."""
     c, s = np.cos(psi), np.sin(psi)
-    box = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * HALF @ np.array([[c, s], [-s, c]]) + [x, y]
+    box = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * HALF @ np.array([[c, s], [-s, c]]) + [
+        x,
+        y,
+    ]
     return np.hstack([box, np.roll(box, -1, axis=0)])
 
 
@@ -60,7 +65,9 @@ def situations(track, count, seed):
 
 def measure(track, row, use_opponent=True, horizon=HORIZON):
     x, y, vx, vy, s, ox, oy, opsi, ovx, ovy = row
-    return minimum_ittc(track.arrays, x, y, vx, vy, s, ox, oy, opsi, *HALF, ovx, ovy, use_opponent, horizon)
+    return minimum_ittc(
+        track.arrays, x, y, vx, vy, s, ox, oy, opsi, *HALF, ovx, ovy, use_opponent, horizon
+    )
 
 
 def test_agrees_with_a_dense_scan_of_walls_and_opponent(oval):
@@ -100,7 +107,8 @@ def test_agrees_with_dense_samples_of_every_wall_of_a_real_circuit(real_maps):
 def test_a_segment_counts_with_its_most_urgent_point(ax, ay, bx, by, vx, vy):
     speed = np.hypot(vx, vy)
     assume(speed > 0.1)
-    # A line that is grazed at less than 1e-7 m/s is met in more than a day: that is a matter of rounding.
+    # A line that is grazed at less than 1e-7 m/s is met in more than a day: that is a matter of
+    # rounding.
     horizon = 1e5
     found = segment_ittc(ax, ay, bx, by, vx, vy, speed, horizon)
     share = np.linspace(0.0, 1.0, 4001)
@@ -124,23 +132,28 @@ def test_hand_cases_of_a_single_wall():
     assert segment_ittc(*wall, 2.0, 0.0, 2.0, 99.0) == pytest.approx(1.5)  # straight at it: h / v
     assert segment_ittc(*wall, 0.0, 2.0, 2.0, 99.0) == pytest.approx(3.0)  # alongside: 2 h / v
     assert segment_ittc(*wall, -2.0, 0.0, 2.0, 99.0) == 99.0  # away from it
-    assert segment_ittc(3.0, 4.0, 3.0, 4.0, 1.0, 0.0, 1.0, 99.0) == pytest.approx(25.0 / 3.0)  # a point
+    # a point
+    assert segment_ittc(3.0, 4.0, 3.0, 4.0, 1.0, 0.0, 1.0, 99.0) == pytest.approx(25.0 / 3.0)
     assert segment_ittc(-1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, 99.0) == 0.0  # on the wall
 
 
 def straight(oval, vx=4.0, ox=2.0, ovx=0.0):
-    """A lidar in the middle of the oval's lower straight at 4 m/s, an opponent 2 m ahead of it that stands."""
+    """A lidar in the middle of the oval's lower straight at 4 m/s, an opponent 2 m ahead of it that
+    stands.
+    """
     return measure(oval, (0.0, -4.0, vx, 0.0, 6.0, ox, -4.0, 0.0, ovx, 0.0))
 
 
 def test_the_opponents_motion_counts_and_the_result_is_capped_at_the_horizon(oval):
     walls = straight(oval, ox=1e3)
-    assert walls == pytest.approx(2.0 * 1.1 / 4.0, rel=0.05)  # twice the side clearance over the speed
+    # twice the side clearance over the speed
+    assert walls == pytest.approx(2.0 * 1.1 / 4.0, rel=0.05)
     assert straight(oval) == pytest.approx((2.0 - HALF[0]) / 4.0)
     assert straight(oval, ovx=-4.0) == pytest.approx((2.0 - HALF[0]) / 8.0)
     assert straight(oval, ovx=4.0) == walls  # keeps its distance
     assert straight(oval, ovx=6.0) == walls  # pulls away
-    assert straight(oval, vx=0.0, ox=-2.0, ovx=4.0) == pytest.approx((2.0 - HALF[0]) / 4.0)  # run into from behind
+    # run into from behind
+    assert straight(oval, vx=0.0, ox=-2.0, ovx=4.0) == pytest.approx((2.0 - HALF[0]) / 4.0)
     row = situations(oval, 1, seed=2)[0]
     row[2:4] = 0.0
     assert measure(oval, row, use_opponent=False) == HORIZON

@@ -16,7 +16,11 @@ LENGTH, WIDTH = 0.58, 0.31
 def rectangle_ranges(pose, angles, other):
     """Exact ranges to an opponent's rectangle; infinite where beams miss it."""
     c, s = np.cos(other[2]), np.sin(other[2])
-    box = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [0.5 * LENGTH, 0.5 * WIDTH] @ np.array([[c, s], [-s, c]])
+    box = (
+        np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+        * [0.5 * LENGTH, 0.5 * WIDTH]
+        @ np.array([[c, s], [-s, c]])
+    )
     box += np.asarray(other[:2]) - pose[:2]
     cos, sin = np.cos(angles + pose[2]), np.sin(angles + pose[2])
     ranges = np.full(len(angles), np.inf)
@@ -32,7 +36,9 @@ def rectangle_ranges(pose, angles, other):
 def poses_on(track, count, seed=0):
     rng = np.random.default_rng(seed)
     sd = np.column_stack([rng.uniform(0, track.length, count), rng.uniform(-0.8, 0.8, count)])
-    return track.to_cartesian(sd) + np.column_stack([np.zeros((count, 2)), rng.uniform(-np.pi, np.pi, count)])
+    return track.to_cartesian(sd) + np.column_stack(
+        [np.zeros((count, 2)), rng.uniform(-np.pi, np.pi, count)]
+    )
 
 
 def assert_close_to_exact(found, exact):
@@ -84,7 +90,8 @@ def test_an_opponent_is_seen_in_every_direction(oval, fov, beams):
             other = [1.0 + 0.6 * np.cos(bearing), -4.0 + 0.6 * np.sin(bearing), 0.3]
             expected = np.minimum(alone, rectangle_ranges(pose, lidar.angles, other))
             error = np.abs(lidar.scan(pose, other) - expected)
-            assert (error > 1e-5).sum() <= 1  # a beam through a corner may be rounded to either side
+            # a beam through a corner may be rounded to either side
+            assert (error > 1e-5).sum() <= 1
             hidden += (expected < alone).any()
     assert hidden > (0 if beams <= 2 else 100)
 
@@ -93,7 +100,9 @@ def test_a_lidar_within_a_car_in_a_wall_and_of_a_single_beam(oval):
     lidar = Lidar(oval, beams=360, fov=2.0 * np.pi)
     pose = [1.0, -4.0, 0.4]
     other = [1.05, -4.02, 1.0]
-    assert np.allclose(lidar.scan(pose, other), rectangle_ranges(np.array(pose), lidar.angles, other), atol=1e-6)
+    assert np.allclose(
+        lidar.scan(pose, other), rectangle_ranges(np.array(pose), lidar.angles, other), atol=1e-6
+    )
     lidar = Lidar(oval, beams=36)
     for x, y in [(0.0, 0.0), (1e9, 0.0), (-1e9, 1e300), (0.0, -5.3)]:
         assert (lidar.scan([x, y, 0.3]) == 0.0).all()
@@ -105,12 +114,29 @@ def test_a_lidar_within_a_car_in_a_wall_and_of_a_single_beam(oval):
 def test_every_beam_is_settled_without_any_list_of_corners(oval):
     """Beams that nothing fills are followed through the grid."""
     arrays = oval.arrays
-    empty = arrays._replace(corners_start=np.zeros_like(arrays.corners_start), corners=np.full((2, 16), np.nan))
+    empty = arrays._replace(
+        corners_start=np.zeros_like(arrays.corners_start), corners=np.full((2, 16), np.nan)
+    )
     lidar = Lidar(oval, beams=200, fov=2.0 * np.pi)
     out = np.empty(200)
     for x, y, psi in poses_on(oval, 20):
         s = oval.to_frenet([x, y])[0]
-        scan_into(empty, lidar.kernel, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, np.empty((4, 16)), out)
+        scan_into(
+            empty,
+            lidar.kernel,
+            x,
+            y,
+            psi,
+            s,
+            False,
+            0.0,
+            0.0,
+            0.0,
+            0.1,
+            0.1,
+            np.empty((4, 16)),
+            out,
+        )
         error = np.abs(out - lidar.scan([x, y, psi]))
         assert np.median(error) < arrays.cell
         assert (error > 1.0).mean() <= 0.01
@@ -135,7 +161,9 @@ def ranges_on_the_grid(track, pose, angles):
     arrays = track.arrays
     u, v = (pose[0] - arrays.origin_x) / arrays.cell, (pose[1] - arrays.origin_y) / arrays.cell
     ways = zip(np.cos(pose[2] + angles), np.sin(pose[2] + angles), strict=True)
-    return arrays.cell * np.array([cast(arrays.distance, u, v, c, s, 30.0 / arrays.cell)[0] for c, s in ways])
+    return arrays.cell * np.array(
+        [cast(arrays.distance, u, v, c, s, 30.0 / arrays.cell)[0] for c, s in ways]
+    )
 
 
 def test_ranges_stay_within_the_longest_and_a_lidar_never_changes(oval):
@@ -191,9 +219,12 @@ def test_noise_comes_from_the_given_generator_alone(oval):
 
 
 WRONG = {
-    "track": ("Spielberg",), "beams": (0, 100_001, 10.5, True), "fov": (0.0, 6.3, np.nan, "wide"),
-    "max_range": (0.0, np.inf), "noise": (-0.1,),
-}  # fmt: skip
+    "track": ("Spielberg",),
+    "beams": (0, 100_001, 10.5, True),
+    "fov": (0.0, 6.3, np.nan, "wide"),
+    "max_range": (0.0, np.inf),
+    "noise": (-0.1,),
+}
 
 
 def test_impossible_lidars_and_poses_are_refused(oval):
@@ -210,4 +241,6 @@ def test_impossible_lidars_and_poses_are_refused(oval):
         ([0.0, -4.0, 0.0], np.zeros((2, 3)), r"can't be broadcast"),
     ]:
         refused(message, Lidar(oval).scan, poses, opponents)
-    refused("width", Lidar(oval).scan, [0.0, -4.0, 0.0], [1.0, -4.0, 0.0], opponent_size=(0.58, -1.0))
+    refused(
+        "width", Lidar(oval).scan, [0.0, -4.0, 0.0], [1.0, -4.0, 0.0], opponent_size=(0.58, -1.0)
+    )

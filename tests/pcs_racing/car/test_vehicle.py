@@ -8,7 +8,15 @@ from refusal import refused
 
 from pcs_racing import F1TENTH, VehicleParams, simulate
 from pcs_racing.base.compilation import compiled
-from pcs_racing.car.lanes import LANES, LANES_SIZE, load_car, set_target, step_lanes, step_slow_car, store_car
+from pcs_racing.car.lanes import (
+    LANES,
+    LANES_SIZE,
+    load_car,
+    set_target,
+    step_lanes,
+    step_slow_car,
+    store_car,
+)
 from pcs_racing.car.vehicle import DELTA, RULES_NOISE, STEER_DELAY, V, load_vehicle
 
 
@@ -29,7 +37,8 @@ def test_reproduces_the_established_simulator(reference):
 
 def test_each_parameter_changes_one_car_and_one_car_is_a_batch_of_one():
     """Each parameter changes the car that has it, and no other."""
-    # To the power and speed limits, at the steering limit, then backwards: every parameter has work to do.
+    # To the power and speed limits, at the steering limit, then backwards: every parameter has work
+    # to do.
     controls = np.concatenate([constant(0.5, 25.0, 250), constant(-0.5, -9.0, 400)])
     start = at_speed(7.0)
     usual = simulate(start, controls)
@@ -37,7 +46,9 @@ def test_each_parameter_changes_one_car_and_one_car_is_a_batch_of_one():
     for field in dataclasses.fields(VehicleParams)[:STEER_DELAY]:  # the others matter in races only
         value = getattr(F1TENTH, field.name)
         other = dataclasses.replace(F1TENTH, **{field.name: 0.5 * value})
-        pair = simulate(np.stack([start, start]), np.stack([controls, controls]), params=[F1TENTH, other])
+        pair = simulate(
+            np.stack([start, start]), np.stack([controls, controls]), params=[F1TENTH, other]
+        )
         np.testing.assert_array_equal(pair[0], usual)
         assert np.array_equal(pair[1], usual) == (field.name in body), field.name
     single = simulate(at_speed(3.0), constant(0.1, 4.0, 50))
@@ -69,14 +80,19 @@ def test_steering_arrives_without_overshoot_or_chatter(targets, begin, speed):
         assert np.abs(moves).max() <= F1TENTH.steer_rate_max * 0.01 + 1e-12
 
 
-@given(seed=st.integers(0, 2**32 - 1), speed=st.floats(-5.0, 20.0), mode=st.sampled_from(["target", "rates"]))
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    speed=st.floats(-5.0, 20.0),
+    mode=st.sampled_from(["target", "rates"]),
+)
 def test_any_driving_keeps_the_state_finite_and_within_limits(seed, speed, mode):
     rng = np.random.default_rng(seed)
     high = [4.0, 12.0] if mode == "rates" else [0.6, 22.0]
     controls = rng.uniform(np.negative(high), high, (100, 2))
     states = simulate(at_speed(speed), controls, control_mode=mode)
     assert np.isfinite(states).all()
-    slack = 1e-9 + (F1TENTH.steer_rate_max * 0.01 if mode != "target" else 0.0)  # only "target" arrives exactly
+    # only "target" arrives exactly
+    slack = 1e-9 + (F1TENTH.steer_rate_max * 0.01 if mode != "target" else 0.0)
     assert np.abs(states[:, DELTA]).max() <= F1TENTH.steer_max + slack
     assert states[:, V].min() >= F1TENTH.v_min - F1TENTH.a_max * 0.01 - 1e-9
     assert states[:, V].max() <= F1TENTH.v_max + F1TENTH.a_max * 0.01 + 1e-9
@@ -84,20 +100,27 @@ def test_any_driving_keeps_the_state_finite_and_within_limits(seed, speed, mode)
 
 
 def side_slip_model(y, rate, a, car):
-    """CommonRoad's single-track model with load transfer, axle by axle (Althoff, Koschi and Manzinger 2017)."""
+    """CommonRoad's single-track model with load transfer, axle by axle (Althoff, Koschi and
+    Manzinger 2017).
+    """
     _, _, delta, v, psi, yaw_rate, beta = y
     length, g = car.lf + car.lr, 9.81
-    load_front = car.m * (g * car.lr - a * car.h) / length  # braking (a < 0) presses the front axle down
+    # braking (a < 0) presses the front axle down
+    load_front = car.m * (g * car.lr - a * car.h) / length
     load_rear = car.m * (g * car.lf + a * car.h) / length
     force_front = car.mu * car.c_sf * load_front * (delta - beta - car.lf * yaw_rate / v)
     force_rear = car.mu * car.c_sr * load_rear * (-beta + car.lr * yaw_rate / v)
     return np.array(
         [
-            v * np.cos(psi + beta), v * np.sin(psi + beta), rate, a, yaw_rate,
+            v * np.cos(psi + beta),
+            v * np.sin(psi + beta),
+            rate,
+            a,
+            yaw_rate,
             (car.lf * force_front - car.lr * force_rear) / car.inertia,
             (force_front + force_rear) / (car.m * v) - yaw_rate,
         ]
-    )  # fmt: skip
+    )
 
 
 def rolling_model(y, rate, a, car):
@@ -116,7 +139,17 @@ def rolling_model(y, rate, a, car):
     now = np.array([delta, v, beta])
     yaw_dot = (yaw_rate(*(now + h * change)) - yaw_rate(*(now - h * change))) / (2.0 * h)
     way = psi + slip(delta)
-    return np.array([v * np.cos(way), v * np.sin(way), rate, a, yaw_rate(delta, v, slip(delta)), yaw_dot, slip_dot])
+    return np.array(
+        [
+            v * np.cos(way),
+            v * np.sin(way),
+            rate,
+            a,
+            yaw_rate(delta, v, slip(delta)),
+            yaw_dot,
+            slip_dot,
+        ]
+    )
 
 
 def limited(y, rate, a, car):
@@ -147,20 +180,29 @@ def runge_kutta(y, rate, a, car, dt):
     return after
 
 
-OTHER_CAR = VehicleParams(0.9, 4.1, 5.9, 0.14, 0.19, 0.09, 3.1, 0.05, 0.40, 2.9, 5.5, 8.0, -4.0, 15.0, 0.28, 0.5)
+OTHER_CAR = VehicleParams(
+    0.9, 4.1, 5.9, 0.14, 0.19, 0.09, 3.1, 0.05, 0.40, 2.9, 5.5, 8.0, -4.0, 15.0, 0.28, 0.5
+)
 
 
 @pytest.mark.parametrize("car", [F1TENTH, OTHER_CAR], ids=["f1tenth", "another"])
 @pytest.mark.parametrize(
-    ("speeds", "tolerance"), [((0.6, 15.0), 1e-11), ((-3.5, 0.4), 1e-7)], ids=["dynamic", "kinematic"]
+    ("speeds", "tolerance"),
+    [((0.6, 15.0), 1e-11), ((-3.5, 0.4), 1e-7)],
+    ids=["dynamic", "kinematic"],
 )
 def test_a_step_is_a_runge_kutta_step_of_the_models_equations(car, speeds, tolerance):
     rng = np.random.default_rng(1)
     for _ in range(150):
-        y = rng.uniform([-9.0, -9.0, -0.39, speeds[0], -20.0, -4.0, -0.4], [9.0, 9.0, 0.39, speeds[1], 20.0, 4.0, 0.4])
+        y = rng.uniform(
+            [-9.0, -9.0, -0.39, speeds[0], -20.0, -4.0, -0.4],
+            [9.0, 9.0, 0.39, speeds[1], 20.0, 4.0, 0.4],
+        )
         rate, a, dt = rng.uniform(-4.0, 4.0), rng.uniform(-12.0, 12.0), rng.uniform(0.002, 0.012)
         found = simulate(y, [[rate, a]], control_mode="rates", params=car, dt=dt)[1]
-        np.testing.assert_allclose(found, runge_kutta(y, rate, a, car, dt), rtol=tolerance, atol=tolerance)
+        np.testing.assert_allclose(
+            found, runge_kutta(y, rate, a, car, dt), rtol=tolerance, atol=tolerance
+        )
 
 
 def test_at_its_limits_the_car_follows_what_it_can():
@@ -180,16 +222,26 @@ def test_at_its_limits_the_car_follows_what_it_can():
         y = at_speed(3.0)
         y[column] = value
         found = simulate(y, [inputs], control_mode="rates")[1]
-        np.testing.assert_allclose(found, runge_kutta(y, *inputs, F1TENTH, 0.01), rtol=1e-7, atol=1e-9)
+        np.testing.assert_allclose(
+            found, runge_kutta(y, *inputs, F1TENTH, 0.01), rtol=1e-7, atol=1e-9
+        )
 
 
 def test_the_default_car_is_that_of_the_established_simulator():
     """The numbers that f1tenth_gym publishes for its car."""
-    published = "mu 1.0489 c_sf 4.718 c_sr 5.4562 lf 0.15875 lr 0.17145 h 0.074 m 3.74 inertia 0.04712 steer_max 0.4189"
-    published += " steer_rate_max 3.2 v_switch 7.319 a_max 9.51 v_min -5.0 v_max 20.0 width 0.31 length 0.58"
+    published = (
+        "mu 1.0489 c_sf 4.718 c_sr 5.4562 lf 0.15875 lr 0.17145 h 0.074 m 3.74 inertia 0.04712"
+        " steer_max 0.4189"
+    )
+    published += (
+        " steer_rate_max 3.2 v_switch 7.319 a_max 9.51 v_min -5.0 v_max 20.0 width 0.31 length 0.58"
+    )
     words = published.split()
     own = {"steer_delay": 0.0, "steer_noise": None}  # which that car has not
-    assert dataclasses.asdict(F1TENTH) == {**dict(zip(words[::2], map(float, words[1::2]), strict=True)), **own}
+    assert dataclasses.asdict(F1TENTH) == {
+        **dict(zip(words[::2], map(float, words[1::2]), strict=True)),
+        **own,
+    }
     np.testing.assert_array_equal(F1TENTH.as_row(), [*map(float, words[1::2]), 0.0, RULES_NOISE])
     assert F1TENTH.wheelbase == pytest.approx(0.3302)
 
@@ -198,9 +250,13 @@ def test_target_controls_close_a_tenth_of_the_speed_error_in_each_step_and_arriv
     y = at_speed(3.0)
     y[DELTA] = 0.05
     for steer, speed in ((0.06, 3.2), (0.04, 2.9), (0.3, 9.0), (-0.3, 0.0)):
-        rate = np.clip((np.clip(steer, -F1TENTH.steer_max, F1TENTH.steer_max) - 0.05) / 0.01, -3.2, 3.2)
+        rate = np.clip(
+            (np.clip(steer, -F1TENTH.steer_max, F1TENTH.steer_max) - 0.05) / 0.01, -3.2, 3.2
+        )
         expected = runge_kutta(y, rate, 10.0 * (speed - 3.0), F1TENTH, 0.01)
-        np.testing.assert_allclose(simulate(y, [[steer, speed]])[1], expected, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(
+            simulate(y, [[steer, speed]])[1], expected, rtol=1e-9, atol=1e-12
+        )
 
 
 TARGETS = np.stack([np.linspace(-0.5, 0.5, LANES), np.linspace(0.0, 12.0, LANES)], axis=1)
@@ -229,7 +285,9 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
 
 @pytest.mark.parametrize("cars", [1, 2, 5, LANES])
 def test_cars_in_lanes_drive_as_alone(cars):
-    vehicles = [dataclasses.replace(F1TENTH, mu=0.8 + 0.05 * k, m=3.0 + 0.3 * k) for k in range(cars)]
+    vehicles = [
+        dataclasses.replace(F1TENTH, mu=0.8 + 0.05 * k, m=3.0 + 0.3 * k) for k in range(cars)
+    ]
     states = np.zeros((cars, 7))
     states[:, 3] = np.linspace(0.3, 7.0, cars)
     expected = simulate(states, np.tile(TARGETS[:cars, None], (1, 150, 1)), params=vehicles)[:, -1]
@@ -247,7 +305,11 @@ def test_the_names_of_the_gym_lead_to_ours():
         "s_min": "steer_max",
         "sv_max": "steer_rate_max",
     }.items():
-        refused(rf"unknown vehicle setting '{theirs}'.*did you mean '{ours}'", load_vehicle, {theirs: 1.0})
+        refused(
+            rf"unknown vehicle setting '{theirs}'.*did you mean '{ours}'",
+            load_vehicle,
+            {theirs: 1.0},
+        )
 
 
 def test_bad_input_and_impossible_vehicles_are_refused():
@@ -263,7 +325,13 @@ def test_bad_input_and_impossible_vehicles_are_refused():
         ({"params": [F1TENTH, F1TENTH]}, "2 sets for 1 vehicles"),
     ]:
         arguments = {"initial_state": np.zeros(7), "controls": np.zeros((10, 2))} | change
-        refused(message, simulate, arguments.pop("initial_state"), arguments.pop("controls"), **arguments)
+        refused(
+            message,
+            simulate,
+            arguments.pop("initial_state"),
+            arguments.pop("controls"),
+            **arguments,
+        )
     assert VehicleParams(steer_delay=0.5, steer_noise=0.0).steer_delay == 0.5
     wrong = {"m": 0.0, "mu": -1.0, "lf": np.nan, "a_max": np.inf, "v_min": 1.0, "steer_delay": 0.52}
     for parameter, value in wrong.items():

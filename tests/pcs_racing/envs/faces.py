@@ -4,9 +4,19 @@ import numpy as np
 from gymnasium.spaces import MultiDiscrete
 
 from pcs_racing import PolicyArchive, get_planner
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs.drive import (
+    DriveEnv,
+    DriveHeadToHeadEnv,
+    DriveHeadToHeadVectorEnv,
+    DriveVectorEnv,
+)
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
-from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
+from pcs_racing.envs.match import (
+    HeadToHeadMatchEnv,
+    MatchEnv,
+    MatchVectorEnv,
+    SelfPlayMatchVectorEnv,
+)
 from pcs_racing.game.observation import decode_match
 
 AGENTS = ("car_0", "car_1")  # of two
@@ -37,7 +47,13 @@ def six_policies() -> PolicyArchive:
 
 DRIVE = {"race": "contest", "duration": 1.0, "time_step": 0.1, "beams": 3, "lidar_noise": 0.1}
 GAME = {"step_seconds": 0.5, "moves": 2, "race": "contest"}
-MATCH = {"archive": six_policies(), "track": "Pipkin", "step_seconds": 0.5, "moves": 1, "race": "contest"}
+MATCH = {
+    "archive": six_policies(),
+    "track": "Pipkin",
+    "step_seconds": 0.5,
+    "moves": 1,
+    "race": "contest",
+}
 USUAL = {
     DriveEnv: DRIVE,
     DuelEnv: GAME,
@@ -51,7 +67,12 @@ USUAL = {
 VARIED = {
     "track": ["Pipkin", "Tarnfjord"],
     "vehicle": [{"mu": 0.9}, {}],
-    "randomize": {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": 0.01},
+    "randomize": {
+        "friction": [0.6, 1.2],
+        "mass": [3.0, 4.5],
+        "steering_delay": [0.0, 0.1],
+        "steering_noise": 0.01,
+    },
     "obstacles": {"count": [0, 2], "passage": 0.8},
 }
 """Arguments with which episodes differ in everything."""
@@ -84,7 +105,9 @@ def poses(track, *places):
 
 
 def follow_the_line(observation, share=0.7):
-    """A driver that reads the observation by its documented order: back to the race line, a bit slower than it."""
+    """A driver that reads the observation by its documented order: back to the race line, a bit
+    slower than it.
+    """
     steer = 0.6 * -observation[7] - 0.35 * observation[6] + 0.33 * observation[12]
     return np.array([steer / 0.4189, 2.0 * share * observation[13] / 8.0 - 1.0], np.float32)
 
@@ -107,7 +130,10 @@ def make_many(kind, episodes, **arguments):
 def act(env, k=0):
     """Actions of a step, others for each ``k``: slow driving, or moves."""
     if hasattr(env, "possible_agents"):
-        return {agent: _act(env.action_space(agent), k + car) for car, agent in enumerate(env.possible_agents)}
+        return {
+            agent: _act(env.action_space(agent), k + car)
+            for car, agent in enumerate(env.possible_agents)
+        }
     return _act(env.action_space, k)
 
 

@@ -1,4 +1,6 @@
-"""What all environments promise, whatever is raced in them: checkers, names, seeds, batches, copies, frames, errors."""
+"""What all environments promise, whatever is raced in them: checkers, names, seeds, batches,
+copies, frames, errors.
+"""
 
 import copy
 import dataclasses
@@ -42,7 +44,15 @@ from repository import run_python
 
 import pcs_racing
 from pcs_racing import GameConfig, load_race_config
-from pcs_racing.envs import GYMNASIUM_IDS, drive, drive_batch, duel, infos, match, register_environments
+from pcs_racing.envs import (
+    GYMNASIUM_IDS,
+    drive,
+    drive_batch,
+    duel,
+    infos,
+    match,
+    register_environments,
+)
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
@@ -50,9 +60,16 @@ from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
 from pcs_racing.game.observation import observation_table
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
-with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
+# PettingZoo's own tests import its old classic environments, which warn
+with warnings.catch_warnings():
     warnings.simplefilter("ignore")
-    from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+    from pettingzoo.test import (
+        api_test,
+        parallel_api_test,
+        parallel_seed_test,
+        render_test,
+        seed_test,
+    )
 
 EVERY = pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.__name__)
 VARIANTS = [
@@ -106,7 +123,10 @@ def test_it_is_made_by_name(name, kind, arguments):
 
 
 def test_the_code_behind_a_name_is_imported_when_it_is_needed():
-    code = "import sys, pcs_racing; print(*[m for m in sys.modules if m.startswith('pcs_racing.envs.')])"
+    code = (
+        "import sys, pcs_racing; print(*[m for m in sys.modules if"
+        " m.startswith('pcs_racing.envs.')])"
+    )
     assert not run_python("-c", code).split()
 
 
@@ -122,7 +142,13 @@ STEERED = {"time_step": 0.1, "duration": 3.0}
         (
             "drive_head_to_head-v0",
             drive,
-            {**STEERED, "race": "contest", "beams": 9, "see_opponent": "in sight", "win_reward": 1.0},
+            {
+                **STEERED,
+                "race": "contest",
+                "beams": 9,
+                "see_opponent": "in sight",
+                "win_reward": 1.0,
+            },
             60,
         ),
     ],
@@ -131,7 +157,12 @@ STEERED = {"time_step": 0.1, "duration": 3.0}
 def two_agents(request, coarse_oval):
     """Name, module, arguments and cycles of an environment for two agents."""
     name, module, arguments, cycles = request.param
-    return name, module, {**({"track": coarse_oval} if module is drive else {}), **arguments}, cycles
+    return (
+        name,
+        module,
+        {**({"track": coarse_oval} if module is drive else {}), **arguments},
+        cycles,
+    )
 
 
 def test_the_checkers_of_pettingzoo_are_content(two_agents):
@@ -158,7 +189,9 @@ def test_two_agents_are_rendered(two_agents, monkeypatch):
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     _, module, arguments, _ = two_agents
     shorter = {"duration": 0.3} if module is drive else {}
-    render_test(lambda **more: module.env(**{**arguments, **shorter}, render_size=(160, 120), **more))
+    render_test(
+        lambda **more: module.env(**{**arguments, **shorter}, render_size=(160, 120), **more)
+    )
 
 
 def test_the_package_itself_offers_head_to_head():
@@ -171,7 +204,11 @@ def test_the_package_itself_offers_head_to_head():
 
 def defaults(kind):
     parameters = inspect.signature(kind).parameters
-    return {name: p.default for name, p in parameters.items() if p.default is not inspect.Parameter.empty}
+    return {
+        name: p.default
+        for name, p in parameters.items()
+        if p.default is not inspect.Parameter.empty
+    }
 
 
 def test_an_argument_has_one_default_but_where_two_agents_drive():
@@ -179,8 +216,15 @@ def test_an_argument_has_one_default_but_where_two_agents_drive():
     for kind in ALL:
         for name, value in defaults(kind).items():
             found[name].add(repr(value))
-    assert {name for name, values in found.items() if len(values) > 1} == {"opponent", "time_step", "rivalry"}
-    assert (defaults(DriveEnv)["time_step"], defaults(DriveHeadToHeadEnv)["time_step"]) == (0.1, 0.02)
+    assert {name for name, values in found.items() if len(values) > 1} == {
+        "opponent",
+        "time_step",
+        "rivalry",
+    }
+    assert (defaults(DriveEnv)["time_step"], defaults(DriveHeadToHeadEnv)["time_step"]) == (
+        0.1,
+        0.02,
+    )
     assert defaults(DriveEnv)["render_size"] == (960, 640)
     assert [defaults(MANY[kind])["num_envs"] for kind in ALL] == [1, 1, 1, 2, 2, 2]  # one race
 
@@ -201,12 +245,26 @@ def test_an_argument_has_one_default_but_where_two_agents_drive():
 def test_what_may_be_given_by_place(kind, by_place):
     parameters = inspect.signature(kind).parameters
     assert [name for name, p in parameters.items() if p.kind is p.POSITIONAL_OR_KEYWORD] == by_place
-    refused("too many positional", kind, *(parameters[name].default for name in by_place), "one more", error=TypeError)
+    refused(
+        "too many positional",
+        kind,
+        *(parameters[name].default for name in by_place),
+        "one more",
+        error=TypeError,
+    )
     with pytest.raises(TypeError, match=f"multiple values for argument '{by_place[0]}'"):
         kind(parameters[by_place[0]].default, **{by_place[0]: parameters[by_place[0]].default})
 
 
-HEADINGS = ["Action Space", "Observation Space", "Rewards", "Starting State", "Episode End", "Information", "Arguments"]
+HEADINGS = [
+    "Action Space",
+    "Observation Space",
+    "Rewards",
+    "Starting State",
+    "Episode End",
+    "Information",
+    "Arguments",
+]
 
 
 @EVERY
@@ -214,9 +272,12 @@ def test_the_class_documents_itself(kind):
     text = inspect.getdoc(kind)
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
     assert headings == ["Description", *HEADINGS, "Vectorized environment"]
-    of_game = [field.name for field in dataclasses.fields(GameConfig)] if kind is HeadToHeadEnv else []
+    of_game = (
+        [field.name for field in dataclasses.fields(GameConfig)] if kind is HeadToHeadEnv else []
+    )
     named = [*inspect.signature(kind).parameters, *of_game]
-    text += inspect.getdoc(DriveEnv) if kind is DriveHeadToHeadEnv else ""  # whose arguments it takes
+    # whose arguments it takes
+    text += inspect.getdoc(DriveEnv) if kind is DriveHeadToHeadEnv else ""
     assert [name for name in named if name not in text and name != "settings"] == []
 
 
@@ -236,14 +297,20 @@ def test_the_table_of_a_page_is_made_of_the_elements(kind):
 def test_spaces_of_two_agents(kind):
     env = make(kind)
     box = env.observation_space("car_1")
-    np.testing.assert_array_equal(box.low, np.array([element.low for element in env.elements], np.float32))
-    np.testing.assert_array_equal(box.high, np.array([element.high for element in env.elements], np.float32))
+    np.testing.assert_array_equal(
+        box.low, np.array([element.low for element in env.elements], np.float32)
+    )
+    np.testing.assert_array_equal(
+        box.high, np.array([element.high for element in env.elements], np.float32)
+    )
     assert box.dtype == np.float32
     assert env.action_space("car_0") is env.action_space("car_0")
     assert env.action_space("car_0") is not env.action_space("car_1")  # each is seeded for itself
     refused("not begun", env.state)
     observations, _ = env.reset(seed=0)
-    np.testing.assert_array_equal(env.state(), np.concatenate([observations[agent] for agent in AGENTS]))
+    np.testing.assert_array_equal(
+        env.state(), np.concatenate([observations[agent] for agent in AGENTS])
+    )
     assert env.state_space.contains(env.state())
     assert env.metadata["is_parallelizable"]  # which PettingZoo's wrappers ask for
 
@@ -263,13 +330,25 @@ def test_the_same_seed_is_the_same_episodes(kind):
 RACE = load_race_config("contest", duration=3.0)
 DRIVES = [
     {"race": RACE, "duration": None, "beams": 12, "lidar_noise": 0.05},
-    {"race": RACE, "duration": None, "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"], "time_step": 0.06},
+    {
+        "race": RACE,
+        "duration": None,
+        "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"],
+        "time_step": 0.06,
+    },
     {"race": RACE, "duration": None, "opponent": None, "normalize": True},
 ]
 LONGER = {"step_seconds": 1.0, "moves": 3}
-DUELS = [{"opponent": one, **LONGER} for one in ("random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3")]
+DUELS = [
+    {"opponent": one, **LONGER}
+    for one in ("random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3")
+]
 RIVALS = ("random-moves", by_lead, Counts(), ["never-switch", "random-moves"])
-MATCHES = [{"opponent": rival, "race_moves": race_moves} for rival in RIVALS for race_moves in (False, True)]
+MATCHES = [
+    {"opponent": rival, "race_moves": race_moves}
+    for rival in RIVALS
+    for race_moves in (False, True)
+]
 
 
 @pytest.mark.parametrize(
@@ -284,7 +363,9 @@ MATCHES = [{"opponent": rival, "race_moves": race_moves} for rival in RIVALS for
         *((kind, VARIED, 5, 12, 5) for kind in ALL),
     ],
 )
-def test_vector_and_scalar_environment_agree_to_the_last_bit(kind, arguments, count, steps, least_ends, monkeypatch):
+def test_vector_and_scalar_environment_agree_to_the_last_bit(
+    kind, arguments, count, steps, least_ends, monkeypatch
+):
     monkeypatch.setattr(drive_batch, "US_OF_A_THREAD", 10.0)  # two threads for short steps, too
     envs = make_many(kind, count, threads=2, autoreset_mode="SAME_STEP", **arguments)
     assert kind is not DriveEnv or envs.batch.threads == 2
@@ -303,7 +384,11 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(kind, arguments, co
         batch, rewards, terminated, truncated, info = envs.step(actions)
         for i, env in enumerate(single):
             rows = range(i * envs.players, (i + 1) * envs.players)
-            own = actions[i] if kind in SINGLE else dict(zip(AGENTS, actions[list(rows)], strict=True))
+            own = (
+                actions[i]
+                if kind in SINGLE
+                else dict(zip(AGENTS, actions[list(rows)], strict=True))
+            )
             answer = env.step(own)
             seen, paid, end, late, told = sides(env, *answer)
             expected = (values[list(rows)].tolist() for values in (rewards, terminated, truncated))
@@ -320,7 +405,9 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(kind, arguments, co
 
 def sides(env, *answer):
     """An answer of an environment, in which each part lists what belongs to each agent."""
-    return tuple(list(part.values()) if hasattr(env, "possible_agents") else [part] for part in answer)
+    return tuple(
+        list(part.values()) if hasattr(env, "possible_agents") else [part] for part in answer
+    )
 
 
 def compare_infos(info, rows, told):
@@ -333,7 +420,9 @@ def compare_infos(info, rows, told):
 @pytest.mark.parametrize(("kind", "arguments"), VARIANTS)
 def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
     """Whatever was made of the environment since, or in another one."""
-    env, other = (make_many(kind, 3, **arguments) if many else make(kind, **arguments) for _ in range(2))
+    env, other = (
+        make_many(kind, 3, **arguments) if many else make(kind, **arguments) for _ in range(2)
+    )
     env.reset(seed=2)
     env.step(act(env, 0))
     other.reset(seed=77)
@@ -353,7 +442,9 @@ def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
         other.reset(options={"state": state})
         env.set_state(state)
         assert flat(other.step(act(other, 2))) == flat(env.step(act(env, 2)))
-        refused("'state' was given with others or a seed", env.reset, seed=2, options={"state": state})
+        refused(
+            "'state' was given with others or a seed", env.reset, seed=2, options={"state": state}
+        )
     fresh = make(kind, **arguments)
     fresh.set_state(make(kind, **arguments).get_state())
     refused("call reset", fresh.step, act(fresh))
@@ -361,7 +452,11 @@ def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
 
 @pytest.mark.parametrize(("single", "pair"), list(zip(SINGLE, PAIRS, strict=True)))
 def test_an_opponent_in_place_of_the_second_agent_makes_it_the_environment_of_one(single, pair):
-    arguments = {"opponent": "pure-pursuit", "rivalry": 1.0} if single is DriveEnv else {"opponent": "lattice:pace=0.5"}
+    arguments = (
+        {"opponent": "pure-pursuit", "rivalry": 1.0}
+        if single is DriveEnv
+        else {"opponent": "lattice:pace=0.5"}
+    )
     one, two = make(single, **arguments), make(pair, **arguments)
     expected, found = play(one, 6), play(two, 6)
     assert two.possible_agents == ["car_0"]
@@ -381,7 +476,11 @@ def test_steps_at_the_wrong_time_are_refused(kind):
 
 @pytest.mark.parametrize("kind", PAIRS)
 def test_max_cycles_truncates_and_decides_nothing(kind):
-    env = make(kind, max_cycles=2, race="paper", moves=4) if kind is HeadToHeadEnv else make(kind, max_cycles=2)
+    env = (
+        make(kind, max_cycles=2, race="paper", moves=4)
+        if kind is HeadToHeadEnv
+        else make(kind, max_cycles=2)
+    )
     games = (play(env, seed) for seed in range(100))
     answers = next(answers for answers in games if not answers[-1][2]["car_0"])
     assert len(answers) == 3
@@ -389,14 +488,19 @@ def test_max_cycles_truncates_and_decides_nothing(kind):
     assert answers[-1][4]["car_0"]["result"] == Result.RUNNING
     assert env.agents == []
     whole = play(make(kind), 1)
-    assert play(make(kind, max_cycles=len(whole) - 1), 1) == whole  # what ends by itself in that step is not cut off
+    # what ends by itself in that step is not cut off
+    assert play(make(kind, max_cycles=len(whole) - 1), 1) == whole
 
 
 @EVERY
 def test_track_and_opponent_can_change_with_a_reset(kind):
     opponent = "lattice:pace=0.2"
     for many in (False, True) if kind in SINGLE else (False,):
-        factory = (lambda **given: make_many(kind, 2, **given)) if many else (lambda **given: make(kind, **given))
+        factory = (
+            (lambda **given: make_many(kind, 2, **given))
+            if many
+            else (lambda **given: make(kind, **given))
+        )
         env = factory(track="Tarnfjord", opponent="lattice:pace=0.9")
         env.reset(seed=3)
         changed = flat(env.reset(seed=3, options={"track": "Pipkin", "opponent": opponent}))
@@ -435,7 +539,9 @@ def test_resets_leave_nothing_behind(kind):
 
 @EVERY
 def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
-    """Those of the table of :mod:`pcs_racing.envs.infos`, as numbers; the outcome says the same in words."""
+    """Those of the table of :mod:`pcs_racing.envs.infos`, as numbers; the outcome says the same in
+    words.
+    """
     table = set(re.findall(r"`(\w+)`(?=[^|]*\|[^|]*\|$)", infos.__doc__, re.M))
     env = make(kind, **VARIED)
     _, info = env.reset(seed=0)
@@ -445,7 +551,18 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
         assert info["car_0"]["friction"] == info["car_1"]["friction"]
         assert info["car_1"]["opponent"] == -1
         info, outcome = info["car_1"], outcome["car_1"]
-    shared = {"time", "progress", "lead", "crash", "opponent_crash", "fault", "overtakes", "result", "opponent", "laps"}
+    shared = {
+        "time",
+        "progress",
+        "lead",
+        "crash",
+        "opponent_crash",
+        "fault",
+        "overtakes",
+        "result",
+        "opponent",
+        "laps",
+    }
     assert shared | {"track", "obstacles", "friction"} <= set(info) <= table
     for name, value in info.items():
         assert np.asarray(value).dtype.kind in "if", name
@@ -455,7 +572,11 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
     assert (Crash.NONE, Crash.WALL, Crash.CAR) == (0, 1, 2)
     assert set(outcome) == set(info) - {"action_mask", "poses", "velocities"}
     assert all(isinstance(outcome[name], str) and outcome[name] for name in codes)
-    assert (info["result"], outcome["result"], outcome["crash"]) == (Result.RUNNING, "running", "none")
+    assert (info["result"], outcome["result"], outcome["crash"]) == (
+        Result.RUNNING,
+        "running",
+        "none",
+    )
 
 
 # Frames
@@ -491,7 +612,9 @@ def test_a_window_follows_the_race(kind, in_a_step, monkeypatch):
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     shown = []
-    monkeypatch.setattr("pcs_racing.race.rendering.Window.show", lambda self, frame: shown.append(frame))
+    monkeypatch.setattr(
+        "pcs_racing.race.rendering.Window.show", lambda self, frame: shown.append(frame)
+    )
     for env in (make(kind, render_mode="human"), make_many(kind, 1, render_mode="human")):
         shown.clear()
         env.reset(seed=0)

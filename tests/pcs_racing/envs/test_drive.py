@@ -1,4 +1,6 @@
-"""Steering: what agents observe and are paid, against whom one may race, and how the races of two end."""
+"""Steering: what agents observe and are paid, against whom one may race, and how the races of two
+end.
+"""
 
 import inspect
 import re
@@ -26,7 +28,9 @@ def episode(env, seed, steps=400, policy=follow_the_line):
 
 
 def test_a_driver_that_reads_the_observation_gets_around(oval):
-    _, rewards, terminated, truncated, info = episode(DriveEnv(oval, opponent=None, duration=20.0), seed=2)
+    _, rewards, terminated, truncated, info = episode(
+        DriveEnv(oval, opponent=None, duration=20.0), seed=2
+    )
     assert truncated
     assert not terminated
     assert info["time"] == pytest.approx(20.0)
@@ -42,7 +46,9 @@ def test_threads_share_a_step_that_is_long_enough():
         (128, 4, {"beams": 1080}, 4),
         (64, 4, {"time_step": 0.2}, 2),
     ]:
-        envs = DriveVectorEnv(count, threads=threads, opponent=None, **{"time_step": 0.02, **arguments})
+        envs = DriveVectorEnv(
+            count, threads=threads, opponent=None, **{"time_step": 0.02, **arguments}
+        )
         assert envs.batch.threads == expected
         envs.close()
         assert envs.batch.threads == 1
@@ -52,7 +58,9 @@ def test_threads_share_a_step_that_is_long_enough():
 def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normalized):
     rules, moved = load_race_config("paper", contact="stop"), []
     for speed in (0.0, -2.0):
-        env = DriveEnv(oval, None, race=rules, min_speed=speed, top_speed=6.0, normalized=normalized)
+        env = DriveEnv(
+            oval, None, race=rules, min_speed=speed, top_speed=6.0, normalized=normalized
+        )
         _, info = env.reset(seed=1, options={"poses": poses(oval, (4.0, 0.0, 0.0))[:1]})
         while not info["crash"]:
             *_, info = env.step(env.action_space.high)
@@ -134,7 +142,9 @@ def test_the_noise_of_the_two_lidars_differs(coarse_oval):
     noises = []
     for noise in (0.0, 0.2):
         env = make(coarse_oval, beams=60, lidar_noise=noise)
-        observations, _ = env.reset(seed=1, options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (8.0, 0.0, 0.0))})
+        observations, _ = env.reset(
+            seed=1, options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (8.0, 0.0, 0.0))}
+        )
         noises.append(np.array([observations[agent][-60:] for agent in AGENTS]))
     added = noises[1] - noises[0]
     assert added.std(axis=1) == pytest.approx([0.2, 0.2], rel=0.3)
@@ -143,7 +153,12 @@ def test_the_noise_of_the_two_lidars_differs(coarse_oval):
 
 @pytest.mark.parametrize(
     ("places", "reach", "visible"),
-    [((3.0, 7.0), 30.0, True), ((3.0, 7.0), 3.0, False), (OPPOSITE, 30.0, False), ((3.0, 7.0), 4.2, True)],
+    [
+        ((3.0, 7.0), 30.0, True),
+        ((3.0, 7.0), 3.0, False),
+        (OPPOSITE, 30.0, False),
+        ((3.0, 7.0), 4.2, True),
+    ],
 )
 def test_the_opponent_is_hidden_by_walls_and_distance(coarse_oval, places, reach, visible):
     env = make(coarse_oval, see_opponent="in sight", max_range=reach)
@@ -177,7 +192,9 @@ def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
         env = begun(make(coarse_oval, **{**options, name: off}), options=start)
         found, *_ = env.step(SLOW)
         for agent in AGENTS:
-            np.testing.assert_array_equal(found[agent], np.delete(expected[agent], list(indices)), err_msg=name)
+            np.testing.assert_array_equal(
+                found[agent], np.delete(expected[agent], list(indices)), err_msg=name
+            )
         kept = [element.name for i, element in enumerate(whole.elements) if i not in indices]
         assert [element.name for element in env.elements] == kept
 
@@ -190,7 +207,10 @@ def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
         observations, infos = env.reset(seed=2, options={"poses": start})
         began, total = infos["car_0"]["lead"], dict.fromkeys(AGENTS, 0.0)
         while env.agents:
-            actions = follow_the_line(observations["car_0"], share), follow_the_line(observations["car_1"], 0.7)
+            actions = (
+                follow_the_line(observations["car_0"], share),
+                follow_the_line(observations["car_1"], 0.7),
+            )
             observations, rewards, terminated, truncated, infos = env.step(both(*actions))
             assert rewards["car_0"] + rewards["car_1"] == pytest.approx(0.0, abs=1e-12)
             total = {agent: total[agent] + rewards[agent] for agent in AGENTS}
@@ -205,16 +225,23 @@ def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
 
 @pytest.mark.parametrize(
     ("race", "penalties", "results"),
-    [("paper", (-7.0, 0.0), (Result.CRASH, Result.CRASH)), ("contest", (-12.0, 5.0), (Result.LOSS, Result.WIN))],
+    [
+        ("paper", (-7.0, 0.0), (Result.CRASH, Result.CRASH)),
+        ("contest", (-12.0, 5.0), (Result.LOSS, Result.WIN)),
+    ],
 )
-def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(coarse_oval, race, penalties, results):
+def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(
+    coarse_oval, race, penalties, results
+):
     race = load_race_config(race, steering_noise=0.0)
     env = make(coarse_oval, race=race, progress_reward=0.0, crash_penalty=7.0, win_reward=5.0)
     for car in range(2):
         env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 4.0), (28.0, 0.0, 4.0))})
         turn, go = (1.0, 0.0), (0.0, -1.0)
         while env.agents:
-            _, rewards, terminated, truncated, infos = env.step(both(*((turn, go) if car == 0 else (go, turn))))
+            _, rewards, terminated, truncated, infos = env.step(
+                both(*((turn, go) if car == 0 else (go, turn)))
+            )
         guilty, other = AGENTS[car], AGENTS[1 - car]
         assert (rewards[guilty], rewards[other]) == penalties
         assert (infos[guilty]["result"], infos[other]["result"]) == results

@@ -1,4 +1,6 @@
-"""A step of the control-level environment against the same in a few lines of numpy; quick as plain Python, too."""
+"""A step of the control-level environment against the same in a few lines of numpy; quick as plain
+Python, too.
+"""
 
 import numpy as np
 import pytest
@@ -60,7 +62,9 @@ def expected_observation(env, command):
     }
     for distance in AHEAD:
         sample = line[(int(s / ds) + round(distance / ds)) % len(line)]
-        for name, value in zip(("curvature", "line speed", "right", "left"), sample[[5, 6, 7, 8]], strict=True):
+        for name, value in zip(
+            ("curvature", "line speed", "right", "left"), sample[[5, 6, 7, 8]], strict=True
+        ):
             seen[f"{name} {distance:g} m ahead"] = value
     toward = np.array([np.cos(own[PSI]), np.sin(own[PSI])])
     leftward = np.array([-toward[1], toward[0]])
@@ -83,8 +87,12 @@ def expected_observation(env, command):
     return seen | {name: 0.0 if env.batch.alone else value for name, value in rival.items()}
 
 
-@pytest.mark.parametrize("opponent", [HOLD.policy({"steer": 0.05, "speed": 3.0}), None], ids=["rival", "alone"])
-@pytest.mark.parametrize("places", [((9.0, 0.3), (13.0, -0.3)), ((48.5, -0.4), (0.9, 0.2)), ((0.4, 0.1), (46.0, 0.3))])
+@pytest.mark.parametrize(
+    "opponent", [HOLD.policy({"steer": 0.05, "speed": 3.0}), None], ids=["rival", "alone"]
+)
+@pytest.mark.parametrize(
+    "places", [((9.0, 0.3), (13.0, -0.3)), ((48.5, -0.4), (0.9, 0.2)), ((0.4, 0.1), (46.0, 0.3))]
+)
 def test_the_observation_is_what_its_elements_say(coarse_oval, opponent, places):
     """Also across the start line, where the opponent is ahead although its arc length is smaller."""
     env = begun(coarse_oval, opponent)
@@ -100,14 +108,21 @@ def test_the_observation_is_what_its_elements_say(coarse_oval, opponent, places)
 
 
 def test_normalised_observations_run_from_minus_one_to_one_between_the_bounds(coarse_oval):
-    plain, scaled = (begun(coarse_oval, HOLD.policy(), seed=3, normalize=normalize) for normalize in (False, True))
+    plain, scaled = (
+        begun(coarse_oval, HOLD.policy(), seed=3, normalize=normalize)
+        for normalize in (False, True)
+    )
     for _ in range(3):
         seen, scaled_seen = (env.step(action(0.2, 5.0))[0] for env in (plain, scaled))
-    low, high = (np.array([getattr(element, name) for element in plain.elements]) for name in ("low", "high"))
+    low, high = (
+        np.array([getattr(element, name) for element in plain.elements]) for name in ("low", "high")
+    )
     steered = ["speed" not in element.name for element in plain.elements]
     assert ((low == 0.0) | (low == -high))[steered].all()  # as far to the left as to the right
     np.testing.assert_allclose(scaled_seen, 2.0 * (seen - low) / (high - low) - 1.0, atol=1e-6)
-    np.testing.assert_allclose([scaled.observation_space.low[0], scaled.observation_space.high[0]], [-1.0, 1.0])
+    np.testing.assert_allclose(
+        [scaled.observation_space.low[0], scaled.observation_space.high[0]], [-1.0, 1.0]
+    )
     np.testing.assert_allclose(plain.observation_space.low, low, rtol=1e-6)
 
 
@@ -115,13 +130,18 @@ def test_what_lies_beyond_the_bounds_is_shown_at_the_bound(coarse_oval):
     env = begun(coarse_oval, HOLD.policy(), seed=3)
     env.batch.state.progress[0] = 5000.0, 0.0
     seen, *_ = env.step(action(0.0, 1.0))
-    assert dict(zip([element.name for element in env.elements], seen, strict=True))["lead"] == 1000.0
+    assert (
+        dict(zip([element.name for element in env.elements], seen, strict=True))["lead"] == 1000.0
+    )
 
 
 @pytest.mark.parametrize(
-    ("given", "steer", "speed"), [((0.5, 0.0), 0.5, 4.0), ((-3.0, 9.0), -1.0, 8.0), ((3.0, -9.0), 1.0, 0.0)]
+    ("given", "steer", "speed"),
+    [((0.5, 0.0), 0.5, 4.0), ((-3.0, 9.0), -1.0, 8.0), ((3.0, -9.0), 1.0, 0.0)],
 )
-def test_actions_are_shares_of_the_largest_steering_angle_and_of_the_top_speed(coarse_oval, given, steer, speed):
+def test_actions_are_shares_of_the_largest_steering_angle_and_of_the_top_speed(
+    coarse_oval, given, steer, speed
+):
     env = begun(coarse_oval)
     env.step(np.array(given))
     np.testing.assert_allclose(env.batch.state.memory[0, 0, :2], [steer * F1TENTH.steer_max, speed])
@@ -164,10 +184,14 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
     aside = HOLD.policy({"steer": 0.3, "speed": 5.0})
     apart, behind = ((3.0, 0.0), (9.0, 0.0)), ((6.0, 0.0), (3.0, 0.0))
     for opponent, places, speeds, command, costs, facts in (
-        (still, apart, (5.0, 0.0), (0.3, 5.0), 7.0, (Crash.WALL, Crash.NONE, True)),  # into the wall
-        (aside, apart, (0.0, 5.0), (0.0, 0.0), 0.0, (Crash.NONE, Crash.WALL, False)),  # the other one into the wall
-        (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, (Crash.CAR, Crash.CAR, True)),  # into the other one
-        (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, (Crash.CAR, Crash.CAR, False)),  # hit by the other one
+        # into the wall
+        (still, apart, (5.0, 0.0), (0.3, 5.0), 7.0, (Crash.WALL, Crash.NONE, True)),
+        # the other one into the wall
+        (aside, apart, (0.0, 5.0), (0.0, 0.0), 0.0, (Crash.NONE, Crash.WALL, False)),
+        # into the other one
+        (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, (Crash.CAR, Crash.CAR, True)),
+        # hit by the other one
+        (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, (Crash.CAR, Crash.CAR, False)),
     ):
         env = begun(coarse_oval, opponent, crash_penalty=7.0)
         put(env, places, speeds)
@@ -189,7 +213,10 @@ def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_
 def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_oval):
     """Over the start line, disturbed, and into the wall at the end."""
     race = load_race_config("contest", steering_noise=0.05, noise_time=0.3, duration=30.0)
-    alone, rival = (begun(coarse_oval, who, race, 4, duration=30.0) for who in (None, HOLD.policy({"speed": 0.0})))
+    alone, rival = (
+        begun(coarse_oval, who, race, 4, duration=30.0)
+        for who in (None, HOLD.policy({"speed": 0.0}))
+    )
     for env in (alone, rival):
         put(env, ((47.0, 0.1), (24.0, 0.0)), (3.0, 0.0))
         env.batch.state.seed[:] = 8
@@ -199,10 +226,21 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
         one, two = (env.step(command)[1:4] for env in (alone, rival))
         assert one == pytest.approx(two)
         mine, theirs = alone.batch.state, rival.batch.state
-        for name in ("tick", "cars", "frenet", "progress", "command", "disturbance", "crash", "fault"):
+        for name in (
+            "tick",
+            "cars",
+            "frenet",
+            "progress",
+            "command",
+            "disturbance",
+            "crash",
+            "fault",
+        ):
             first, second = (getattr(state, name)[0] for state in (mine, theirs))
             both = first.ndim > 0
-            np.testing.assert_allclose(first[0] if both else first, second[0] if both else second, atol=1e-9)
+            np.testing.assert_allclose(
+                first[0] if both else first, second[0] if both else second, atol=1e-9
+            )
         done = bool(two[1])
         if done:
             break
@@ -217,7 +255,9 @@ def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_o
 
 
 def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(coarse_oval):
-    """Its spread is that of the rules whatever its time, since what is added makes up for what fades."""
+    """Its spread is that of the rules whatever its time, since what is added makes up for what
+    fades.
+    """
     race = load_race_config("contest", steering_noise=0.03, noise_time=0.2)
     env = begun(coarse_oval, None, race, time_step=0.02, duration=40.0)
     races = put(env, ((3.0, 0.0), (9.0, 0.0)))
@@ -225,7 +265,9 @@ def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(
     keep, expected, found = np.exp(-0.02 / 0.2), 0.0, []
     for k in range(1500):
         env.step(action(0.1, 0.0))
-        expected = keep * expected + 0.03 * np.sqrt(1.0 - keep**2) * steering_noise(np.uint64(5), 0, 2 * k)
+        expected = keep * expected + 0.03 * np.sqrt(1.0 - keep**2) * steering_noise(
+            np.uint64(5), 0, 2 * k
+        )
         assert races.disturbance[0].tolist() == pytest.approx([expected])
         assert races.command[0, 0].tolist() == pytest.approx([0.1 + expected, 0.0])
         found.append(expected)
@@ -234,7 +276,9 @@ def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(
 
 def test_a_restarted_race_stands_where_its_place_on_the_grid_is_and_remembers_nothing(coarse_oval):
     setup = RaceSetup(coarse_oval, RACE, (HOLD, HOLD))
-    grid = start_races(setup, Starts(np.array([1.0, 1.0, 7.0]), np.array([0, 1, 0])), np.zeros(3, np.uint64))
+    grid = start_races(
+        setup, Starts(np.array([1.0, 1.0, 7.0]), np.array([0, 1, 0])), np.zeros(3, np.uint64)
+    )
     state = take(grid, [0, 0, 0, 0])
     for array in state:
         array[...] = 1
@@ -251,7 +295,9 @@ def test_a_restarted_race_stands_where_its_place_on_the_grid_is_and_remembers_no
 
 def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_oval):
     opponents = [HOLD.policy({"speed": speed}) for speed in (1.0, 2.0)]
-    batch = DriveBatch(64, track=coarse_oval, opponent=opponents, race=RACE, start_lines=3, threads=1)
+    batch = DriveBatch(
+        64, track=coarse_oval, opponent=opponents, race=RACE, start_lines=3, threads=1
+    )
     rows = np.arange(64)
     batch.restart(rows, [np.random.default_rng(k) for k in rows])
     places = {tuple(np.round(cars[:, :2].ravel(), 3)) for cars in batch.state.cars}
@@ -272,7 +318,10 @@ def test_the_lidar_of_a_step_is_a_scan_from_the_car_with_the_opponent_in_sight(c
 
 
 def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval):
-    quiet, noisy = (begun(coarse_oval, None, beams=30, lidar_noise=noise, time_step=0.02) for noise in (0.0, 0.05))
+    quiet, noisy = (
+        begun(coarse_oval, None, beams=30, lidar_noise=noise, time_step=0.02)
+        for noise in (0.0, 0.05)
+    )
     for env in (quiet, noisy):
         put(env, ((3.0, 0.0), (9.0, 0.0)))
         env.batch.state.seed[:] = 2
@@ -287,7 +336,8 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
     assert abs(np.corrcoef(draws[:-1].ravel(), draws[1:].ravel())[0, 1]) < 0.12
     races = noisy.batch.state
     steering = [steering_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
-    assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5  # other numbers than those of the steering
+    # other numbers than those of the steering
+    assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5
     assert np.ptp(draws, axis=0).min() > 0.05
 
 

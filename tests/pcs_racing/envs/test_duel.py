@@ -42,7 +42,9 @@ def episode(env, seed, action=1):
 
 
 def test_an_episode_is_the_game():
-    """What the agents get is what :class:`pcs_racing.RaceGame` says, step by step, until the game is over."""
+    """What the agents get is what :class:`pcs_racing.RaceGame` says, step by step, until the game
+    is over.
+    """
     env = HeadToHeadEnv(step_seconds=1.0)
     game = env.game
     for seed in range(5):
@@ -52,14 +54,21 @@ def test_an_episode_is_the_game():
         for moves in [(0, 3), (2, 1), (1, 1), (0, 2)]:
             if not env.agents:
                 break
-            observations, rewards, terminated, truncated, infos = env.step(dict(zip(AGENTS, moves, strict=True)))
+            observations, rewards, terminated, truncated, infos = env.step(
+                dict(zip(AGENTS, moves, strict=True))
+            )
             state = game.step(state, [moves])
             for car, agent in enumerate(AGENTS):
                 np.testing.assert_array_equal(observations[agent], game.observation(state)[0, car])
                 assert rewards[agent] == game.reward(state)[0, car]
                 assert (terminated[agent], truncated[agent]) == (game.done(state)[0], False)
-                assert (infos[agent]["move"], infos[agent]["policy"]) == (moves[car], state.policy[0, car])
-                assert infos[agent]["lead"] == (state.race.lead[0] if car == 0 else -state.race.lead[0])
+                assert (infos[agent]["move"], infos[agent]["policy"]) == (
+                    moves[car],
+                    state.policy[0, car],
+                )
+                assert infos[agent]["lead"] == (
+                    state.race.lead[0] if car == 0 else -state.race.lead[0]
+                )
         assert env.agents == []
         results = {infos[agent]["result"] for agent in AGENTS}
         assert results in ({Result.WIN, Result.LOSS}, {Result.TIE}, {Result.CRASH})
@@ -97,7 +106,9 @@ def test_opponents_do_what_they_are_called():
         infos = [row[2] for row in episode(env, 4)[1:]]
         assert {info["opponent_move"] for info in infos} == {expected}
         assert env.outcome()["opponent"] == name
-    moves = {row[2]["opponent_move"] for seed in range(12) for row in episode(DuelEnv(**SHORT), seed)[1:]}
+    moves = {
+        row[2]["opponent_move"] for seed in range(12) for row in episode(DuelEnv(**SHORT), seed)[1:]
+    }
     assert len(moves) == 4
     careful = Careful()
     assert episode(DuelEnv(opponent=careful, **SHORT), 4)[1][2]["opponent_move"] == 2
@@ -134,12 +145,16 @@ def test_an_opponent_may_stay_whatever_moves_the_rules_offer(rules):
 
 def test_a_model_of_a_game_with_more_moves_is_refused_when_the_environment_is_made():
     for kind in (DuelEnv, DuelVectorEnv):
-        refused("'Chooses' has 8 moves", kind, opponent=Chooses((np.array([0]), None), moves=8), **SHORT)
+        refused(
+            "'Chooses' has 8 moves", kind, opponent=Chooses((np.array([0]), None), moves=8), **SHORT
+        )
     DuelEnv(opponent=Chooses((np.array([0]), None), moves=5), **SHORT)  # the fifth is to stay
     DuelEnv(opponent=Chooses((np.array([0]), None), moves=4), stay=True, **SHORT)  # it never stays
 
 
-@pytest.mark.parametrize("answer", [(np.array([0, 1]), None), np.array([0]), None, ([[0], [1, 2]], None), 3])
+@pytest.mark.parametrize(
+    "answer", [(np.array([0, 1]), None), np.array([0]), None, ([[0], [1, 2]], None), 3]
+)
 def test_what_a_model_answers_is_checked(answer):
     env = begun(DuelEnv(opponent=Chooses(answer), **SHORT), seed=0)
     refused("'Chooses': predict returned", env.step, 0)
@@ -165,7 +180,9 @@ def videos(monkeypatch):
 
 
 def test_a_video_shows_25_moments_of_each_second_that_was_raced(videos, tmp_path):
-    env = gym.make("pcs_racing/Duel-v1", render_mode="rgb_array_list", render_size=(120, 80), **SHORT)
+    env = gym.make(
+        "pcs_racing/Duel-v1", render_mode="rgb_array_list", render_size=(120, 80), **SHORT
+    )
     assert env.metadata["render_fps"] == 25
     env = RecordRaces(env, str(tmp_path / "videos"), episode_trigger=lambda episode: episode == 1)
     for _ in range(2):
@@ -177,20 +194,28 @@ def test_a_video_shows_25_moments_of_each_second_that_was_raced(videos, tmp_path
     (frames, fps) = videos[0]
     assert len(videos) == 1
     assert fps == 25
-    assert len(frames) == pytest.approx(25 * info["time"], abs=2)  # with the first step, which was only watched
+    # with the first step, which was only watched
+    assert len(frames) == pytest.approx(25 * info["time"], abs=2)
     assert all(frame.shape == (80, 120, 3) for frame in frames)
     assert np.mean([(one != other).any() for one, other in itertools.pairwise(frames)]) > 0.95
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_the_first_step_is_filmed_as_it_was_driven(seed):
-    env = DuelEnv(render_mode="rgb_array_list", opponent="lane-switcher:3", randomize={"friction": [0.6, 1.0]}, **SHORT)
+    env = DuelEnv(
+        render_mode="rgb_array_list",
+        opponent="lane-switcher:3",
+        randomize={"friction": [0.6, 1.0]},
+        **SHORT,
+    )
     for options in (None, {"start": (10.0, 1)}):
         env.reset(seed=seed, options=options)
         ((race, theta),) = env.batch.last_step().pieces
         assert race.tick == 0
         conditions = env.batch.randomization.conditions(np.zeros(1, np.int64))
-        advance(env.game.setup, race, theta, int(env.game.config.end_ticks[0]), conditions=conditions)
+        advance(
+            env.game.setup, race, theta, int(env.game.config.end_ticks[0]), conditions=conditions
+        )
         np.testing.assert_array_equal(race.cars, env.batch.state.race.cars)
 
 
@@ -228,7 +253,9 @@ def test_frames_of_the_last_step():
 
 
 def test_gymnasiums_own_video_of_many_games_has_all_of_them(videos, tmp_path):
-    envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=2, render_mode="rgb_array", render_size=(120, 80), **SHORT)
+    envs = gym.make_vec(
+        "pcs_racing/Duel-v1", num_envs=2, render_mode="rgb_array", render_size=(120, 80), **SHORT
+    )
     envs = vector_wrappers.RecordVideo(envs, str(tmp_path / "videos"), video_aspect_ratio=(3, 1))
     envs.reset(seed=0)
     for _ in range(2):

@@ -1,4 +1,6 @@
-"""What a batch of games says about them, and how opponents are drawn and asked; quick as plain Python, too."""
+"""What a batch of games says about them, and how opponents are drawn and asked; quick as plain
+Python, too.
+"""
 
 import numpy as np
 import pytest
@@ -18,14 +20,27 @@ def archive() -> PolicyArchive:
     parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
     coordinates = np.column_stack([pace, 1.0 - pace + 0.3 * np.sin(9.0 * pace)])
     return PolicyArchive(
-        "six", "pure-pursuit", planner.parameter_names, parameters, ("aggressiveness", "restraint"), coordinates
+        "six",
+        "pure-pursuit",
+        planner.parameter_names,
+        parameters,
+        ("aggressiveness", "restraint"),
+        coordinates,
     )
 
 
 def make(track, archive, opponent="random-moves", games=6, **settings):
     settings = {"race": "contest", "step_seconds": 0.1, "moves": 2} | settings
     players = 2 if opponent is None else 1
-    return GameBatch(games, track=track, archive=archive, opponent=opponent, threads=1, players=players, **settings)
+    return GameBatch(
+        games,
+        track=track,
+        archive=archive,
+        opponent=opponent,
+        threads=1,
+        players=players,
+        **settings,
+    )
 
 
 def begin(batch, seed=0):
@@ -40,13 +55,26 @@ def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
     begin(batch)
     state = batch.state
     state.step[:] = [2, 2, 2, 1, 1, 1]
-    state.race.progress[:] = [[5.0, 3.0], [3.0, 5.0], [3.0, 3.001], [9.0, 1.0], [9.0, 1.0], [9.0, 1.0]]
+    state.race.progress[:] = [
+        [5.0, 3.0],
+        [3.0, 5.0],
+        [3.0, 3.001],
+        [9.0, 1.0],
+        [9.0, 1.0],
+        [9.0, 1.0],
+    ]
     state.race.crash[:] = [[0, 0], [0, 0], [0, 0], [1, 0], [2, 2], [0, 0]]
     state.race.fault[:] = [[0, 0], [0, 0], [0, 0], [1, 0], [1, 1], [0, 0]]
     batch.moves[:] = [[0, 1], [2, 3], [4, 0], [1, 2], [3, 4], [-1, -1]]
     infos = batch.infos()
     own, other = ({name: values[car::2] for name, values in infos.items()} for car in range(2))
-    win, tie, loss, crash, running = Result.WIN, Result.TIE, Result.LOSS, Result.CRASH, Result.RUNNING
+    win, tie, loss, crash, running = (
+        Result.WIN,
+        Result.TIE,
+        Result.LOSS,
+        Result.CRASH,
+        Result.RUNNING,
+    )
     assert own["result"].tolist() == [win, loss, tie, loss, crash, running]
     assert other["result"].tolist() == [loss, win, tie, win, crash, running]
     assert own["move"].tolist() == [0, 2, 4, 1, 3, -1]
@@ -78,7 +106,9 @@ def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
     rngs = begin(batch)
     before, seen = batch.state.copy(), batch.seen
     np.testing.assert_array_equal(seen, batch.game.observation(before))
-    observations, rewards, terminated, truncated = batch.step(np.array([[0], [1], [2], [3], [4], [0]]), rngs)
+    observations, rewards, terminated, truncated = batch.step(
+        np.array([[0], [1], [2], [3], [4], [0]]), rngs
+    )
     expected = batch.game.step(before, np.array([[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]]))
     np.testing.assert_array_equal(batch.state.policy, expected.policy)
     np.testing.assert_array_equal(batch.moves, [[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]])
@@ -91,7 +121,12 @@ def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
 
 def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, archive):
     names = ["always-aggressiveness +", "always-stay", "random-moves"]
-    batch = make(coarse_oval, archive, [(w, name) for w, name in zip((1, 2, 5.0), names, strict=True)], games=240)
+    batch = make(
+        coarse_oval,
+        archive,
+        [(w, name) for w, name in zip((1, 2, 5.0), names, strict=True)],
+        games=240,
+    )
     rngs = begin(batch)
     counts = np.bincount(batch.drawn, minlength=3)
     np.testing.assert_allclose(counts / 240, [1 / 8, 2 / 8, 5 / 8], atol=0.1)
@@ -124,12 +159,19 @@ def test_only_the_games_that_begin_again_change(coarse_oval, archive):
     np.testing.assert_array_equal(batch.seen, batch.game.observation(batch.state))
 
 
-def test_one_that_never_switches_drives_a_policy_of_the_archive_and_makes_no_moves(coarse_oval, archive):
+def test_one_that_never_switches_drives_a_policy_of_the_archive_and_makes_no_moves(
+    coarse_oval, archive
+):
     batch = make(coarse_oval, archive, "never-switch", games=60)
     rngs = begin(batch)
     theta = batch.state.theta[:, 1].copy()
     drawn = [
-        int(np.flatnonzero((archive.parameters == row[: archive.parameters.shape[1]]).all(axis=1))[0]) for row in theta
+        int(
+            np.flatnonzero((archive.parameters == row[: archive.parameters.shape[1]]).all(axis=1))[
+                0
+            ]
+        )
+        for row in theta
     ]
     assert set(drawn) == set(range(6))
     assert (batch.state.policy[:, 1] == -1).all()

@@ -1,4 +1,6 @@
-"""Control level with one car or more than two: what is observed, paid and told, and the libraries' checkers."""
+"""Control level with one car or more than two: what is observed, paid and told, and the libraries'
+checkers.
+"""
 
 import copy
 import warnings
@@ -10,10 +12,17 @@ from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
 from pcs_racing import ConfigError, InputError, Lidar, load_race_config
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv, env
+from pcs_racing.envs.drive import (
+    DriveEnv,
+    DriveHeadToHeadEnv,
+    DriveHeadToHeadVectorEnv,
+    DriveVectorEnv,
+    env,
+)
 from pcs_racing.envs.infos import Crash, Result
 
-with warnings.catch_warnings():  # PettingZoo's own tests import its old classic environments, which warn
+# PettingZoo's own tests import its old classic environments, which warn
+with warnings.catch_warnings():
     warnings.simplefilter("ignore")
     from pettingzoo.test import api_test, parallel_api_test, parallel_seed_test
 
@@ -56,7 +65,9 @@ def test_opponents_are_observed_the_nearest_first(oval):
         pair = DriveEnv(oval).reset(options={"poses": poses(oval, places[0], places[car])})[0]
         start = names.index(f"opponent{k}")
         np.testing.assert_allclose(observation[start : start + 8], pair[32:40], atol=1e-6)
-    assert [seen["lead"], seen["lead 2"], seen["lead 3"]] == pytest.approx([2.0, -3.0, -6.0], abs=0.1)
+    assert [seen["lead"], seen["lead 2"], seen["lead 3"]] == pytest.approx(
+        [2.0, -3.0, -6.0], abs=0.1
+    )
 
 
 def test_the_lidar_sees_all_cars(oval):
@@ -71,8 +82,13 @@ def test_the_lidar_sees_all_cars(oval):
 
 
 def test_agents_of_a_race_of_four(oval):
-    """Rewards add up to zero, infos tell each car's own facts, and the vector environment has the same numbers."""
-    four, envs = DriveHeadToHeadEnv(oval, cars=4, **SHORT), DriveHeadToHeadVectorEnv(8, track=oval, cars=4, **SHORT)
+    """Rewards add up to zero, infos tell each car's own facts, and the vector environment has the
+    same numbers.
+    """
+    four, envs = (
+        DriveHeadToHeadEnv(oval, cars=4, **SHORT),
+        DriveHeadToHeadVectorEnv(8, track=oval, cars=4, **SHORT),
+    )
     observations, _ = four.reset(seed=2)
     agents = ["car_0", "car_1", "car_2", "car_3"]
     assert four.agents == four.possible_agents == agents
@@ -87,14 +103,21 @@ def test_agents_of_a_race_of_four(oval):
     progress = np.array([infos[agent]["progress"] for agent in agents])
     for car, agent in enumerate(agents):
         assert infos[agent]["lead"] == pytest.approx(progress[car] - np.delete(progress, car).max())
-    np.testing.assert_array_equal(four.state(), np.concatenate([observations[agent] for agent in agents]))
+    np.testing.assert_array_equal(
+        four.state(), np.concatenate([observations[agent] for agent in agents])
+    )
     copied = copy.deepcopy(four)
-    np.testing.assert_array_equal(copied.step(commands)[0]["car_3"], four.step(commands)[0]["car_3"])
+    np.testing.assert_array_equal(
+        copied.step(commands)[0]["car_3"], four.step(commands)[0]["car_3"]
+    )
     refused("a multiple of 4", DriveHeadToHeadVectorEnv, 6, track=oval, cars=4)
 
 
 def test_opponents_drive_the_last_cars(oval):
-    mixed = begun(DriveHeadToHeadEnv(oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT), seed=1)
+    mixed = begun(
+        DriveHeadToHeadEnv(oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT),
+        seed=1,
+    )
     assert mixed.possible_agents == ["car_0", "car_1"]
     mixed.step({agent: [0.0, -1.0] for agent in mixed.agents})
     assert mixed.render().shape == (640, 960, 3)
@@ -102,7 +125,9 @@ def test_opponents_drive_the_last_cars(oval):
 
 
 def test_a_win_is_paid_to_the_first_of_all(oval):
-    four = DriveHeadToHeadEnv(oval, cars=4, progress_reward=0.0, win_reward=2.0, **{**SHORT, "duration": 0.2})
+    four = DriveHeadToHeadEnv(
+        oval, cars=4, progress_reward=0.0, win_reward=2.0, **{**SHORT, "duration": 0.2}
+    )
     four.reset(options={"poses": poses(oval, *((s, 0.0, 0.0) for s in (3.0, 9.0, 6.0, 1.0)))})
     stand = {agent: [0.0, -1.0] for agent in four.agents}
     four.step(stand)
@@ -110,14 +135,21 @@ def test_a_win_is_paid_to_the_first_of_all(oval):
     assert list(rewards.values()) == [-2.0, 2.0, -2.0, -2.0]
     assert all(ended.values())  # not cut off: the last moment is worth something
     assert not any(late.values())
-    assert [infos[agent]["result"] for agent in rewards] == [Result.LOSS, Result.WIN, Result.LOSS, Result.LOSS]
+    assert [infos[agent]["result"] for agent in rewards] == [
+        Result.LOSS,
+        Result.WIN,
+        Result.LOSS,
+        Result.LOSS,
+    ]
 
 
 @pytest.mark.parametrize("contact", ["stop", "restart"])
 def test_a_contact_need_not_end_an_episode(oval, contact):
     """Every fault is paid for once, in its step; the infos count them."""
     rules = load_race_config("paper", contact=contact, duration=6.0)
-    three = DriveHeadToHeadEnv(oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1)
+    three = DriveHeadToHeadEnv(
+        oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
+    )
     three.reset(options={"poses": poses(oval, (3.0, 0.0, 5.0), (6.0, 0.0, 0.0), (20.0, 0.0, 0.0))})
     paid, crashes = np.zeros(3), set()
     for _ in range(20):
@@ -136,14 +168,34 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
     ("kind", "arguments", "error", "message"),
     [
         (DriveEnv, {"opponents": ["lattice"] * 8}, ConfigError, "at most 7"),
-        (DriveEnv, {"opponent": "pure-pursuit", "opponents": ["lattice"]}, ConfigError, "one of the two"),
-        (DriveEnv, {"opponents": ["lattice", ["lattice", "lattice:pace=0.3"]]}, InputError, "each is one driver"),
+        (
+            DriveEnv,
+            {"opponent": "pure-pursuit", "opponents": ["lattice"]},
+            ConfigError,
+            "one of the two",
+        ),
+        (
+            DriveEnv,
+            {"opponents": ["lattice", ["lattice", "lattice:pace=0.3"]]},
+            InputError,
+            "each is one driver",
+        ),
         (DriveEnv, {"opponents": ["lattice", "random-moves"]}, InputError, "none makes moves"),
-        (DriveEnv, {"opponents": DRIVERS, "vehicle": [{}, {}]}, ConfigError, "lists 2 cars; give one for all, or 4"),
+        (
+            DriveEnv,
+            {"opponents": DRIVERS, "vehicle": [{}, {}]},
+            ConfigError,
+            "lists 2 cars; give one for all, or 4",
+        ),
         (DriveEnv, {"opponent": np.float32(2.0)}, InputError, "is not a competitor"),
         (DriveHeadToHeadEnv, {"opponents": "lattice"}, InputError, "opponents is 'lattice'"),
         (DriveHeadToHeadEnv, {"cars": 9}, InputError, "cars is 9"),
-        (DriveHeadToHeadEnv, {"cars": 2, "opponents": DRIVERS[:2]}, InputError, "leave a car to an agent"),
+        (
+            DriveHeadToHeadEnv,
+            {"cars": 2, "opponents": DRIVERS[:2]},
+            InputError,
+            "leave a car to an agent",
+        ),
     ],
 )
 def test_what_is_refused(oval, kind, arguments, error, message):
@@ -152,9 +204,13 @@ def test_what_is_refused(oval, kind, arguments, error, message):
 
 
 def test_commands_take_effect_every_hundredth_of_a_second(oval):
-    """Two steps of 0.01 s are one of 0.02 s, the noise of steering included; another command between them counts."""
+    """Two steps of 0.01 s are one of 0.02 s, the noise of steering included; another command
+    between them counts.
+    """
     given = {"race": "contest", "opponent": "lattice"}
-    slow, fast, other = (begun(DriveEnv(oval, time_step=step, **given), seed=4) for step in (0.02, 0.01, 0.01))
+    slow, fast, other = (
+        begun(DriveEnv(oval, time_step=step, **given), seed=4) for step in (0.02, 0.01, 0.01)
+    )
     for k in range(20):
         action = [0.5 - 0.05 * k, 0.1]
         *_, info = slow.step(action)
@@ -166,9 +222,13 @@ def test_commands_take_effect_every_hundredth_of_a_second(oval):
 
 
 def test_actions_in_units_and_the_own_pose(oval):
-    units = begun(DriveEnv(oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0), seed=1)
+    units = begun(
+        DriveEnv(oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0), seed=1
+    )
     plain = begun(DriveEnv(oval, opponent=None, top_speed=6.0), seed=1)
-    np.testing.assert_allclose([units.action_space.low, units.action_space.high], [[-0.4189, 0.0], [0.4189, 6.0]])
+    np.testing.assert_allclose(
+        [units.action_space.low, units.action_space.high], [[-0.4189, 0.0], [0.4189, 6.0]]
+    )
     for _ in range(5):
         seen, *_, info = units.step([0.2, 1.5])
         other, *_ = plain.step([0.2 / 0.4189, -0.5])
@@ -180,7 +240,10 @@ def test_actions_in_units_and_the_own_pose(oval):
 
 def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
     narrow, wide = {"steer_max": 0.3}, {"steer_max": 0.5}
-    envs = [DriveEnv(oval, "lattice", vehicle=[narrow, other], normalized=False) for other in (narrow, wide)]
+    envs = [
+        DriveEnv(oval, "lattice", vehicle=[narrow, other], normalized=False)
+        for other in (narrow, wide)
+    ]
     for one in envs:
         one.reset(seed=1)
         for _ in range(5):

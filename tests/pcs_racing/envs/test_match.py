@@ -34,8 +34,14 @@ def test_a_match_remembers_its_races(short):
     memory = decode_match(rows[-1][0][None], 3, 2)
     for r, (choice, row) in enumerate(zip([4, 0, 5], rows[1:], strict=True)):
         np.testing.assert_allclose(memory.own[0, r], game.points[choice], atol=1e-6)
-        assert memory.lead[0, r] == pytest.approx(np.clip(row[3]["lead"] / 20.0, -5.0, 5.0), abs=1e-6)
-        assert row[1] == memory.score[0, r] == {Result.WIN: 1.0, Result.TIE: 0.5}.get(row[3]["race_result"], 0.0)
+        assert memory.lead[0, r] == pytest.approx(
+            np.clip(row[3]["lead"] / 20.0, -5.0, 5.0), abs=1e-6
+        )
+        assert (
+            row[1]
+            == memory.score[0, r]
+            == {Result.WIN: 1.0, Result.TIE: 0.5}.get(row[3]["race_result"], 0.0)
+        )
         assert row[3]["policy"] == choice
         assert row[3]["race"] == r + 1
         assert memory.driven[0, r] == pytest.approx(row[3]["time"])  # of a race of one second
@@ -70,7 +76,13 @@ def test_what_is_kept_of_a_race_that_has_ended(short, race, crashed):
     after = match.move(state, np.zeros((5, 2), np.int64), np.arange(4))
     assert after.race.tolist() == [1, 1, 1, 1, 0]
     assert after.racing.tolist() == [False, False, False, False, True]
-    assert after.scores[:, :, 0].tolist() == [[1.0, 0.0], [0.0, 1.0], [0.5, 0.5], crashed, [0.0, 0.0]]
+    assert after.scores[:, :, 0].tolist() == [
+        [1.0, 0.0],
+        [0.0, 1.0],
+        [0.5, 0.5],
+        crashed,
+        [0.0, 0.0],
+    ]
     np.testing.assert_array_equal(match.reward(state, after), after.scores[:, :, 0])
     assert match.reward(after, after).tolist() == [[0.0, 0.0]] * 5
     np.testing.assert_allclose(after.leads[:, 0], [5.0, -2.0, 0.0, 6.0, 0.0])
@@ -79,13 +91,16 @@ def test_what_is_kept_of_a_race_that_has_ended(short, race, crashed):
     for kept, steps in ((after.own, state.game.own), (after.measured, state.game.estimates)):
         np.testing.assert_allclose(kept[:, :, 0], np.einsum("mcsg,ms->mcg", steps, shares))
         assert not kept[:, :, 1].any()
-    # The places on the grid have swapped for the second race; who races has none, nor has a match that is over.
+    # The places on the grid have swapped for the second race; who races has none, nor has a match
+    # that is over.
     assert match.memory(after)[:4, :, -1].tolist() == [pair[::-1] for pair in front[:4]]
     assert not match.memory(after)[4, :, -1].any()
     after.race[:2] = 2
     assert match.done(after).tolist() == [True, True, False, False, False]
     assert not match.memory(after)[:2, :, -1].any()
-    assert match.start(after, np.full((5, 2), KEEP), np.array([0, 4])).racing.tolist() == [False] * 4 + [True]
+    assert match.start(after, np.full((5, 2), KEEP), np.array([0, 4])).racing.tolist() == [
+        False
+    ] * 4 + [True]
 
 
 def test_a_faster_policy_wins_and_the_result_is_that_of_the_match(short):
@@ -115,7 +130,9 @@ def test_a_crash_ends_a_race_and_not_the_match(short):
 
 
 def test_the_opponent_stays_the_same_for_a_match(short):
-    drivers = MatchVectorEnv(20, opponent=["never-switch", "random-moves", "always-aggressiveness +"], **short)
+    drivers = MatchVectorEnv(
+        20, opponent=["never-switch", "random-moves", "always-aggressiveness +"], **short
+    )
     _, info = drivers.reset(seed=0)
     drawn, theta = info["opponent"], drivers.batch.played.theta[:, 1].copy()
     assert set(drawn.tolist()) == {0, 1, 2}
@@ -138,7 +155,9 @@ def test_an_opponent_may_choose(short):
         assert made.batch.state.policy[0].tolist() == [3, r]
 
 
-@pytest.mark.parametrize(("answer", "message"), [([9], "policy 9"), ([0.5], "float64"), ([0, 1], r"shape \(2,\)")])
+@pytest.mark.parametrize(
+    ("answer", "message"), [([9], "policy 9"), ([0.5], "float64"), ([0, 1], r"shape \(2,\)")]
+)
 def test_what_a_chooser_answers_is_checked(short, answer, message):
     class Chooses:
         def choose(self, observation):
@@ -157,7 +176,10 @@ def test_moves_within_the_races(short):
     racing = [element.name for element in made.elements].index("racing")
     assert (seen[racing], reward, info["race"], info["policy"]) == (1.0, 0.0, 0, 2)
     np.testing.assert_array_equal(seen[racing + 1 :], made.game.observation(made.batch.state)[0, 0])
-    assert info["action_mask"].tolist() == [0] * 6 + made.game.action_mask(made.batch.played.game)[0, 0].tolist()
+    assert (
+        info["action_mask"].tolist()
+        == [0] * 6 + made.game.action_mask(made.batch.played.game)[0, 0].tolist()
+    )
     np.testing.assert_array_equal(made.action_masks(), info["action_mask"])
     info = made.step(6)[4]  # the first move
     assert info["policy"] == made.game.table[2, 0]
@@ -173,7 +195,9 @@ def test_moves_within_the_races(short):
 def test_without_moves_the_races_are_the_same(short):
     """Whoever stays in every race has the match of one who only chooses."""
     plain = begun(MatchEnv(opponent="random-moves", **short), seed=4)
-    moving = begun(MatchEnv(opponent="random-moves", race_moves=True, **{**short, "stay": True}), seed=4)
+    moving = begun(
+        MatchEnv(opponent="random-moves", race_moves=True, **{**short, "stay": True}), seed=4
+    )
     for choice in (1, 5, 3):
         seen, reward, over, _, _ = plain.step(choice)
         moved, paid, ended, _, info = moving.step(choice)
@@ -198,7 +222,9 @@ def test_two_agents_see_the_same_match_from_both_sides(short):
     assert observations["car_0"][22] + observations["car_1"][22] == 1.0
     total = {"car_0": 0.0, "car_1": 0.0}
     for choices in ((0, 5), (5, 0), (3, 3)):
-        observations, rewards, terminated, _, infos = both.step(dict(zip(total, choices, strict=True)))
+        observations, rewards, terminated, _, infos = both.step(
+            dict(zip(total, choices, strict=True))
+        )
         for agent in total:
             total[agent] += rewards[agent]
             assert infos[agent]["score"] == total[agent]

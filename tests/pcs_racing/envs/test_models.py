@@ -1,4 +1,6 @@
-"""Models that were trained at the wheel race as they drove in their environment, wherever a policy races."""
+"""Models that were trained at the wheel race as they drove in their environment, wherever a policy
+races.
+"""
 
 import pickle
 from types import SimpleNamespace
@@ -40,7 +42,8 @@ def test_a_model_is_one_of_several_opponents_and_is_sent_to_other_processes(oval
     env = DriveEnv(oval, opponents=[RIVAL, policy], time_step=0.02)
     env.reset(seed=3)
     env.step([1.0, -0.6])
-    assert env.batch.state.cars[0, 0, 2] == pytest.approx(3.2 * 0.02, abs=0.01)  # the own command is driven, too
+    # the own command is driven, too
+    assert env.batch.state.cars[0, 0, 2] == pytest.approx(3.2 * 0.02, abs=0.01)
     assert env.batch.state.memory[0, 2, 1] > 0.4
     copied = pickle.loads(pickle.dumps(policy.planner))
     assert (copied.name, copied.drive.hold) == ("weaver", 5)

@@ -26,7 +26,9 @@ class Watcher:
 
 
 def race_of(env, seed, seconds):
-    """States of a race every 8 s and, right after each, the parameters of the opponent; None if it ends before."""
+    """States of a race every 8 s and, right after each, the parameters of the opponent; None if it
+    ends before.
+    """
     env.reset(seed=seed)
     states, parameters = [env.batch.state.copy()], [env.batch.theta[0, 1].copy()]
     while env.batch.state.tick[0] * 0.01 < seconds:
@@ -47,7 +49,8 @@ def test_what_it_observes_and_drives_is_what_a_game_says():
             break
     assert race is not None, "every race ends in a crash"
     states, parameters = race
-    assert (states[-1].sums[0, :, ITTC_SAMPLES] > 0.0).all()  # restraint is measured while such an opponent drives
+    # restraint is measured while such an opponent drives
+    assert (states[-1].sums[0, :, ITTC_SAMPLES] > 0.0).all()
     index = {element.name: i for i, element in enumerate(game.observation_elements)}
     axes = [axis.name for axis in game.characteristics]
     for step, (before, after) in enumerate(pairwise(states)):
@@ -55,5 +58,8 @@ def test_what_it_observes_and_drives_is_what_a_game_says():
         seen = [watcher.seen[step][index[f"opponent_{axis}_{step}"]] for axis in axes]
         np.testing.assert_allclose(seen, estimate, atol=1e-6)
         assert watcher.seen[step][index["step"]] == step / game.config.moves
-    policies = [int(np.flatnonzero((game.theta(np.arange(len(game.archive))) == p).all(axis=1))[0]) for p in parameters]
+    policies = [
+        int(np.flatnonzero((game.theta(np.arange(len(game.archive))) == p).all(axis=1))[0])
+        for p in parameters
+    ]
     assert policies[1:3] == [game.table[policies[0], 1], game.table[game.table[policies[0], 1], 1]]

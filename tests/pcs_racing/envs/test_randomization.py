@@ -1,4 +1,6 @@
-"""Episodes that differ: circuits, cars, ranges from which friction and others are drawn, and obstacles."""
+"""Episodes that differ: circuits, cars, ranges from which friction and others are drawn, and
+obstacles.
+"""
 
 import dataclasses
 import threading
@@ -14,13 +16,23 @@ from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
-from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization, Randomization, load_randomization
+from pcs_racing.envs.randomization import (
+    EpisodeOptions,
+    EpisodeRandomization,
+    Randomization,
+    load_randomization,
+)
 from pcs_racing.race import random_circuits
 from pcs_racing.race.config import PRESETS
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
 from pcs_racing.track.obstacles import BOX
 
-RANGES = {"friction": [0.6, 1.2], "mass": [3.0, 4.5], "steering_delay": [0.0, 0.1], "steering_noise": [0.0, 0.02]}
+RANGES = {
+    "friction": [0.6, 1.2],
+    "mass": [3.0, 4.5],
+    "steering_delay": [0.0, 0.1],
+    "steering_noise": [0.0, 0.02],
+}
 DRIVE = {"beams": 9, "duration": 1.0, "start_lines": 6, "time_step": 0.1}
 DUEL = {"step_seconds": 0.4, "moves": 2, "opponent": "random-moves"}
 
@@ -46,10 +58,18 @@ def wide(oval):
 
 @pytest.mark.parametrize(
     ("kind", "usual"),
-    [(DriveVectorEnv, DRIVE), (DuelVectorEnv, DUEL), (MatchVectorEnv, {**DUEL, "races": 2, "race_moves": True})],
+    [
+        (DriveVectorEnv, DRIVE),
+        (DuelVectorEnv, DUEL),
+        (MatchVectorEnv, {**DUEL, "races": 2, "race_moves": True}),
+    ],
 )
 def test_one_episode_may_differ_without_the_others(kind, usual, oval, wide):
-    varied = {"track": [oval, wide], "randomize": RANGES, "obstacles": {"count": [0, 2], "passage": 0.8}}
+    varied = {
+        "track": [oval, wide],
+        "randomize": RANGES,
+        "obstacles": {"count": [0, 2], "passage": 0.8},
+    }
     envs = kind(4, autoreset_mode="DISABLED", **usual, **varied)
     _, before = envs.reset(seed=1)
     _, after = envs.reset(options={"reset_mask": np.array([False, True, False, True])})
@@ -79,7 +99,9 @@ def test_random_circuits_follow_from_the_seed_whatever_the_threads_do(oval, oval
             return quick(settings, index)
 
         monkeypatch.setattr(random_circuits, "random_circuit", late)
-        envs = DriveVectorEnv(3, track=source, opponent=None, start_lines=2, autoreset_mode="DISABLED")
+        envs = DriveVectorEnv(
+            3, track=source, opponent=None, start_lines=2, autoreset_mode="DISABLED"
+        )
         for _ in range(2):
             drawn.append([envs.reset(seed=5)[1]["track"].tolist()])
             drawn[-1] += [envs.reset()[1]["track"].tolist() for _ in range(5)]
@@ -89,13 +111,17 @@ def test_random_circuits_follow_from_the_seed_whatever_the_threads_do(oval, oval
     assert len({tuple(numbers) for numbers in seen}) == 3
     single = DriveEnv(track=source, opponent=None, start_lines=2)
     for _ in range(2):  # a seed begins the series again
-        numbers = [single.reset(seed=6)[1]["track"], *(single.reset()[1]["track"] for _ in range(5))]
+        numbers = [
+            single.reset(seed=6)[1]["track"],
+            *(single.reset()[1]["track"] for _ in range(5)),
+        ]
         assert numbers == [n[1] for n in seen]
     assert single.outcome()["track"] == f"random-{seen[-1][1]}"
 
 
 def test_the_next_circuit_is_built_while_this_one_is_driven(ovals, monkeypatch):
-    monkeypatch.setattr(random_circuits, "THREADS", 1)  # several threads may take turns in any order
+    # several threads may take turns in any order
+    monkeypatch.setattr(random_circuits, "THREADS", 1)
     env = DriveEnv(track=RandomCircuits(count=10**6), opponent=None, start_lines=2)
     _, info = env.reset(seed=1)
     _, later = env.reset()
@@ -103,7 +129,8 @@ def test_the_next_circuit_is_built_while_this_one_is_driven(ovals, monkeypatch):
         if len(ovals) >= 4:
             break
         time.sleep(0.01)
-    assert ovals[:3] == [0, info["track"], later["track"]]  # number 0 says what the environment looks like
+    # number 0 says what the environment looks like
+    assert ovals[:3] == [0, info["track"], later["track"]]
     assert len(ovals) == 4  # and the one that comes next
     env.close()
 
@@ -134,7 +161,9 @@ def test_a_builder_forgets_the_circuits_that_nobody_needs(ovals, monkeypatch):
 
 def test_cars_are_what_the_argument_says(oval, tmp_path):
     (tmp_path / "car.yaml").write_text("mu: 0.5\nm: 5.0\n")
-    env = DriveEnv(oval, vehicle=[{"mu": 0.7, "steer_max": 0.3}, tmp_path / "car.yaml"], start_lines=2)
+    env = DriveEnv(
+        oval, vehicle=[{"mu": 0.7, "steer_max": 0.3}, tmp_path / "car.yaml"], start_lines=2
+    )
     first, second = env.batch.setup.vehicles
     assert (first.mu, first.steer_max) == (0.7, 0.3)
     assert (second.mu, second.m) == (0.5, 5.0)
@@ -156,7 +185,9 @@ def test_less_friction_makes_a_car_slide(oval):
 
 @pytest.mark.parametrize("opponent", [None, "lattice"])
 def test_a_steering_delay_shifts_the_commands(oval, opponent):
-    """The command in force is the one of two control periods before; with several cars each has its own queue."""
+    """The command in force is the one of two control periods before; with several cars each has its
+    own queue.
+    """
     asked = np.random.default_rng(0).uniform(-0.4, 0.4, 20)
     env = begun(DriveEnv(oval, opponent, vehicle={"steer_delay": 0.04}, time_step=0.02), seed=0)
     in_force = []
@@ -171,17 +202,24 @@ def test_what_is_drawn_is_what_is_driven():
     batch.draw(np.arange(3), [np.random.default_rng(i) for i in range(3)])
     for row in range(3):
         values = {name: batch.drawn[name][row] for name in RANGES}
-        cars = [VehicleParams(
-            mu=values["friction"], m=values["mass"], inertia=0.04712 * values["mass"] / 3.74,
-            steer_delay=values["steering_delay"], steer_noise=values["steering_noise"],
-        ).as_row()] * 2  # fmt: skip
+        cars = [
+            VehicleParams(
+                mu=values["friction"],
+                m=values["mass"],
+                inertia=0.04712 * values["mass"] / 3.74,
+                steer_delay=values["steering_delay"],
+                steer_noise=values["steering_noise"],
+            ).as_row()
+        ] * 2
         np.testing.assert_allclose(batch.vehicles[row], cars, rtol=1e-12)
         assert values["steering_delay"] in (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
 
 
 def test_the_noise_of_the_lidar_is_drawn_for_each_episode(oval):
     drawn = {"lidar_noise": [0.01, 0.2]}
-    envs = DriveVectorEnv(200, track=oval, opponent=None, beams=40, randomize=drawn, autoreset_mode="DISABLED")
+    envs = DriveVectorEnv(
+        200, track=oval, opponent=None, beams=40, randomize=drawn, autoreset_mode="DISABLED"
+    )
     seen, infos = envs.reset(seed=7)
     cars = envs.batch.state.cars[:, 0][:, [0, 1, 4]]
     error = seen[:, -40:] - Lidar(oval, 40).scan(cars)
@@ -214,7 +252,9 @@ def test_drawn_obstacles_are_boxes_or_circles(oval, shape, share):
 def test_a_car_crashes_into_a_given_obstacle_that_its_lidar_saw(oval):
     env = DriveEnv(oval, None, beams=11, time_step=0.02)
     poses = [[-4.0, -4.0, 0.0, 4.0], [4.0, 4.0, 3.1, 0.0]]
-    observation, _ = env.reset(seed=0, options={"poses": poses, "obstacles": [[0.0, -4.0, 0.0, 0.4, 0.4]]})
+    observation, _ = env.reset(
+        seed=0, options={"poses": poses, "obstacles": [[0.0, -4.0, 0.0, 0.4, 0.4]]}
+    )
     assert observation[-6] == pytest.approx(3.8, abs=0.03)  # the beam straight ahead
     terminated = False
     while not terminated:
@@ -233,13 +273,18 @@ def test_a_car_never_starts_in_an_obstacle(oval):
     env.step([0.1, 0.0])
     before = env.batch.state.copy()
     poses = [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]
-    refused("in one of the obstacles", env.reset, options={"poses": poses, "obstacles": [[0.2, -4.0, 0.0, 0.4, 0.4]]})
+    refused(
+        "in one of the obstacles",
+        env.reset,
+        options={"poses": poses, "obstacles": [[0.2, -4.0, 0.0, 0.4, 0.4]]},
+    )
     for mine, own in zip(env.batch.state, before, strict=True):
         np.testing.assert_array_equal(mine, own)
 
 
 @pytest.mark.parametrize(
-    "changes", [{"shortest": 70.0, "longest": 60.0}, {"style": "square"}, {"episodes": 0}, {"width": 1.0}]
+    "changes",
+    [{"shortest": 70.0, "longest": 60.0}, {"style": "square"}, {"episodes": 0}, {"width": 1.0}],
 )
 def test_impossible_random_circuits_are_refused(changes):
     with pytest.raises(ConfigError):

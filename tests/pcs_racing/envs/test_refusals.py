@@ -10,9 +10,19 @@ from refusal import refused
 from pcs_racing import InputError
 from pcs_racing.base.errors import UnknownArgumentError
 from pcs_racing.envs.batch import check_within
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
+from pcs_racing.envs.drive import (
+    DriveEnv,
+    DriveHeadToHeadEnv,
+    DriveHeadToHeadVectorEnv,
+    DriveVectorEnv,
+)
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
-from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv, SelfPlayMatchVectorEnv
+from pcs_racing.envs.match import (
+    HeadToHeadMatchEnv,
+    MatchEnv,
+    MatchVectorEnv,
+    SelfPlayMatchVectorEnv,
+)
 
 GAMES = (DuelEnv, MatchEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
 STEERING = (DriveEnv, DriveHeadToHeadEnv)
@@ -23,13 +33,29 @@ MATCHES = (MatchEnv, MatchVectorEnv, HeadToHeadMatchEnv)
 NAN = float("nan")
 PLAIN = [
     (EVERYWHERE, {"track": ([],), "race": (5,), "render_mode": ("ansi",), "view": ("moon",)}),
-    (VECTORS, {"num_envs": (0, 2.5), "threads": (0, True), "autoreset_mode": ("Now",), "max_episode_steps": (0,)}),
+    (
+        VECTORS,
+        {
+            "num_envs": (0, 2.5),
+            "threads": (0, True),
+            "autoreset_mode": ("Now",),
+            "max_episode_steps": (0,),
+        },
+    ),
     (SELF_PLAY, {"num_envs": (3,), "opponent": ("lattice",)}),
     ((DuelEnv, DuelVectorEnv, MatchEnv), {"opponent": (None,)}),
     (PAIRS, {"max_cycles": (0,)}),
     (GAMES, {"epsilon": (NAN, -1.0)}),
     (MATCHES, {"races": (0,), "race_moves": (2,)}),
-    (STEERING, {"time_step": (0.015, NAN), "beams": (-1, 2.5), "top_speed": (0.0,), "see_opponent": ("sometimes",)}),
+    (
+        STEERING,
+        {
+            "time_step": (0.015, NAN),
+            "beams": (-1, 2.5),
+            "top_speed": (0.0,),
+            "see_opponent": ("sometimes",),
+        },
+    ),
     (STEERING, {"crash_penalty": (-1.0,), "win_reward": (-1.0,), "normalize": ("yes",)}),
 ]
 """Values of which the error says no more than that the name has this value."""
@@ -63,7 +89,11 @@ PLAIN = [
         (MATCHES, {"discount": 0.9}, "discount does not count"),
         ((MatchEnv,), {"rases": 3}, "did you mean 'races'"),
         (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
-        (STEERING, {"look_ahead": (), "own_state": False, "see_opponent": "never", "beams": 0}, "nothing is observed"),
+        (
+            STEERING,
+            {"look_ahead": (), "own_state": False, "see_opponent": "never", "beams": 0},
+            "nothing is observed",
+        ),
         (STEERING, {"duration": 0.05}, "duration"),
         (STEERING, {"randomize": {"lidar_noise": 0.1}, "beams": 0}, "there is no lidar"),
         ((DriveVectorEnv,), {"num_envs": 100_000, "beams": 10_000}, "100000 environments"),
@@ -116,7 +146,9 @@ def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, mes
         env = begun(make(kind), seed=0)
         before = flat(env.get_state().batch)
         action = act(env)
-        refused(message, env.step, {**action, "car_1": wrong} if isinstance(action, dict) else wrong)
+        refused(
+            message, env.step, {**action, "car_1": wrong} if isinstance(action, dict) else wrong
+        )
         if isinstance(action, dict):
             for missing in ({"car_0": action["car_0"]}, list(action.values())):
                 refused("car_0, car_1", env.step, missing)
@@ -149,7 +181,11 @@ def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message
         (ALL, {"seed": -1}, "seed is -1"),
         (ALL, {"seed": 0.5}, "seed is 0.5"),
         (ALL, {"options": [1]}, "options are [1]"),
-        (ALL, {"options": {"trak": "Pipkin"}}, "reset option 'trak' is unknown; did you mean 'track'?"),
+        (
+            ALL,
+            {"options": {"trak": "Pipkin"}},
+            "reset option 'trak' is unknown; did you mean 'track'?",
+        ),
         (ALL, {"options": {"state": "yesterday"}}, "state is a str"),
         (ALL, {"options": {"track": "Nowhere"}}, "Nowhere"),
         (ALL, {"options": {"start": (np.nan, 0)}}, "option 'start' is"),
@@ -164,7 +200,11 @@ def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message
         (STEERING, {"options": {"poses": [[0.0, 0.0]]}}, "option 'poses' is"),
         (STEERING, {"options": {"poses": [[1e3, 0.0, 0.0], [0.0, 1e3, 0.0]]}}, "stands in a wall"),
         (STEERING, {"options": {"poses": np.zeros((2, 4)) - 1.0}}, "reset option"),
-        (STEERING, {"options": {"start": (5.0, 0), "poses": np.zeros((2, 3))}}, "give one of the two"),
+        (
+            STEERING,
+            {"options": {"start": (5.0, 0), "poses": np.zeros((2, 3))}},
+            "give one of the two",
+        ),
         (STEERING, {"options": {"policies": (0, 1)}}, "policies"),
         (GAMES, {"options": {"policies": [1]}}, "policies has shape"),
         (GAMES, {"options": {"policies": [0, 99]}}, "game 0, car 1: policy 99"),
@@ -181,7 +221,8 @@ def test_an_impossible_reset_is_one_error_and_changes_nothing(kinds, arguments, 
 
 
 @pytest.mark.parametrize(
-    ("seed", "message"), [([0, -1, 2], "seed of environment 1"), ([0, 1], "2 seeds for 3"), (1.5, "seed is 1.5")]
+    ("seed", "message"),
+    [([0, -1, 2], "seed of environment 1"), ([0, 1], "2 seeds for 3"), (1.5, "seed is 1.5")],
 )
 def test_an_impossible_seed_of_many_is_refused(seed, message):
     refused(message, make_many(DriveEnv, 3).reset, seed=seed)
@@ -206,7 +247,11 @@ def begin(kind, **arguments):
     ("kinds", "harm", "message"),
     [
         (ALL, lambda state: "yesterday", "state is a str; it must be what get_state returned"),
-        (ALL, lambda state: state._replace(generator={"bit_generator": "dice"}), "random generator"),
+        (
+            ALL,
+            lambda state: state._replace(generator={"bit_generator": "dice"}),
+            "random generator",
+        ),
         (
             GAMES,
             changed(0, lambda part: "yesterday"),
@@ -215,7 +260,10 @@ def begin(kind, **arguments):
         (
             (DuelEnv,),
             lambda state: begin(DuelEnv, moves=3),
-            r"own is float64 of shape \(1, 2, 4, 2\); it must be finite float64 of shape \(1, 2, 3, 2\)",
+            (
+                r"own is float64 of shape \(1, 2, 4, 2\); it must be finite float64 of shape \(1,"
+                r" 2, 3, 2\)"
+            ),
         ),
         (
             (DuelEnv,),
@@ -227,8 +275,16 @@ def begin(kind, **arguments):
             lambda state: begin(MatchEnv, races=2),
             r"starts is float64 of shape \(1, 2\); it must be finite float64 of shape \(1, 3\)",
         ),
-        ((DriveEnv,), changed(1, lambda drawn: np.array([2])), "opponents holds 2; it must be from 0 to 0"),
-        ((DriveEnv,), lambda state: begin(DriveEnv, opponent=None), r"cars is float64 of shape \(1, 1, 7\)"),
+        (
+            (DriveEnv,),
+            changed(1, lambda drawn: np.array([2])),
+            "opponents holds 2; it must be from 0 to 0",
+        ),
+        (
+            (DriveEnv,),
+            lambda state: begin(DriveEnv, opponent=None),
+            r"cars is float64 of shape \(1, 1, 7\)",
+        ),
         (
             (DriveEnv,),
             changed(4, lambda drawn: (drawn[0], np.zeros(3), *drawn[2:])),
@@ -256,7 +312,12 @@ def test_a_number_out_of_range_is_named_with_the_end_of_its_own_circuit():
     check_within("s", np.array([[0.0, 40.0], [0.0, 20.0]]), 0.0, lengths)
     for wrong in (20.5, -0.5):
         refused(
-            f"s holds {wrong}; it must be from 0 to 20", check_within, "s", np.array([[5.0], [wrong]]), 0.0, lengths
+            f"s holds {wrong}; it must be from 0 to 20",
+            check_within,
+            "s",
+            np.array([[5.0], [wrong]]),
+            0.0,
+            lengths,
         )
 
 
@@ -309,7 +370,11 @@ def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, argume
     before = flat(env.get_state())
     remembered = ((3, 2), (3,))  # what opponents remember can be anything
     for path, leaf in leaves(other):
-        if path[0] == 0 and leaf is None and any(path[1 : 1 + len(way)] == way for way in remembered):
+        if (
+            path[0] == 0
+            and leaf is None
+            and any(path[1 : 1 + len(way)] == way for way in remembered)
+        ):
             continue
         for value in broken(leaf):
             refused("the state", env.set_state, replaced(other, path, value))
@@ -318,15 +383,25 @@ def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, argume
 
 
 def test_unknown_agents_and_states_of_another_number_are_refused():
-    refused("agent 'car_2' is unknown; the agents are car_0, car_1", make(HeadToHeadEnv).action_space, "car_2")
+    refused(
+        "agent 'car_2' is unknown; the agents are car_0, car_1",
+        make(HeadToHeadEnv).action_space,
+        "car_2",
+    )
     for kind in SINGLE:
         envs, more = make_many(kind, 2), make_many(kind, 3)
         more.reset(seed=0)
         for wrong in (more.get_state(), "yesterday"):
-            refused("use what get_state returned|it must be what get_state returned", envs.set_state, wrong)
+            refused(
+                "use what get_state returned|it must be what get_state returned",
+                envs.set_state,
+                wrong,
+            )
 
 
-@pytest.mark.parametrize(("place", "value"), [("speed", 1e7), ("speed", 1e308), ("delay", 1e9), ("delay", -1e3)])
+@pytest.mark.parametrize(
+    ("place", "value"), [("speed", 1e7), ("speed", 1e308), ("delay", 1e9), ("delay", -1e3)]
+)
 def test_a_state_that_would_end_the_process_is_refused(place, value):
     """A car beyond the grid within a step, and a command from outside of those kept."""
     env = DriveEnv("Pipkin", None)

@@ -121,11 +121,17 @@ def test_unknown_kinds_and_attributes_are_named():
     env.close()
     for wrong in (DuelEnv(**SHORT), DuelVectorEnv(2, **SHORT)):
         refused(f"envs .*{type(wrong).__name__}; .*'SAME_STEP'", SB3VecEnv, wrong)
-    refused("threads is 0", SB3VecEnv, DuelVectorEnv(2, autoreset_mode="SAME_STEP", **SHORT), threads=0)
+    refused(
+        "threads is 0", SB3VecEnv, DuelVectorEnv(2, autoreset_mode="SAME_STEP", **SHORT), threads=0
+    )
 
 
 CASES = [
-    ("drive", DriveEnv, {"opponent": "lattice", "duration": 0.5, "track": ["Pipkin", "Tarnfjord"], "obstacles": 2}),
+    (
+        "drive",
+        DriveEnv,
+        {"opponent": "lattice", "duration": 0.5, "track": ["Pipkin", "Tarnfjord"], "obstacles": 2},
+    ),
     ("drive", DriveEnv, {"opponent": None, "laps": 1, "randomize": {"friction": [0.6, 1.2]}}),
     ("duel", DuelEnv, SHORT),
     ("match", MatchEnv, MATCH),
@@ -133,7 +139,9 @@ CASES = [
 
 
 def both(kind, scalar, arguments, seed=7, count=3):
-    """The batch, and the same environments one by one as Stable-Baselines3 has them; both have begun."""
+    """The batch, and the same environments one by one as Stable-Baselines3 has them; both have
+    begun.
+    """
     one_by_one = DummyVecEnv([lambda: Monitor(scalar(**arguments)) for _ in range(count)])
     pair = make_sb3_vec_env(kind, count, **arguments), one_by_one
     seen = [env.seed(seed) and env.reset() for env in pair]
@@ -161,7 +169,11 @@ def test_a_batch_answers_as_the_same_environments_one_by_one(kind, scalar, argum
     for step in range(400):
         # Hard left into a wall, or another move for each environment.
         discrete = not envs[0].action_space.shape
-        actions = (np.arange(3) + step) % envs[0].action_space.n if discrete else np.tile([0.8, 0.2], (3, 1))
+        actions = (
+            (np.arange(3) + step) % envs[0].action_space.n
+            if discrete
+            else np.tile([0.8, 0.2], (3, 1))
+        )
         ours, theirs = (env.step(actions) for env in envs)
         for own, other in zip(ours[:3], theirs[:3], strict=True):
             assert own.dtype == other.dtype
@@ -172,7 +184,9 @@ def test_a_batch_answers_as_the_same_environments_one_by_one(kind, scalar, argum
         if ended >= 5:
             break
     assert ended >= 5
-    assert [flat(pickle.loads(pickle.dumps(infos))) for infos, _ in kept] == [before for _, before in kept]
+    assert [flat(pickle.loads(pickle.dumps(infos))) for infos, _ in kept] == [
+        before for _, before in kept
+    ]
     same_infos(*(env.reset_infos for env in envs))
 
 
@@ -180,7 +194,13 @@ def test_a_batch_answers_as_the_same_environments_one_by_one(kind, scalar, argum
 def test_options_hold_for_one_reset_of_each_environment(kind, scalar, arguments):
     pair = envs = both(kind, scalar, arguments)
     start, other = {"start": (20.0, 1)}, {"start": (30.0, 0)}
-    for options in (start, [start, {}, other], [{}, {"obstacles": []}, start], {"opponent": "lattice:pace=0.4"}, {}):
+    for options in (
+        start,
+        [start, {}, other],
+        [{}, {"obstacles": []}, start],
+        {"opponent": "lattice:pace=0.4"},
+        {},
+    ):
         if options == {"opponent": "lattice:pace=0.4"} and arguments.get("opponent", "") is None:
             continue
         for seed in (5, None):
@@ -191,7 +211,10 @@ def test_options_hold_for_one_reset_of_each_environment(kind, scalar, arguments)
             np.testing.assert_array_equal(*(env.reset() for env in envs))
             np.testing.assert_array_equal(*(env.reset() for env in envs))  # without options again
             same_infos(*(env.reset_infos for env in envs))
-    fresh = make_sb3_vec_env(kind, 3, **arguments), DummyVecEnv([lambda: scalar(**arguments) for _ in range(3)])
+    fresh = (
+        make_sb3_vec_env(kind, 3, **arguments),
+        DummyVecEnv([lambda: scalar(**arguments) for _ in range(3)]),
+    )
     seen = []
     for env in fresh:  # at the first reset as well
         env.seed(3)
@@ -224,14 +247,19 @@ def test_the_players_of_a_race_share_its_options_and_no_batch_begins_alone():
     env.set_options([{}, {"start": (20.0, 1)}, {}, {}])
     refused("options of environment 1 differ from the options of its race", env.reset)
     parts = [
-        DriveVectorEnv(1, opponent=None, track=name, autoreset_mode="SAME_STEP") for name in ("Pipkin", "Tarnfjord")
+        DriveVectorEnv(1, opponent=None, track=name, autoreset_mode="SAME_STEP")
+        for name in ("Pipkin", "Tarnfjord")
     ]
     joined = SB3VecEnv(parts)
     joined.reset()
     joined.step(np.zeros((2, 2)))
     joined.set_options({"track": "Nowhere"})
     before = flat(joined.get_state())
-    for options in ({"track": "Nowhere"}, [{"track": "Tarnfjord"}, {"start": (20.0, 9)}], [{}, {"start": "here"}]):
+    for options in (
+        {"track": "Nowhere"},
+        [{"track": "Tarnfjord"}, {"start": (20.0, 9)}],
+        [{}, {"start": "here"}],
+    ):
         joined.set_options(options)
         refused("Nowhere|option 'start'", joined.reset)
         assert flat(joined.get_state()) == before
@@ -243,22 +271,37 @@ def test_the_players_of_a_race_share_its_options_and_no_batch_begins_alone():
     parts[0].step(np.zeros((1, 2)))
     now = flat(joined.get_state())
     groups = joined.get_state()[0]
-    refused("the state", joined.set_state, ([groups[0], groups[1]._replace(steps=1j)], *joined.get_state()[1:]))
+    refused(
+        "the state",
+        joined.set_state,
+        ([groups[0], groups[1]._replace(steps=1j)], *joined.get_state()[1:]),
+    )
     assert flat(joined.get_state()) == now
 
 
 @pytest.mark.parametrize(("kind", "scalar", "arguments"), CASES)
 def test_attributes_and_methods_are_of_one_environment(kind, scalar, arguments):
-    ours, theirs = both(kind, scalar, arguments | {"render_mode": "rgb_array", "render_size": (96, 64)})
+    ours, theirs = both(
+        kind, scalar, arguments | {"render_mode": "rgb_array", "render_size": (96, 64)}
+    )
     for indices in (None, 1, [2, 0]):
-        for name in ("observation_space", "action_space", "render_mode", "view", "elements", "render_size"):
+        for name in (
+            "observation_space",
+            "action_space",
+            "render_mode",
+            "view",
+            "elements",
+            "render_size",
+        ):
             assert ours.get_attr(name, indices) == theirs.get_attr(name, indices), name
         assert [one.name for one in ours.get_attr("track", indices)] == [
             one.name for one in theirs.get_attr("track", indices)
         ]
         methods = ["outcome", "render", *(["action_masks"] if kind != "drive" else [])]
         for name in methods:
-            assert flat(ours.env_method(name, indices=indices)) == flat(theirs.env_method(name, indices=indices)), name
+            assert flat(ours.env_method(name, indices=indices)) == flat(
+                theirs.env_method(name, indices=indices)
+            ), name
         for wrapper in (Monitor, gym.Wrapper, gym.wrappers.TimeLimit):
             assert ours.env_is_wrapped(wrapper, indices) == theirs.env_is_wrapped(wrapper, indices)
     assert [one.outcome() for one in ours.get_attr("unwrapped")] == ours.env_method("outcome")
@@ -283,13 +326,22 @@ def test_a_monitor_around_the_batch_and_the_callbacks_of_sb3_find_what_they_look
     from stable_baselines3.common.vec_env import VecMonitor
 
     env, other = (make_sb3_vec_env("drive", 2, opponent=None, duration=0.5) for _ in range(2))
-    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):  # as around Stable-Baselines3's own
+    # as around Stable-Baselines3's own
+    with pytest.warns(UserWarning, match="already wrapped with a `Monitor`"):
         env = VecMonitor(env, info_keywords=("progress", "result"))
-    callbacks = [StopTrainingOnMaxEpisodes(100), EvalCallback(env, eval_freq=8, n_eval_episodes=2, verbose=0)]
-    model = sb3.PPO("MlpPolicy", env, n_steps=8, batch_size=16, device="cpu", seed=0).learn(32, callback=callbacks)
-    assert all(info["progress"] > 0.0 and info["result"] != Result.RUNNING for info in model.ep_info_buffer)
+    callbacks = [
+        StopTrainingOnMaxEpisodes(100),
+        EvalCallback(env, eval_freq=8, n_eval_episodes=2, verbose=0),
+    ]
+    model = sb3.PPO("MlpPolicy", env, n_steps=8, batch_size=16, device="cpu", seed=0).learn(
+        32, callback=callbacks
+    )
+    assert all(
+        info["progress"] > 0.0 and info["result"] != Result.RUNNING for info in model.ep_info_buffer
+    )
     assert len(model.ep_info_buffer) >= 4
-    sb3.SAC("MlpPolicy", other, learning_starts=4, device="cpu", seed=0).learn(16)  # a replay buffer reads every info
+    # a replay buffer reads every info
+    sb3.SAC("MlpPolicy", other, learning_starts=4, device="cpu", seed=0).learn(16)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -308,9 +360,13 @@ def test_several_batches_are_one_environment(threads):
     for step in range(3):
         kept = joined.get_state() if step == 1 else None
         seen, rewards, done, infos = joined.step(actions)
-        steps = [part.step(own) for part, own in zip(alone, (actions[:2], actions[2:]), strict=True)]
+        steps = [
+            part.step(own) for part, own in zip(alone, (actions[:2], actions[2:]), strict=True)
+        ]
         np.testing.assert_array_equal(seen, np.concatenate([one[0] for one in steps]))
-        np.testing.assert_array_equal(rewards, 0.5 * np.concatenate([one[1] for one in steps]).astype(np.float32))
+        np.testing.assert_array_equal(
+            rewards, 0.5 * np.concatenate([one[1] for one in steps]).astype(np.float32)
+        )
         np.testing.assert_array_equal(done, np.concatenate([one[2] for one in steps]))
         assert ["episode" in info for info in infos] == done.tolist()
         if kept is not None:

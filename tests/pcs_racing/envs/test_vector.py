@@ -25,9 +25,13 @@ def action(envs):
 @pytest.mark.parametrize("name", IDS)
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_a_vector_environment_begins_anew_as_gymnasiums_own_does(name, mode):
-    """The same observations, rewards and ends as SyncVectorEnv around the environment for one agent."""
+    """The same observations, rewards and ends as SyncVectorEnv around the environment for one
+    agent.
+    """
     ours = gym.make_vec(name, num_envs=3, autoreset_mode=mode, **IDS[name])
-    theirs = gym.make_vec(name, 3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **IDS[name])
+    theirs = gym.make_vec(
+        name, 3, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **IDS[name]
+    )
     assert ours.metadata["autoreset_mode"] is mode
     assert ours.unwrapped.autoreset_mode is mode
     np.testing.assert_array_equal(ours.reset(seed=4)[0], theirs.reset(seed=4)[0])
@@ -45,7 +49,9 @@ def test_a_vector_environment_begins_anew_as_gymnasiums_own_does(name, mode):
                 np.testing.assert_array_equal(seen[4]["final_obs"][i], expected[4]["final_obs"][i])
                 assert seen[4]["final_info"]["lead"][i] == expected[4]["final_info"]["lead"][i]
         if mode is AutoresetMode.DISABLED and over.any():
-            with pytest.raises(InputError, match=f"environment {np.flatnonzero(over)[0]} has ended"):
+            with pytest.raises(
+                InputError, match=f"environment {np.flatnonzero(over)[0]} has ended"
+            ):
                 ours.step(action(ours))
             options = {"reset_mask": over}
             mine, own = ours.reset(options=dict(options))[0], theirs.reset(options=dict(options))[0]
@@ -68,7 +74,15 @@ def test_max_episode_steps_truncates():
     envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=2, opponent=None, max_episode_steps=3)
     envs.reset(seed=0)
     late = [envs.step(action(envs))[3].tolist() for _ in range(7)]
-    assert late == [[False] * 2, [False] * 2, [True] * 2, [False] * 2, [False] * 2, [False] * 2, [True] * 2]
+    assert late == [
+        [False] * 2,
+        [False] * 2,
+        [True] * 2,
+        [False] * 2,
+        [False] * 2,
+        [False] * 2,
+        [True] * 2,
+    ]
 
 
 @pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP", "DISABLED"])
@@ -100,7 +114,9 @@ def test_a_reset_in_mid_episode_restarts_the_count_of_steps_there_and_nowhere_el
 
 
 def test_each_episode_may_have_options_of_its_own():
-    """As the environments for one agent, with the same seeds; the same dict for several begins them in one call."""
+    """As the environments for one agent, with the same seeds; the same dict for several begins them
+    in one call.
+    """
     envs, single = DriveVectorEnv(3, opponent=None), DriveEnv(opponent=None)
     here, there = {"start": (20.0, 0)}, {"obstacles": []}
     for options in ([here, there, here], [{}, here, {}]):
@@ -116,7 +132,11 @@ def test_each_episode_may_have_options_of_its_own():
         ([here, {"reset_mask": np.ones(3, bool)}, here], "'reset_mask' is unknown"),
     ):
         refused(message, envs.reset, options=wrong)
-    refused("share track and opponent", envs.reset, options={"track": "Tarnfjord", "reset_mask": np.arange(3) > 0})
+    refused(
+        "share track and opponent",
+        envs.reset,
+        options={"track": "Tarnfjord", "reset_mask": np.arange(3) > 0},
+    )
 
 
 WRAPPERS = {
@@ -134,13 +154,20 @@ WRAPPERS = {
     "TransformAction": {"func": lambda actions: actions},
     "TransformObservation": {"func": lambda seen: 2.0 * seen},
     "TransformReward": {"func": lambda rewards: 2.0 * rewards},
-    "VectorizeTransformAction": {"wrapper": wrappers.TransformAction, "func": lambda a: a, "action_space": None},
+    "VectorizeTransformAction": {
+        "wrapper": wrappers.TransformAction,
+        "func": lambda a: a,
+        "action_space": None,
+    },
     "VectorizeTransformObservation": {
         "wrapper": wrappers.TransformObservation,
         "func": lambda seen: seen,
         "observation_space": None,
     },
-    "VectorizeTransformReward": {"wrapper": wrappers.TransformReward, "func": lambda reward: reward},
+    "VectorizeTransformReward": {
+        "wrapper": wrappers.TransformReward,
+        "func": lambda reward: reward,
+    },
     "NumpyToTorch": {},
 }
 NEEDS = {"NumpyToTorch": ("torch", "array_api_compat")}

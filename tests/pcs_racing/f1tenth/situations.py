@@ -1,4 +1,6 @@
-"""Ten scripted situations on a ring, and what runs them in a checkout of the gym (v1.0.0) by its own Python."""
+"""Ten scripted situations on a ring, and what runs them in a checkout of the gym (v1.0.0) by its
+own Python.
+"""
 
 import json
 import math
@@ -25,7 +27,9 @@ def write_ring(folder: Path) -> Path:
         "occupied_thresh: 0.65\nfree_thresh: 0.196\n"
     )
     angle = np.arange(0.0, 2.0 * np.pi, 0.05)
-    rows = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), 1.4 + 0 * angle, 1.4 + 0 * angle], axis=1)
+    rows = np.stack(
+        [RADIUS * np.cos(angle), RADIUS * np.sin(angle), 1.4 + 0 * angle, 1.4 + 0 * angle], axis=1
+    )
     np.savetxt(folder / "ring_centerline.csv", rows, delimiter=", ")
     return folder / "ring"
 
@@ -48,21 +52,42 @@ def steer_round(poses: np.ndarray) -> np.ndarray:
 
 
 def situations() -> Iterator[tuple[str, dict[str, Any], list[list[float]], Any]]:
-    """Yield names, changes of the configuration, start poses, and actions or speeds at which to go round."""
-    to_and_fro = np.stack([np.full(1000, 0.07), 1.5 * np.sign(np.sin(np.arange(1000) / 60.0))], axis=1)
+    """Yield names, changes of the configuration, start poses, and actions or speeds at which to go
+    round.
+    """
+    to_and_fro = np.stack(
+        [np.full(1000, 0.07), 1.5 * np.sign(np.sin(np.arange(1000) / 60.0))], axis=1
+    )
     yield "wall ahead", {}, [place(0.0, turned=-0.6)], hold(1000, (0.0, 4.0))
     yield "wall at the side", {}, [place(0.0, 5.6)], hold(1000, (0.02, 3.0))
     yield "wall behind", {}, [place(0.0, turned=0.9)], hold(1000, (0.1, -2.0))
     yield "rear-end", {}, [place(0.2), place(0.5)], np.array([3.0, 1.0])
-    yield "side by side", {}, [place(0.0, 4.7), place(0.0, 4.2)], hold(1000, (0.0, 2.0), (-0.1, 2.0))
+    yield (
+        "side by side",
+        {},
+        [place(0.0, 4.7), place(0.0, 4.2)],
+        hold(1000, (0.0, 2.0), (-0.1, 2.0)),
+    )
     yield "two laps", {}, [place(0.0), place(-1.0)], np.array([6.3, 6.2])
     yield "to and fro over the line", {}, [place(0.0)], to_and_fro[:, None]
-    yield "three cars", {"ego_idx": 1}, [place(0.0), place(1.0), place(2.0)], np.array([4.0, 3.0, 2.0])
-    inputs = np.stack([0.4 * np.sin(np.arange(1000) / 40.0), np.sin(np.arange(1000) / 90.0)], axis=1)[:, None]
+    yield (
+        "three cars",
+        {"ego_idx": 1},
+        [place(0.0), place(1.0), place(2.0)],
+        np.array([4.0, 3.0, 2.0]),
+    )
+    inputs = np.stack(
+        [0.4 * np.sin(np.arange(1000) / 40.0), np.sin(np.arange(1000) / 90.0)], axis=1
+    )[:, None]
     rates = {"control_input": ["accl", "steering_speed"]}
     yield "kinematic model, accelerations", {"model": "ks", **rates}, [place(0.0)], inputs
     wild = np.random.default_rng(3).uniform([-0.4, 2.0], [0.4, 7.0], (1000, 2, 2))
-    yield "Euler, wild commands", {"integrator": "euler", "params": {"mu": 0.8}}, [place(0.0), place(3.0)], wild
+    yield (
+        "Euler, wild commands",
+        {"integrator": "euler", "params": {"mu": 0.8}},
+        [place(0.0), place(3.0)],
+        wild,
+    )
 
 
 # Run by the gym's Python, in its checkout.
@@ -101,11 +126,20 @@ np.savez(task["out"], **out)
 """
 
 
-def run_theirs(checkout: Path, python: Path, ring: Path, runs: list[Any], out: Path) -> dict[str, np.ndarray]:
-    """Run situations with recorded actions in the gym; return states, facts, ends and scans by situation."""
+def run_theirs(
+    checkout: Path, python: Path, ring: Path, runs: list[Any], out: Path
+) -> dict[str, np.ndarray]:
+    """Run situations with recorded actions in the gym; return states, facts, ends and scans by
+    situation.
+    """
     task = {"map": str(ring), "cell": CELL, "runs": runs, "out": str(out)}
     subprocess.run(
-        [str(python), "-c", _THEIRS], cwd=checkout, input=json.dumps(task), text=True, check=True, capture_output=True
+        [str(python), "-c", _THEIRS],
+        cwd=checkout,
+        input=json.dumps(task),
+        text=True,
+        check=True,
+        capture_output=True,
     )
     with np.load(out) as archive:
         return dict(archive)

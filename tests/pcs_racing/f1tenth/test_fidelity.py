@@ -1,4 +1,5 @@
-"""The same actions give what the gym gives: recorded facts, and beside a checkout of v1.0.0 where there is one.
+"""The same actions give what the gym gives: recorded facts, and beside a checkout of v1.0.0 where
+there is one.
 
 The checkout is that of ``PCS_RACING_GYM``, its Python that of ``PCS_RACING_GYM_PYTHON``.
 """
@@ -14,7 +15,14 @@ from situations import CELL, RADIUS, place, run_theirs, situations, steer_round,
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.f1tenth.env import GenerationA, GenerationB, Integrator
-from pcs_racing.f1tenth.geometry import check_ttc_jit, collision, collision_multiple, get_range, get_vertices, ray_cast
+from pcs_racing.f1tenth.geometry import (
+    check_ttc_jit,
+    collision,
+    collision_multiple,
+    get_range,
+    get_vertices,
+    ray_cast,
+)
 from pcs_racing.f1tenth.lines import Track
 from pcs_racing.f1tenth.observations import observation_factory
 
@@ -27,26 +35,43 @@ def ring(tmp_path_factory):
 
 
 def drive(ring, config, poses, plan):
-    """Make 1,000 steps; return the actions, and states, facts, ends and scans, those after the reset first."""
-    env = gymnasium.make("pcs_racing:f1tenth-v0", config={**config, "map": str(ring), "num_agents": len(poses)})
+    """Make 1,000 steps; return the actions, and states, facts, ends and scans, those after the
+    reset first.
+    """
+    env = gymnasium.make(
+        "pcs_racing:f1tenth-v0", config={**config, "map": str(ring), "num_agents": len(poses)}
+    )
     obs, info = env.reset(options={"poses": np.array(poses)})
     actions, rows, done = [], [], False
     for k in range(STEPS + 1):
-        facts = (env.sim.collisions, env.lap_counts, env.lap_times, obs["lap_times"], info["checkpoint_done"])
+        facts = (
+            env.sim.collisions,
+            env.lap_counts,
+            env.lap_times,
+            obs["lap_times"],
+            info["checkpoint_done"],
+        )
         rows.append((env.sim.states, np.stack(facts), done, env.sim.agent_scans.astype(np.float32)))
         if k < STEPS:
-            action = plan[k] if plan.ndim == 3 else np.stack([steer_round(env.sim.agent_poses), plan], axis=1)
+            action = (
+                plan[k]
+                if plan.ndim == 3
+                else np.stack([steer_round(env.sim.agent_poses), plan], axis=1)
+            )
             actions.append(action.tolist())
             obs, _, done, _, info = env.step(action)
     return actions, {
-        name: np.array([row[i] for row in rows]) for i, name in enumerate(("states", "facts", "done", "scans"))
+        name: np.array([row[i] for row in rows])
+        for i, name in enumerate(("states", "facts", "done", "scans"))
     }
 
 
 def test_states_and_scans_beside_the_gym(ring, tmp_path):
     checkout, python = (os.environ.get(f"PCS_RACING_GYM{end}") for end in ("", "_PYTHON"))
     if not checkout or not python:
-        pytest.skip("PCS_RACING_GYM and PCS_RACING_GYM_PYTHON name no checkout of the gym and its Python")
+        pytest.skip(
+            "PCS_RACING_GYM and PCS_RACING_GYM_PYTHON name no checkout of the gym and its Python"
+        )
     ours, runs = {}, []
     for name, config, poses, plan in situations():
         actions, ours[name] = drive(ring, config, poses, plan)
@@ -56,14 +81,18 @@ def test_states_and_scans_beside_the_gym(ring, tmp_path):
     for name, own in ours.items():
         np.testing.assert_array_equal(own["facts"], theirs[f"{name}/facts"], err_msg=name)
         np.testing.assert_array_equal(own["done"], theirs[f"{name}/done"], err_msg=name)
-        np.testing.assert_allclose(own["states"], theirs[f"{name}/states"], rtol=0.0, atol=1e-9, err_msg=name)
+        np.testing.assert_allclose(
+            own["states"], theirs[f"{name}/states"], rtol=0.0, atol=1e-9, err_msg=name
+        )
         apart = np.abs(own["scans"] - theirs[f"{name}/scans"])
         # Theirs end inside the wall, up to a cell behind its face; ours at the face (below).
         assert np.median(apart) < CELL, name
 
 
 def test_states_are_those_that_the_gym_recorded(reference):
-    """Ten trajectories from states of their own, far beside the map, by the gym's controllers with steering delayed."""
+    """Ten trajectories from states of their own, far beside the map, by the gym's controllers with
+    steering delayed.
+    """
     recorded = np.load(reference / "st_dynamics.npz")
     angle = np.linspace(0.0, 6.0, 60)
     empty = Track.from_refline(10.0 * np.cos(angle) + 1000.0, 10.0 * np.sin(angle), np.ones(60))
@@ -92,7 +121,9 @@ def test_scans_are_exact_to_half_a_cell(ring):
 
 
 def made(ring, cars, **named):
-    return gymnasium.make("pcs_racing:f1tenth-v0", config={"map": str(ring), "num_agents": cars}, **named)
+    return gymnasium.make(
+        "pcs_racing:f1tenth-v0", config={"map": str(ring), "num_agents": cars}, **named
+    )
 
 
 def until_the_end(env, poses, actions, steps=300):
@@ -106,7 +137,9 @@ def until_the_end(env, poses, actions, steps=300):
 
 
 def test_crashes_without_the_faults(ring):
-    """The heading and the flag stay, anybody's crash ends the race, and the infos say whose fault it was."""
+    """The heading and the flag stay, anybody's crash ends the race, and the infos say whose fault
+    it was.
+    """
     into, along = place(0.0, turned=-0.8), place(3.0)
     for faithful in (True, False):
         env = made(ring, 2, faithful=faithful)
@@ -116,7 +149,10 @@ def test_crashes_without_the_faults(ring):
         assert env.sim.collisions[0] == (0.0 if faithful else 1.0)
         others, steps = until_the_end(env, [along, into], [[0.0, 0.0], [0.0, 4.0]])
         assert (steps == 300) == faithful
-    assert (infos["at_fault"].tolist(), others["at_fault"].tolist()) == ([True, False], [False, True])
+    assert (infos["at_fault"].tolist(), others["at_fault"].tolist()) == (
+        [True, False],
+        [False, True],
+    )
 
 
 def test_cars_have_noise_of_their_own_without_the_faults(ring):
@@ -133,7 +169,9 @@ def test_cars_have_noise_of_their_own_without_the_faults(ring):
 
 
 def test_laps_are_counted_by_the_way_and_steering_arrives_without_the_faults(ring):
-    """To and fro over the line twice: two laps in the gym, none here; and no steering beyond its limit."""
+    """To and fro over the line twice: two laps in the gym, none here; and no steering beyond its
+    limit.
+    """
     for faithful in (True, False):
         env = made(ring, 1, faithful=faithful)
         env.reset(options={"poses": np.array([place(0.0)])})
@@ -155,7 +193,12 @@ def test_euler_contacts_and_the_border_without_the_faults(ring):
     ends = {}
     for faithful in (True, False):
         for integrator in ("rk4", "euler"):
-            config = {"map": empty, "num_agents": 2, "integrator": integrator, "observation_config": features}
+            config = {
+                "map": empty,
+                "num_agents": 2,
+                "integrator": integrator,
+                "observation_config": features,
+            }
             env = GenerationB(config, faithful=faithful)
             env.reset(options={"poses": np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0]])})
             for _ in range(10):
@@ -173,20 +216,42 @@ def test_observations_fit_their_space_and_types_of_reset(ring):
     for config in ({}, features, {"type": "dynamic_state"}, {"type": "kinematic_state"}):
         env = gymnasium.make(
             "pcs_racing:f1tenth-v0",
-            config={"map": str(ring), "num_agents": 3, "observation_config": config or {"type": None},
-                    "reset_config": {"type": "cl_grid_random"}, "control_input": ["accl", "steering_speed"]},
-        )  # fmt: skip
+            config={
+                "map": str(ring),
+                "num_agents": 3,
+                "observation_config": config or {"type": None},
+                "reset_config": {"type": "cl_grid_random"},
+                "control_input": ["accl", "steering_speed"],
+            },
+        )
         obs, _ = env.reset(seed=3)
         # Single numbers are of numpy's types, as in the gym, and no arrays: Gymnasium would warn.
-        assert env.observation_space.contains(obs) if not config else obs.keys() == env.observation_space.keys()
-        gaps = np.linalg.norm(env.sim.agent_poses[:, None, :2] - env.sim.agent_poses[None, :, :2], axis=2)
+        assert (
+            env.observation_space.contains(obs)
+            if not config
+            else obs.keys() == env.observation_space.keys()
+        )
+        gaps = np.linalg.norm(
+            env.sim.agent_poses[:, None, :2] - env.sim.agent_poses[None, :, :2], axis=2
+        )
         assert gaps[~np.eye(3, dtype=bool)].min() > 1.0
         assert env.action_space.high[0].tolist() == pytest.approx([3.2, 9.51], abs=1e-5)
 
 
 def test_wrong_arguments_are_one_line(ring):
-    wrong = [{"model": "mb"}, {"control_input": ["speed"]}, {"num_agents": 0}, {"observation_config": {"type": "x"}}]
-    for config in [*wrong, {"params": {"mu": "x"}}, {"map": "Atlantis"}, {"integrator": 3}, {"ego_idx": 9}]:
+    wrong = [
+        {"model": "mb"},
+        {"control_input": ["speed"]},
+        {"num_agents": 0},
+        {"observation_config": {"type": "x"}},
+    ]
+    for config in [
+        *wrong,
+        {"params": {"mu": "x"}},
+        {"map": "Atlantis"},
+        {"integrator": 3},
+        {"ego_idx": 9},
+    ]:
         with pytest.raises(InputError, match=str(next(iter(config)))) as caught:
             GenerationB({"map": str(ring), **config})
         assert "\n" not in str(caught.value)
@@ -202,7 +267,9 @@ def test_wrong_arguments_are_one_line(ring):
 def test_callbacks_draw_into_frames(ring):
     env = made(ring, 1, render_mode="rgb_array")
     env.add_render_callback(
-        lambda e: e.render_lines(np.array([place(0.1)[:2], place(0.6)[:2]]), color=(255, 0, 9), size=4)
+        lambda e: e.render_lines(
+            np.array([place(0.1)[:2], place(0.6)[:2]]), color=(255, 0, 9), size=4
+        )
     )
     env.reset(options={"poses": np.array([place(0.0)])})
     frame = env.render()
@@ -211,20 +278,30 @@ def test_callbacks_draw_into_frames(ring):
 
 
 def test_what_programs_reach_for(ring):
-    """Facts of environment, simulator, car and lidar under the gym's names, right after a reset and two steps."""
+    """Facts of environment, simulator, car and lidar under the gym's names, right after a reset and
+    two steps.
+    """
     env = GenerationA(map=str(ring), num_agents=2, integrator=Integrator["Euler"])
     poses = np.array([place(0.0), place(1.0)])
     env.reset(poses)
     for steer in (0.1, 0.2):
         env.step(np.array([[steer, 2.0], [0.0, 1.0]]))
     car, lidar = env.sim.agents[0], env.sim.agents[0].scan_simulator
-    assert (env.near_start, env.start_thresh, env.num_toggles, env.near_starts.tolist()) == (True, 0.5, 0, [True] * 2)
+    assert (env.near_start, env.start_thresh, env.num_toggles, env.near_starts.tolist()) == (
+        True,
+        0.5,
+        0,
+        [True] * 2,
+    )
     heading = env.start_rot @ [np.cos(poses[0, 2]), np.sin(poses[0, 2])]
     np.testing.assert_allclose(heading, [1.0, 0.0], atol=1e-12)
     assert (env.sim.time_step, env.sim.ego_idx, car.time_step, car.is_ego) == (0.01, 0, 0.01, True)
     assert (car.integrator.name, car.ttc_thresh, car.seed, car.steer_buffer.tolist()) == (
-        "Euler", 0.005, 12345, [0.2, 0.1]
-    )  # fmt: skip
+        "Euler",
+        0.005,
+        12345,
+        [0.2, 0.1],
+    )
     np.testing.assert_array_equal(car.opp_poses, env.sim.agent_poses[1:])
     np.testing.assert_allclose(car.cosines, np.cos(car.scan_angles))
     assert car.side_distances[540] == pytest.approx(0.5 * (0.15875 + 0.17145), rel=1e-4)
@@ -251,8 +328,15 @@ def test_what_programs_reach_for(ring):
     assert (car.params["mu"], env.sim.agents[1].params["mu"]) == (0.5, 1.0489)
     env.sim.set_map(str(ring), ".png")
     seen = env.sim.step(np.zeros((2, 2)))
-    assert (len(seen["scans"]), seen["poses_x"], seen["ego_idx"]) == (2, env.sim.states[:, 0].tolist(), 0)
-    for thing, name, words in [(car, "update_pose", "env.sim.step"), (env, "scan", "env.sim.agent_scans")]:
+    assert (len(seen["scans"]), seen["poses_x"], seen["ego_idx"]) == (
+        2,
+        env.sim.states[:, 0].tolist(),
+        0,
+    )
+    for thing, name, words in [
+        (car, "update_pose", "env.sim.step"),
+        (env, "scan", "env.sim.agent_scans"),
+    ]:
         with pytest.raises(AttributeError, match=words):
             getattr(thing, name)
     seen = observation_factory(made(ring, 1), type="features", features=["scan"])
@@ -261,7 +345,10 @@ def test_what_programs_reach_for(ring):
 
 def test_functions_that_programs_call():
     """Corners, contacts and ranges of rectangles, by hand."""
-    one, two = get_vertices(np.zeros(3), 2.0, 1.0), get_vertices(np.array([1.9, 0.0, np.pi / 2]), 2.0, 1.0)
+    one, two = (
+        get_vertices(np.zeros(3), 2.0, 1.0),
+        get_vertices(np.array([1.9, 0.0, np.pi / 2]), 2.0, 1.0),
+    )
     np.testing.assert_allclose(one, [[-1.0, 0.5], [-1.0, -0.5], [1.0, -0.5], [1.0, 0.5]])
     np.testing.assert_allclose(two, [[1.4, -1.0], [2.4, -1.0], [2.4, 1.0], [1.4, 1.0]], atol=1e-12)
     assert not collision(one, two)

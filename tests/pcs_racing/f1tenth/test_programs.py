@@ -1,4 +1,6 @@
-"""Programs of the gym run without an edit: small ones of the same form, and others' where there is a checkout."""
+"""Programs of the gym run without an edit: small ones of the same form, and others' where there is
+a checkout.
+"""
 
 import os
 import subprocess
@@ -210,7 +212,13 @@ def run(program, cwd, *paths, seconds=300):
         environment.pop(name, None)
     command = [sys.executable, "-m", "pcs_racing.f1tenth", str(program)]
     return subprocess.run(
-        command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=seconds, check=False
+        command,
+        cwd=cwd,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=seconds,
+        check=False,
     )
 
 
@@ -234,13 +242,18 @@ def test_a_program_drives_by_the_defaults_of_the_copy_that_it_brings_along(place
     ring = write_ring(envs / "maps")
     for file in ring.parent.glob(f"{ring.stem}.*"):
         file.rename(file.with_stem("mine"))
-    (envs / "maps/mine.yaml").write_text((envs / "maps/mine.yaml").read_text().replace(ring.stem, "mine"))
+    (envs / "maps/mine.yaml").write_text(
+        (envs / "maps/mine.yaml").read_text().replace(ring.stem, "mine")
+    )
     (envs.parent / "__init__.py").write_text("raise SystemExit('the copy is run')")
     (envs / "f110_env.py").write_text(COPY)
     (envs / "base_classes.py").write_text(CARS)
     (tmp_path / "program.py").write_text(f"POSES = {[place(0.0)]}\n{E}")
     done = run("program.py", tmp_path)
-    assert (done.returncode, done.stdout.strip()) == (0, "driven 0.02 1440 6.28 0.8 0.15875 Euler"), done.stderr
+    assert (done.returncode, done.stdout.strip()) == (
+        0,
+        "driven 0.02 1440 6.28 0.8 0.15875 Euler",
+    ), done.stderr
     said = next(line for line in done.stderr.splitlines() if "defaults of its own" in line)
     for word in ("timestep 0.02", "num_beams 1440", "fov 6.28", "mu 0.8", "integrator Euler"):
         assert word in said
@@ -252,7 +265,13 @@ def test_a_program_drives_by_the_defaults_of_the_copy_that_it_brings_along(place
         ("import gym; gym.wrappers.AtariPreprocessing", "AtariPreprocessing"),
         ("from f1tenth_gym.envs.env_config import EnvConfig", "EnvConfig"),
         ("import gym; gym.make('f110_gym:f110-v0', map='vegas')", "vegas"),
-        ("import f1tenth_gym, gymnasium; gymnasium.make('f1tenth-v0', config={'map': 'Pipkin', 'model': 'mb'})", "mb"),
+        (
+            (
+                "import f1tenth_gym, gymnasium; gymnasium.make('f1tenth-v0', config={'map':"
+                " 'Pipkin', 'model': 'mb'})"
+            ),
+            "mb",
+        ),
     ],
 )
 def test_what_is_not_served_is_one_line(program, words, tmp_path):

@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from refusal import refused
 
-from pcs_racing import InputError, Parameter, Planner, PolicyArchive, UnknownNameError, load_archive, save_archive
+from pcs_racing import (
+    InputError,
+    Parameter,
+    Planner,
+    PolicyArchive,
+    UnknownNameError,
+    load_archive,
+    save_archive,
+)
 from pcs_racing.game.moves import (
     check_epsilon,
     duplicate_moves,
@@ -30,7 +38,9 @@ def archive(coordinates=COORDINATES, axes=AXES, **changes) -> PolicyArchive:
         "name": "toy",
         "planner": "toy-planner",
         "parameter_names": ("a", "b"),
-        "parameters": np.column_stack([np.linspace(0.0, 1.0, len(coordinates)), np.zeros(len(coordinates))]),
+        "parameters": np.column_stack(
+            [np.linspace(0.0, 1.0, len(coordinates)), np.zeros(len(coordinates))]
+        ),
         "characteristics": axes,
         "coordinates": coordinates,
     }
@@ -39,7 +49,10 @@ def archive(coordinates=COORDINATES, axes=AXES, **changes) -> PolicyArchive:
 
 @pytest.fixture
 def toy_planner(monkeypatch):
-    planner = Planner("toy-planner", (Parameter("a", 0.0, 1.0, 0.5, "one"), Parameter("b", -1.0, 1.0, 0.0, "other")))
+    planner = Planner(
+        "toy-planner",
+        (Parameter("a", 0.0, 1.0, 0.5, "one"), Parameter("b", -1.0, 1.0, 0.0, "other")),
+    )
     monkeypatch.setattr(registry, "_planners", {**registry._planners, planner.name: planner})
     return planner
 
@@ -58,29 +71,44 @@ def test_ideal_nadir_and_the_policies_that_stand_out():
 
 def test_a_move_goes_to_the_nearest_policy_and_the_table_lists_all_moves():
     toy = archive()
-    # From (0.2, 0.8): 0.35 more aggressiveness asks for (0.55, 0.8); policy 2 at (0.6, 0.6) is nearest.
+    # From (0.2, 0.8): 0.35 more aggressiveness asks for (0.55, 0.8); policy 2 at (0.6, 0.6) is
+    # nearest.
     assert move(toy, 1, 0, 1, 0.35) == 2
     assert move(toy, 1, 0, -1, 0.35) == 0
-    np.testing.assert_array_equal(move(toy, [0, 4], 0, [-1, 1], 0.35), [0, 4])  # off the end of the front: stays there
+    # off the end of the front: stays there
+    np.testing.assert_array_equal(move(toy, [0, 4], 0, [-1, 1], 0.35), [0, 4])
     table = move_table(toy, (0.35, 0.7), stay=True)
     names = move_names(toy, (0.35, 0.7), stay=True)
     assert names == (
-        "aggressiveness + 0.35", "aggressiveness - 0.35", "restraint + 0.35", "restraint - 0.35",
-        "aggressiveness + 0.7", "aggressiveness - 0.7", "restraint + 0.7", "restraint - 0.7", "stay",
-    )  # fmt: skip
+        "aggressiveness + 0.35",
+        "aggressiveness - 0.35",
+        "restraint + 0.35",
+        "restraint - 0.35",
+        "aggressiveness + 0.7",
+        "aggressiveness - 0.7",
+        "restraint + 0.7",
+        "restraint - 0.7",
+        "stay",
+    )
     assert table.shape == (5, 9)
     for policy in range(5):
-        for column, (step, axis, sign) in enumerate((e, a, s) for e in (0.35, 0.7) for a in (0, 1) for s in (1, -1)):
+        for column, (step, axis, sign) in enumerate(
+            (e, a, s) for e in (0.35, 0.7) for a in (0, 1) for s in (1, -1)
+        ):
             assert table[policy, column] == move(toy, policy, axis, sign, step)
     np.testing.assert_array_equal(table[:, -1], np.arange(5))
     assert move_names(toy) == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
 
 
-points = hnp.arrays(np.float64, st.tuples(st.integers(2, 12), st.just(3)), elements=st.integers(-5, 5).map(float))
+points = hnp.arrays(
+    np.float64, st.tuples(st.integers(2, 12), st.just(3)), elements=st.integers(-5, 5).map(float)
+)
 
 
 def three(coordinates) -> PolicyArchive:
-    return archive(coordinates, (*AXES, "smoothness"), ideal=np.full(3, 6.0), nadir=np.full(3, -6.0))
+    return archive(
+        coordinates, (*AXES, "smoothness"), ideal=np.full(3, 6.0), nadir=np.full(3, -6.0)
+    )
 
 
 @given(points, hnp.arrays(np.float64, (7, 3), elements=st.floats(-2.0, 3.0)))
@@ -102,7 +130,8 @@ def test_more_of_a_characteristic_never_means_less_of_it(coordinates, epsilon):
 
 def test_shares_of_useless_moves():
     toy = archive(np.array([[0.0, 1.0], [1.0, 0.0]]))
-    # From (0, 1): aggressiveness + 0.6 asks for (0.6, 1) and stays, as do all the others; so it is from (1, 0).
+    # From (0, 1): aggressiveness + 0.6 asks for (0.6, 1) and stays, as do all the others; so it is
+    # from (1, 0).
     assert no_op_share(toy, 0.6) == 1.0
     assert duplicate_share(toy, 0.6) == 6 / 8
     # A step of 3 asks for (3, 1), nearest to (1, 0), and for (0, -2), nearest to it too.
@@ -112,7 +141,8 @@ def test_shares_of_useless_moves():
     table = np.random.default_rng(0).integers(0, 4, (30, 6))
     earlier = [[there in row[:k] for k, there in enumerate(row)] for row in table.tolist()]
     np.testing.assert_array_equal(duplicate_moves(table), earlier)
-    points = np.random.default_rng(1).uniform(-0.5, 1.5, (2, 5000, 2))  # more than are compared at once
+    # more than are compared at once
+    points = np.random.default_rng(1).uniform(-0.5, 1.5, (2, 5000, 2))
     far = np.linalg.norm(points[..., None, :] - toy.normalised, axis=-1)
     np.testing.assert_array_equal(toy.nearest(points), far.argmin(axis=-1))
 
@@ -122,7 +152,9 @@ def test_policies_come_from_the_planner_unless_it_has_changed(toy_planner):
     assert policy.planner is toy_planner
     assert policy.name == "toy[4]"
     np.testing.assert_array_equal(policy.parameters, [1.0, 0.0])
-    explored = archive(explored_parameters=[[0.25, 1.0]], explored_coordinates=[[1.0, 1.0]]).explored_policy(0)
+    explored = archive(
+        explored_parameters=[[0.25, 1.0]], explored_coordinates=[[1.0, 1.0]]
+    ).explored_policy(0)
     np.testing.assert_array_equal(explored.parameters, [0.25, 1.0])
     assert archive().family() is toy_planner
     refused("holds parameters a, c", archive(parameter_names=("a", "c")).family)
@@ -154,24 +186,33 @@ def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     one = toy.project(("restraint",))
     assert one.correlations == {}
     assert "policies, restraint, preset" in repr(one)
-    constant = archive([[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0])
+    constant = archive(
+        [[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0]
+    )
     assert np.isnan(constant.correlations[AXES])
     toy = archive().project(("restraint",))
     np.testing.assert_array_equal(toy.coordinates, COORDINATES[:, 1:])
     np.testing.assert_array_equal(toy.ideal, [4.0])
     assert move_names(toy) == ("restraint +", "restraint -")
     spread = np.arange(10.0).reshape(5, 2)
-    np.testing.assert_array_equal(archive(spread=spread).project(("restraint",)).spread, spread[:, 1:])
+    np.testing.assert_array_equal(
+        archive(spread=spread).project(("restraint",)).spread, spread[:, 1:]
+    )
 
 
 @pytest.mark.parametrize(
     "keep",
-    [lambda toy, folder: load_archive(save_archive(toy, folder)), lambda toy, _: pickle.loads(pickle.dumps(toy))],
+    [
+        lambda toy, folder: load_archive(save_archive(toy, folder)),
+        lambda toy, _: pickle.loads(pickle.dumps(toy)),
+    ],
 )
 def test_an_archive_reads_back_exactly(tmp_path, keep, toy_planner):
     explored = {"explored_parameters": [[0.1, 0.2]], "explored_coordinates": [[1.0, 2.0]]}
     toy = archive(**explored, settings={"seed": 3, "by": "hand"})
-    measured = archive(spread=np.ones((5, 2)), own_crash=np.linspace(0.0, 1.0, 5), explored_own_crash=np.zeros(0))
+    measured = archive(
+        spread=np.ones((5, 2)), own_crash=np.linspace(0.0, 1.0, 5), explored_own_crash=np.zeros(0)
+    )
     for kept in (toy, measured):
         read = keep(kept, tmp_path / "new" / "folder")
         for key in kept.__dataclass_fields__:
@@ -183,7 +224,14 @@ def test_an_archive_as_a_table():
     pandas = pytest.importorskip("pandas")
     table = archive(own_crash=[0.0, 0.1, 0.2, 0.3, 0.4], spread=np.full((5, 2), 0.5)).to_dataframe()
     assert isinstance(table, pandas.DataFrame)
-    assert list(table.columns) == ["a", "b", *AXES, "aggressiveness_error", "restraint_error", "own_crash"]
+    assert list(table.columns) == [
+        "a",
+        "b",
+        *AXES,
+        "aggressiveness_error",
+        "restraint_error",
+        "own_crash",
+    ]
     np.testing.assert_array_equal(table[list(AXES)], COORDINATES)
     assert table.loc[3, "own_crash"] == 0.3
     assert list(archive().to_dataframe().columns) == ["a", "b", *AXES]
@@ -204,7 +252,10 @@ def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path,
 
 def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
     for changes, message in [
-        ({"coordinates": np.zeros((4, 2)), "parameters": np.zeros((5, 2))}, r"coordinates has shape \(4, 2\)"),
+        (
+            {"coordinates": np.zeros((4, 2)), "parameters": np.zeros((5, 2))},
+            r"coordinates has shape \(4, 2\)",
+        ),
         ({"coordinates": np.zeros((5, 2))}, r"aggressiveness .* 0 .nadir. to 0"),
         ({"coordinates": COORDINATES * np.nan}, r"coordinates holds nan at \(0, 0\)"),
         ({"parameters": np.zeros((5, 3))}, r"parameters has shape \(5, 3\)"),
@@ -221,7 +272,10 @@ def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
         ({"coordinates": COORDINATES * 1e300}, "coordinates holds"),
         ({"own_crash": np.zeros(4)}, r"own_crash has shape \(4,\)"),
         ({"own_crash": np.full(5, -0.1)}, "own_crash holds -0.1"),
-        ({"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)}, r"spread holds nan at \(3, 0\)"),
+        (
+            {"spread": np.where(np.arange(10).reshape(5, 2) == 6, np.nan, 1.0)},
+            r"spread holds nan at \(3, 0\)",
+        ),
     ]:
         refused(message, archive, **changes)
     for call, message in [
@@ -234,12 +288,18 @@ def test_impossible_archives_questions_and_epsilons_are_one_clear_error():
     pairs = [(0.1, 0.1), (0.1, "x"), (0.3, True), (0.3, "0.2"), (0.3, -0.1)]
     for epsilon in [0.0, -1.0, 11.0, np.nan, "0.3", (), True, None, *pairs]:
         refused(r"epsilon is .*", check_epsilon, epsilon)
-    for epsilon, steps in ((10, (10.0,)), ([0.2, 0.6], (0.2, 0.6)), (np.array([0.6, 0.2]), (0.6, 0.2))):
+    for epsilon, steps in (
+        (10, (10.0,)),
+        ([0.2, 0.6], (0.2, 0.6)),
+        (np.array([0.6, 0.2]), (0.6, 0.2)),
+    ):
         assert check_epsilon(epsilon) == steps
 
 
 def test_files_that_are_no_archive_and_damaged_ones_are_one_clear_error(tmp_path, toy_planner):
-    refused(r"unknown archive 'nonsense'.*default", load_archive, "nonsense", error=UnknownNameError)
+    refused(
+        r"unknown archive 'nonsense'.*default", load_archive, "nonsense", error=UnknownNameError
+    )
     refused("name or a folder", load_archive, 3)
     refused(r"can't read .*manifest.yaml", load_archive, tmp_path)
     for harm, message in [
@@ -273,5 +333,10 @@ def damage(change):
 
 
 def swap_arrays(folder):
-    np.savez(folder / "archive.npz", parameters=np.array([{"a": 1}], dtype=object))  # a pickle: never read
-    damage(lambda m: m.update(arrays_sha256=hashlib.sha256((folder / "archive.npz").read_bytes()).hexdigest()))(folder)
+    # a pickle: never read
+    np.savez(folder / "archive.npz", parameters=np.array([{"a": 1}], dtype=object))
+    damage(
+        lambda m: m.update(
+            arrays_sha256=hashlib.sha256((folder / "archive.npz").read_bytes()).hexdigest()
+        )
+    )(folder)

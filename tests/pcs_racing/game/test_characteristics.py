@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError, Starts, UnknownNameError, draw_starts, load_race_config, load_track
+from pcs_racing import (
+    InputError,
+    Starts,
+    UnknownNameError,
+    draw_starts,
+    load_race_config,
+    load_track,
+)
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game import characteristics as measures
 from pcs_racing.planners.lattice import LATTICE
@@ -31,7 +38,8 @@ def piece() -> measures.Segment:
 def test_values_by_hand_and_the_check_for_everybody(piece):
     for name, expected in [
         ("aggressiveness", [[4.0, -4.0], [-2.0, 2.0], [-1.0, 1.0], [0.0, 0.0]]),
-        # As if the crash had not cut it short; less than half a second counts as half of one, here and below.
+        # As if the crash had not cut it short; less than half a second counts as half of one, here
+        # and below.
         ("pace", [[4.0, -4.0], [-8.0, 8.0], [-16.0, 16.0], [0.0, 0.0]]),
         ("restraint", [[0.5, 1.0], [0.5, 0.0], [3.0, 0.0], [0.0, 0.0]]),
         ("smoothness", [[-0.5, -1.0], [-0.5, -1.5], [-2.0, 0.0], [0.0, -1.0]]),
@@ -41,7 +49,9 @@ def test_values_by_hand_and_the_check_for_everybody(piece):
         # For less than a second in front or behind nothing is said.
         ("reaction", [[0.0, 0.2], [0.0, 0.0], [0.0, 0.0], [0.3, 0.6]]),
     ]:
-        np.testing.assert_allclose(measures.measure(piece, measures.get_characteristics([name]))[..., 0], expected)
+        np.testing.assert_allclose(
+            measures.measure(piece, measures.get_characteristics([name]))[..., 0], expected
+        )
     for name in list(measures._registered):
         check_characteristic(measures.get_characteristics([name])[0])
 
@@ -77,7 +87,8 @@ def test_a_pooled_characteristic_is_measured_on_the_race_so_far(piece):
     values = measures.measure(piece, [speed, reaction], later)
     np.testing.assert_array_equal(values[..., 0], speed.evaluate(piece))
     np.testing.assert_array_equal(values[..., 1], reaction.evaluate(later))
-    assert reaction.evaluate(piece)[1, 0] == 0.0 < values[1, 0, 1]  # it was behind for a second by now
+    # it was behind for a second by now
+    assert reaction.evaluate(piece)[1, 0] == 0.0 < values[1, 0, 1]
 
 
 @pytest.mark.parametrize(
@@ -99,7 +110,9 @@ def test_the_check_finds_what_is_wrong(evaluate, message):
 
 @pytest.mark.usefixtures("own_registry")
 def test_a_characteristic_is_known_by_its_name_and_impossible_names_are_refused():
-    mine = measures.Characteristic("mine", "m", "half the progress", lambda segment: 0.5 * segment.progress)
+    mine = measures.Characteristic(
+        "mine", "m", "half the progress", lambda segment: 0.5 * segment.progress
+    )
     measures.register_characteristic(mine)
     measures.register_characteristic(mine)  # again: nothing happens
     assert measures.get_characteristics(["mine"]) == (mine,)
@@ -123,11 +136,15 @@ TOLERANCE = 0.04  # between the slowest and the fastest of the circuits, for one
 def pieces(name, paces, preset="paper", seconds=12.0, skip=4.0):
     """Speed and lead gained, m, of both cars in races of two paces each: shape (B, 2, 2)."""
     track = load_track(name)
-    config = load_race_config(preset, duration=seconds, start="rolling", start_gap=min(0.5 * track.length, 50.0))
+    config = load_race_config(
+        preset, duration=seconds, start="rolling", start_gap=min(0.5 * track.length, 50.0)
+    )
     setup = racing.RaceSetup(track, config, (LATTICE, LATTICE))
     starts = Starts(np.zeros(len(paces)), np.zeros(len(paces), np.int64))
     state = racing.start_races(setup, starts, race_seeds(0, len(paces)))
-    theta = np.array([[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces])
+    theta = np.array(
+        [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
+    )
     racing.advance(setup, state, theta, round(100 * skip))
     before = state.copy()
     racing.advance(setup, state, theta, round(100 * (seconds - skip)))

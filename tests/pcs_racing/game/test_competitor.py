@@ -1,4 +1,6 @@
-"""The one way to ask a competitor for its moves, whatever it is, and the names of those that are known."""
+"""The one way to ask a competitor for its moves, whatever it is, and the names of those that are
+known.
+"""
 
 import json
 from pathlib import Path
@@ -96,7 +98,9 @@ def test_a_decider_gets_the_games_it_is_asked_about_and_who_only_chooses_stays(g
     assert ask_moves(ChoosesAndMoves("both", 1), game, state, 0).tolist() == [1] * GAMES
 
 
-def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is_not_over(game, state):
+def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is_not_over(
+    game, state
+):
     def draws(observation, generator):
         return generator.integers(4)
 
@@ -121,12 +125,22 @@ def test_whatever_a_competitor_raises_is_one_line(game, state, error):
     def fails(observation, rng):
         raise error
 
-    refused(f"competitor 'fails': {type(error).__name__}", ask_moves, fails, game, state, 0, generators=generators())
+    refused(
+        f"competitor 'fails': {type(error).__name__}",
+        ask_moves,
+        fails,
+        game,
+        state,
+        0,
+        generators=generators(),
+    )
 
 
 def test_competitors_are_listed_and_made_by_name(game, monkeypatch):
     """Ours and those of other packages' collections, which are asked last."""
-    others = SimpleNamespace(names=lambda archive, config: ["mine", "always-mine"], make=lambda *given: given)
+    others = SimpleNamespace(
+        names=lambda archive, config: ["mine", "always-mine"], make=lambda *given: given
+    )
     monkeypatch.setattr(competitors, "collections", lambda: [others])
     moves = [f"always-{move}" for move in game.competitor_moves]
     expected = {"never-switch", "random-moves", "mine", *moves, *planner_names()}
@@ -135,7 +149,9 @@ def test_competitors_are_listed_and_made_by_name(game, monkeypatch):
         assert make_competitor(name.replace(" ", ""), game) == SameMove(name, i)
     assert isinstance(make_competitor("random-moves", game), RandomMoves)
     keeps = make_competitor("never-switch", game)
-    assert [policy.name for policy in keeps.policies] == [f"default[{i}]" for i in range(len(game.archive))]
+    assert [policy.name for policy in keeps.policies] == [
+        f"default[{i}]" for i in range(len(game.archive))
+    ]
     assert make_competitor("lattice:pace=0.25", game).name == "lattice:pace=0.25"
     for name in ("mine", "mine : a=1", "my.zip", "always-mine"):
         assert make_competitor(name, game) == (name, game.archive, game.config)
@@ -148,40 +164,70 @@ def test_collections_are_modules_each_under_one_name(monkeypatch):
     for _ in range(2):
         competitor_collections.register_competitors("toys", "json")
     assert competitor_collections.collections() == [json]
-    refused("competitors 'toys' already, of json", competitor_collections.register_competitors, "toys", "csv")
+    refused(
+        "competitors 'toys' already, of json",
+        competitor_collections.register_competitors,
+        "toys",
+        "csv",
+    )
     competitor_collections.register_competitors("none", "json.nowhere")
     refused("'none' can't be loaded from json.nowhere", competitor_collections.collections)
 
 
 def test_who_can_not_take_part_is_refused_before_a_race(game):
-    """What a model says of its observations and moves, also one within an agent, is compared with the game."""
+    """What a model says of its observations and moves, also one within an agent, is compared with
+    the game.
+    """
     size, moves = len(game.observation_elements), len(game.competitor_moves)
 
     def model(shape=(size,), n=moves):
-        spaces = {"observation_space": SimpleNamespace(shape=shape), "action_space": SimpleNamespace(n=n)}
+        spaces = {
+            "observation_space": SimpleNamespace(shape=shape),
+            "action_space": SimpleNamespace(n=n),
+        }
         return SimpleNamespace(predict=print, name="net", **spaces)
 
     def refuse(game):
         raise InputError(f"asked about {game.track.name}")
 
-    for fits in (model(), model(n=1), model((size,), None), SimpleNamespace(predict=print, model=model()), len):
+    for fits in (
+        model(),
+        model(n=1),
+        model((size,), None),
+        SimpleNamespace(predict=print, model=model()),
+        len,
+    ):
         check_competitor(game, fits)
     for wrong, message in [
         (3, "3 is not a competitor"),
         (SameMove, "is not a competitor"),
         (np.zeros(2), "is not a competitor"),
-        (model((size + 1,)), rf"'net' takes observations of shape \({size + 1},\); .* have shape \({size},\)"),
-        (model(n=moves + 1), rf"'net' has {moves + 1} moves; this game has {moves} \(aggressiveness \+, "),
+        (
+            model((size + 1,)),
+            rf"'net' takes observations of shape \({size + 1},\); .* have shape \({size},\)",
+        ),
+        (
+            model(n=moves + 1),
+            rf"'net' has {moves + 1} moves; this game has {moves} \(aggressiveness \+, ",
+        ),
         (SimpleNamespace(predict=print, model=model((1,))), r"shape \(1,\)"),
         (SimpleNamespace(predict=print, check_fits=refuse), "asked about Tarnfjord"),
     ]:
         refused(message, check_competitor, game, wrong)
     assert [competitor_name(one) for one in (model(), len, RandomMoves(), Counter())] == [
-        "net", "len", "random-moves", "Counter",
-    ]  # fmt: skip
+        "net",
+        "len",
+        "random-moves",
+        "Counter",
+    ]
     space = SimpleNamespace(shape=(2,))
     for candidate, whether in [
-        ("a.zip", True), (Path("b.zip"), True), ("zip", False), (Path("a.py"), False), (model(), False),
-        (SimpleNamespace(predict=print, action_space=space), True), (SimpleNamespace(action_space=space), False),
-    ]:  # fmt: skip
+        ("a.zip", True),
+        (Path("b.zip"), True),
+        ("zip", False),
+        (Path("a.py"), False),
+        (model(), False),
+        (SimpleNamespace(predict=print, action_space=space), True),
+        (SimpleNamespace(action_space=space), False),
+    ]:
         assert is_model(candidate) is whether

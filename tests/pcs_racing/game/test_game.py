@@ -6,7 +6,16 @@ import pytest
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, GameConfig, PolicyArchive, RaceGame, Starts, load_archive, load_track, make_game
+from pcs_racing import (
+    CONTEST,
+    GameConfig,
+    PolicyArchive,
+    RaceGame,
+    Starts,
+    load_archive,
+    load_track,
+    make_game,
+)
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.moves import move
@@ -58,7 +67,8 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     archive, axes = game.archive, get_characteristics(game.archive.characteristics)
     policy = np.array([3, 9])
     actions = [(0, 2), (1, 3), (2, 0), (0, 0)]
-    lines = game.start_lines  # many, so that one game at least is played to its end, whatever the tuning
+    # many, so that one game at least is played to its end, whatever the tuning
+    lines = game.start_lines
     starts = Starts(lines, np.arange(len(lines)) % 2)
     ends = play(game, game.reset(np.arange(len(starts)), policies=policy, starts=starts), actions)
     whole = np.flatnonzero(~ends.race.crashed)[:1]
@@ -77,8 +87,12 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
         advance(setup, race, archive.complete(archive.parameters[policy])[None], 800)
         seen = measure(Segment.between(before, race, 8.0), axes)[0]
         span = archive.ideal - archive.nadir
-        np.testing.assert_array_equal(end.estimates[0, :, step], np.clip((seen - archive.nadir) / span, -1.0, 2.0))
-        np.testing.assert_array_equal(end.own[0, :, step], (archive.coordinates[policy] - archive.nadir) / span)
+        np.testing.assert_array_equal(
+            end.estimates[0, :, step], np.clip((seen - archive.nadir) / span, -1.0, 2.0)
+        )
+        np.testing.assert_array_equal(
+            end.own[0, :, step], (archive.coordinates[policy] - archive.nadir) / span
+        )
         assert end.leads[0, step] == race.lead[0]
     assert_same(end.race, race)
     np.testing.assert_array_equal(end.policy[0], policy)
@@ -97,15 +111,21 @@ def test_a_game_depends_on_neither_its_batch_nor_the_threads(game):
 
 
 def test_players_may_move_before_the_start(track):
-    """The first step takes no time, the second one 2 s; games of a batch that are at different moments keep to that."""
+    """The first step takes no time, the second one 2 s; games of a batch that are at different
+    moments keep to that.
+    """
     game = make_game(track, moves=3, step_seconds=3.0, first_steps=(0, 2))
     start = game.reset([4, 5])
     np.testing.assert_array_equal(start.race.tick, 0)
-    np.testing.assert_array_equal(game.observation(start)[:, 0, :2], game.points[start.policy[:, 0]].astype(np.float32))
+    np.testing.assert_array_equal(
+        game.observation(start)[:, 0, :2], game.points[start.policy[:, 0]].astype(np.float32)
+    )
     actions = [(0, 3), (2, 1), (1, 1)]
     ends = [play(game, start, actions[:k]) for k in range(4)]
     assert [end.race.tick[0] for end in ends] == [0, 200, 500, 800]
-    np.testing.assert_array_equal(ends[1].policy, game.next_policy(start.policy, np.array(actions[0])))
+    np.testing.assert_array_equal(
+        ends[1].policy, game.next_policy(start.policy, np.array(actions[0]))
+    )
     assert game.done(ends[3]).all()
     # The second game is a move ahead of the first one.
     mixed = start.copy()
@@ -113,11 +133,15 @@ def test_players_may_move_before_the_start(track):
     after = play(game, mixed, actions[:1])
     assert_same(take_games(after, [0]), take_games(ends[1], [0]))
     assert after.race.tick.tolist() == [200, 500]
-    np.testing.assert_array_equal(after.race.cars[1], play(game, take_games(ends[1], [1]), actions[:1]).race.cars[0])
+    np.testing.assert_array_equal(
+        after.race.cars[1], play(game, take_games(ends[1], [1]), actions[:1]).race.cars[0]
+    )
 
 
 def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
-    """Line, side, both policies and the noise: no two go together, whatever the keys have in common."""
+    """Line, side, both policies and the noise: no two go together, whatever the keys have in
+    common.
+    """
     game = make_game(track, step_seconds=0.1, moves=1)
     state = game.reset(np.arange(400, dtype=np.uint64), redraw=False)
     races, count = state.race, len(game.archive)
@@ -178,11 +202,17 @@ def test_players_observe_what_a_state_holds(game):
     assert np.ptp(expected) > 0.0
 
 
-BOUNDS = {"own": ("range", -1.0, 2.0), "opponent": ("range", -1.0, 2.0), "lead": ("20 m", -5.0, 5.0)}
+BOUNDS = {
+    "own": ("range", -1.0, 2.0),
+    "opponent": ("range", -1.0, 2.0),
+    "lead": ("20 m", -5.0, 5.0),
+}
 
 
 def check_encoding(elements, observation, values) -> None:
-    """Each number of both cars' observations is the one that its element names, in its unit and within its bounds."""
+    """Each number of both cars' observations is the one that its element names, in its unit and
+    within its bounds.
+    """
     assert [element.name for element in elements] == list(values[0])
     for element in elements:
         word = next((word for word in BOUNDS if word in element.name.split("_")), "")
@@ -191,15 +221,21 @@ def check_encoding(elements, observation, values) -> None:
     np.testing.assert_array_equal(observation, expected.astype(np.float32))
     assert observation.dtype == np.float32
     assert not np.signbit(observation[observation == 0.0]).any()
-    assert all(((observation >= element.low) & (observation <= element.high))[..., i].all()
-               for i, element in enumerate(elements))  # fmt: skip
+    assert all(
+        ((observation >= element.low) & (observation <= element.high))[..., i].all()
+        for i, element in enumerate(elements)
+    )
 
 
 def test_an_observation_holds_what_its_elements_name_and_a_match_is_read_back():
     rng, axes = np.random.default_rng(0), get_characteristics(("aggressiveness", "restraint"))
     names = [axis.name for axis in axes]
     own, other = rng.uniform(-1.0, 2.0, (2, 3, 2, 4, 2))  # games, cars, steps or races, axes
-    leads, score, driven = rng.uniform(-200.0, 200.0, (3, 4)), rng.random((3, 2, 4)), rng.random((3, 4))
+    leads, score, driven = (
+        rng.uniform(-200.0, 200.0, (3, 4)),
+        rng.random((3, 2, 4)),
+        rng.random((3, 4)),
+    )
     over, front = np.array([1, 2, 3]), rng.random((3, 2)) < 0.5
     steps: list[dict[str, np.ndarray]] = [{}, {}]
     races: list[dict[str, np.ndarray]] = [{}, {}]
@@ -210,29 +246,39 @@ def test_an_observation_holds_what_its_elements_name_and_a_match_is_read_back():
             for form, values in ((f"{{}}_{k}", steps[car]), (f"race_{k}_{{}}", races[car])):
                 shown = seen if values is steps[car] else 1.0
                 for word, numbers in (("own", own[:, car]), ("opponent", other[:, 1 - car])):
-                    values |= {form.format(f"{word}_{name}"): shown * numbers[:, k, i] + 0.0
-                               for i, name in enumerate(names)}  # fmt: skip
+                    values |= {
+                        form.format(f"{word}_{name}"): shown * numbers[:, k, i] + 0.0
+                        for i, name in enumerate(names)
+                    }
                 values[form.format("lead")] = shown * lead[:, k] + 0.0
             steps[car][f"seen_{k}"] = seen
             races[car] |= {f"race_{k}_score": score[:, car, k], f"race_{k}_driven": driven[:, k]}
         steps[car]["step"] = over / 3.0
         races[car] |= {"races_left": (4 - over) / 4.0, "front": front[:, car].astype(float)}
-    check_encoding(observation_elements(axes, 3), encode_observation(own, other, leads, over), steps)
+    check_encoding(
+        observation_elements(axes, 3), encode_observation(own, other, leads, over), steps
+    )
     encoded = encode_match(own, other, leads, score, driven, over, front)
     check_encoding(match_elements(axes, 4), encoded, races)
     for car in range(2):
         read = decode_match(encoded[:, car], 4, 2)
         lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
-        for found, expected in zip(read, (own[:, car], other[:, 1 - car], lead, score[:, car], driven), strict=True):
+        for found, expected in zip(
+            read, (own[:, car], other[:, 1 - car], lead, score[:, car], driven), strict=True
+        ):
             np.testing.assert_array_equal(found, expected.astype(np.float32))
 
 
 def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
     extra = np.random.default_rng(0).normal(size=(len(archive), 1))
     return PolicyArchive(
-        "three", archive.planner, archive.parameter_names, archive.parameters,
-        (*archive.characteristics, third), np.hstack([archive.coordinates, extra]),
-    )  # fmt: skip
+        "three",
+        archive.planner,
+        archive.parameter_names,
+        archive.parameters,
+        (*archive.characteristics, third),
+        np.hstack([archive.coordinates, extra]),
+    )
 
 
 def test_several_step_sizes_and_three_characteristics(track):
@@ -255,7 +301,9 @@ def test_several_step_sizes_and_three_characteristics(track):
     points = make_game(track, narrow).points
     np.testing.assert_array_equal(points, np.clip(narrow.normalised, -1.0, 2.0))
     assert points.max() == 2.0 < narrow.normalised.max()
-    two = make_game(track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint"))
+    two = make_game(
+        track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint")
+    )
     assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
 
 
@@ -289,7 +337,9 @@ def test_who_leads_at_the_end_wins(track):
     over = game.done(end) & ~end.race.crashed
     ahead = np.where(np.abs(end.race.lead) > TIE_WITHIN, np.sign(end.race.lead), 0)
     assert (ahead[over] != 0).any()
-    np.testing.assert_array_equal(game.winner(end)[over], np.select([ahead > 0, ahead < 0], [0, 1], -1)[over])
+    np.testing.assert_array_equal(
+        game.winner(end)[over], np.select([ahead > 0, ahead < 0], [0, 1], -1)[over]
+    )
     np.testing.assert_array_equal(game.reward(end)[over, 0], ahead[over])
     assert (game.winner(game.reset(games=2)) == -1).all()
 
@@ -301,7 +351,9 @@ def test_games_that_end_while_watching_are_drawn_again(track):
     crashed = once.race.crashed
     assert crashed.any(), "choose more noise: this test needs crashes"
     assert again.race.crashed.sum() < crashed.sum()
-    assert_same(take_games(again, np.flatnonzero(~crashed)), take_games(once, np.flatnonzero(~crashed)))
+    assert_same(
+        take_games(again, np.flatnonzero(~crashed)), take_games(once, np.flatnonzero(~crashed))
+    )
     bad = int(np.flatnonzero(crashed)[0])
     assert_same(game.reset(games=40).copy(), again)
     key = race_seeds(0, 40)[bad : bad + 1]
@@ -334,11 +386,16 @@ def test_drivers_from_outside_the_archive(track):
 
 
 def test_drivers_from_outside_in_either_car(track):
-    """Two drivers from outside: the game is the race that run_races drives, with their seats and its noise."""
+    """Two drivers from outside: the game is the race that run_races drives, with their seats and
+    its noise.
+    """
     config = GameConfig(race=CONTEST, step_seconds=0.8)
     archive = load_archive("default")
     game = RaceGame(track, archive, config, "lattice", ego_planner=PURE_PURSUIT)
-    egos, wild = [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.2, 0.9)], archive.explored_policy(5)
+    egos, wild = (
+        [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.2, 0.9)],
+        archive.explored_policy(5),
+    )
     starts = Starts(start_lines(track, game.setup.config, 3)[:2], np.array([0, 1]))
     state = game.reset([1, 2], starts=starts, egos=egos, opponents=wild)
     assert (state.policy == -1).all()
@@ -346,7 +403,9 @@ def test_drivers_from_outside_in_either_car(track):
     state = play(game, state, [(0, 0), (3, 1), (2, 2), (1, 0)])
 
     race = start_races(game.setup, starts, state.race.seed)
-    theta = np.stack([pad_parameters(cars, game.setup.theta_size) for cars in (egos, [wild, wild])], axis=1)
+    theta = np.stack(
+        [pad_parameters(cars, game.setup.theta_size) for cars in (egos, [wild, wild])], axis=1
+    )
     advance(game.setup, race, theta, 400)
     assert_same(state.race, race)
 
@@ -392,7 +451,10 @@ def test_impossible_resets_and_actions_are_one_clear_error(game):
         ({"policies": [0, -2]}, "policy -2"),
         ({"policies": [0.0, 1.0]}, "type float64"),
         ({"games": 2, "policies": [[0, 1]]}, r"policies has shape \(1, 2\)"),
-        ({"starts": Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))}, "1 games but 3 starts"),
+        (
+            {"starts": Starts(np.array([20.0, 20.0, 21.0]), np.array([0, 1, 0]))},
+            "1 games but 3 starts",
+        ),
         ({"starts": Starts(np.array([1e6]), np.array([0]))}, "race 0: the start line"),
         ({"games": 2, "opponents": [None]}, "2 games but 1 opponents"),
         ({"opponents": ["fast"]}, r"game 0: the opponent .*'fast'"),

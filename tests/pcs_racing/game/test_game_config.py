@@ -12,7 +12,9 @@ from pcs_racing.game.identity import check_same_game, game_identity
 
 
 def test_the_papers_game_and_the_contest():
-    """Section V: a step to watch and four moves, of 8 s each; the lead at the end of 40 s is what counts."""
+    """Section V: a step to watch and four moves, of 8 s each; the lead at the end of 40 s is what
+    counts.
+    """
     config = GameConfig()
     assert config == load_game_config() == load_game_config("paper") == load_game_config(PAPER)
     assert (config.race, config.moves, config.step_seconds) == (PAPER, 4, 8.0)
@@ -79,7 +81,13 @@ def test_each_rule_has_its_limits():
         ("characteristics", (None, ("speed",)), ("speed", 3)),
         ("race", ("contest", PAPER), (3, None)),
     ]:
-        more = {"moves": 1} if key == "step_seconds" else {"step_seconds": 0.1} if key == "moves" else {}
+        more = (
+            {"moves": 1}
+            if key == "step_seconds"
+            else {"step_seconds": 0.1}
+            if key == "moves"
+            else {}
+        )
         for value in fine:
             GameConfig(**{key: value}, **more)
         for value in wrong:
@@ -90,28 +98,63 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
     archive = load_archive("default")
     own = game_identity(SimpleNamespace(archive=archive, config=GameConfig(moves=2)))
     assert own._replace(elements=()) == (
-        (), ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -"), (0.5,), "default",
-        archive.content_hash, "paper", 2,
-    )  # fmt: skip
+        (),
+        ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -"),
+        (0.5,),
+        "default",
+        archive.content_hash,
+        "paper",
+        2,
+    )
     assert own.elements[:3] + own.elements[-1:] == (
-        "own_aggressiveness_0", "own_restraint_0", "opponent_aggressiveness_0", "step",
-    )  # fmt: skip
+        "own_aggressiveness_0",
+        "own_restraint_0",
+        "opponent_aggressiveness_0",
+        "step",
+    )
     several = GameConfig(moves=2, epsilon=(0.2, 0.6), stay=True)
-    moves = (f"{axis} {sign} {step}" for step in (0.2, 0.6) for axis in archive.characteristics for sign in "+-")
-    assert game_identity(SimpleNamespace(archive=archive, config=several))[1:3] == ((*moves, "stay"), (0.2, 0.6))
-    unknown = own._replace(elements=(), moves=(), decisions=0)  # what was not recorded is not compared
+    moves = (
+        f"{axis} {sign} {step}"
+        for step in (0.2, 0.6)
+        for axis in archive.characteristics
+        for sign in "+-"
+    )
+    assert game_identity(SimpleNamespace(archive=archive, config=several))[1:3] == (
+        (*moves, "stay"),
+        (0.2, 0.6),
+    )
+    # what was not recorded is not compared
+    unknown = own._replace(elements=(), moves=(), decisions=0)
     for mine, other in [
-        (own, own), (own, own._replace(moves=(*own.moves, "stay"), preset="contest", archive="other")),
-        (unknown, own), (own._replace(decisions=0), own._replace(decisions=3)), (own, own._replace(decisions=0)),
-    ]:  # fmt: skip
+        (own, own),
+        (own, own._replace(moves=(*own.moves, "stay"), preset="contest", archive="other")),
+        (unknown, own),
+        (own._replace(decisions=0), own._replace(decisions=3)),
+        (own, own._replace(decisions=0)),
+    ]:
         check_same_game(mine, other, "it")
     for change, message in [
         ({"decisions": 3}, "^it was made for games of 2 moves; the game has 3$"),
-        ({"elements": own.elements[:4]}, r"^it sees 19 \(own_.*_0 to step\); .* 4 \(own_.*, opponent_restraint_0\)$"),
-        ({"elements": ("a", *own.elements[1:])}, "^it sees 'own_aggressiveness_0' at place 0; the game has 'a' there$"),
-        ({"moves": (*own.moves, "more")}, r"^it values moves 4 \(.*\); the game has 5 \(.*, more\)$"),
-        ({"moves": own.moves[::-1]}, "^it values moves 'aggressiveness .' at place 0; the game has 'restraint -'"),
+        (
+            {"elements": own.elements[:4]},
+            r"^it sees 19 \(own_.*_0 to step\); .* 4 \(own_.*, opponent_restraint_0\)$",
+        ),
+        (
+            {"elements": ("a", *own.elements[1:])},
+            "^it sees 'own_aggressiveness_0' at place 0; the game has 'a' there$",
+        ),
+        (
+            {"moves": (*own.moves, "more")},
+            r"^it values moves 4 \(.*\); the game has 5 \(.*, more\)$",
+        ),
+        (
+            {"moves": own.moves[::-1]},
+            "^it values moves 'aggressiveness .' at place 0; the game has 'restraint -'",
+        ),
         ({"epsilon": (0.25, 1.0)}, "^it was made for moves of epsilon 0.5; the game has 0.25, 1$"),
-        ({"archive": "b", "archive_sha256": 20 * "b"}, r"'default' \(sha256 \w{12}\); .* 'b' \(sha256 b{12}\)$"),
+        (
+            {"archive": "b", "archive_sha256": 20 * "b"},
+            r"'default' \(sha256 \w{12}\); .* 'b' \(sha256 b{12}\)$",
+        ),
     ]:
         refused(message, check_same_game, own, own._replace(**change), "it")

@@ -1,4 +1,6 @@
-"""The way of a move: from ``predict`` to the kernel in at most eight files, none twice, and checked once."""
+"""The way of a move: from ``predict`` to the kernel in at most eight files, none twice, and checked
+once.
+"""
 
 import inspect
 from pathlib import Path
@@ -21,23 +23,33 @@ SHORT = {"step_seconds": 0.1, "moves": 1, "stay": True}
 
 @pytest.fixture(scope="module")
 def archive() -> PolicyArchive:
-    """Six policies of which each has a pace of its own, so that what drives a car tells where a move led."""
+    """Six policies of which each has a pace of its own, so that what drives a car tells where a
+    move led.
+    """
     planner = get_planner("pure-pursuit")
     pace = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.625])
     parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
     coordinates = np.column_stack([np.arange(6.0), np.arange(6.0) % 3.0])
     axes = ("aggressiveness", "restraint")
-    return PolicyArchive("marked", "pure-pursuit", planner.parameter_names, parameters, axes, coordinates)
+    return PolicyArchive(
+        "marked", "pure-pursuit", planner.parameter_names, parameters, axes, coordinates
+    )
 
 
 def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarray]]:
-    """Record the files on the way to each call of the kernel, what the check of moves is given, and the parameters."""
+    """Record the files on the way to each call of the kernel, what the check of moves is given, and
+    the parameters.
+    """
     ways: list[list[str]] = []
     checked: list[np.ndarray] = []
     advance, check = driving.advance_races, rules.check_moves
 
     def kernel(track, state, theta, *rest):
-        names = [frame.filename for frame in reversed(inspect.stack()) if Path(frame.filename).is_relative_to(HOME)]
+        names = [
+            frame.filename
+            for frame in reversed(inspect.stack())
+            if Path(frame.filename).is_relative_to(HOME)
+        ]
         files = [str(Path(name).relative_to(HOME)) for name in names]
         ways.append([file for i, file in enumerate(files) if i == 0 or files[i - 1] != file])
         thetas.append(theta.copy())
@@ -58,12 +70,22 @@ def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarr
 def test_a_move_passes_eight_rooms_at_most_and_none_twice(coarse_oval, archive, monkeypatch, kind):
     given = {"track": coarse_oval, "archive": archive, **SHORT}
     move = 0  # more of the first axis: from policy 0 to a neighbour
-    kinds = {"scalar": DuelEnv, "vector": lambda **a: DuelVectorEnv(1, threads=1, **a), "pair": HeadToHeadEnv}
+    kinds = {
+        "scalar": DuelEnv,
+        "vector": lambda **a: DuelVectorEnv(1, threads=1, **a),
+        "pair": HeadToHeadEnv,
+    }
     env = kinds[kind](**given, **({} if kind == "pair" else {"opponent": Model(1)}))
     env.reset(seed=0, options={"policies": (0, 5)})
     ways, checked, thetas = watch(monkeypatch)
     actions = Model(move).predict(np.zeros((1, 1)))[0]
-    env.step({"scalar": int(actions[0]), "vector": actions, "pair": {"car_0": int(actions[0]), "car_1": 1}}[kind])
+    env.step(
+        {
+            "scalar": int(actions[0]),
+            "vector": actions,
+            "pair": {"car_0": int(actions[0]), "car_1": 1},
+        }[kind]
+    )
     # What reaches the kernel is the policy that each car's move leads to.
     table = env.game.table
     expected = archive.parameters[[table[0, 0], table[5, 1]]]
@@ -73,5 +95,6 @@ def test_a_move_passes_eight_rooms_at_most_and_none_twice(coarse_oval, archive, 
     assert len(way) <= 8, way
     assert len(set(way)) == len(way), f"a room is entered twice: {way}"
     assert way[-4:] == ["game/rules.py", "race/races.py", "race/driving.py", "race/kernel.py"]
-    # Each player's move is checked once: at the door of the environment, or where the opponent is asked.
+    # Each player's move is checked once: at the door of the environment, or where the opponent is
+    # asked.
     assert sorted(np.concatenate([moves.ravel() for moves in checked]).tolist()) == [0, 1]

@@ -31,7 +31,9 @@ def shipped() -> list[Track]:
 def _straightest(track: Track, gap: float) -> float:
     """Where both cars of a pair stand on pieces of the line that are as straight as possible."""
     bend = np.abs(track.line[:, 5])
-    return float(np.argmin(np.maximum(bend, np.roll(bend, round(gap / track.arrays.ds)))) * track.arrays.ds)
+    return float(
+        np.argmin(np.maximum(bend, np.roll(bend, round(gap / track.arrays.ds)))) * track.arrays.ds
+    )
 
 
 def _config(track: Track, **changes) -> RaceConfig:
@@ -41,12 +43,18 @@ def _config(track: Track, **changes) -> RaceConfig:
 
 @pytest.fixture(scope="session")
 def drive_alone() -> Callable[..., RaceResult]:
-    """Race policies against themselves from so far apart that each car drives alone: two drives for each policy."""
+    """Race policies against themselves from so far apart that each car drives alone: two drives for
+    each policy.
+    """
 
-    def drive(track: Track, policies: list[Policy], duration: float = 40.0, **changes) -> RaceResult:
+    def drive(
+        track: Track, policies: list[Policy], duration: float = 40.0, **changes
+    ) -> RaceResult:
         config = _config(track, duration=duration, **changes)
         count = len(policies)
-        starts = Starts(np.full(count, _straightest(track, config.start_gap)), np.zeros(count, np.int64))
+        starts = Starts(
+            np.full(count, _straightest(track, config.start_gap)), np.zeros(count, np.int64)
+        )
         return run_races(track, policies, policies, config, starts=starts)
 
     return drive
@@ -75,12 +83,28 @@ def views() -> Callable[..., np.ndarray]:
 
 @pytest.fixture(scope="session")
 def view_at() -> Callable[..., np.ndarray]:
-    """What the driver of a car at (s, d) sees; the opponent stands at a gap ahead of it along the track."""
+    """What the driver of a car at (s, d) sees; the opponent stands at a gap ahead of it along the
+    track.
+    """
 
-    def look(track: Track, s: float, d: float = 0.0, *, speed=4.0, turned=0.0, gap=20.0, opp_d=0.0, opp_speed=0.0):
+    def look(
+        track: Track,
+        s: float,
+        d: float = 0.0,
+        *,
+        speed=4.0,
+        turned=0.0,
+        gap=20.0,
+        opp_d=0.0,
+        opp_speed=0.0,
+    ):
         setup = RaceSetup(track, _config(track), (LATTICE, LATTICE))
-        state = start_races(setup, Starts(np.zeros(1), np.zeros(1, np.int64)), np.zeros(1, np.uint64))
-        for car, (at, across, v, extra) in enumerate([(s, d, speed, turned), (s + gap, opp_d, opp_speed, 0.0)]):
+        state = start_races(
+            setup, Starts(np.zeros(1), np.zeros(1, np.int64)), np.zeros(1, np.uint64)
+        )
+        for car, (at, across, v, extra) in enumerate(
+            [(s, d, speed, turned), (s + gap, opp_d, opp_speed, 0.0)]
+        ):
             x, y, psi = track.to_cartesian([at % track.length, across])
             state.cars[0, car] = [x, y, 0.0, v, (psi + extra) % (2.0 * np.pi), 0.0, 0.0]
             state.frenet[0, car] = at % track.length, across

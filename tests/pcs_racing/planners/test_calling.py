@@ -7,7 +7,16 @@ import pytest
 from numba import njit
 from refusal import refused
 
-from pcs_racing import Planner, RaceSetup, advance, draw_starts, load_race_config, load_track, run_races, start_races
+from pcs_racing import (
+    Planner,
+    RaceSetup,
+    advance,
+    draw_starts,
+    load_race_config,
+    load_track,
+    run_races,
+    start_races,
+)
 from pcs_racing.planners.calling import control_address
 
 
@@ -36,14 +45,19 @@ def allocating(track, theta, view, memory, scratch, path, command):
 def race(function):
     planner = Planner("test", (), control=function)
     config = load_race_config("paper", duration=0.4)
-    return run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
+    return run_races(
+        load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1
+    )
 
 
 def test_plain_compiled_and_typed_functions_drive_the_same_and_what_they_raise_is_told():
     assert (race(control).state.cars == race(njit(control)).state.cars).all()
     assert control_address(control) == control_address(control)
     # It has no file beside which numba could keep its code.
-    typed = "def control(track, theta, view, memory, scratch, path, command):\n    command[0], command[1] = 0.0, 1.0\n"
+    typed = (
+        "def control(track, theta, view, memory, scratch, path, command):\n    command[0],"
+        " command[1] = 0.0, 1.0\n"
+    )
     names = {"__name__": "__main__"}
     exec(compile(typed, "<stdin>", "exec"), names)
     assert (race(names["control"]).state.cars == race(control).state.cars).all()
@@ -54,7 +68,11 @@ def test_plain_compiled_and_typed_functions_drive_the_same_and_what_they_raise_i
 @pytest.mark.parametrize("function", [control, allocating, failing])
 def test_references_to_arrays_are_counted_right(function):
     """Whatever a planner does, no array is freed too early, or never."""
-    planner, track, config = Planner("test", (), control=function), load_track("Tarnfjord"), load_race_config("paper")
+    planner, track, config = (
+        Planner("test", (), control=function),
+        load_track("Tarnfjord"),
+        load_race_config("paper"),
+    )
     setup = RaceSetup(track, config, (planner, planner))
     state = start_races(setup, draw_starts(track, config, 1, 0), np.zeros(1, np.uint64))
     theta = np.zeros((1, 2, 1))
@@ -75,7 +93,9 @@ def test_references_to_arrays_are_counted_right(function):
 
 
 def test_functions_with_options_of_their_own_are_compiled_anew(tmp_path, monkeypatch):
-    """Code that numba keeps of a user's function, here with another error model, is not taken for the race."""
+    """Code that numba keeps of a user's function, here with another error model, is not taken for
+    the race.
+    """
     (tmp_path / "users_planner.py").write_text(
         "from numba import njit\n\n\n"
         "@njit(cache=True)\n"
@@ -88,7 +108,14 @@ def test_functions_with_options_of_their_own_are_compiled_anew(tmp_path, monkeyp
 
     command = np.zeros(2)
     with pytest.raises(ZeroDivisionError):
-        users(load_track("Tarnfjord").arrays, *(np.zeros(1) for _ in range(4)), np.zeros((12, 4)), command)
+        users(
+            load_track("Tarnfjord").arrays,
+            *(np.zeros(1) for _ in range(4)),
+            np.zeros((12, 4)),
+            command,
+        )
     planner = Planner("test", (), control=users, memory_size=1)
     config = load_race_config("paper", duration=0.1)
-    run_races(load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1)
+    run_races(
+        load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1
+    )

@@ -1,4 +1,6 @@
-"""The drivers of the field: each follows the race line or the gap alone, and passes or follows as its paper says."""
+"""The drivers of the field: each follows the race line or the gap alone, and passes or follows as
+its paper says.
+"""
 
 import itertools
 
@@ -7,7 +9,15 @@ import pytest
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, RaceConfig, Starts, get_planner, load_track, parse_policy, run_races
+from pcs_racing import (
+    InputError,
+    RaceConfig,
+    Starts,
+    get_planner,
+    load_track,
+    parse_policy,
+    run_races,
+)
 from pcs_racing.planners import line_following as line
 from pcs_racing.planners.field.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.field.bimatrix import MOVES, solve
@@ -16,18 +26,38 @@ from pcs_racing.planners.field.follow_the_gap import longest_gap, smooth
 from pcs_racing.planners.field.frenet_sampling import quintic
 from pcs_racing.planners.field.mppi import NOISE
 from pcs_racing.planners.field.potential_field import POTENTIAL_FIELD, field_command
-from pcs_racing.planners.field.predictive_spliner import _D, _SEEN, AHEAD, BINS, MEMORY, remember, smooth_ahead
+from pcs_racing.planners.field.predictive_spliner import (
+    _D,
+    _SEEN,
+    AHEAD,
+    BINS,
+    MEMORY,
+    remember,
+    smooth_ahead,
+)
 from pcs_racing.planners.field.spliner import SCRATCH, SPLINER, lay_spline, spline_at
 from pcs_racing.planners.scanning import ANGLES, BEAMS, STEP
 from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS, STEER_MAX, VIEW_SIZE, WHEELBASE
 from pcs_racing.testing import check_planner
 
 PASSING = (
-    "alpha-racer", "bimatrix-game", "frenet-sampling", "iterated-best-response", "mppi", "predictive-spliner",
+    "alpha-racer",
+    "bimatrix-game",
+    "frenet-sampling",
+    "iterated-best-response",
+    "mppi",
+    "predictive-spliner",
     "spliner",
-)  # fmt: skip
+)
 MAPPED = (*PASSING, "stanley")
-LIDAR = ("disparity-extender", "follow-the-gap", "lidar-cnn", "potential-field", "residual", "lidar-gru")
+LIDAR = (
+    "disparity-extender",
+    "follow-the-gap",
+    "lidar-cnn",
+    "potential-field",
+    "residual",
+    "lidar-gru",
+)
 
 
 def python(function):
@@ -57,10 +87,18 @@ def test_it_drives_by_its_lidar_alone(name, drive_alone):
 def behind_a_slow_car(name, share=0.6, races=10):
     """Races of a driver behind one on the race line with a share of its speed."""
     track = load_track("Tarnfjord")
-    config = RaceConfig(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(1.1 * share, 1.1))
+    config = RaceConfig(
+        start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(1.1 * share, 1.1)
+    )
     starts = Starts(np.arange(races) / races * track.length, np.ones(races, np.int64))
     ego = get_planner(name).policy({"pace": 1.0})
-    return run_races(track, [ego] * races, parse_policy("pure-pursuit:pace=0,follow_distance=0"), config, starts=starts)
+    return run_races(
+        track,
+        [ego] * races,
+        parse_policy("pure-pursuit:pace=0,follow_distance=0"),
+        config,
+        starts=starts,
+    )
 
 
 @pytest.mark.parametrize("name", PASSING)
@@ -90,7 +128,9 @@ def test_its_variants_are_between_its_bounds_and_what_is_not_is_refused(name):
     for variant in planner.variants:
         assert (parse_policy(f"{name}:{variant}").parameters != planner.default).any()
     for parameter in planner.parameters:
-        with pytest.raises(InputError, match=rf"parameter '{parameter.name}' is .*; it must lie in"):
+        with pytest.raises(
+            InputError, match=rf"parameter '{parameter.name}' is .*; it must lie in"
+        ):
             planner.policy({parameter.name: parameter.high + 1.0})
 
 
@@ -101,7 +141,9 @@ def test_a_path_eases_from_the_car_onto_its_lane(oval, view_at):
     path = np.full((PATH_POINTS, 4), np.nan)
     line.ease_onto(oval.arrays, view, 1.0, 3.0, lane, path)
     sd = oval.to_frenet(path[:, :2])
-    np.testing.assert_allclose(sd[:, 0], 3.0 + line.lane_step(view) * np.arange(PATH_POINTS), atol=1e-6)
+    np.testing.assert_allclose(
+        sd[:, 0], 3.0 + line.lane_step(view) * np.arange(PATH_POINTS), atol=1e-6
+    )
     assert 0.3 < sd[0, 1] <= 0.5
     assert sd[-1, 1] == pytest.approx(0.3, abs=0.02)
     assert (path[:, 2] == 3.0).all()
@@ -122,7 +164,11 @@ def test_a_lane_is_moved_off_a_wall_that_the_race_line_touches(view_at):
 
 def test_a_lane_through_places_is_remembered(oval, view_at):
     view = view_at(oval, 3.0)
-    along, lane, memory = np.linspace(0.5, 6.0, 12), np.zeros(line.LANE_SIZE), np.zeros(line.LANE_SIZE)
+    along, lane, memory = (
+        np.linspace(0.5, 6.0, 12),
+        np.zeros(line.LANE_SIZE),
+        np.zeros(line.LANE_SIZE),
+    )
     line.lay_lane(view, 0.1, along, 0.1 + 0.05 * along, lane)
     laid = 0.1 + 0.05 * line.lane_step(view) * np.arange(line.LANE_POINTS)
     np.testing.assert_allclose(lane[: line.LANE_POINTS], laid, atol=1e-9)
@@ -176,7 +222,9 @@ def test_the_process_of_the_predictive_spliner_is_that_of_its_kernel():
     values = np.concatenate([[now], memory[_D + (first + seen) % BINS]])
     kernel = keep ** np.abs(np.subtract.outer(np.arange(AHEAD), at)).astype(float)
     covariance = kernel[at] + np.diag([0.0] + [noise] * 20)
-    np.testing.assert_allclose(mean, prior + kernel @ np.linalg.solve(covariance, values - prior), atol=1e-9)
+    np.testing.assert_allclose(
+        mean, prior + kernel @ np.linalg.solve(covariance, values - prior), atol=1e-9
+    )
 
 
 def test_the_game_is_solved_for_the_leaders_equilibrium():
@@ -198,7 +246,9 @@ def test_the_best_pair_is_that_of_the_nearest_potential_game():
         for a, b in itertools.combinations(range(SAMPLES), 2):
             rows.append(at[a] - at[b])
             gains.append(payoffs[a] - payoffs[b])
-    potential = np.linalg.lstsq(np.concatenate(rows), np.concatenate(gains))[0].reshape(SAMPLES, SAMPLES)
+    potential = np.linalg.lstsq(np.concatenate(rows), np.concatenate(gains))[0].reshape(
+        SAMPLES, SAMPLES
+    )
     for last in (-1, 5):
         kept = potential + KEPT * (np.arange(SAMPLES) == last)[:, None]
         found = best_of_potential(own.ravel(), opponent.ravel(), np.zeros(4 * SAMPLES), last)
@@ -206,7 +256,9 @@ def test_the_best_pair_is_that_of_the_nearest_potential_game():
 
 
 def test_alpha_racer_stays_where_there_is_no_room_and_passes_where_there_is(oval, view_at):
-    """Behind a slow car, in the middle of a wide track and of one whose walls leave no room beside it."""
+    """Behind a slow car, in the middle of a wide track and of one whose walls leave no room beside
+    it.
+    """
     ends = []
     for width in (1.2, 0.45):
         line = oval.arrays.line.copy()
@@ -259,18 +311,28 @@ def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
 
 
 def test_a_field_pulls_to_free_space_and_pushes_away_from_what_is_near():
-    view, theta, (even, free, near) = np.zeros(VIEW_SIZE), POTENTIAL_FIELD.default, np.full((3, BEAMS), 5.0)
+    view, theta, (even, free, near) = (
+        np.zeros(VIEW_SIZE),
+        POTENTIAL_FIELD.default,
+        np.full((3, BEAMS), 5.0),
+    )
     view[[STEER_MAX, WHEELBASE]] = 0.4, 0.33
     free[160:180], near[180:200] = 10.0, 0.5  # both on the left
-    (straight, speed), (to_free, _), (from_near, _) = (field_command(theta, view, one) for one in (even, free, near))
-    assert (straight, speed) == pytest.approx((0.0, np.sqrt(2.0 * theta[4] * 4.5)))  # it could stop within them
+    (straight, speed), (to_free, _), (from_near, _) = (
+        field_command(theta, view, one) for one in (even, free, near)
+    )
+    # it could stop within them
+    assert (straight, speed) == pytest.approx((0.0, np.sqrt(2.0 * theta[4] * 4.5)))
     assert from_near < 0.0 < to_free
     near[ANGLES > -0.1] = 0.3
-    assert field_command(theta, view, near) == pytest.approx((-0.4, np.sqrt(theta[6] * 0.33 / np.tan(0.4))))
+    assert field_command(theta, view, near) == pytest.approx(
+        (-0.4, np.sqrt(theta[6] * 0.33 / np.tan(0.4)))
+    )
 
 
 @pytest.mark.parametrize("opp_d", [-0.2, 0.2])
-@pytest.mark.parametrize("name", LIDAR[:-2])  # what the other two do follows from more than one scan
+# what the other two do follows from more than one scan
+@pytest.mark.parametrize("name", LIDAR[:-2])
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
     view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)

@@ -35,7 +35,10 @@ def test_the_free_distance_keeps_out_of_every_bubble(seed, nearest, bubble):
     hits = (ranges[:, None] * direction)[ranges > bubble]
     for share in (0.25, 0.5, 0.75, 0.999):
         points = share * found[:, None] * direction
-        assert np.hypot(*(points[found > 0.0, None] - hits[None]).T).min(initial=np.inf) > bubble - 1e-6
+        assert (
+            np.hypot(*(points[found > 0.0, None] - hits[None]).T).min(initial=np.inf)
+            > bubble - 1e-6
+        )
     # Out of a bubble that the car is in already, only away from its middle.
     for k in np.flatnonzero(ranges <= bubble):
         assert not found[np.abs(ANGLES - ANGLES[k]) < 0.5 * np.pi - 0.05].any()

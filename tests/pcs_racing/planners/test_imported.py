@@ -1,4 +1,6 @@
-"""Drivers of others race unchanged: small ones of the forms in use, and others' where there is a checkout."""
+"""Drivers of others race unchanged: small ones of the forms in use, and others' where there is a
+checkout.
+"""
 
 import os
 import pickle
@@ -77,7 +79,10 @@ def test_all_forms_drive_and_every_race_has_its_own_driver(file):
     egos = [drivers["Farthest"], drivers["Counts"], drivers["Counts"], drivers["Plans"]]
     config = RaceConfig(duration=4.0, start="rolling", start_gap=20.0, start_spacing=0.0)
     starts = Starts(np.full(4, 20.0), np.ones(4, np.int64))
-    result, again = (run_races(track, egos, parse_policy("pure-pursuit"), config, starts=starts) for _ in range(2))
+    result, again = (
+        run_races(track, egos, parse_policy("pure-pursuit"), config, starts=starts)
+        for _ in range(2)
+    )
     assert (result.state.progress[:, 0] > -20.0 + 0.9 * 4.0).all()
     assert not result.crashed.any()
     np.testing.assert_array_equal(again.state.cars, result.state.cars)
@@ -91,7 +96,10 @@ def test_a_driver_has_a_name_and_reaches_other_processes(file):
 
 
 def test_the_command_line_takes_files(file, capsys):
-    assert main(["race", "--ego", f"{file}:Counts", "--opponent", "pure-pursuit", "--duration", "1"]) == 0
+    assert (
+        main(["race", "--ego", f"{file}:Counts", "--opponent", "pure-pursuit", "--duration", "1"])
+        == 0
+    )
     assert f"car 0: {file.as_posix()}:Counts" in capsys.readouterr().out
 
 
@@ -105,7 +113,9 @@ def speeds(driver, races=1, seed=1, opponent="pure-pursuit"):
 
 
 def team(folder: Path, driver: str, **modules: str) -> Policy:
-    """Write a driver whose method ends with lines of its own, and files beside it; return its policy."""
+    """Write a driver whose method ends with lines of its own, and files beside it; return its
+    policy.
+    """
     for name, text in {**modules, "driver": driver}.items():
         place = folder / f"{name.replace('__', '/')}.py"
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -130,11 +140,15 @@ class Driver:
         ("import parts.speeds.fast", "", "parts.speeds.fast.SPEED", "parts__speeds__fast"),
         ("from .utils import SPEED", "", "SPEED", "utils"),
         ("import importlib", "", "importlib.import_module('utils').SPEED", "utils"),
-        ("import os, sys\nsys.path.append(os.path.dirname(__file__) + '/lib')\nimport utils", "", "utils.SPEED",
-         "lib__utils"),
+        (
+            "import os, sys\nsys.path.append(os.path.dirname(__file__) + '/lib')\nimport utils",
+            "",
+            "utils.SPEED",
+            "lib__utils",
+        ),
         ("import statistics", "", "statistics.SPEED", "statistics"),
     ],
-)  # fmt: skip
+)
 def test_what_a_file_imports_from_its_folder_is_its_own(top, lazy, speed, beside, file):
     before = set(sys.modules), sys.path[:]
     teams = [
@@ -161,16 +175,30 @@ def test_what_a_file_imports_from_its_folder_is_its_own(top, lazy, speed, beside
         ("import numpy as np; rng = np.random.default_rng()", "", "rng.uniform(1.0, 2.0)"),
         ("import numpy as np; np.random.seed(3)", "", "np.random.uniform(1.0, 2.0)"),
         ("import drawing", "", "drawing.speed()"),
-        ("import time; from time import monotonic as now; began = now()", "", "1.0 + time.time() - began + now() % 1"),
+        (
+            "import time; from time import monotonic as now; began = now()",
+            "",
+            "1.0 + time.time() - began + now() % 1",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file):
-    """Whatever the file keeps or draws; the generators of this process go on as if nobody had driven."""
-    beside = {"counting": "SEEN = []", "drawing": "import random\ndef speed():\n    return 1.0 + random.random()\n"}
+    """Whatever the file keeps or draws; the generators of this process go on as if nobody had
+    driven.
+    """
+    beside = {
+        "counting": "SEEN = []",
+        "drawing": "import random\ndef speed():\n    return 1.0 + random.random()\n",
+    }
     driver = team(file.parent / "own", DRIVER.format(top, lines, speed), **beside)
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002
-    expected = random.random(), np.random.randn(), random.random(), np.random.randn()  # noqa: NPY002
+    expected = (
+        random.random(),
+        np.random.randn(),
+        random.random(),
+        np.random.randn(),
+    )  # noqa: NPY002
     random.seed(1)
     np.random.seed(1)  # noqa: NPY002
     seen = [random.random(), np.random.randn()]  # noqa: NPY002
@@ -180,26 +208,39 @@ def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file
     assert 0.0 < alone < 3.0
     for races in (3, 1):
         assert speeds(driver, races)[0] == alone
-    against_itself = run_races(load_track("Tarnfjord"), [driver], driver, SHORT, seed=1).state.memory[0, :, 1]
+    against_itself = run_races(
+        load_track("Tarnfjord"), [driver], driver, SHORT, seed=1
+    ).state.memory[0, :, 1]
     assert against_itself[0] == alone
     if "random" in top and "seed" not in top:
         assert against_itself[1] != alone != speeds(driver, seed=2)[0]
 
 
 @pytest.mark.parametrize(
-    "top", ["from pcs_racing import Planner, register_planner", "import pcs_racing; from pcs_racing import Planner"]
+    "top",
+    [
+        "from pcs_racing import Planner, register_planner",
+        "import pcs_racing; from pcs_racing import Planner",
+    ],
 )
 def test_a_file_that_registers_planners_is_run_again(top, file):
     call = "register_planner" if "register" in top else "pcs_racing.register_planner"
-    driver = team(file.parent / "own", DRIVER.format(f"{top}\n{call}(Planner('mine', ()))", "", "1.5"))
+    driver = team(
+        file.parent / "own", DRIVER.format(f"{top}\n{call}(Planner('mine', ()))", "", "1.5")
+    )
     assert speeds(driver, 2) == [1.5, 1.5]
     assert parse_policy("mine").planner.parameters == ()
 
 
 def test_functions_of_numba_are_compiled_once_for_all_races(file):
-    top = "from numba import njit\nfrom compiled import half\n@njit\ndef twice(x):\n    return 2.0 * half(x)"
+    top = (
+        "from numba import njit\nfrom compiled import half\n@njit\ndef twice(x):\n    return 2.0 *"
+        " half(x)"
+    )
     half = "from numba import njit\n@njit\ndef half(x):\n    return 0.5 * x\n"
-    driver = team(file.parent / "own", DRIVER.format(top, "self.twice = twice", "twice(1.5)"), compiled=half)
+    driver = team(
+        file.parent / "own", DRIVER.format(top, "self.twice = twice", "twice(1.5)"), compiled=half
+    )
     assert speeds(driver, 3) == [1.5] * 3
     runs = list(driver.planner.drive.racing.values())
     assert len({id(run.driver.twice) for run in runs}) == 1
@@ -212,21 +253,35 @@ def test_functions_of_numba_are_compiled_once_for_all_races(file):
         ("import sys; sys.exit()", "", "can't be loaded: SystemExit"),
         ("exit()", "", "can't be loaded: SystemExit"),
         ("class Odd(BaseException): __str__ = None\nraise Odd", "", "can't be loaded: Odd"),
-        ("import argparse\np = argparse.ArgumentParser()\np.add_argument('--speed', required=True)\np.parse_args()", "",
-         "driver.py can't be loaded: .*reads arguments of a command line.*--speed"),
-        ("class M(type):\n    def __getattr__(cls, name): raise RuntimeError('no')\nclass A(metaclass=M): pass", "",
-         "can't be loaded: RuntimeError: no"),
+        (
+            (
+                "import argparse\np = argparse.ArgumentParser()\np.add_argument('--speed',"
+                " required=True)\np.parse_args()"
+            ),
+            "",
+            "driver.py can't be loaded: .*reads arguments of a command line.*--speed",
+        ),
+        (
+            (
+                "class M(type):\n    def __getattr__(cls, name): raise RuntimeError('no')\nclass"
+                " A(metaclass=M): pass"
+            ),
+            "",
+            "can't be loaded: RuntimeError: no",
+        ),
         ("", "raise SystemExit(3)", "driver.py:Driver: SystemExit: 3"),
         ("", "return None", "driver.py:Driver: TypeError"),
         ("", "return 'fast', 'left'", "driver.py:Driver: ValueError"),
     ],
-)  # fmt: skip
+)
 def test_whatever_own_code_raises_is_one_line(top, lines, words, file, capsys):
     def race():
         return speeds(team(file.parent / "own", DRIVER.format(top, lines or "pass", "1.0")))
 
     refused(words, race)
-    assert main(["race", "--ego", f"{file.parent}/own/driver.py", "--opponent", "pure-pursuit"]) == 2
+    assert (
+        main(["race", "--ego", f"{file.parent}/own/driver.py", "--opponent", "pure-pursuit"]) == 2
+    )
     assert capsys.readouterr().err.count("\n") == 1
 
 
@@ -240,7 +295,14 @@ def test_an_interruption_passes(file):
 def test_a_path_may_hold_any_sign(folder, file, capsys):
     driver = team(file.parent / folder, DRIVER.format("", "", "1.5"))
     assert parse_policy(driver.name).planner is driver.planner
-    words = ["--ego", f"{file.parent}/{folder}/driver.py:Driver", "--opponent", "pure-pursuit", "--duration", "0.4"]
+    words = [
+        "--ego",
+        f"{file.parent}/{folder}/driver.py:Driver",
+        "--opponent",
+        "pure-pursuit",
+        "--duration",
+        "0.4",
+    ]
     assert main(["race", *words]) == 0
     assert "driver.py:Driver" in capsys.readouterr().out
 
@@ -345,17 +407,23 @@ def test_others_drivers_race_unchanged(monkeypatch):
     """``PCS_RACING_DRIVERS`` is a folder of checkouts, or a file."""
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     given = Path(os.environ.get("PCS_RACING_DRIVERS", "nowhere"))
-    files = [given] if given.is_file() else [*given.rglob("drivers.py"), *given.rglob("drivers/*.py")]
+    files = (
+        [given] if given.is_file() else [*given.rglob("drivers.py"), *given.rglob("drivers/*.py")]
+    )
     if not files:
         pytest.skip("PCS_RACING_DRIVERS holds no drivers")
     for theirs in files:
         for policy in drivers_from(theirs).values():
-            result = run_races(load_track("Tarnfjord"), [policy], parse_policy("pure-pursuit"), CONTEST, seed=1)
+            result = run_races(
+                load_track("Tarnfjord"), [policy], parse_policy("pure-pursuit"), CONTEST, seed=1
+            )
             assert result.state.progress[0, 0] > 2.0
 
 
 def test_own_code_that_is_no_agent_is_one_line(file):
-    (file.parent / "agents.py").write_text("def fails():\n    raise SystemExit\ndef nothing(): pass\npr = print\n")
+    (file.parent / "agents.py").write_text(
+        "def fails():\n    raise SystemExit\ndef nothing(): pass\npr = print\n"
+    )
     for name, words in {
         "fails": "fails: SystemExit",
         "nothing": "gives None",
@@ -369,11 +437,18 @@ def test_own_code_that_is_no_agent_is_one_line(file):
 def test_a_file_changes_neither_the_working_folder_nor_the_output(tmp_path, monkeypatch):
     (tmp_path / "team").mkdir()
     (tmp_path / "team" / "driver.py").write_text(
-        "import os, sys\nos.chdir(os.path.dirname(os.path.abspath(__file__)))\nsys.stdout = None\n"
-        "class Moves:\n    def process_lidar(self, ranges):\n        os.chdir('..')\n        return 1.0, 0.0\n"
+        "import os, sys\nos.chdir(os.path.dirname(os.path.abspath(__file__)))\nsys.stdout ="
+        " None\nclass Moves:\n    def process_lidar(self, ranges):\n        os.chdir('..')\n       "
+        " return 1.0, 0.0\n"
     )
     monkeypatch.chdir(tmp_path)
     track, stdout = load_track("Pipkin"), sys.stdout
     (driver,) = drivers_from("team/driver.py").values()
-    run_races(track, [driver], parse_policy("pure-pursuit"), load_race_config("paper", duration=0.2), seed=1)
+    run_races(
+        track,
+        [driver],
+        parse_policy("pure-pursuit"),
+        load_race_config("paper", duration=0.2),
+        seed=1,
+    )
     assert (Path.cwd(), sys.stdout) == (tmp_path, stdout)

@@ -2,7 +2,15 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import PAPER, RaceConfig, Starts, UnknownNameError, list_tracks, load_track, run_races
+from pcs_racing import (
+    PAPER,
+    RaceConfig,
+    Starts,
+    UnknownNameError,
+    list_tracks,
+    load_track,
+    run_races,
+)
 from pcs_racing.planners import lane_switcher as switcher
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
 from pcs_racing.planners.lattice import LATTICE
@@ -17,7 +25,9 @@ def decide(track, view, memory=None, parameters=None):
     """Memory after one decision."""
     memory = np.zeros(switcher.LANE_SWITCHER.memory_size) if memory is None else memory.copy()
     theta = switcher.LANE_SWITCHER.policy(parameters).parameters
-    switcher.LANE_SWITCHER.plan(track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)))
+    switcher.LANE_SWITCHER.plan(
+        track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4))
+    )
     return memory
 
 
@@ -25,7 +35,9 @@ def command(track, view, memory, parameters=None):
     """Steering angle and speed, and the memory after it."""
     memory, written = memory.copy(), np.full(2, np.nan)
     theta = switcher.LANE_SWITCHER.policy(parameters).parameters
-    switcher.LANE_SWITCHER.control(track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)), written)
+    switcher.LANE_SWITCHER.control(
+        track.arrays, theta, view, memory, np.zeros(0), np.zeros((PATH_POINTS, 4)), written
+    )
     return written, memory
 
 
@@ -53,7 +65,8 @@ def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
 
 # The ranges are those that calibration finds for the preset "paper", in some 10 s each.
 @pytest.mark.parametrize(
-    ("name", "speeds"), [("Catalunya", (0.72, 0.92)), ("Oschersleben", (0.71, 0.91)), ("Spielberg", (0.69, 0.89))]
+    ("name", "speeds"),
+    [("Catalunya", (0.72, 0.92)), ("Oschersleben", (0.71, 0.91)), ("Spielberg", (0.69, 0.89))],
 )
 def test_all_variants_drive_real_circuits_alone(name, speeds, real_maps, drive_alone):
     policies = [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS]
@@ -75,7 +88,9 @@ def test_the_overtaking_lane_is_smooth_and_keeps_off_the_walls(name, side):
     assert np.quantile(slope, 0.95) < 0.7
 
 
-def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_crosses(oval, view_at):
+def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_crosses(
+    oval, view_at
+):
     memory = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_d=0.0, opp_speed=2.0))
     assert memory[switcher._LANE] == switcher.OVERTAKING
     written, _ = command(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0), memory)
@@ -83,14 +98,22 @@ def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_cr
     view = view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0)
     before = decide(oval, view)
     _, after = command(oval, view, before)  # the next one follows 0.02 s later
-    assert after[switcher._PLACE] - before[switcher._PLACE] == pytest.approx(0.02 * 1.2 * before[switcher._SIDE])
+    assert after[switcher._PLACE] - before[switcher._PLACE] == pytest.approx(
+        0.02 * 1.2 * before[switcher._SIDE]
+    )
     changing = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
     near, far = (
-        decide(oval, view_at(oval, STRAIGHT, gap=gap, opp_speed=2.0), changing)[switcher._MOST_SPEED]
+        decide(oval, view_at(oval, STRAIGHT, gap=gap, opp_speed=2.0), changing)[
+            switcher._MOST_SPEED
+        ]
         for gap in (1.0, 2.0)
     )
     assert 2.0 < near < far < 4.0
-    across = decide(oval, view_at(oval, STRAIGHT, 0.6 * changing[switcher._SIDE], gap=1.0, opp_speed=2.0), changing)
+    across = decide(
+        oval,
+        view_at(oval, STRAIGHT, 0.6 * changing[switcher._SIDE], gap=1.0, opp_speed=2.0),
+        changing,
+    )
     assert across[switcher._MOST_SPEED] < 0.0
 
 
@@ -98,7 +121,9 @@ def test_its_speed_is_a_share_of_the_fastest_and_less_on_the_overtaking_lane(ova
     alone = decide(oval, view_at(oval, STRAIGHT))
     across = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=2.0, opp_speed=2.0))
     assert across[switcher._LANE] == switcher.OVERTAKING
-    (_, fast), (_, slow) = (command(oval, view_at(oval, STRAIGHT, speed=0.0), memory)[0] for memory in (alone, across))
+    (_, fast), (_, slow) = (
+        command(oval, view_at(oval, STRAIGHT, speed=0.0), memory)[0] for memory in (alone, across)
+    )
     assert slow == pytest.approx(0.6 * fast)
     view = view_at(oval, STRAIGHT, speed=0.0)
     memory = decide(oval, view)
@@ -143,7 +168,11 @@ def test_it_returns_when_the_race_line_was_free_long_enough_and_not_into_a_car(o
     assert memory[switcher._FREE_COUNT] == 8.0
     memory = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
     for _ in range(12):
-        memory = decide(oval, view_at(oval, STRAIGHT, 0.7 * memory[switcher._SIDE], gap=-0.2, opp_speed=4.0), memory)
+        memory = decide(
+            oval,
+            view_at(oval, STRAIGHT, 0.7 * memory[switcher._SIDE], gap=-0.2, opp_speed=4.0),
+            memory,
+        )
     assert memory[switcher._LANE] == switcher.OVERTAKING
     memory = decide(oval, view_at(oval, STRAIGHT, 0.6, gap=0.1, opp_d=0.1, opp_speed=4.0))
     assert memory[switcher._LANE] == switcher.OWN_PLACE
@@ -157,7 +186,9 @@ def test_steering_is_proportional_with_a_derivative_part_and_clipped(oval, view_
     memory = np.zeros(switcher.LANE_SWITCHER.memory_size)
     begun = decide(oval, view_at(oval, STRAIGHT, offset, speed=speed), memory)
     begun[2] = 0.0  # steer for the race line itself
-    (steer, _), after = command(oval, view_at(oval, STRAIGHT, offset, speed=speed), begun, parameters)
+    (steer, _), after = command(
+        oval, view_at(oval, STRAIGHT, offset, speed=speed), begun, parameters
+    )
     error = -2.0 * offset / (1.0 + offset**2)  # the look-ahead at half of 7 m/s is 1 m
     assert steer == pytest.approx(0.6 * error, rel=1e-3)
     later = view_at(oval, STRAIGHT, 0.5 * offset, speed=speed)
@@ -168,7 +199,10 @@ def test_steering_is_proportional_with_a_derivative_part_and_clipped(oval, view_
     for d, sign in ((0.6, -1.0), (-0.6, 1.0)):
         begun = decide(oval, view_at(oval, STRAIGHT, d, speed=1.0))
         begun[2] = 0.0
-        assert command(oval, view_at(oval, STRAIGHT, d, speed=1.0), begun)[0][0] == sign * switcher.STEER_LIMIT
+        assert (
+            command(oval, view_at(oval, STRAIGHT, d, speed=1.0), begun)[0][0]
+            == sign * switcher.STEER_LIMIT
+        )
 
 
 def test_it_overtakes_a_slow_car_and_seldom_crashes_with_the_lattice_planner(shipped):

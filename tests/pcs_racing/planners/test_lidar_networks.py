@@ -21,12 +21,16 @@ def pairs(network: str) -> list:
 
 @pytest.fixture
 def folder(tmp_path):
-    return networks.save_lidar_driver(tmp_path / "mine", "gru", pairs("gru"), name="mine", training={"rounds": 7})
+    return networks.save_lidar_driver(
+        tmp_path / "mine", "gru", pairs("gru"), name="mine", training={"rounds": 7}
+    )
 
 
 @pytest.mark.parametrize("network", sorted(networks.LAYERS))
 def test_what_is_written_is_read(tmp_path, network):
-    folder = networks.save_lidar_driver(tmp_path / "mine", network, pairs(network), name="mine", training={})
+    folder = networks.save_lidar_driver(
+        tmp_path / "mine", network, pairs(network), name="mine", training={}
+    )
     name, kind, flat = networks.read_lidar_driver(folder)
     assert (name, kind) == ("mine", network)
     np.testing.assert_array_equal(flat, networks.flat_weights(pairs(network)))
@@ -44,7 +48,10 @@ def test_the_convolutional_network_is_its_formula():
         windows = np.lib.stride_tricks.sliding_window_view(x, weight.shape[1])[::step]
         x = np.maximum(windows @ weight.T + bias, 0.0).ravel()
     (hidden, hidden_bias), (last, last_bias) = layers[3:]
-    expected = last @ np.maximum(hidden @ np.concatenate([x, seen[networks.BEAMS :]]) + hidden_bias, 0.0) + last_bias
+    expected = (
+        last @ np.maximum(hidden @ np.concatenate([x, seen[networks.BEAMS :]]) + hidden_bias, 0.0)
+        + last_bias
+    )
     np.testing.assert_allclose(work[:4], expected, rtol=1e-5, atol=1e-6)
 
 
@@ -72,7 +79,9 @@ def test_a_car_is_seen_on_its_side_from_right_to_left_and_the_pace_as_a_speed_sc
         ranges = networks.MAX_RANGE * (0.5 * (seen[: networks.BEAMS] + 1.0)) ** 2
         middles.append(np.flatnonzero(ranges[50:85] < 2.2).mean() + 50)
         low, high = view[[VIEW_SIZE - 2, VIEW_SIZE - 1]]
-        assert seen[networks.BEAMS :] == pytest.approx([0.5, 0.0, 0.0, 4.0 * (0.5 * (low + high) - 1.0)])
+        assert seen[networks.BEAMS :] == pytest.approx(
+            [0.5, 0.0, 0.0, 4.0 * (0.5 * (low + high) - 1.0)]
+        )
     assert middles[0] < networks.BEAMS // 2 < middles[1]
 
 
@@ -106,11 +115,28 @@ def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
 
 def test_weights_that_do_not_fit_are_refused(tmp_path):
     layers = pairs("gru")
-    for weight in (np.full_like(layers[2][0], np.nan), np.full_like(layers[2][0], 101.0), layers[2][0][:, :-1]):
+    for weight in (
+        np.full_like(layers[2][0], np.nan),
+        np.full_like(layers[2][0], 101.0),
+        layers[2][0][:, :-1],
+    ):
         wrong = [*layers[:2], (weight, layers[2][1])]
-        refused("has float32 weights", networks.save_lidar_driver, tmp_path / "x", "gru", wrong, name="x", training={})
+        refused(
+            "has float32 weights",
+            networks.save_lidar_driver,
+            tmp_path / "x",
+            "gru",
+            wrong,
+            name="x",
+            training={},
+        )
     assert not (tmp_path / "x").exists()
-    refused("unknown lidar driver 'nobody'", networks.load_lidar_driver, "nobody", error=UnknownNameError)
+    refused(
+        "unknown lidar driver 'nobody'",
+        networks.load_lidar_driver,
+        "nobody",
+        error=UnknownNameError,
+    )
 
 
 def test_the_shipped_ones_are_read_when_they_are_first_asked_for():

@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing.planners.network import INPUTS, TOP_SPEED, driver_weight_count, network_inputs, network_planner
+from pcs_racing.planners.network import (
+    INPUTS,
+    TOP_SPEED,
+    driver_weight_count,
+    network_inputs,
+    network_planner,
+)
 from pcs_racing.planners.view import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX
 
 
@@ -36,9 +42,13 @@ def test_the_compiled_network_is_the_networks_formula(oval, view_at, hidden):
     planner = network_planner("net", hidden, weights)
     view = view_at(oval, 5.0, 0.3, turned=0.1, gap=2.0, opp_d=-0.2, opp_speed=3.0)
     command, scratch = np.full(2, np.nan), np.full(planner.scratch_size, np.nan)
-    planner.control(oval.arrays, planner.default, view, np.zeros(0), scratch, np.zeros((12, 4)), command)
+    planner.control(
+        oval.arrays, planner.default, view, np.zeros(0), scratch, np.zeros((12, 4)), command
+    )
     steer, speed = forward(hidden, weights, np.array(list(inputs(oval, view).values())))
-    np.testing.assert_allclose(command, [view[STEER_MAX] * steer, 0.5 * TOP_SPEED * (1.0 + speed)], atol=1e-12)
+    np.testing.assert_allclose(
+        command, [view[STEER_MAX] * steer, 0.5 * TOP_SPEED * (1.0 + speed)], atol=1e-12
+    )
 
 
 def test_parameters_are_the_weights_and_must_fit():

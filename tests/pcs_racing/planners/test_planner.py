@@ -15,7 +15,12 @@ PLANNER = Planner("example", (PACE, AIR), variants={"brave": (0.9, 0.1)})
 
 
 def test_parameters_and_planners_check_themselves():
-    for low, high, default in [(1.0, 0.0, 0.5), (0.0, 0.0, 0.0), (0.0, np.inf, 1.0), (np.nan, 1.0, 0.5)]:
+    for low, high, default in [
+        (1.0, 0.0, 0.5),
+        (0.0, 0.0, 0.0),
+        (0.0, np.inf, 1.0),
+        (np.nan, 1.0, 0.5),
+    ]:
         refused("parameter 'x' has bounds", Parameter, "x", low, high, default, "")
     for default in [-0.1, 1.1, np.nan]:
         refused("parameter 'x' has default", Parameter, "x", 0.0, 1.0, default, "")
@@ -23,7 +28,10 @@ def test_parameters_and_planners_check_themselves():
     refused("planner 'p' has memory_size -1", Planner, "p", (), memory_size=-1)
     refused("planner 'p' has sight nan", Planner, "p", (), sight=float("nan"))
     assert PLANNER.memory_total == 0
-    assert Planner("p", (), drive=lambda *_: (0.0, 0.0), memory_size=3).memory_total == 3 + COMMAND_SLOTS
+    assert (
+        Planner("p", (), drive=lambda *_: (0.0, 0.0), memory_size=3).memory_total
+        == 3 + COMMAND_SLOTS
+    )
     assert len(views.VIEW) == views.VIEW_SIZE
     assert all(meaning for meaning in views.VIEW.values())
 
@@ -60,7 +68,9 @@ def test_fixed_parameters_keep_their_defaults_and_vectors_are_completed():
     assert one.random() == other.random()
     assert PLANNER.without(("pace",)) == ("air",)
     refused("no parameter 'speed'", PLANNER.sample, one, fixed=("speed",), error=UnknownNameError)
-    np.testing.assert_array_equal(PLANNER.complete(("air",), [[0.2], [0.3]]), [[0.5, 0.2], [0.5, 0.3]])
+    np.testing.assert_array_equal(
+        PLANNER.complete(("air",), [[0.2], [0.3]]), [[0.5, 0.2], [0.5, 0.3]]
+    )
     np.testing.assert_array_equal(PLANNER.complete(("air", "pace"), [[0.2, 0.9]]), [[0.9, 0.2]])
     refused("no parameter 'speed'", PLANNER.complete, ("speed",), [[0.2]], error=UnknownNameError)
 
@@ -93,7 +103,8 @@ def test_pure_pursuit_drives_the_arc_along_the_course_of_a_steady_bend(view):
     assert pursuit_steering(view, x, -y, 0.0, 0.0) == pytest.approx(-np.arctan(0.33 / radius))
     assert pursuit_steering(view, x, 0.0, 0.0, 0.0) == 0.0
     assert pursuit_steering(view, 0.1, 5.0, 0.0, 0.0) <= 0.4  # the limit of the car
-    # Heading and slip of the bend that cancel leave the steering as it was; the slip of the moment says nothing.
+    # Heading and slip of the bend that cancel leave the steering as it was; the slip of the moment
+    # says nothing.
     view[views.REAR_AXLE], view[views.REAR_SLIP] = 0.17, 0.02
     usual = pursuit_steering(view, 1.0, 0.2, 0.0, 0.0)
     slip = 0.5 * (0.17 - 0.02 * 4.0**2)
@@ -105,16 +116,25 @@ def test_pure_pursuit_drives_the_arc_along_the_course_of_a_steady_bend(view):
 
 
 def strays(speed, course, seconds=4.0):
-    """How far a car strays from a straight each second after a push, when it is steered by pursuit from a course, m."""
+    """How far a car strays from a straight each second after a push, when it is steered by pursuit
+    from a course, m.
+    """
     car = F1TENTH.as_row()
     state = np.array([0.0, 0.02, 0.0, speed, 0.0, 0.0, 0.0])
     view = np.zeros(views.VIEW_SIZE)
     view[views.WHEELBASE], view[views.STEER_MAX] = F1TENTH.wheelbase, F1TENTH.steer_max
-    view[views.REAR_AXLE], view[views.REAR_SLIP] = F1TENTH.lr, 1.0 / (F1TENTH.mu * 9.81 * F1TENTH.c_sr)
+    view[views.REAR_AXLE], view[views.REAR_SLIP] = (
+        F1TENTH.lr,
+        1.0 / (F1TENTH.mu * 9.81 * F1TENTH.c_sr),
+    )
     ahead, away = 0.3 + 0.1 * speed, []
     for _ in range(round(50 * seconds)):  # a command every 0.02 s
         psi = np.mod(state[PSI] + np.pi, 2.0 * np.pi) - np.pi
-        view[views.OWN_V], view[views.OWN_PSI], view[views.OWN_Y] = speed, psi + course(state[BETA]), state[Y]
+        view[views.OWN_V], view[views.OWN_PSI], view[views.OWN_Y] = (
+            speed,
+            psi + course(state[BETA]),
+            state[Y],
+        )
         view[views.OWN_BETA] = state[BETA]
         x, y = np.sqrt(ahead**2 - min(state[Y] ** 2, 0.9 * ahead**2)), 0.0
         steer = pursuit_steering(view, x, y, 0.0, 0.0)
@@ -134,9 +154,13 @@ def test_pursuit_is_stable_along_the_steady_course_and_not_along_the_slip_of_the
 
 
 def followed(path, view):
-    """The command of the default control; it needs neither a track nor parameters, memory or scratch."""
+    """The command of the default control; it needs neither a track nor parameters, memory or
+    scratch.
+    """
     command, nothing = np.zeros(2), np.zeros(0)
-    getattr(follow_path, "py_func", follow_path)(None, nothing, view, nothing, nothing, path, command)
+    getattr(follow_path, "py_func", follow_path)(
+        None, nothing, view, nothing, nothing, path, command
+    )
     return command
 
 
@@ -150,8 +174,12 @@ def at_distance(values, away, wanted):
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_path_has_there(view, seed):
-    """Paths that bend, begin behind the car or end before the point; the car slides, and its tyres yield."""
+def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_path_has_there(
+    view, seed
+):
+    """Paths that bend, begin behind the car or end before the point; the car slides, and its tyres
+    yield.
+    """
     rng = np.random.default_rng(seed)
     v = view[views.OWN_V] = rng.uniform(0.5, 7.0)
     pose = [views.OWN_X, views.OWN_Y, views.OWN_PSI, views.OWN_BETA]
@@ -162,20 +190,27 @@ def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_
     t = np.linspace(-0.15, rng.uniform(0.2, 0.6), views.PATH_POINTS) * v
     bend = rng.uniform(-0.3, 0.3)
     x, y = t, 0.5 * bend * t**2 + rng.uniform(-0.05, 0.05)
-    points = np.column_stack([np.cos(course) * x - np.sin(course) * y, np.sin(course) * x + np.cos(course) * y])
-    speeds, bends = v + rng.uniform(-1.0, 1.5, views.PATH_POINTS), bend + 0.1 * np.arange(views.PATH_POINTS)
+    points = np.column_stack(
+        [np.cos(course) * x - np.sin(course) * y, np.sin(course) * x + np.cos(course) * y]
+    )
+    speeds, bends = (
+        v + rng.uniform(-1.0, 1.5, views.PATH_POINTS),
+        bend + 0.1 * np.arange(views.PATH_POINTS),
+    )
     path = np.column_stack([points + view[pose[:2]], speeds, bends])
     away = np.hypot(*(path[:, :2] - view[pose[:2]]).T)
     nearest = int(np.argmin(away))
     rest, away = path[nearest:], away[nearest:]
 
-    speed = max(at_distance(rest[:, views.PATH_SPEED], away, 0.1 * v), v - 0.55)  # braking at 5.5 m/s^2 at most
+    # braking at 5.5 m/s^2 at most
+    speed = max(at_distance(rest[:, views.PATH_SPEED], away, 0.1 * v), v - 0.55)
     reach = 0.3 + 0.1 * v
     goal = np.array([at_distance(rest[:, k], away, reach) for k in range(2)])
     past = next((k for k in range(1, len(away)) if away[k] >= reach), None)
     kappa = rest[-1 if past is None else past - 1, views.PATH_KAPPA]
-    # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) / distance. In a
-    # steady bend the rear axle moves along the heading, but for the slip of its tyres.
+    # The circle that touches the course and leads through the goal has the curvature 2 sin(angle) /
+    # distance. In a steady bend the rear axle moves along the heading, but for the slip of its
+    # tyres.
     course = view[views.OWN_PSI] + kappa * (0.17 - 0.01 * v**2)
     way = goal - view[pose[:2]]
     arc = 2.0 * np.sin(np.arctan2(way[1], way[0]) - course) / np.hypot(*way)

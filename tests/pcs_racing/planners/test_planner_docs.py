@@ -14,7 +14,11 @@ PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
 def test_the_page_has_the_table_of_the_view_and_every_shipped_planner():
     section = PAGE.split("\n### The view\n")[1].split("\n#")[0]
-    constants = [name for row in re.findall(r"^\|.*", section, flags=re.M) for name in re.findall(r"`(\w+)`", row)]
+    constants = [
+        name
+        for row in re.findall(r"^\|.*", section, flags=re.M)
+        for name in re.findall(r"`(\w+)`", row)
+    ]
     assert [name.removeprefix("OWN_") for name in constants] == list(VIEW)
     assert [getattr(view, constant) for constant in constants] == list(range(len(VIEW)))
     for name in SHIPPED:
@@ -30,8 +34,11 @@ def test_each_block_of_the_page_is_a_program(code, tmp_path):
 
 
 def test_the_example_runs():
-    rows = run_python("examples/custom_planner.py", "--races", "4", "--track", "Pipkin").splitlines()
+    rows = run_python(
+        "examples/custom_planner.py", "--races", "4", "--track", "Pipkin"
+    ).splitlines()
     assert len([row for row in rows[:7] if row]) == 7
-    assert "60 races of 40 s, preset contest, on Pipkin; seed 0" in rows  # its drivers against agents of the zoo
+    # its drivers against agents of the zoo
+    assert "60 races of 40 s, preset contest, on Pipkin; seed 0" in rows
     assert any(row.startswith("caution 0.3 ") for row in rows)
     assert rows[0].startswith("Pipkin, contest: 4 races")

@@ -10,7 +10,14 @@ from pcs_racing.track.frenet import SPEED
 
 def path(track, view, parameters=None):
     written = np.full((PATH_POINTS, 4), np.nan)
-    PURE_PURSUIT.plan(track.arrays, PURE_PURSUIT.policy(parameters).parameters, view, np.zeros(0), np.zeros(0), written)
+    PURE_PURSUIT.plan(
+        track.arrays,
+        PURE_PURSUIT.policy(parameters).parameters,
+        view,
+        np.zeros(0),
+        np.zeros(0),
+        written,
+    )
     return written
 
 
@@ -38,14 +45,17 @@ def test_the_path_has_the_curvature_of_its_points_and_the_pace_of_the_profile(ov
     view = view_at(oval, 3.0)
     low, high = RaceSetup(oval, PAPER, (PURE_PURSUIT, PURE_PURSUIT)).speed_range
     profile = oval.line[
-        np.round(oval.to_frenet(path(oval, view)[:, :2])[:, 0] / oval.arrays.ds - 0.5).astype(int), SPEED
+        np.round(oval.to_frenet(path(oval, view)[:, :2])[:, 0] / oval.arrays.ds - 0.5).astype(int),
+        SPEED,
     ]
     for pace in (0.0, 0.5, 1.0):
         expected = (low + pace * (high - low)) * profile
         np.testing.assert_allclose(path(oval, view, {"pace": pace})[:, 2], expected, rtol=0.05)
 
 
-def test_it_slows_down_behind_an_opponent_and_leaves_the_line_to_one_that_is_nearer_to_it(oval, view_at):
+def test_it_slows_down_behind_an_opponent_and_leaves_the_line_to_one_that_is_nearer_to_it(
+    oval, view_at
+):
     free = path(oval, view_at(oval, 3.0))[:, 2]
     close = view_at(oval, 3.0, gap=1.0, opp_speed=2.0)
     assert (path(oval, close)[:, 2] <= 2.0).all()
@@ -78,13 +88,17 @@ def test_it_drives_real_circuits(name, real_maps, drive_alone):
 def test_it_keeps_to_the_line_and_two_of_them_sort_themselves_out_at_the_start(views):
     track = load_track("Larkmoor")
     config = RaceConfig(duration=20.0, start="staggered", start_gap=50.0, start_spacing=0.0)
-    seen = views(track, PURE_PURSUIT.policy(), config, Starts(np.array([60.0]), np.zeros(1, np.int64)))
+    seen = views(
+        track, PURE_PURSUIT.policy(), config, Starts(np.array([60.0]), np.zeros(1, np.int64))
+    )
     settled = seen[:, TIME] > 3.0  # the start is in the middle of the track
     assert settled.sum() > 100
     assert np.abs(seen[settled, OWN_D]).max() < 0.1
     for config in (PAPER, CONTEST):
         crashes = [
-            run_races(load_track(name), [PURE_PURSUIT.policy()] * 10, PURE_PURSUIT.policy(), config).crashed
+            run_races(
+                load_track(name), [PURE_PURSUIT.policy()] * 10, PURE_PURSUIT.policy(), config
+            ).crashed
             for name in list_tracks()
         ]
         # They start in bends, too, and know no way round each other.

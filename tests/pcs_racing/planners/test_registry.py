@@ -8,7 +8,15 @@ from types import ModuleType
 import pytest
 from refusal import refused
 
-from pcs_racing import Parameter, Planner, UnknownNameError, get_planner, parse_policy, planner_names, register_planner
+from pcs_racing import (
+    Parameter,
+    Planner,
+    UnknownNameError,
+    get_planner,
+    parse_policy,
+    planner_names,
+    register_planner,
+)
 from pcs_racing.planners import registry
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
@@ -30,7 +38,10 @@ def test_planners_are_found_by_their_names_and_others_are_pickled_whole():
     refused("planner 'mine' already", register_planner, Planner("mine", (PACE,), memory_size=1))
     refused("planner 'lattice' already", register_planner, Planner("lattice", ()))
     refused("planner 'lattice' already", register_planner, "somewhere.else:LATTICE", name="lattice")
-    with pytest.raises(UnknownNameError, match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*"):
+    with pytest.raises(
+        UnknownNameError,
+        match=r"planner 'latice' is unknown; did you mean 'lattice'\? there are: .*",
+    ):
         get_planner("latice")
     for name, place in registry.SHIPPED.items():
         assert get_planner(name).name == name
@@ -48,7 +59,11 @@ def test_a_place_is_imported_when_it_is_needed_or_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "a_module_of_mine", module)
     assert get_planner("later") is module.PLANNER
     register_planner("no_such_module:PLANNER", name="absent")
-    refused("planner 'absent' can't be loaded from no_such_module:PLANNER: No module", get_planner, "absent")
+    refused(
+        "planner 'absent' can't be loaded from no_such_module:PLANNER: No module",
+        get_planner,
+        "absent",
+    )
     register_planner("math:pi", name="pi")
     refused("planner 'pi': math:pi is of type float", get_planner, "pi")
 
@@ -63,7 +78,9 @@ def test_a_planner_with_a_place_is_the_same_one_in_a_copy_and_in_another_process
 
 
 def test_a_shipped_planner_is_a_file_and_a_line(monkeypatch, tmp_path):
-    """With its line in SHIPPED it is listed, made and raced, and the agents' package races it as well."""
+    """With its line in SHIPPED it is listed, made and raced, and the agents' package races it as
+    well.
+    """
     (tmp_path / "snail_planner.py").write_text(
         "from pcs_racing import Parameter, Planner\n"
         "SNAIL = Planner('snail', (Parameter('pace', 0.0, 1.0, 0.25, 'how fast'),))\n"
@@ -100,14 +117,22 @@ def test_a_policy_as_text(example):
 
 def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(example):
     for text, message in [
-        ("", "planner '' is unknown"), (":brave", "planner '' is unknown"),
-        ("exampel", "did you mean 'example'"), ("example:timid", "no variant 'timid'"),
-        ("example:", "no variant ''"), ("example:speed=1", "no parameter 'speed'"),
-        ("example:pce=1", "did you mean 'pace'"), ("example:pace=fast", "pace is 'fast'"),
-        ("example:pace=", "pace is ''"), ("example:pace=nan", "'pace' is nan"),
-        ("example:pace=2", "'pace' is 2"), ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
-        ("example:pace=1,", "'' is not"), ("example:brave,pace=1", "'brave' is not"), (None, "policy None"),
-    ]:  # fmt: skip
+        ("", "planner '' is unknown"),
+        (":brave", "planner '' is unknown"),
+        ("exampel", "did you mean 'example'"),
+        ("example:timid", "no variant 'timid'"),
+        ("example:", "no variant ''"),
+        ("example:speed=1", "no parameter 'speed'"),
+        ("example:pce=1", "did you mean 'pace'"),
+        ("example:pace=fast", "pace is 'fast'"),
+        ("example:pace=", "pace is ''"),
+        ("example:pace=nan", "'pace' is nan"),
+        ("example:pace=2", "'pace' is 2"),
+        ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
+        ("example:pace=1,", "'' is not"),
+        ("example:brave,pace=1", "'brave' is not"),
+        (None, "policy None"),
+    ]:
         refused(message, parse_policy, text)
     for name in ["", "a:b", "a=b", "a b", "a,b", None]:
         refused("must be text without", register_planner, "module:PLANNER", name=name)

@@ -45,7 +45,9 @@ def test_a_decision_is_that_of_the_network_planner_and_holds(oval, view_at, hidd
         view[TIME] = time
         for planner, theta in ((driver, np.zeros(0)), (plain, plain.default)):
             command = np.full(2, np.nan)
-            planner.control(oval.arrays, theta, view, memory, np.empty(64), np.zeros((12, 4)), command)
+            planner.control(
+                oval.arrays, theta, view, memory, np.empty(64), np.zeros((12, 4)), command
+            )
             commands.append(command)
     assert view.shape == (VIEW_SIZE,)
     held, faster = commands[::2], commands[1::2]
@@ -81,18 +83,34 @@ def test_files_and_layers_that_are_no_driver_are_refused(folder, tmp_path):
     content = (folder / "weights.safetensors").read_bytes()
     (folder / "weights.safetensors").write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     refused("its digest differs", load_driver, folder)
-    with pytest.raises(UnknownNameError, match="unknown driver 'nobody': neither a folder nor one of those shipped"):
+    with pytest.raises(
+        UnknownNameError, match="unknown driver 'nobody': neither a folder nor one of those shipped"
+    ):
         load_driver("nobody")
     refused(r"can't read .*manifest\.yaml", load_driver, tmp_path)
     sound = layers(8)
-    refused("16 inputs and 8 outputs", trained_planner, "d", DenseLayers(sound.weights[:1], sound.biases[:1]), 2)
-    refused("a weight of 11", trained_planner, "d", DenseLayers(sound.weights, (sound.biases[0], np.full(2, 11))), 2)
+    refused(
+        "16 inputs and 8 outputs",
+        trained_planner,
+        "d",
+        DenseLayers(sound.weights[:1], sound.biases[:1]),
+        2,
+    )
+    refused(
+        "a weight of 11",
+        trained_planner,
+        "d",
+        DenseLayers(sound.weights, (sound.biases[0], np.full(2, 11))),
+        2,
+    )
     refused("for 3 steps", trained_planner, "d", sound, 3)
 
 
 def test_the_shipped_driver_is_read_when_it_is_first_asked_for(folder, monkeypatch):
     monkeypatch.setattr(trained, "NAME", "mine")
-    monkeypatch.setattr(trained, "DRIVER_FORMAT", replace(trained.DRIVER_FORMAT, shipped=folder.parent))
+    monkeypatch.setattr(
+        trained, "DRIVER_FORMAT", replace(trained.DRIVER_FORMAT, shipped=folder.parent)
+    )
     monkeypatch.delitem(vars(trained), "PPO_DRIVE", raising=False)
     assert trained.PPO_DRIVE.name == "mine"
     assert trained.PPO_DRIVE is trained.PPO_DRIVE  # a planner is compared by identity

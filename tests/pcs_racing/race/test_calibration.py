@@ -34,7 +34,9 @@ def test_faster_is_riskier_and_threads_change_nothing():
     assert quiet[2] > 0.9
     assert disturbed[0] < 0.1 < disturbed[1] < 0.9 < disturbed[2]
     track = load_track("Pipkin")
-    one, two = (hazard_scan(track, CONTEST, (1.0, 1.1), cars=12, seconds=10.0, threads=n) for n in (1, 2))
+    one, two = (
+        hazard_scan(track, CONTEST, (1.0, 1.1), cars=12, seconds=10.0, threads=n) for n in (1, 2)
+    )
     np.testing.assert_array_equal(one, two)
 
 
@@ -44,7 +46,9 @@ def test_the_range_lies_below_the_speeds_that_crash() -> None:
     low, high = report.calibration.speed_range
     assert 0.5 < low < high <= FRICTION_SCALE
     assert high - low == pytest.approx(0.30)
-    crashing = [scale for scale, hazard in zip(report.scales, report.hazard, strict=True) if hazard > 0.10]
+    crashing = [
+        scale for scale, hazard in zip(report.scales, report.hazard, strict=True) if hazard > 0.10
+    ]
     assert crashing
     assert high < min(crashing)
     assert f"{low:.2f} to {high:.2f}" in report.table()
@@ -62,7 +66,9 @@ def test_the_scan_ends_where_the_hazard_is_too_large_and_a_rough_circuit_is_refu
     refused(r"Pipkin.*0\.60.*steering_noise", calibrate, load_track("Pipkin"), rough, cars=12)
 
 
-def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_says(monkeypatch, capsys):
+def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_says(
+    monkeypatch, capsys
+):
     track = load_track("Pipkin")
     known = track.calibration["paper"]
     fits = []
@@ -74,7 +80,8 @@ def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_sa
     monkeypatch.setattr("pcs_racing.race.calibration.fit_places", fit)
     for shares, lowered in ((iter([0.07]), 0.0), (iter([0.2, 0.1, 0.04]), 0.1), (repeat(0.3), 0.3)):
         monkeypatch.setattr(
-            "pcs_racing.race.calibration.crashes_of_pairs", lambda *arguments, shares=shares: next(shares)
+            "pcs_racing.race.calibration.crashes_of_pairs",
+            lambda *arguments, shares=shares: next(shares),
         )
         fits.clear()
         low, high = calibrate(track, PAPER, cars=12).calibration.speed_range
@@ -82,10 +89,12 @@ def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_sa
         assert fits[-1] == high == pytest.approx(fits[0] - lowered)
         assert high - low == pytest.approx(0.30)
         said = (
-            "two cars crash in 30% of the races of 'paper', in more than the aim of 8%, even with speeds lowered by 0.3"
+            "two cars crash in 30% of the races of 'paper', in more than the aim of 8%, even with"
+            " speeds lowered by 0.3"
         )
         assert (said in capsys.readouterr().err) == (lowered == 0.3)
-    monkeypatch.setattr("pcs_racing.race.calibration.crashes_of_pairs", None)  # contest aims at a car alone
+    # contest aims at a car alone
+    monkeypatch.setattr("pcs_racing.race.calibration.crashes_of_pairs", None)
     assert calibrate(track, CONTEST, cars=12).calibration.speed_range[1] <= FRICTION_SCALE
 
 
@@ -95,7 +104,9 @@ def test_pairs_of_a_slow_range_crash_less():
     settings = kernel_settings(PAPER, (1.1, 1.4))
     start = known.start_spacing, known.start_places, known.left_share
     fast, slow = (
-        crashes_of_pairs(track, PAPER, settings._replace(speed_low=low, speed_high=low + 0.3), *start)
+        crashes_of_pairs(
+            track, PAPER, settings._replace(speed_low=low, speed_high=low + 0.3), *start
+        )
         for low in (1.4, 0.8)
     )
     assert slow < 0.05 < fast
@@ -111,10 +122,16 @@ def test_circuits_ship_with_all_presets_and_as_noisy_ones_share_their_speeds():
 def test_a_hazard_is_counted_in_crashes_whatever_a_contact_does():
     track, scales = load_track("Pipkin"), (1.5,)
     restarts = replace(CONTEST, contact="restart", most_faults=3)
-    assert hazard_scan(track, restarts, scales, cars=12) == hazard_scan(track, CONTEST, scales, cars=12) > 0.1
+    assert (
+        hazard_scan(track, restarts, scales, cars=12)
+        == hazard_scan(track, CONTEST, scales, cars=12)
+        > 0.1
+    )
 
 
-def test_a_circuit_that_was_never_seen_is_calibrated_once_and_says_so(tmp_path, monkeypatch, capsys):
+def test_a_circuit_that_was_never_seen_is_calibrated_once_and_says_so(
+    tmp_path, monkeypatch, capsys
+):
     known = load_track("Pipkin")
     monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path))
     monkeypatch.setattr("pcs_racing.race.calibration._known", {})
@@ -131,7 +148,9 @@ def test_a_circuit_that_was_never_seen_is_calibrated_once_and_says_so(tmp_path, 
     (kept,) = tmp_path.glob("calibration-*.npz")
     kept.write_bytes(b"damaged")
     monkeypatch.setattr("pcs_racing.race.calibration._known", {})
-    monkeypatch.setattr("pcs_racing.race.calibration.calibrate", lambda *arguments: pytest.fail("calibrated"))
+    monkeypatch.setattr(
+        "pcs_racing.race.calibration.calibrate", lambda *arguments: pytest.fail("calibrated")
+    )
     with pytest.raises(pytest.fail.Exception):
         calibration_of(unseen, PAPER)
 
@@ -150,19 +169,29 @@ def test_another_kind_of_start_is_tried_out_by_driving(tmp_path, monkeypatch, ov
 def test_the_scale_of_a_hazard_lies_between_those_that_were_driven():
     scales = np.array([0.6, 0.7, 0.8, 0.9])
     for hazard, level, scale in [
-        ([0.0, 0.1, 0.5, 0.5], 0.3, 0.75), ([0.0, 0.1, 0.5, 0.9], 0.5, 0.8), ([0.0, 0.0, 0.4, 0.4], 0.1, 0.725),
+        ([0.0, 0.1, 0.5, 0.5], 0.3, 0.75),
+        ([0.0, 0.1, 0.5, 0.9], 0.5, 0.8),
+        ([0.0, 0.0, 0.4, 0.4], 0.1, 0.725),
         ([0.0, 0.0, 0.1, 0.2], 0.2, 0.9),
-    ]:  # fmt: skip
+    ]:
         assert calibration._crossing(scales, np.array(hazard), level) == pytest.approx(scale)
 
 
 def test_distances_across_the_track_are_tried_the_nearest_first_and_a_report_is_a_table():
     assert calibration._spacings(PAPER) == [0.9, 1.0, 0.8, 1.1, 0.7, 1.2, 0.6, 1.3, 0.5]
-    assert calibration._spacings(replace(PAPER, start_spacing=0.45)) == [0.45, 0.55, 0.65, 0.75, 0.85]
+    assert calibration._spacings(replace(PAPER, start_spacing=0.45)) == [
+        0.45,
+        0.55,
+        0.65,
+        0.75,
+        0.85,
+    ]
     near = replace(CONTEST, start_spacing=0.25)
     assert calibration._spacings(near) == [0.25, 0.35, 0.15, 0.45, 0.05, 0.55, 0.65]
     places = {"left": ((0.0, 1.5),), "right": ((2.0, 2.0), (4.0, 4.5))}
-    report = CalibrationReport("oval", "paper", (0.6, 0.65), (0.0, 0.25), Calibration((0.75, 1.05), 0.8, places))
+    report = CalibrationReport(
+        "oval", "paper", (0.6, 0.65), (0.0, 0.25), Calibration((0.75, 1.05), 0.8, places)
+    )
     assert report.table().splitlines() == [
         "oval, paper: speed range 0.75 to 1.05",
         "start places: 4 that favour the left, 3 that favour the right; cars 0.8 m apart",

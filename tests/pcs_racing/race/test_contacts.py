@@ -32,7 +32,9 @@ def drive_until_fault(setup, state, theta):
 @pytest.mark.parametrize("first", [0, 1])
 def test_the_car_that_ran_into_another_stands_still_and_may_drive_on(oval, first):
     order = slice(None) if first == 0 else slice(None, None, -1)
-    setup, state, theta = placed(oval, [(3.0, 0.0), (6.0, 0.0)][order], [5.0, 0.0][order], contact="stop")
+    setup, state, theta = placed(
+        oval, [(3.0, 0.0), (6.0, 0.0)][order], [5.0, 0.0][order], contact="stop"
+    )
     drive_until_fault(setup, state, theta)
     assert state.cars[0, first, V] == 0.0
     assert state.fault[0].tolist() == [1, 0][order]
@@ -73,7 +75,9 @@ def test_a_wall_stops_a_car_and_cars_that_overlapped_may_part(oval):
 
 
 def test_the_car_at_fault_is_put_back_behind_the_other_where_there_is_room(oval):
-    setup, state, theta = placed(oval, [(3.0, 0.2), (6.0, 0.3)], [5.0, 1.0], contact="restart", duration=6.0)
+    setup, state, theta = placed(
+        oval, [(3.0, 0.2), (6.0, 0.3)], [5.0, 1.0], contact="restart", duration=6.0
+    )
     drive_until_fault(setup, state, theta)
     assert state.frenet[0, 0] == pytest.approx([state.frenet[0, 1, 0] - 2.0, 0.0], abs=0.1)
     assert (state.cars[0, 0, V], state.cars[0, 1, V]) == (0.0, pytest.approx(1.0, abs=0.1))
@@ -93,7 +97,9 @@ def test_the_car_at_fault_is_put_back_behind_the_other_where_there_is_room(oval)
 
 
 def test_a_car_in_a_wall_is_put_back_on_the_line_and_of_two_at_fault_the_one_ahead_stays(oval):
-    setup, state, theta = placed(oval, [(3.0, 0.0, 0.6), (20.0, 0.0)], [4.0, 0.0], contact="restart")
+    setup, state, theta = placed(
+        oval, [(3.0, 0.0, 0.6), (20.0, 0.0)], [4.0, 0.0], contact="restart"
+    )
     before = None
     while not state.fault.any():
         before = state.frenet[0, 0].copy()
@@ -102,7 +108,9 @@ def test_a_car_in_a_wall_is_put_back_on_the_line_and_of_two_at_fault_the_one_ahe
     assert state.frenet[0, 0] == pytest.approx([before[0], 0.0], abs=0.15)
     assert (state.cars[0, 0, V], state.fault[0].tolist()) == (0.0, [1, 0])
     # They drive towards each other, as fast; then both face forward on the line.
-    setup, state, theta = placed(oval, [(3.0, 0.2), (6.0, 0.2, np.pi)], [3.0, 3.0], contact="restart")
+    setup, state, theta = placed(
+        oval, [(3.0, 0.2), (6.0, 0.2, np.pi)], [3.0, 3.0], contact="restart"
+    )
     drive_until_fault(setup, state, theta)
     assert state.fault[0].tolist() == [1, 1]
     assert state.frenet[0, 1] == pytest.approx([4.8, 0.0], abs=0.15)
@@ -122,8 +130,15 @@ def test_without_a_contact_a_race_is_the_same(oval, contact):
 
 @pytest.mark.parametrize(("limit", "faults"), [(3, 3), (0, 4)])
 def test_a_car_with_too_many_faults_is_out_and_has_lost(oval, limit, faults):
-    """It drives into the wall again and again, far ahead of the other car, which stood in its way once."""
-    rules = {"contact": "restart", "crash_rule": "fault-loses", "most_faults": limit, "duration": 60.0}
+    """It drives into the wall again and again, far ahead of the other car, which stood in its way
+    once.
+    """
+    rules = {
+        "contact": "restart",
+        "crash_rule": "fault-loses",
+        "most_faults": limit,
+        "duration": 60.0,
+    }
     setup, state, theta = placed(oval, [(20.0, 0.0), (3.0, 0.0)], [4.0, 0.0], **rules)
     theta[0, 0] = 0.2, 4.0
     state.fault[0, 1] = 1

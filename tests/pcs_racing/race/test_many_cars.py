@@ -1,4 +1,6 @@
-"""Races of one car, and of more than two: the same rules for all pairs, and nothing depends on a car's number."""
+"""Races of one car, and of more than two: the same rules for all pairs, and nothing depends on a
+car's number.
+"""
 
 import itertools
 from dataclasses import replace
@@ -9,7 +11,15 @@ from placed_cars import HOLD, placed, view_of
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import Starts, VehicleParams, load_race_config, parse_policy, read_replay, record_race, save_replay
+from pcs_racing import (
+    Starts,
+    VehicleParams,
+    load_race_config,
+    parse_policy,
+    read_replay,
+    record_race,
+    save_replay,
+)
 from pcs_racing.planners.view import VIEW
 from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.races import (
@@ -26,8 +36,13 @@ from pcs_racing.race.races import (
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state, take
 
-QUIET = load_race_config("paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45)
-FIELD = [parse_policy(text) for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")]
+QUIET = load_race_config(
+    "paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45
+)
+FIELD = [
+    parse_policy(text)
+    for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")
+]
 
 
 def of_cars(state, cars):
@@ -53,10 +68,14 @@ def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
     ends = []
     for count in (2, 3):
         places = [(2.0, 0.3), (3.6, -0.3), (22.0, 0.0)][:count]
-        setup, state, _ = placed(oval, places, [3.0, 3.0, 0.0][:count], lattice, steering_noise=race.steering_noise)
+        setup, state, _ = placed(
+            oval, places, [3.0, 3.0, 0.0][:count], lattice, steering_noise=race.steering_noise
+        )
         state.seed[:] = 5
         state.progress[0, 2:] = -5.0  # so far behind that it never leads
-        theta = np.array([[parse_policy(f"lattice:pace={pace}").parameters for pace in (0.9, 0.2, 0.0)[:count]]])
+        theta = np.array(
+            [[parse_policy(f"lattice:pace={pace}").parameters for pace in (0.9, 0.2, 0.0)[:count]]]
+        )
         advance(setup, state, theta, 200, ittc=False)
         ends.append(of_cars(state, [0, 1]))
     assert_same(ends[1], ends[0])
@@ -82,14 +101,20 @@ def test_the_grid(oval, start, gap):
     behind = np.array([0, 1.4, 2.8, 4.2, 5.6]) if gap else np.array([0, 0, 2.0, 2.0, 4.0])
     for side in range(5):
         np.testing.assert_allclose(-state.progress[side], np.roll(behind, -side))
-        np.testing.assert_allclose(8.0 - state.frenet[side, :, 0], np.roll(behind, -side), atol=0.05)
+        np.testing.assert_allclose(
+            8.0 - state.frenet[side, :, 0], np.roll(behind, -side), atol=0.05
+        )
         assert (np.roll(np.sign(state.frenet[side, :, 1]), side) == [1, -1, 1, -1, 1]).all()
 
 
 def test_a_driver_sees_the_nearest_car_along_the_track(oval):
     """Also across the start line; and alone nobody near."""
     length = oval.length
-    for places, seen in (([3.0, 8.0, 1.0], [2, 0, 0]), ([0.5, length - 0.5, 4.0], [1, 0, 0]), ([3.0], [None])):
+    for places, seen in (
+        ([3.0, 8.0, 1.0], [2, 0, 0]),
+        ([0.5, length - 0.5, 4.0], [1, 0, 0]),
+        ([3.0], [None]),
+    ):
         setup, state, _ = placed(oval, [(s, 0.0) for s in places])
         for car, other in enumerate(seen):
             found = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
@@ -97,7 +122,9 @@ def test_a_driver_sees_the_nearest_car_along_the_track(oval):
                 assert abs(found["OPP_X"] - found["X"]) > 1e5
                 assert abs(found["GAP"]) == pytest.approx(0.5 * length)
             else:
-                np.testing.assert_array_equal([found["OPP_X"], found["OPP_Y"]], state.cars[0, other, :2])
+                np.testing.assert_array_equal(
+                    [found["OPP_X"], found["OPP_Y"]], state.cars[0, other, :2]
+                )
 
 
 def test_a_crash_of_two_ends_the_race_of_all(oval):
@@ -116,11 +143,15 @@ def test_a_race_has_one_to_eight_drivers(oval):
 @pytest.mark.parametrize("rule", ["nobody", "fault-loses"])
 @pytest.mark.parametrize("cars", [1, 2, 3, 8])
 def test_scores_winners_and_orders_are_those_of_their_definitions(cars, rule):
-    """Race by race: last is a car at fault, before it who crashed, then who is behind by more than a centimetre."""
+    """Race by race: last is a car at fault, before it who crashed, then who is behind by more than
+    a centimetre.
+    """
     rng, races = np.random.default_rng(cars), 60
     state = empty_state(races, 0, cars)
     state.progress[:] = rng.integers(-3, 4, (races, cars)) * 0.006
-    state.crash[:] = np.where(rng.random((races, 1)) < 0.5, rng.integers(0, 3, (races, cars)), NO_CRASH)
+    state.crash[:] = np.where(
+        rng.random((races, 1)) < 0.5, rng.integers(0, 3, (races, cars)), NO_CRASH
+    )
     state.fault[:] = rng.integers(0, 2, (races, cars))  # also such that ended no race
     rules = load_race_config("paper", crash_rule=rule)
     scores, won, orders = pair_scores(rules, state), winners(rules, state), finishing_order(state)
@@ -146,8 +177,10 @@ def test_conditions_of_single_races_are_taken_in_order_and_tracks_in_runs(oval):
     rows = np.arange(4 * 2 * 18.0).reshape(4, 2, 18)
     given = RaceConditions(rows, (oval, oval, other, oval))
     assert [(track.name, *ends) for track, *ends in given.runs(other, 4)] == [
-        ("oval", 0, 2), ("other", 2, 3), ("oval", 3, 4),
-    ]  # fmt: skip
+        ("oval", 0, 2),
+        ("other", 2, 3),
+        ("oval", 3, 4),
+    ]
     assert given.rows(cars, 4) is rows
     some = given.take([2, 0])
     np.testing.assert_array_equal(some.vehicles, rows[[2, 0]])
@@ -172,15 +205,24 @@ def test_races_take_lines_and_places_in_turn(oval, cars):
 
 def test_passes_and_times_to_collision_count_every_pair(oval):
     setup, state, theta = placed(oval, [(3.0, 0.5), (6.0, 0.5), (9.0, -0.5)])
-    for progress in ([0.0, 2.0, 4.0], [3.0, 2.0, 4.0], [5.0, 2.0, 4.0], [5.0, 4.7, 4.0], [5.0, 6.0, 4.0]):
+    for progress in (
+        [0.0, 2.0, 4.0],
+        [3.0, 2.0, 4.0],
+        [5.0, 2.0, 4.0],
+        [5.0, 4.7, 4.0],
+        [5.0, 6.0, 4.0],
+    ):
         state.progress[0] = progress
         advance(setup, state, theta, 2)
     assert state.overtakes[0].tolist() == [2, 2, 0]
     assert state.leader[0] == 1
-    # At 2 m/s towards one that stands 1.2 m ahead, nearer than the walls: the mean after 0.05 and 0.1 s.
+    # At 2 m/s towards one that stands 1.2 m ahead, nearer than the walls: the mean after 0.05 and
+    # 0.1 s.
     column, times = list(SUMS).index("ITTC"), []
     for count in (2, 3):
-        setup, state, theta = placed(oval, [(2.0, 0.0), (22.0, 0.0), (3.2, 0.0)][:count], [2.0, 0.0, 0.0][:count])
+        setup, state, theta = placed(
+            oval, [(2.0, 0.0), (22.0, 0.0), (3.2, 0.0)][:count], [2.0, 0.0, 0.0][:count]
+        )
         advance(setup, state, theta, 10)
         times.append(state.sums[0, 0, column] / 2)
     assert times[1] == pytest.approx((1.2 - 0.15 - 0.29) / 2.0, abs=0.02)
@@ -200,4 +242,6 @@ def test_a_recorded_race_of_three_is_the_race_and_shows_all(oval, tmp_path):
     without = Renderer(replay, view="both").render(replay.cars[0])
     assert (frame != without).any()
     bodies = [np.array(colour) for colour in ((27, 111, 216), (224, 135, 0), (34, 150, 79))]
-    assert all((np.abs(without.astype(int) - colour).max(axis=2) < 12).sum() > 10 for colour in bodies)
+    assert all(
+        (np.abs(without.astype(int) - colour).max(axis=2) < 12).sum() > 10 for colour in bodies
+    )

@@ -9,7 +9,16 @@ from recorded_races import PYTHON
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, PAPER, InputError, Parameter, Planner, RaceState, Starts, load_race_config
+from pcs_racing import (
+    CONTEST,
+    PAPER,
+    InputError,
+    Parameter,
+    Planner,
+    RaceState,
+    Starts,
+    load_race_config,
+)
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import VehicleParams
@@ -17,7 +26,15 @@ from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_lines, start_races, starts_of
+from pcs_racing.race.races import (
+    RaceSetup,
+    advance,
+    draw_starts,
+    run_races,
+    start_lines,
+    start_races,
+    starts_of,
+)
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
@@ -35,7 +52,9 @@ def go_straight(track, theta, view, memory, scratch, path, command):
 
 STRAIGHT = Planner("straight", (Parameter("speed", 0.0, 9.0, 6.0, "m/s"),), control=go_straight)
 STRAIGHT_IN_PYTHON = Planner(
-    "straight-in-python", STRAIGHT.parameters, drive=lambda track, theta, view, memory: (0.0, theta[0])
+    "straight-in-python",
+    STRAIGHT.parameters,
+    drive=lambda track, theta, view, memory: (0.0, theta[0]),
 )
 
 
@@ -48,13 +67,18 @@ def begin(track, config, egos, opponents, seed=0):
     setup = RaceSetup(track, config, (egos[0].planner, opponents[0].planner))
     races = len(egos)
     state = start_races(setup, draw_starts(track, config, races, seed), race_seeds(seed, races))
-    theta = np.stack([pad_parameters(egos, setup.theta_size), pad_parameters(opponents, setup.theta_size)], axis=1)
+    theta = np.stack(
+        [pad_parameters(egos, setup.theta_size), pad_parameters(opponents, setup.theta_size)],
+        axis=1,
+    )
     return setup, state, theta
 
 
 @pytest.mark.parametrize(("ticks", "size"), [(4000, 4), (100, 28), (2, 100)])
 def test_threads_get_pieces_of_whole_groups_or_of_equal_size(oval, ticks, size):
-    """200 races on two circuits: many pieces of a few milliseconds, or few equal ones; each race is in one piece."""
+    """200 races on two circuits: many pieces of a few milliseconds, or few equal ones; each race is
+    in one piece.
+    """
     pieces = _pieces([(oval, 0, 100), (oval, 100, 200)], 200, ticks, workers=2)
     ranges = sorted((first, last) for _, first, last in pieces)
     assert [race for first, last in ranges for race in range(first, last)] == list(range(200))
@@ -70,7 +94,9 @@ def test_the_seed_decides_a_race_and_its_times_to_collision_do_not(oval):
     assert_same(bare, state, skip=("sums",))
     assert (state.sums[..., ITTC_SAMPLES] > 0).all()
     np.testing.assert_array_equal(bare.sums[..., [ITTC, ITTC_SAMPLES]], 0.0)
-    np.testing.assert_array_equal(bare.sums[..., ITTC_SAMPLES + 1 :], state.sums[..., ITTC_SAMPLES + 1 :])
+    np.testing.assert_array_equal(
+        bare.sums[..., ITTC_SAMPLES + 1 :], state.sums[..., ITTC_SAMPLES + 1 :]
+    )
     one, other = (run_races(oval, [lattice()] * 4, lattice(), NOISY, seed=seed) for seed in (1, 2))
     assert not np.array_equal(one.starts.s, other.starts.s)
     assert not np.array_equal(one.state.disturbance, other.state.disturbance)
@@ -127,7 +153,10 @@ def test_different_planners_in_one_batch_equal_separate_runs(oval):
 def test_the_same_driver_compiled_and_in_python_drives_the_same_race_at_fifty_hertz(oval):
     starts = draw_starts(oval, NOISY, 3, seed=0)
     planners = (STRAIGHT, STRAIGHT_IN_PYTHON)
-    races = [run_races(oval, [planner.policy()] * 3, lattice(), NOISY, starts=starts) for planner in planners]
+    races = [
+        run_races(oval, [planner.policy()] * 3, lattice(), NOISY, starts=starts)
+        for planner in planners
+    ]
     assert_same(races[1].state, races[0].state, skip=("memory",))
     result = run_races(oval, PYTHON.policy(), PYTHON.policy({"pace": 0.5}), SHORT)
     assert not result.crashed.any()
@@ -150,10 +179,14 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
 
 
 def test_laps_are_those_that_progress_tells(oval):
-    """A lap ends at a multiple of the length: interpolated progress, sampled every 0.02 s, gives the same times."""
+    """A lap ends at a multiple of the length: interpolated progress, sampled every 0.02 s, gives
+    the same times.
+    """
     drivers = [PURE_PURSUIT.policy({"pace": 0.9}), PURE_PURSUIT.policy({"pace": 0.2})]
     setup = RaceSetup(oval, LONG, (drivers[0].planner, drivers[1].planner))
-    state = start_races(setup, Starts(np.array([oval.length - 6.0]), np.array([0])), np.zeros(1, np.uint64))
+    state = start_races(
+        setup, Starts(np.array([oval.length - 6.0]), np.array([0])), np.zeros(1, np.uint64)
+    )
     theta = pad_parameters(drivers, setup.theta_size)[None]
     times, way = [0.0], [state.progress[0].copy()]
     while state.tick[0] < LONG.ticks and not state.crashed[0]:
@@ -216,19 +249,29 @@ def test_the_speed_range_comes_from_the_rules_else_from_the_calibration_of_the_c
     fixed = load_race_config("paper", speed_range=(0.5, 0.6))
     assert RaceSetup(oval, fixed, planners).speed_range == (0.5, 0.6)
     # Rules of another name take the preset that is as noisy as they are.
-    assert RaceSetup(oval, load_race_config("paper", name="mine"), planners).speed_range == (0.8, 1.0)
-    assert RaceSetup(oval, load_race_config("contest", name="mine"), planners).speed_range == (0.9, 1.14)
+    assert RaceSetup(oval, load_race_config("paper", name="mine"), planners).speed_range == (
+        0.8,
+        1.0,
+    )
+    assert RaceSetup(oval, load_race_config("contest", name="mine"), planners).speed_range == (
+        0.9,
+        1.14,
+    )
 
 
 def test_games_of_training_start_from_places_that_tables_do_not_use(oval):
     for config in (PAPER, CONTEST):
-        train, test = (set(start_lines(oval, config, 0, split=split)) for split in ("train", "test"))
+        train, test = (
+            set(start_lines(oval, config, 0, split=split)) for split in ("train", "test")
+        )
         assert train
         assert test
         assert not train & test
     refused("split is 'both'", start_lines, oval, PAPER, 0, split="both")
     places = {"left": ((2.0, 9.5),), "right": ((26.5, 26.5),)}
-    lopsided = dataclasses.replace(oval, calibration={"paper": Calibration((0.8, 1.0), 0.9, places)})
+    lopsided = dataclasses.replace(
+        oval, calibration={"paper": Calibration((0.8, 1.0), 0.9, places)}
+    )
     train, test = (start_lines(lopsided, PAPER, 0, split=split) for split in ("train", "test"))
     assert len(train) == len(test) == PAPER.start_lines
     assert sorted(26.5 in lines for lines in (train, test)) == [False, True]
@@ -246,7 +289,9 @@ def test_starts_off_the_track_and_in_the_wall_are_refused(oval):
         refused(message, run_races, oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
     wide = load_race_config("paper", start_spacing=2.0)
     with pytest.raises(InputError, match=r"race 0: at start line 0\.00 m"):
-        run_races(oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64)))
+        run_races(
+            oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64))
+        )
     refused("has no place", run_races, oval, lattice(), lattice(), wide)
 
 
@@ -260,13 +305,34 @@ def test_bad_arguments_are_refused(oval):
     for call, message in [
         (lambda oval, *_: draw_starts(oval, PAPER, 2, 1.5), "seed is 1.5"),
         (lambda *_: race_seeds(-1, 2), "seed is -1"),
-        (lambda oval, *_: run_races(oval, [lattice()] * 2, [lattice()] * 3, SHORT), "2 egos but 3 opponents"),
-        (lambda oval, *_: run_races(oval, [lattice()] * 2, lattice(), SHORT, starts=LINE), "2 races but 1 starts"),
-        (lambda oval, *_: run_races(oval, BROKEN.policy(), lattice(), SHORT), "0, car 0: planner 'broken' returned"),
-        (lambda oval, *_: run_races(oval, lattice(), LOST.policy(), SHORT), "0, car 1: planner 'lost' raised KeyError"),
-        (lambda oval, *_: run_races(oval, lattice(), MUTE.policy(), SHORT), r"'mute' returned \('left', None\); it"),
+        (
+            lambda oval, *_: run_races(oval, [lattice()] * 2, [lattice()] * 3, SHORT),
+            "2 egos but 3 opponents",
+        ),
+        (
+            lambda oval, *_: run_races(oval, [lattice()] * 2, lattice(), SHORT, starts=LINE),
+            "2 races but 1 starts",
+        ),
+        (
+            lambda oval, *_: run_races(oval, BROKEN.policy(), lattice(), SHORT),
+            "0, car 0: planner 'broken' returned",
+        ),
+        (
+            lambda oval, *_: run_races(oval, lattice(), LOST.policy(), SHORT),
+            "0, car 1: planner 'lost' raised KeyError",
+        ),
+        (
+            lambda oval, *_: run_races(oval, lattice(), MUTE.policy(), SHORT),
+            r"'mute' returned \('left', None\); it",
+        ),
         (lambda _, setup, state, theta: advance(setup, state, theta, 3), "ticks is 3"),
-        (lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2), r"theta .*\(1, 2, 3\)"),
-        (lambda _, setup, state, theta: advance(setup, state, theta.astype(np.float32), 2), "type float32"),
+        (
+            lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2),
+            r"theta .*\(1, 2, 3\)",
+        ),
+        (
+            lambda _, setup, state, theta: advance(setup, state, theta.astype(np.float32), 2),
+            "type float32",
+        ),
     ]:
         refused(message, call, oval, *begin(oval, SHORT, [lattice()], [lattice()]))

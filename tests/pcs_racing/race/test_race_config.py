@@ -10,19 +10,41 @@ from pcs_racing.race.config import PRESETS, ROBORACER
 def test_the_presets():
     """The paper's race: side by side and undisturbed for 40 s; a crash pays nobody."""
     assert PRESETS == {"paper": PAPER, "contest": CONTEST, "roboracer": ROBORACER}
-    assert (ROBORACER.contact, ROBORACER.most_faults, ROBORACER.heats, ROBORACER.start_speed) == ("restart", 3, 3, 0.0)
+    assert (ROBORACER.contact, ROBORACER.most_faults, ROBORACER.heats, ROBORACER.start_speed) == (
+        "restart",
+        3,
+        3,
+        0.0,
+    )
     assert RaceConfig() == PAPER
     values = dataclasses.asdict(PAPER)
     assert values.pop("start_lines") > 1
     assert values == {
-        "name": "paper", "duration": 40.0, "start": "side-by-side", "start_gap": 0.0, "start_spacing": 0.9,
-        "start_speed": 4.0, "steering_noise": 0.0, "noise_time": 0.28, "speed_range": None, "crash_rule": "nobody",
-        "aggressiveness": "lead", "ittc_horizon": 10.0, "contact": "end", "most_faults": 0, "heats": 1,
-        "stay_move": False, "steps": (8.0,) * 5,
-    }  # fmt: skip
+        "name": "paper",
+        "duration": 40.0,
+        "start": "side-by-side",
+        "start_gap": 0.0,
+        "start_spacing": 0.9,
+        "start_speed": 4.0,
+        "steering_noise": 0.0,
+        "noise_time": 0.28,
+        "speed_range": None,
+        "crash_rule": "nobody",
+        "aggressiveness": "lead",
+        "ittc_horizon": 10.0,
+        "contact": "end",
+        "most_faults": 0,
+        "heats": 1,
+        "stay_move": False,
+        "steps": (8.0,) * 5,
+    }
     assert PAPER.ticks == CONTEST.ticks == 4000
     assert (CONTEST.start, CONTEST.start_gap, CONTEST.start_spacing) == ("staggered", 1.4, 0.45)
-    assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (0.02, "fault-loses", True)
+    assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (
+        0.02,
+        "fault-loses",
+        True,
+    )
     assert CONTEST.aggressiveness == "speed"
     assert CONTEST.steps == ROBORACER.steps == (0.0, 2.0, 6.0, 8.0, 8.0, 8.0, 8.0)
     for wrong in ((), (8.0,), 8.0, (8.0, 0.0), (8.0, 0.05), (8.0, "8"), (8.0, 601.0)):
@@ -32,15 +54,20 @@ def test_the_presets():
 @pytest.mark.parametrize(
     ("key", "low", "high", "more"),
     [
-        ("duration", 0.1, 3600.0, {}), ("start_gap", 0.8, 50.0, {"start": "staggered"}),
-        ("start_gap", 0.0, 50.0, {}), ("start_spacing", 0.4, 10.0, {}),
-        ("start_spacing", 0.0, 10.0, {"start": "rolling", "start_gap": 1.0}), ("start_speed", 0.0, 15.0, {}),
-        ("steering_noise", 0.0, 0.4, {}), ("noise_time", 0.01, 60.0, {}), ("ittc_horizon", 0.1, 1000.0, {}),
+        ("duration", 0.1, 3600.0, {}),
+        ("start_gap", 0.8, 50.0, {"start": "staggered"}),
+        ("start_gap", 0.0, 50.0, {}),
+        ("start_spacing", 0.4, 10.0, {}),
+        ("start_spacing", 0.0, 10.0, {"start": "rolling", "start_gap": 1.0}),
+        ("start_speed", 0.0, 15.0, {}),
+        ("steering_noise", 0.0, 0.4, {}),
+        ("noise_time", 0.01, 60.0, {}),
+        ("ittc_horizon", 0.1, 1000.0, {}),
         ("start_lines", 1, 1000, {}),
         ("most_faults", 0, 100, {}),
         ("heats", 1, 99, {}),
     ],
-)  # fmt: skip
+)
 def test_every_number_has_a_least_and_a_largest_value(key, low, high, more):
     step = 1 if isinstance(low, int) else 0.1 if key == "duration" else 1e-6
     for value in (low, high):
@@ -53,10 +80,14 @@ def test_a_configuration_by_name_or_from_yaml_and_bad_files(tmp_path):
     file = tmp_path / "my rules.yaml"
     file.write_text("preset: contest\nname: sprint\nduration: 12.5\nspeed_range: [0.8, 1.1]\n")
     config = load_race_config(file, start_gap=3.0)
-    assert config == dataclasses.replace(CONTEST, name="sprint", duration=12.5, speed_range=(0.8, 1.1), start_gap=3.0)
+    assert config == dataclasses.replace(
+        CONTEST, name="sprint", duration=12.5, speed_range=(0.8, 1.1), start_gap=3.0
+    )
     hash(config)  # the range is a tuple, not a list
     assert load_race_config("contest", duration=16.0) == dataclasses.replace(CONTEST, duration=16.0)
-    refused(r"race settings 'papper' are unknown", load_race_config, "papper", error=UnknownNameError)
+    refused(
+        r"race settings 'papper' are unknown", load_race_config, "papper", error=UnknownNameError
+    )
     for text, message in [
         ("durration: 4", "rules.yaml: unknown race setting 'durration'"),
         ("preset: cup", "preset is 'cup'"),
@@ -67,7 +98,13 @@ def test_a_configuration_by_name_or_from_yaml_and_bad_files(tmp_path):
 
 
 def test_impossible_values_and_speed_ranges_are_refused_by_name():
-    wrong = {"duration": 12.34, "start": "flying", "start_lines": 2.5, "crash_rule": "both", "name": ""}
+    wrong = {
+        "duration": 12.34,
+        "start": "flying",
+        "start_lines": 2.5,
+        "crash_rule": "both",
+        "name": "",
+    }
     for key, value in {**wrong, "aggressiveness": "anger", "stay_move": 1}.items():
         refused(f"^{key} is", RaceConfig, error=ConfigError, **{key: value})
     for start in ["staggered", "rolling"]:
@@ -75,5 +112,15 @@ def test_impossible_values_and_speed_ranges_are_refused_by_name():
         RaceConfig(start=start, start_gap=0.8)
     for speeds in ((0.1, 3.0), [0.5, 1]):
         assert RaceConfig(speed_range=speeds).speed_range == tuple(speeds)
-    for speeds in ((0.09, 1.0), (0.5, 3.1), (0.9, 0.9), (1.0, 0.5), (1.0,), (0.5, 0.6, 0.7), "ab", (True, 2.0), 0.5):
+    for speeds in (
+        (0.09, 1.0),
+        (0.5, 3.1),
+        (0.9, 0.9),
+        (1.0, 0.5),
+        (1.0,),
+        (0.5, 0.6, 0.7),
+        "ab",
+        (True, 2.0),
+        0.5,
+    ):
         refused("speed_range", RaceConfig, speed_range=speeds, error=ConfigError)

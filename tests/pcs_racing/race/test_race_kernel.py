@@ -1,13 +1,23 @@
 """What a race counts and whom it blames, against a second account of it in a few lines of numpy.
 
-All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``make mutants`` runs it that way.
+All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``make mutants`` runs
+it that way.
 """
 
 import numpy as np
 import pytest
 from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 
-from pcs_racing import Parameter, Planner, RaceSetup, Starts, VehicleParams, advance, load_race_config, start_races
+from pcs_racing import (
+    Parameter,
+    Planner,
+    RaceSetup,
+    Starts,
+    VehicleParams,
+    advance,
+    load_race_config,
+    start_races,
+)
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, simulate
@@ -22,20 +32,30 @@ PERIOD = 0.02  # s, between two commands
 
 # Two cars that have no number in common, so that none can stand for the other's.
 SHORT = VehicleParams(mu=1.0, c_sf=4.5, c_sr=5.3, lf=0.15, lr=0.17, h=0.07, width=0.30, length=0.50)
-LONG = VehicleParams(mu=1.05, c_sf=4.7, c_sr=5.5, lf=0.16, lr=0.18, h=0.08, width=0.36, length=0.70, steer_max=0.4)
+LONG = VehicleParams(
+    mu=1.05, c_sf=4.7, c_sr=5.5, lf=0.16, lr=0.18, h=0.08, width=0.36, length=0.70, steer_max=0.4
+)
 CARS = (SHORT, LONG)
 
 
 def change_lanes(track, theta, view, memory):
-    """Along the race line at a speed that swells and falls; out of the other one's way while it is near."""
+    """Along the race line at a speed that swells and falls; out of the other one's way while it is
+    near.
+    """
     seen = dict(zip(VIEW, view, strict=True))
     sample = track.line[int(seen["S"] / track.arrays.ds) % len(track.line)]
     lane = theta[2] if abs(seen["GAP"]) < 1.8 else 0.0
     turn = np.mod(sample[4] - seen["PSI"] + np.pi, 2.0 * np.pi) - np.pi
-    return 1.2 * turn - 0.8 * (seen["D"] - lane) + 0.33 * sample[5], theta[0] + theta[1] * np.sin(seen["TIME"])
+    return 1.2 * turn - 0.8 * (seen["D"] - lane) + 0.33 * sample[5], theta[0] + theta[1] * np.sin(
+        seen["TIME"]
+    )
 
 
-LANES = (("speed", 0.0, 9.0, 4.0, "m/s"), ("swell", -3.0, 3.0, 0.0, "m/s"), ("lane", -1.0, 1.0, 0.0, "m"))
+LANES = (
+    ("speed", 0.0, 9.0, 4.0, "m/s"),
+    ("swell", -3.0, 3.0, 0.0, "m/s"),
+    ("lane", -1.0, 1.0, 0.0, "m"),
+)
 DRIVER = Planner("lanes", tuple(Parameter(*one) for one in LANES), drive=change_lanes)
 START = {"start": "staggered", "start_gap": 2.4, "start_spacing": 0.0}
 RULES = load_race_config("paper", **START, steering_noise=0.02, noise_time=0.5, duration=9.0)
@@ -56,15 +76,24 @@ class Account:
         views = [view_of(setup, state, 0, car) for car in range(2)]
         advance(setup, state, theta, 2)
 
-        asked = np.array([change_lanes(setup.track, theta[0, car], views[car], None) for car in range(2)])
+        asked = np.array(
+            [change_lanes(setup.track, theta[0, car], views[car], None) for car in range(2)]
+        )
         keep = np.exp(-PERIOD / rules.noise_time)
         draws = np.array([steering_noise(state.seed[0], car, tick) for car in range(2)])
-        self.disturbance = keep * self.disturbance + rules.steering_noise * np.sqrt(1.0 - keep**2) * draws
+        self.disturbance = (
+            keep * self.disturbance + rules.steering_noise * np.sqrt(1.0 - keep**2) * draws
+        )
         np.testing.assert_allclose(state.disturbance[0], self.disturbance, atol=1e-12)
-        np.testing.assert_allclose(state.command[0], asked + np.outer(self.disturbance, [1, 0]), atol=1e-12)
+        np.testing.assert_allclose(
+            state.command[0], asked + np.outer(self.disturbance, [1, 0]), atol=1e-12
+        )
 
         given = zip(cars, state.command[0], setup.vehicles, strict=True)
-        ways = [simulate(car, np.tile(command, (2, 1)), params=vehicle) for car, command, vehicle in given]
+        ways = [
+            simulate(car, np.tile(command, (2, 1)), params=vehicle)
+            for car, command, vehicle in given
+        ]
         np.testing.assert_allclose(state.cars[0], [way[2] for way in ways], atol=1e-9)
         at = setup.track.to_frenet(state.cars[0][:, :2])
         np.testing.assert_allclose(state.frenet[0], at, atol=1e-6)
@@ -78,7 +107,9 @@ class Account:
             ahead = 0 if lead > 0.0 else 1
             self.overtakes[ahead] += self.leader == 1 - ahead
             self.leader = ahead
-        in_the_way = abs(at[0, 1] - at[1, 1]) < 0.5 * (setup.vehicles[0].width + setup.vehicles[1].width)
+        in_the_way = abs(at[0, 1] - at[1, 1]) < 0.5 * (
+            setup.vehicles[0].width + setup.vehicles[1].width
+        )
         for car, (before, _, after) in enumerate(ways):
             own_lead = lead if car == 0 else -lead
             self.sums[car, COLUMN["BLOCKING"]] += PERIOD * (in_the_way and 0.0 < own_lead < 3.0)
@@ -86,14 +117,20 @@ class Account:
             self.sums[car, COLUMN["LATERAL"]] += (after[V] * after[PSI_DOT]) ** 2 * PERIOD
             self.sums[car, COLUMN["TIME"]] += PERIOD
             driven = np.mod(at[car, 0] - s[car] + 0.5 * length, length) - 0.5 * length
-            profile = setup.track.line[int(at[car, 0] / setup.track.arrays.ds) % len(setup.track.line), SPEED]
+            profile = setup.track.line[
+                int(at[car, 0] / setup.track.arrays.ds) % len(setup.track.line), SPEED
+            ]
             self.sums[car, COLUMN["PROFILE"]] += driven / (setup.speed_range[1] * profile)
             self.sums[car, COLUMN["TIME_BEHIND"]] += PERIOD * led[car]
-            self.sums[car, COLUMN["PROFILE_BEHIND"]] += driven / (setup.speed_range[1] * profile) * led[car]
+            self.sums[car, COLUMN["PROFILE_BEHIND"]] += (
+                driven / (setup.speed_range[1] * profile) * led[car]
+            )
         for k in (1, 2):
             if (tick + k) % 5 == 0:
                 for car in range(2):
-                    self.sums[car, COLUMN["ITTC"]] += time_to_collision(setup, car, ways[car][k], ways[1 - car][k])
+                    self.sums[car, COLUMN["ITTC"]] += time_to_collision(
+                        setup, car, ways[car][k], ways[1 - car][k]
+                    )
                     self.sums[car, COLUMN["ITTC_SAMPLES"]] += 1
         return at
 
@@ -140,22 +177,52 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
     advance(setup, state, theta, 150)
     for car in range(2):
         own, other = state.cars[0, car], state.cars[0, 1 - car]
-        (s, d), (other_s, other_d) = coarse_oval.to_frenet(own[:2]), coarse_oval.to_frenet(other[:2])
+        (s, d), (other_s, other_d) = (
+            coarse_oval.to_frenet(own[:2]),
+            coarse_oval.to_frenet(other[:2]),
+        )
         body, rival = CARS[car], CARS[1 - car]
-        # The rate at which its distance from the line grows: by moving it a little along its course.
+        # The rate at which its distance from the line grows: by moving it a little along its
+        # course.
         later = coarse_oval.to_frenet(other[:2] + 1e-4 * np.array(velocity(other)))[1]
         stiffness = body.mu * 9.81
         expected = {
-            "TIME": 1.5, "X": own[X], "Y": own[Y], "DELTA": own[DELTA], "V": own[V], "PSI": own[PSI],
-            "PSI_DOT": own[PSI_DOT], "BETA": own[BETA], "S": s, "D": d,
-            "OPP_X": other[X], "OPP_Y": other[Y], "OPP_V": other[V], "OPP_PSI": other[PSI], "OPP_BETA": other[BETA],
-            "OPP_S": other_s, "OPP_D": other_d, "GAP": state.progress[0, 1 - car] - state.progress[0, car],
-            "LENGTH": body.length, "WIDTH": body.width, "WHEELBASE": body.wheelbase, "STEER_MAX": body.steer_max,
+            "TIME": 1.5,
+            "X": own[X],
+            "Y": own[Y],
+            "DELTA": own[DELTA],
+            "V": own[V],
+            "PSI": own[PSI],
+            "PSI_DOT": own[PSI_DOT],
+            "BETA": own[BETA],
+            "S": s,
+            "D": d,
+            "OPP_X": other[X],
+            "OPP_Y": other[Y],
+            "OPP_V": other[V],
+            "OPP_PSI": other[PSI],
+            "OPP_BETA": other[BETA],
+            "OPP_S": other_s,
+            "OPP_D": other_d,
+            "GAP": state.progress[0, 1 - car] - state.progress[0, car],
+            "LENGTH": body.length,
+            "WIDTH": body.width,
+            "WHEELBASE": body.wheelbase,
+            "STEER_MAX": body.steer_max,
             "UNDERSTEER": (1.0 / body.c_sf - 1.0 / body.c_sr) / stiffness,
-            "UNDERSTEER_GAIN": body.h * (1.0 / (body.c_sf * body.lr) + 1.0 / (body.c_sr * body.lf)) / stiffness / 9.81,
-            "REAR_SLIP": 1.0 / (stiffness * body.c_sr), "REAR_AXLE": body.lr,
-            "OPP_LENGTH": rival.length, "OPP_WIDTH": rival.width, "SPEED_LOW": 0.8, "SPEED_HIGH": 1.0,
-        }  # fmt: skip
+            "UNDERSTEER_GAIN": (
+                body.h
+                * (1.0 / (body.c_sf * body.lr) + 1.0 / (body.c_sr * body.lf))
+                / stiffness
+                / 9.81
+            ),
+            "REAR_SLIP": 1.0 / (stiffness * body.c_sr),
+            "REAR_AXLE": body.lr,
+            "OPP_LENGTH": rival.length,
+            "OPP_WIDTH": rival.width,
+            "SPEED_LOW": 0.8,
+            "SPEED_HIGH": 1.0,
+        }
         seen = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
         assert seen == pytest.approx(expected, abs=1e-6)
@@ -173,11 +240,21 @@ def test_noise_is_the_sum_of_four_parts_and_a_command_is_due_after_its_delay():
         key = scrambled((seed + 0x9E3779B97F4A7C15 * (2 * tick + car + 1)) % 2**64)
         key = scrambled((key + 0xD1B54A32D192ED03) % 2**64)
         parts = [(key >> shift) % 65536 / 65535 for shift in (0, 16, 32, 48)]
-        expected = (sum(parts) - 2.0) * np.sqrt(3.0)  # four uniform numbers have the variance 4 / 12
+        # four uniform numbers have the variance 4 / 12
+        expected = (sum(parts) - 2.0) * np.sqrt(3.0)
         assert steering_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
     # The queue stands at the end of the driver's memory; what is before belongs to the driver.
     memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
-    assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0, 5.0]
+    assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [
+        0.0,
+        0.0,
+        0.0,
+        1.0,
+        2.0,
+        3.0,
+        4.0,
+        5.0,
+    ]
     assert memory[:2].tolist() == [9.0, 9.0]
 
 
@@ -201,7 +278,9 @@ def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval):
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, order):
     """It steers to the side on the straight while the other one stands in the middle."""
-    setup, state, theta = placed(coarse_oval, [(3.0, 0.0, 0.6), (9.0, 0.0)][::order], [4.0, 0.0][::order])
+    setup, state, theta = placed(
+        coarse_oval, [(3.0, 0.0, 0.6), (9.0, 0.0)][::order], [4.0, 0.0][::order]
+    )
     advance(setup, state, theta, 200)
     blamed = [1, 0][::order]
     assert crash_and_fault(state) == ([WALL_CRASH * own for own in blamed], blamed)
@@ -214,7 +293,9 @@ def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, order):
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_car_that_runs_into_the_other_is_blamed_alone(coarse_oval, order):
-    setup, state, theta = placed(coarse_oval, [(3.0, 0.0), (6.0, 0.0)][::order], [5.0, 0.0][::order])
+    setup, state, theta = placed(
+        coarse_oval, [(3.0, 0.0), (6.0, 0.0)][::order], [5.0, 0.0][::order]
+    )
     advance(setup, state, theta, 200)
     assert crash_and_fault(state) == ([CAR_CRASH, CAR_CRASH], [1, 0][::order])
 
@@ -225,18 +306,27 @@ def test_each_car_is_as_long_and_as_wide_as_its_own_parameters_say(coarse_oval):
         lengths = 0.5 * (vehicles[0].length + vehicles[1].length)
         widths = 0.5 * (vehicles[0].width + vehicles[1].width)
         for apart, touch in ((-0.01, True), (0.01, False)):
-            _, state, _ = placed(coarse_oval, [(5.0, 0.0), (5.0 + lengths + apart, 0.0)], vehicles=vehicles)
+            _, state, _ = placed(
+                coarse_oval, [(5.0, 0.0), (5.0 + lengths + apart, 0.0)], vehicles=vehicles
+            )
             assert state.crashed[0] == touch
-            _, state, _ = placed(coarse_oval, [(5.0, 0.0), (5.0, widths + apart)], vehicles=vehicles)
+            _, state, _ = placed(
+                coarse_oval, [(5.0, 0.0), (5.0, widths + apart)], vehicles=vehicles
+            )
             assert state.crashed[0] == touch
         for car, vehicle in enumerate(vehicles):
             for side in (-1.0, 1.0):
-                clear = [wall_at(coarse_oval, 6.0, side) - 0.5 * vehicle.width - into for into in (0.02, -0.02)]
+                clear = [
+                    wall_at(coarse_oval, 6.0, side) - 0.5 * vehicle.width - into
+                    for into in (0.02, -0.02)
+                ]
                 for d, hit in zip(clear, (False, True), strict=True):
                     places = [(11.0, 0.0), (11.0, 0.0)]
                     places[car] = (6.0, side * d)
                     _, state, _ = placed(coarse_oval, places, vehicles=vehicles)
-                    assert state.crash[0].tolist() == [WALL_CRASH * int(hit and k == car) for k in range(2)]
+                    assert state.crash[0].tolist() == [
+                        WALL_CRASH * int(hit and k == car) for k in range(2)
+                    ]
 
 
 def wall_at(track, s, side):
@@ -263,10 +353,12 @@ def lead_by(track, leads, vehicles=(F1TENTH, F1TENTH)):
 def test_a_pass_counts_once_the_car_leads_by_more_than_its_length(coarse_oval):
     own = F1TENTH.length
     assert lead_by(coarse_oval, [0.0, 0.5]) == ([0, 0], -1)  # nobody has led yet
-    assert lead_by(coarse_oval, [-1.0, own - 0.01]) == ([0, 0], 1)  # beside, and a bit ahead: not yet
+    # beside, and a bit ahead: not yet
+    assert lead_by(coarse_oval, [-1.0, own - 0.01]) == ([0, 0], 1)
     assert lead_by(coarse_oval, [-1.0, own + 0.01]) == ([1, 0], 0)
     assert lead_by(coarse_oval, [1.0, 0.1, -0.1, 0.1, -own - 0.01]) == ([0, 1], 1)
-    assert lead_by(coarse_oval, [1.0, -0.5, 1.0]) == ([0, 0], 0)  # it never lost the lead by a length
+    # it never lost the lead by a length
+    assert lead_by(coarse_oval, [1.0, -0.5, 1.0]) == ([0, 0], 0)
     assert lead_by(coarse_oval, [1.0, -1.0, 1.0, 2.0, -1.0]) == ([1, 2], 1)
     assert lead_by(coarse_oval, [-1.0, 0.6], vehicles=(SHORT, F1TENTH)) == ([1, 0], 0)
     assert lead_by(coarse_oval, [-1.0, 0.6], vehicles=(LONG, F1TENTH)) == ([0, 0], 1)
@@ -316,7 +408,9 @@ def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
         for car in range(2):
             update_progress(arrays.line, arrays.ds, arrays.length, *moved, 1, 0, car)
         np.testing.assert_allclose(state.progress[0], [100.0, 100.0 + to_s - from_s], atol=1e-6)
-        np.testing.assert_allclose(state.frenet[0, :, 0], np.mod([from_s, to_s], coarse_oval.length), atol=1e-6)
+        np.testing.assert_allclose(
+            state.frenet[0, :, 0], np.mod([from_s, to_s], coarse_oval.length), atol=1e-6
+        )
         np.testing.assert_allclose(state.frenet[0, :, 1], 0.3, atol=1e-6)
 
 
@@ -324,8 +418,17 @@ def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drive
     """The first crossing is half way through 0.02 s, the second 20/21 of the way."""
     state, length = empty_state(1, 0), 100.0
     moved = state.frenet, state.progress, state.laps
-    state.frenet[0, 1, 0] = state.progress[0, 1] = -1.0 % length  # a metre before the end of the first lap
-    for tick, s in ((3000, 1.0), (3010, 99.5), (3020, 0.5), (6000, 40.0), (6500, 80.0), (7002, 1.0), (7004, 99.0)):
+    # a metre before the end of the first lap
+    state.frenet[0, 1, 0] = state.progress[0, 1] = -1.0 % length
+    for tick, s in (
+        (3000, 1.0),
+        (3010, 99.5),
+        (3020, 0.5),
+        (6000, 40.0),
+        (6500, 80.0),
+        (7002, 1.0),
+        (7004, 99.0),
+    ):
         move_along(length, *moved, tick, 0, 1, s, 0.0)
     assert state.lap_count.tolist() == [[0, 2]]
     assert state.progress[0, 1] == pytest.approx(199.0)
@@ -335,13 +438,17 @@ def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drive
 
 
 def test_planners_are_asked_ten_and_fifty_times_a_second_before_the_cars_move(coarse_oval):
-    setup = RaceSetup(coarse_oval, load_race_config("paper", duration=1.0, start_speed=0.0), (COUNTER, COUNTER))
+    setup = RaceSetup(
+        coarse_oval, load_race_config("paper", duration=1.0, start_speed=0.0), (COUNTER, COUNTER)
+    )
     state = start_races(setup, Starts(np.array([2.0]), np.array([0])), np.array([0], np.uint64))
     for ticks in (2, 10, 22, 66, 40):
         advance(setup, state, np.zeros((1, 2, 1)), ticks)
         done = min(int(state.tick[0]), 100)
         expected = [np.ceil(done / 10), np.ceil(done / 2)]
-        np.testing.assert_array_equal(state.memory[0], [[*expected, 0.01 * (np.ceil(done / 2) * 2 - 2)]] * 2)
+        np.testing.assert_array_equal(
+            state.memory[0], [[*expected, 0.01 * (np.ceil(done / 2) * 2 - 2)]] * 2
+        )
         # The second call of each car sees the path that its own plan has written.
         np.testing.assert_array_equal(state.path[0, :, 0, 0], expected[0])
     assert state.tick[0] == 100

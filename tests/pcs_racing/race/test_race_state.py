@@ -14,7 +14,11 @@ def state() -> RaceState:
     rng = np.random.default_rng(0)
     state = empty_state(3, 4)
     for array in state:
-        array[...] = rng.integers(0, 2, array.shape) if array.dtype.kind in "iu" else rng.normal(size=array.shape)
+        array[...] = (
+            rng.integers(0, 2, array.shape)
+            if array.dtype.kind in "iu"
+            else rng.normal(size=array.shape)
+        )
     return state
 
 

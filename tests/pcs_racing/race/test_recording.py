@@ -6,7 +6,15 @@ from recorded_races import PYTHON
 from refusal import refused
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, Planner, RaceResult, Starts, VehicleParams, load_race_config, record_race
+from pcs_racing import (
+    InputError,
+    Planner,
+    RaceResult,
+    Starts,
+    VehicleParams,
+    load_race_config,
+    record_race,
+)
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.view import PATH_SPEED, PATH_X
 from pcs_racing.race import recording
@@ -23,7 +31,11 @@ CONTEST = load_race_config("contest", duration=6.0)
 
 def policies(kind: str):
     blind = Planner("blind", (), drive=lambda track, theta, view, memory: (0.0, 6.0))
-    others = {"lattice": LATTICE.policy({"pace": 0.9}), "python": PYTHON.policy(), "blind": blind.policy()}
+    others = {
+        "lattice": LATTICE.policy({"pace": 0.9}),
+        "python": PYTHON.policy(),
+        "blind": blind.policy(),
+    }
     return LATTICE.policy({"pace": 0.3}), others[kind]
 
 
@@ -39,7 +51,9 @@ def test_a_recorded_race_is_the_race(oval, config, kind):
         np.testing.assert_array_equal(replay.progress[-1], result.state.progress[index])
         crashes = {event.car for event in replay.events if event.kind == "crash"}
         assert crashes == set(np.flatnonzero(result.state.fault[index]))
-        overtakes = [sum(e.kind == "overtake" and e.car == car for e in replay.events) for car in range(2)]
+        overtakes = [
+            sum(e.kind == "overtake" and e.car == car for e in replay.events) for car in range(2)
+        ]
         np.testing.assert_array_equal(overtakes, result.state.overtakes[index])
         assert ("crash" in replay.outcome) == bool(result.crashed[index])
 
@@ -53,7 +67,9 @@ def test_policies_may_change_on_the_way(oval):
     state = start_races(setup, start, noise)
     for step in range(3):
         advance(setup, state, theta[step : step + 1], 200)
-    replay = record_drive(setup, start, noise[0], theta, names=("a", "b"), ends=(200, 400), candidates=False)
+    replay = record_drive(
+        setup, start, noise[0], theta, names=("a", "b"), ends=(200, 400), candidates=False
+    )
     np.testing.assert_array_equal(replay.cars[-1], state.cars[0])
     np.testing.assert_array_equal(replay.progress[-1], state.progress[0])
     assert replay.car_names == ("a", "b")
@@ -75,7 +91,11 @@ def test_what_a_replay_holds(oval):
     assert replay.paths.shape[:2] == (plans, 2)
     assert len(replay.candidates) == plans
     # Both policies are of one name.
-    assert replay.car_names == tell_apart(("lattice", "lattice")) == ("lattice (car 0)", "lattice (car 1)")
+    assert (
+        replay.car_names
+        == tell_apart(("lattice", "lattice"))
+        == ("lattice (car 0)", "lattice (car 1)")
+    )
     assert tell_apart(("lattice", "python")) == ("lattice", "python")
     assert re.match(r"lattice \(car [01]\) wins by ", replay.outcome)
     np.testing.assert_allclose(replay.half_sizes, [[0.29, 0.155], [0.25, 0.125]])
@@ -83,7 +103,9 @@ def test_what_a_replay_holds(oval):
 
 
 def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
-    """The first at the car itself; the others go on from the plan before, and half of what a car strays is forgiven."""
+    """The first at the car itself; the others go on from the plan before, and half of what a car
+    strays is forgiven.
+    """
     replay = record_race(oval, *policies("lattice"), PAPER)
     times = replay.paths[..., 3]
     assert (times[..., 0] == 0.0).all()
@@ -93,16 +115,19 @@ def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
     away = np.hypot(*(replay.paths[::2, :, 0, :2] - at_plan).T)
     np.testing.assert_allclose(away[:, 0], 0.0, atol=1e-9)
     assert away.max() < 0.1
-    # Candidates are asked for before the plan is made: they show what was on offer, farther than the path is.
+    # Candidates are asked for before the plan is made: they show what was on offer, farther than
+    # the path is.
     compared = 0
     for row in range(len(replay.candidates)):
         for car in range(2):
             costs = replay.costs[row, car]
-            if np.isinf(costs).all():  # in a pinch it takes the least evil, which the costs no longer tell
+            # in a pinch it takes the least evil, which the costs no longer tell
+            if np.isinf(costs).all():
                 continue
             best = replay.candidates[row, car, int(np.argmin(costs)), 1:]
             curve = CubicSpline(np.arange(8), best)(np.linspace(0.0, 7.0, 400))
-            ahead = replay.paths[row, car, 4:, :2]  # the first of the candidate's pieces begins at the car
+            # the first of the candidate's pieces begins at the car
+            ahead = replay.paths[row, car, 4:, :2]
             assert np.hypot(*(ahead[:, None] - curve).T).min(axis=0).max() < 0.03
             compared += 1
     assert compared > 0.9 * replay.costs.shape[0] * replay.costs.shape[1]
@@ -157,12 +182,16 @@ def test_what_happened_is_told_with_the_time_and_a_plan_with_its_times():
     state.crash[0], state.contact[0] = (1, 0, 0), (0, 2, 1)
     events = recording._happened(state, np.array([1, 1, 0]), np.array([0, 0, 2], np.int8))
     assert events == [
-        ReplayEvent(1.5, 1, "overtake", "overtakes"), ReplayEvent(1.5, 0, "crash", "crashes into the wall"),
+        ReplayEvent(1.5, 1, "overtake", "overtakes"),
+        ReplayEvent(1.5, 0, "crash", "crashes into the wall"),
         ReplayEvent(1.5, 1, "crash", "crashes into another car"),
-    ]  # fmt: skip
+    ]
     two = take(empty_state(1, 0, 2), [0])
     two.fault[0, 1] = 1
-    assert recording._happened(two, np.zeros(2, int), np.zeros(2, np.int8))[0].text == "crashes into the other car"
+    assert (
+        recording._happened(two, np.zeros(2, int), np.zeros(2, np.int8))[0].text
+        == "crashes into the other car"
+    )
     path = np.zeros((2, 4, 4))
     path[0, :, PATH_X], path[0, :, PATH_SPEED] = [1.0, 2.0, 4.0, 4.5], [1.0, 3.0, 0.0, 0.0]
     followed = recording._followed(path)

@@ -35,7 +35,8 @@ def test_a_frame_shows_both_cars_where_they_are_and_the_track_between_its_walls(
     frame = renderer.render(race.cars[0])
     assert frame.shape == (400, 800, 3)
     assert frame.dtype == np.uint8
-    scale = 0.91 * 400 / 10.0  # the picture's middle is the track's, 20 m x 10 m fit with a margin: 36.4 pixels a metre
+    # the picture's middle is the track's, 20 m x 10 m fit with a margin: 36.4 pixels a metre
+    scale = 0.91 * 400 / 10.0
     for colour, (x, y) in [(BLUE, race.cars[0, 0, :2]), (AMBER, race.cars[0, 1, :2])]:
         rows, columns = np.nonzero(near(frame, colour))
         assert columns.mean() == pytest.approx(400 + (x - 10.0) * scale, abs=3)
@@ -59,7 +60,9 @@ def test_a_frame_does_not_depend_on_those_before(race, view):
     used = Renderer(race, 320, 200, view=view)
     for cars in race.cars[:15]:
         used.render(cars)
-    assert np.array_equal(used.render(race.cars[20]), Renderer(race, 320, 200, view=view).render(race.cars[20]))
+    assert np.array_equal(
+        used.render(race.cars[20]), Renderer(race, 320, 200, view=view).render(race.cars[20])
+    )
 
 
 def test_plans_trails_and_candidates_are_drawn(race):
@@ -67,13 +70,18 @@ def test_plans_trails_and_candidates_are_drawn(race):
     cars = race.cars[10]
     plain = renderer.render(cars)
     reach = np.linspace(0.0, 2.0, 5)
-    fan = cars[:, None, None, :2] + np.stack([reach[None] + 0 * reach[:3, None], np.outer([-0.3, 0.0, 0.3], reach)], -1)
+    fan = cars[:, None, None, :2] + np.stack(
+        [reach[None] + 0 * reach[:3, None], np.outer([-0.3, 0.0, 0.3], reach)], -1
+    )
     assert (renderer.render(cars, plans=race.paths[5]) != plain).any()
     assert (renderer.render(cars, trails=race.cars[:11, :, :2]) != plain).any()
     assert (renderer.render(cars, text="12.0 s") != plain).any()
     all_good = renderer.render(cars, candidates=fan, costs=np.ones((2, 3)))
     one_bad = renderer.render(cars, candidates=fan, costs=np.array([[1.0, 2.0, np.inf]] * 2))
-    reddish = [np.count_nonzero(f[..., 0].astype(int) > f[..., 1] + 20 + f[..., 2] * 0.1) for f in (all_good, one_bad)]
+    reddish = [
+        np.count_nonzero(f[..., 0].astype(int) > f[..., 1] + 20 + f[..., 2] * 0.1)
+        for f in (all_good, one_bad)
+    ]
     assert reddish[1] > reddish[0] + 40
 
 
@@ -87,7 +95,11 @@ def test_a_track_is_a_scene_whose_names_can_be_read(oval):
 
     def luminance(colour):
         share = np.array(colour) / 255
-        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722)
+        return np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4) @ (
+            0.2126,
+            0.7152,
+            0.0722,
+        )
 
     for car in range(MOST_CARS):
         dark, light = sorted(luminance(COLOURS[name]) + 0.05 for name in (f"name{car}", "asphalt"))
@@ -95,12 +107,23 @@ def test_a_track_is_a_scene_whose_names_can_be_read(oval):
 
 
 def test_impossible_wishes_are_named(race, tmp_path):
-    assert views(3) == (*views(2), "car_2") == (*views(1), "car_2") == ("track", "both", "car_0", "car_1", "car_2")
+    assert (
+        views(3)
+        == (*views(2), "car_2")
+        == (*views(1), "car_2")
+        == ("track", "both", "car_0", "car_1", "car_2")
+    )
     for name, value in [("mode", "ansi"), ("view", "car_2"), ("width", 10), ("height", 2.5)]:
         refused(name, Renderer, race, **{name: value})
     refused("scene", Renderer, "Spielberg")
     renderer = Renderer(race, 100, 100)
-    for cars in (np.zeros((9, 7)), np.zeros(7), np.zeros((2, 6)), np.zeros((0, 7)), np.diag([np.nan] + [0.0] * 6)):
+    for cars in (
+        np.zeros((9, 7)),
+        np.zeros(7),
+        np.zeros((2, 6)),
+        np.zeros((0, 7)),
+        np.diag([np.nan] + [0.0] * 6),
+    ):
         refused("cars", renderer.render, cars)
     refused("fps", replay_frames, race, fps=0.0)
     refused("gif", write_gif, race, tmp_path / "race.mp4")
@@ -122,7 +145,10 @@ def test_a_window_shows_frames(race, monkeypatch):
     renderer._window._clock = SimpleNamespace(tick=waited.append)
     monkeypatch.setattr(renderer._window._pygame.event, "pump", lambda: waited.append(0.0))
     assert renderer.render(race.cars[1]) is None
-    assert (waited, renderer._window._pygame.display.get_caption()[0]) == ([0.0, 1000.0], "pcs-racing")
+    assert (waited, renderer._window._pygame.display.get_caption()[0]) == (
+        [0.0, 1000.0],
+        "pcs-racing",
+    )
     renderer.close()
     renderer.close()
 
@@ -138,7 +164,9 @@ def test_one_car_and_sizes_of_its_own(race):
     small = Renderer(race, 400, 200, view="car_0").render(race.cars[0, :1])
     large = Renderer(race, 400, 200, view="car_0", half_sizes=sizes).render(race.cars[0, :1])
     assert near(large, BLUE).sum() > 2 * near(small, BLUE).sum()
-    from_replay = Renderer(dataclasses.replace(race, half_sizes=[[0.6, 0.3]] * 2), 400, 200, view="car_0")
+    from_replay = Renderer(
+        dataclasses.replace(race, half_sizes=[[0.6, 0.3]] * 2), 400, 200, view="car_0"
+    )
     assert np.array_equal(from_replay.render(race.cars[0, :1]), large)
 
 
@@ -148,7 +176,9 @@ NAME_BLUE, NAME_AMBER = (21, 89, 176), (148, 89, 0)
 @pytest.mark.parametrize("view", views(2))
 @pytest.mark.parametrize("apart", [(0.0, 0.0), (0.6, 0.0), (0.0, 0.5), (3.0, -0.3), (-3.0, 0.3)])
 def test_each_car_has_its_name_beside_it(race, view, apart):
-    """Even where both cars are at one place: neither name covers the other, and none leaves the frame."""
+    """Even where both cars are at one place: neither name covers the other, and none leaves the
+    frame.
+    """
     renderer = Renderer(race, 600, 400, view=view)
     cars = np.array([state(5.0, 1.0, 0.0), state(5.0 + apart[0], 1.0 + apart[1], 0.0)])
     frame = renderer.render(cars, names=("you", "opponent"))
@@ -161,28 +191,50 @@ def test_each_car_has_its_name_beside_it(race, view, apart):
 
 
 def test_frames_show_each_moment_with_its_plan_its_trail_and_who_leads(race):
-    """What the renderer is asked to draw, by times: frames 0.05 s apart, plans 0.1 s, trails of 2 s."""
+    """What the renderer is asked to draw, by times: frames 0.05 s apart, plans 0.1 s, trails of 2
+    s.
+    """
     asked = []
-    renderer = SimpleNamespace(mode="rgb_array", render=lambda cars, **given: asked.append((cars, given)) or cars)
+    renderer = SimpleNamespace(
+        mode="rgb_array", render=lambda cars, **given: asked.append((cars, given)) or cars
+    )
     race = race_on_a_circle(candidates=3)
     behind = dataclasses.replace(race, progress=race.progress[:, ::-1] + [0.0, 0.5])
     for replay, name, shown in ((race, "inner", False), (behind, "outer", True)):
         asked.clear()
-        assert len(list(replay_frames(replay, renderer, fps=5.0, speed=1.5, candidates=shown))) == 14
+        assert (
+            len(list(replay_frames(replay, renderer, fps=5.0, speed=1.5, candidates=shown))) == 14
+        )
         for k, (cars, given) in enumerate(asked):
             time = k * 0.3
             i, plan = round(time / 0.05), min(int(time / 0.1 + 1e-6), 39)
             np.testing.assert_array_equal(cars, replay.cars[i])
-            np.testing.assert_array_equal(given.pop("trails"), replay.cars[max(0, i - 40) : i + 1, :, :2])
+            np.testing.assert_array_equal(
+                given.pop("trails"), replay.cars[max(0, i - 40) : i + 1, :, :2]
+            )
             np.testing.assert_array_equal(given.pop("plans"), replay.paths[plan])
             if shown:
                 np.testing.assert_array_equal(given.pop("candidates"), replay.candidates[plan])
                 np.testing.assert_array_equal(given.pop("costs"), replay.costs[plan])
             lead = abs(np.diff(replay.progress[i])[0])
-            assert given == {"names": ("inner", "outer"), "text": f"{time:.1f} s    {name} leads by {lead:.1f} m"}
+            assert given == {
+                "names": ("inner", "outer"),
+                "text": f"{time:.1f} s    {name} leads by {lead:.1f} m",
+            }
     asked.clear()
-    alone = {"car_names": ("one",), "cars": race.cars[:, :1], "progress": race.progress[:, :1], "ittc": None}
-    bare = {"paths": None, "candidates": None, "costs": None, "events": (), "half_sizes": [[0.3, 0.2]]}
+    alone = {
+        "car_names": ("one",),
+        "cars": race.cars[:, :1],
+        "progress": race.progress[:, :1],
+        "ittc": None,
+    }
+    bare = {
+        "paths": None,
+        "candidates": None,
+        "costs": None,
+        "events": (),
+        "half_sizes": [[0.3, 0.2]],
+    }
     assert len(list(replay_frames(dataclasses.replace(race, **alone, **bare), renderer))) == 81
     assert asked[-1][1].keys() == {"trails", "names", "text"}
     assert asked[-1][1]["text"] == "4.0 s    one leads by 0.0 m"
@@ -207,23 +259,42 @@ def check(drawn, expected) -> None:
 
 def test_paths_are_painted_where_they_are_in_their_colours():
     camera = Camera(2.0, 1.0, 10.0, 200, 100)
-    np.testing.assert_array_equal(camera.pixels(np.array([[2.0, 1.0, 9.0], [3.0, 3.0, 9.0]])), [[100, 50], [110, 30]])
+    np.testing.assert_array_equal(
+        camera.pixels(np.array([[2.0, 1.0, 9.0], [3.0, 3.0, 9.0]])), [[100, 50], [110, 30]]
+    )
     trails = np.arange(16.0).reshape(4, 2, 2)
-    for view, width in ((camera, 4), (camera._replace(scale=100.0), 13)):  # fine pixels: 13 cm, or two pixels
-        trail = [(view.pixels(trails[i : i + 2, car]), (*COLOURS[f"car{car}"], round(120 * (0.25 + i / 4) ** 1.6)),
-                  width)
-                 for car in range(2) for i in range(3)]  # fmt: skip
-        check(painted(painting.paint_trails, view, trails), trail)  # the oldest piece is the faintest
+    # fine pixels: 13 cm, or two pixels
+    for view, width in ((camera, 4), (camera._replace(scale=100.0), 13)):
+        trail = [
+            (
+                view.pixels(trails[i : i + 2, car]),
+                (*COLOURS[f"car{car}"], round(120 * (0.25 + i / 4) ** 1.6)),
+                width,
+            )
+            for car in range(2)
+            for i in range(3)
+        ]
+        # the oldest piece is the faintest
+        check(painted(painting.paint_trails, view, trails), trail)
     paths = np.stack([np.column_stack([np.arange(3.0), np.full(3, k)]) for k in range(5)])
     paths[3, 2], paths[4, 1:] = np.nan, np.nan  # a shorter one, and one that is a point alone
     red, worst, best = (np.array(COLOURS[name]) for name in ("rejected", "worst", "best"))
-    mixed = [(*np.rint(worst + (best - worst) * (share / 3) ** 1.7).astype(int).tolist(), 190) for share in (1, 2, 3)]
+    mixed = [
+        (*np.rint(worst + (best - worst) * (share / 3) ** 1.7).astype(int).tolist(), 190)
+        for share in (1, 2, 3)
+    ]
     points = [camera.pixels(path[~np.isnan(path[:, 0])]) for path in paths]
     fans = zip([points[k] for k in (1, 3, 0, 2)], [(*red, 90), *mixed], [2] * 4, strict=True)
-    check(painted(painting.paint_candidates, camera, paths, np.array([2.0, np.inf, 1.0, 3.0, 4.0])), list(fans))
+    check(
+        painted(painting.paint_candidates, camera, paths, np.array([2.0, np.inf, 1.0, 3.0, 4.0])),
+        list(fans),
+    )
     check(painted(painting.paint_plan, camera, BLUE, paths[3]), [(points[3], BLUE, 6)])
     check(painted(painting.paint_plan, camera, BLUE, paths[4]), [])
-    stops, found = [(0, 100), (40, 0), (100, 100)], [(0, 100), (0, 100), (20, 50), (70, 50), (100, 100), (100, 100)]
+    stops, found = (
+        [(0, 100), (40, 0), (100, 100)],
+        [(0, 100), (0, 100), (20, 50), (70, 50), (100, 100), (100, 100)],
+    )
     assert [painting._between(stops, share) for share in (-1.0, 0.0, 0.25, 0.75, 1.0, 2.0)] == found
 
 
@@ -233,7 +304,9 @@ def test_a_name_ends_a_gap_before_its_car_and_in_the_frame(scale, gap):
 
     def box(cars, car):
         image = Image.new("RGB", (600, 400), "white")
-        camera = Camera(0.0, 0.0, scale * painting.FINER, 600 * painting.FINER, 400 * painting.FINER)
+        camera = Camera(
+            0.0, 0.0, scale * painting.FINER, 600 * painting.FINER, 400 * painting.FINER
+        )
         names = [*[""] * car, "driver"]
         cars, font = np.array(cars) / scale, ImageFont.load_default(16)
         painting.paint_names(image, camera, cars, np.array([[0.25, 0.1]]), names, font, 30.0)
@@ -253,28 +326,58 @@ def test_a_name_ends_a_gap_before_its_car_and_in_the_frame(scale, gap):
 
 @pytest.mark.parametrize(("scale", "arrow"), [(53.4, False), (53.3, True)])
 def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale, arrow):
-    """A car of 0.6 m x 0.4 m that drives to the upper left; an arrow from a length of 16 pixels of the frame down."""
-    for shape in (painting._BODY, painting._COCKPIT, painting._WHEELS, painting._ARROW, painting._AHEAD):
+    """A car of 0.6 m x 0.4 m that drives to the upper left; an arrow from a length of 16 pixels of
+    the frame down.
+    """
+    for shape in (
+        painting._BODY,
+        painting._COCKPIT,
+        painting._WHEELS,
+        painting._ARROW,
+        painting._AHEAD,
+    ):
         assert {(x, -y) for x, y in shape} == set(shape)  # both sides are alike
         inside = shape not in (painting._ARROW, painting._AHEAD)
-        assert np.abs(shape).max() <= 1.0 if inside else np.argmax(shape, axis=0)[0] == 0  # or points ahead
-    camera, psi, delta, half, square = Camera(0.0, 0.0, scale, 400, 400), 2.5, 0.3, (0.3, 0.2), [1, -1, -1, 1]
+        # or points ahead
+        assert np.abs(shape).max() <= 1.0 if inside else np.argmax(shape, axis=0)[0] == 0
+    camera, psi, delta, half, square = (
+        Camera(0.0, 0.0, scale, 400, 400),
+        2.5,
+        0.3,
+        (0.3, 0.2),
+        [1, -1, -1, 1],
+    )
 
     def turned(points, angle):
-        return np.asarray(points) @ [[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]
+        return np.asarray(points) @ [
+            [np.cos(angle), np.sin(angle)],
+            [-np.sin(angle), np.cos(angle)],
+        ]
 
     def place(shape, factor=1.0):
         return camera.pixels(np.array([1.0, 0.5]) + turned(np.multiply(shape, half) * factor, psi))
 
     box = np.column_stack([square, [1, 1, -1, -1]])
-    tyre, bars = COLOURS["tyre"], [[[x - 0.05 * -s, w * t] for s, t in box] for x, w in ((0.92, 0.72), (-0.9, 0.8))]
+    tyre, bars = (
+        COLOURS["tyre"],
+        [[[x - 0.05 * -s, w * t] for s, t in box] for x, w in ((0.92, 0.72), (-0.9, 0.8))],
+    )
     wheels = [
-        np.array(at) + turned(box * (0.06, 0.034), delta if at[0] > 0.0 else 0.0) / half for at in painting._WHEELS
+        np.array(at) + turned(box * (0.06, 0.034), delta if at[0] > 0.0 else 0.0) / half
+        for at in painting._WHEELS
     ]
-    whole = [(painting._AHEAD, BLUE), (box, (*BLUE, 50)), *((wheel, tyre) for wheel in wheels), (painting._BODY, BLUE),
-             *((bar, BLUE) for bar in bars), (painting._COCKPIT, tyre)]  # fmt: skip
+    whole = [
+        (painting._AHEAD, BLUE),
+        (box, (*BLUE, 50)),
+        *((wheel, tyre) for wheel in wheels),
+        (painting._BODY, BLUE),
+        *((bar, BLUE) for bar in bars),
+        (painting._COCKPIT, tyre),
+    ]
     small = [(place(painting._ARROW, 11.0 * 2 / (0.3 * scale)), BLUE, 0)]
-    drawn = painted(painting.paint_car, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array(half))
+    drawn = painted(
+        painting.paint_car, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array(half)
+    )
     check(drawn, small if arrow else [(place(shape), colour, 0) for shape, colour in whole])
 
 
@@ -282,7 +385,9 @@ def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
     """800 x 400 pixels of two fine ones, a track of 20 m x 10 m around (10, 5)."""
 
     def aim(view, *places):
-        camera = Renderer(race, 800, 400, view=view)._aim(np.array([state(*place, 0.0) for place in places]))
+        camera = Renderer(race, 800, 400, view=view)._aim(
+            np.array([state(*place, 0.0) for place in places])
+        )
         assert (camera.width, camera.height) == (1600, 800)
         return camera[:3]
 
@@ -299,7 +404,8 @@ def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
         x, y, scale = aim(view, *places)
         assert (x, y, scale) == pytest.approx(wanted, abs=0.5 / scale), (view, places)
         assert (x * scale, y * scale) == pytest.approx((round(x * scale), round(y * scale)))
-    assert Renderer(race, 100, 100, view="car_0")._aim(race.cars[0]).scale == 64.0  # however small the frame
+    # however small the frame
+    assert Renderer(race, 100, 100, view="car_0")._aim(race.cars[0]).scale == 64.0
 
 
 def test_a_renderer_may_go_on_with_another_scene_and_other_cars(race, oval):
@@ -313,18 +419,24 @@ def test_a_renderer_may_go_on_with_another_scene_and_other_cars(race, oval):
 @pytest.mark.parametrize(("fps", "lasts"), [(50.0, 20), (30.0, 30), (7.0, 140), (0.5, 2000)])
 def test_a_frame_of_a_gif_lasts_whole_hundredths_of_a_second(race, tmp_path, fps, lasts):
     small = Renderer(race, 64, 64)
-    with Image.open(write_gif(race, tmp_path / "race.gif", renderer=small, fps=fps, speed=fps / 5.0)) as gif:
+    with Image.open(
+        write_gif(race, tmp_path / "race.gif", renderer=small, fps=fps, speed=fps / 5.0)
+    ) as gif:
         assert gif.info["duration"] == lasts
 
 
 def test_a_gif_plays_the_race(race, tmp_path):
-    path = write_gif(race, tmp_path / "race.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
+    path = write_gif(
+        race, tmp_path / "race.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0
+    )
     with Image.open(path) as gif:
         assert gif.size == (160, 100)
         assert gif.n_frames == 11
         assert gif.info["duration"] == 100
     assert [file.name for file in tmp_path.iterdir()] == ["race.gif"]
-    again = write_gif(race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0)
+    again = write_gif(
+        race, tmp_path / "b.gif", renderer=Renderer(race, 160, 100), fps=10.0, speed=1.0
+    )
     assert again.read_bytes() == path.read_bytes()
 
 

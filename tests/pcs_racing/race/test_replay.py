@@ -37,7 +37,12 @@ WRONG = {
     "outcome": (None,),
     "frame_dt": (0.0, float("nan")),
     "plan_dt": ("0.1",),
-    "cars": (np.zeros((0, 2, 7)), np.zeros((5, 3, 7)), _changed(GOOD.cars, (3, 1, 0), np.nan), "fast"),
+    "cars": (
+        np.zeros((0, 2, 7)),
+        np.zeros((5, 3, 7)),
+        _changed(GOOD.cars, (3, 1, 0), np.nan),
+        "fast",
+    ),
     "progress": (GOOD.progress[:-1],),
     "walls": (np.zeros((4, 3)),),
     "line": (np.zeros((2, 2)),),
@@ -47,13 +52,21 @@ WRONG = {
     "candidates": (GOOD.candidates[:-1],),
     "costs": (None, *(_changed(GOOD.costs, (0, 0, 0), value) for value in (-np.inf, np.nan))),
     "half_sizes": (np.zeros((2, 2)), [0.29, 0.155]),
-    "events": ("crash", *(ReplayEvent(*event) for event in ((-1.0, 0, "crash"), (1.0, 2, "crash"), (1.0, 0, 5)))),
+    "events": (
+        "crash",
+        *(ReplayEvent(*event) for event in ((-1.0, 0, "crash"), (1.0, 2, "crash"), (1.0, 0, 5))),
+    ),
 }
 
 
 def test_impossible_values_are_named():
     for field, value in [(field, value) for field, values in WRONG.items() for value in values]:
-        refused(field.removesuffix("s"), dataclasses.replace, GOOD, **{field: (value,) if field == "events" else value})
+        refused(
+            field.removesuffix("s"),
+            dataclasses.replace,
+            GOOD,
+            **{field: (value,) if field == "events" else value},
+        )
 
 
 NASTY = '</script><b>bold</b><script>document.title="owned"</script><!--replay--><!--title-->&amp;"\'\u2028'
@@ -64,8 +77,15 @@ def test_a_race_comes_back_rounded(tmp_path, suffix):
     replay = race_on_a_circle(candidates=7, car_names=("Ωmega, ü", NASTY), title=NASTY)
     path = save_replay(replay, tmp_path / f"a race{suffix}")
     back = read_replay(path)
-    assert (back.title, back.car_names, back.events) == (replay.title, replay.car_names, replay.events)
-    fine, coarse = ("cars", "progress", "line", "paths"), ("candidates", "walls", "line_speed", "ittc")
+    assert (back.title, back.car_names, back.events) == (
+        replay.title,
+        replay.car_names,
+        replay.events,
+    )
+    fine, coarse = (
+        ("cars", "progress", "line", "paths"),
+        ("candidates", "walls", "line_speed", "ittc"),
+    )
     for name in fine + coarse:
         within = 0.0005 if name in fine else 0.005
         assert np.abs(getattr(back, name) - getattr(replay, name)).max() <= within + 1e-9, name
@@ -74,7 +94,9 @@ def test_a_race_comes_back_rounded(tmp_path, suffix):
 
 
 def test_optional_parts_may_be_absent_and_a_race_of_40_s_is_small(tmp_path):
-    bare = race_on_a_circle(paths=None, ittc=None, line_speed=None, events=(), walls=np.zeros((0, 4)))
+    bare = race_on_a_circle(
+        paths=None, ittc=None, line_speed=None, events=(), walls=np.zeros((0, 4))
+    )
     back = read_replay(save_replay(bare, tmp_path / "bare.html"))
     assert back.paths is None
     assert back.candidates is None
@@ -92,10 +114,14 @@ def test_the_page_is_one_file_that_loads_nothing_and_names_can_not_break_out(tmp
     page = save_replay(race_on_a_circle(candidates=3), tmp_path / "race.html").read_text()
     assert "default-src 'none'" in page
     assert not re.search(r"https?://(?!www\.w3\.org/2000/svg)", page)
-    assert not re.search(r"<(link|img|iframe)|\bsrc=|@import|url\(|fetch\(|XMLHttpRequest|innerHTML|eval\(", page)
+    assert not re.search(
+        r"<(link|img|iframe)|\bsrc=|@import|url\(|fetch\(|XMLHttpRequest|innerHTML|eval\(", page
+    )
     calm = save_replay(race_on_a_circle(), tmp_path / "calm.html").read_text()
     events = (ReplayEvent(1.0, 0, NASTY, NASTY),)
-    nasty = race_on_a_circle(title=NASTY, track_name=NASTY, car_names=(NASTY, NASTY), outcome=NASTY, events=events)
+    nasty = race_on_a_circle(
+        title=NASTY, track_name=NASTY, car_names=(NASTY, NASTY), outcome=NASTY, events=events
+    )
     page = save_replay(nasty, tmp_path / "nasty.html").read_text()
     for tag in ("<script", "</script", "<b>", "<!--"):
         assert page.count(tag) == calm.count(tag), tag
@@ -116,7 +142,16 @@ def test_files_are_replaced_whole_or_not_at_all_and_impossible_places_refused(tm
     refused(r"missing\.html", read_replay, tmp_path / "missing.html")
 
 
-OTHERS = ("", "<html></html>", "[]", "null", "[" * 100_000, '{"format": "pcs-racing replay 2"}', "1" * 5000, "ÿþ")
+OTHERS = (
+    "",
+    "<html></html>",
+    "[]",
+    "null",
+    "[" * 100_000,
+    '{"format": "pcs-racing replay 2"}',
+    "1" * 5000,
+    "ÿþ",
+)
 
 
 @pytest.mark.parametrize("text", OTHERS, ids=lambda text: text[:10])
@@ -131,7 +166,12 @@ IN_FILES = {
     "title": (["x"],),
     "frame_dt": (10**400,),
     "half_sizes": ([[10**400, 1], [1, 1]], None, [None, None], [[None, 1], [1, 1]]),
-    "events": ([[1.0, 0, "crash"]], [["soon", 0, "crash", ""]], [[float("nan"), 0, "crash", ""]], {}),
+    "events": (
+        [[1.0, 0, "crash"]],
+        [["soon", 0, "crash", ""]],
+        [[float("nan"), 0, "crash", ""]],
+        {},
+    ),
     "cars": ({"shape": [1]}, [[0.0]]),
     "walls": ({"points": 1, "counts": 2},),
     "paths": ("none",),
@@ -200,7 +240,8 @@ def test_the_page_answers_to_its_viewer(tmp_path, browser):
     assert seen["lead"] == pytest.approx(replay.lead[-1], abs=0.002)
     assert seen["pose"] == pytest.approx(list(replay.cars[40, 1, :2]), abs=0.001)
     assert seen["pressed"] == [3.5, "1", False]
-    assert seen["played"] == [pytest.approx(3.5 + 12 * 0.05 * 2), 2, True, 1]  # the move came at 4 s
+    # the move came at 4 s
+    assert seen["played"] == [pytest.approx(3.5 + 12 * 0.05 * 2), 2, True, 1]
     assert seen["zoomed"] == pytest.approx(np.exp(0.48), rel=0.01)
     assert seen["clicked"] == pytest.approx(3.0, abs=0.05)
     assert seen["drawn"] == pytest.approx(seen["clicked"], abs=0.01)

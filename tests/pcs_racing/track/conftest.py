@@ -1,4 +1,6 @@
-"""Grids drawn for these tests, rings around a closed line, and what the oval of all tests is made of."""
+"""Grids drawn for these tests, rings around a closed line, and what the oval of all tests is made
+of.
+"""
 
 import numpy as np
 import pytest
@@ -10,7 +12,9 @@ def superellipse(a: float, b: float, power: float = 4.0, points: int = 400) -> n
     """Rounded rectangle with semi-axes a and b, counterclockwise."""
     t = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
     x, y = np.cos(t), np.sin(t)
-    return np.column_stack([a * np.sign(x) * np.abs(x) ** (2.0 / power), b * np.sign(y) * np.abs(y) ** (2.0 / power)])
+    return np.column_stack(
+        [a * np.sign(x) * np.abs(x) ** (2.0 / power), b * np.sign(y) * np.abs(y) ** (2.0 / power)]
+    )
 
 
 @pytest.fixture(scope="session")
@@ -23,7 +27,9 @@ def box():
 
 @pytest.fixture
 def values(oval):
-    """What the oval was built from, or nearly so: its grid is cropped, and infield and outfield are walls too."""
+    """What the oval was built from, or nearly so: its grid is cropped, and infield and outfield are
+    walls too.
+    """
     arrays = oval.arrays
     return {
         "occupied": arrays.distance == 0.0,

@@ -18,7 +18,9 @@ def _difference(track, a, b):
 
 def test_the_oval_is_what_geometry_says_on_and_off_the_map_and_so_is_its_slope(oval):
     x, y, psi = oval.to_cartesian([[0.0, 0.0], [6.0, 0.5], [12.0 + 2.0 * np.pi, 1.0]]).T
-    np.testing.assert_allclose(np.column_stack([x, y]), [[-6.0, -4.0], [0.0, -3.5], [9.0, 0.0]], atol=0.01)
+    np.testing.assert_allclose(
+        np.column_stack([x, y]), [[-6.0, -4.0], [0.0, -3.5], [9.0, 0.0]], atol=0.01
+    )
     np.testing.assert_allclose(psi, [0.0, 0.0, 0.5 * np.pi], atol=0.02)
     s, d = oval.to_frenet([0.0, -50.0])
     np.testing.assert_allclose([s, d], [6.0, -46.0], atol=0.01)
@@ -32,7 +34,9 @@ def test_the_oval_is_what_geometry_says_on_and_off_the_map_and_so_is_its_slope(o
     for d in (0.0, 0.7, -0.9):
         at = np.full_like(s, d)
         here = oval.to_cartesian(np.column_stack([s, at]))
-        ahead, behind = (oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5))
+        ahead, behind = (
+            oval.to_cartesian(np.column_stack([s + h, at]))[:, :2] for h in (1e-5, -1e-5)
+        )
         way = np.arctan2(*(ahead - behind).T[::-1])
         np.testing.assert_allclose(np.cos(way - here[:, 2]), 1.0, atol=1e-7)
 
@@ -44,7 +48,12 @@ def test_s_and_d_are_continuous_in_every_direction(oval, along, across, directio
     r = np.arange(200) * 1e-3
     found = np.array(
         [
-            frenet.project(oval.arrays, x + a * np.cos(direction), y + a * np.sin(direction), along * oval.length)
+            frenet.project(
+                oval.arrays,
+                x + a * np.cos(direction),
+                y + a * np.sin(direction),
+                along * oval.length,
+            )
             for a in r
         ]
     )
@@ -56,7 +65,9 @@ def test_s_and_d_are_continuous_in_every_direction(oval, along, across, directio
 @given(hint=st.floats(-1e6, 1e6), along=fractions)
 def test_any_real_hint_is_wrapped(oval, hint, along):
     x, y, _ = frenet.to_cartesian(oval.arrays, along * oval.length, 0.0)
-    s, _ = frenet.project(oval.arrays, x, y, along * oval.length + np.round(hint / 100.0) * oval.length)
+    s, _ = frenet.project(
+        oval.arrays, x, y, along * oval.length + np.round(hint / 100.0) * oval.length
+    )
     assert abs(_difference(oval, s, along * oval.length)) < 1e-6
     assert 0.0 <= frenet.wrap_s(oval.arrays, hint) < oval.length
 

@@ -54,7 +54,9 @@ def test_a_ray_ends_at_the_first_wall_that_small_steps_find(drivable, x, y, angl
 
 
 def test_the_lookup_does_not_go_through_walls_and_the_way_out_leads_through_the_gap():
-    """Two corridors, one cell of wall between them; a point of the upper one lies close to the wall."""
+    """Two corridors, one cell of wall between them; a point of the upper one lies close to the
+    wall.
+    """
     drivable = _padded(np.ones((7, 20), dtype=bool))
     drivable[4, 1:19] = False  # open at the right end only
     x = np.concatenate([np.arange(1.5, 20.0), [20.5], np.arange(19.5, 1.0, -1.0)])

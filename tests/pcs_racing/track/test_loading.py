@@ -30,15 +30,26 @@ def folder(values, tmp_path):
     rows = np.zeros((len(line) + 1, 7))
     rows[:, 1:3] = np.vstack([line, line[:1]])
     grid = (values["occupied"], values["resolution"], values["origin"])
-    own = {"speed_range": [0.9, 1.1], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}, "left_share": 0.5}
+    own = {
+        "speed_range": [0.9, 1.1],
+        "start_spacing": 0.45,
+        "start_places": {"front": [[1.0, 5.5]]},
+        "left_share": 0.5,
+    }
     info = {"calibration": {"contest": own}}
-    return write_map(MapFolder("Big Oval", tmp_path / "Big Oval", *grid, values["centerline"], rows, info))
+    return write_map(
+        MapFolder("Big Oval", tmp_path / "Big Oval", *grid, values["centerline"], rows, info)
+    )
 
 
-def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(folder, oval, values):
+def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(
+    folder, oval, values
+):
     loaded = load_track(folder)
     assert loaded.name == "Big Oval"
-    assert loaded.calibration == {"contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})}
+    assert loaded.calibration == {
+        "contest": Calibration((0.9, 1.1), 0.45, {"front": ((1.0, 5.5),)})
+    }
     assert loaded.folder == folder
     np.testing.assert_allclose(loaded.line[:, :2], oval.line[:, :2], atol=1e-3)
     np.testing.assert_array_equal(loaded.arrays.distance, oval.arrays.distance)
@@ -46,7 +57,9 @@ def test_a_folder_gives_the_same_track_as_its_values_and_again_the_same_object(f
     assert load_track(folder / "Big Oval_map.yaml") is loaded
     loading._loaded.clear()
     restored = load_track(folder)
-    types = {numba.typeof(track.arrays) for track in (oval, build_track("again", **values), restored)}
+    types = {
+        numba.typeof(track.arrays) for track in (oval, build_track("again", **values), restored)
+    }
     assert len(types) == 1
 
 
@@ -60,7 +73,9 @@ def test_the_cache_on_disk_gives_the_same_track(folder, cache, monkeypatch):
     for field in dataclasses.fields(one):
         if field.name not in ("arrays", "centerline"):
             assert getattr(one, field.name) == getattr(two, field.name)
-    for first, second in zip((*one.arrays, one.centerline), (*two.arrays, two.centerline), strict=True):
+    for first, second in zip(
+        (*one.arrays, one.centerline), (*two.arrays, two.centerline), strict=True
+    ):
         np.testing.assert_array_equal(first, second)
         assert type(first) is type(second)
 
@@ -94,21 +109,36 @@ def test_cached_arrays_that_do_not_fit_each_other_are_made_anew(folder, cache, m
     arrays[wrong] = arrays[wrong] + len(one.line) if wrong == "lookup" else arrays[wrong][..., :-1]
     monkeypatch.setattr(loading, "load_cached", lambda kind, key: arrays)
     loading._loaded.clear()
-    np.testing.assert_array_equal(getattr(load_track(folder).arrays, wrong), getattr(one.arrays, wrong))
+    np.testing.assert_array_equal(
+        getattr(load_track(folder).arrays, wrong), getattr(one.arrays, wrong)
+    )
 
 
 def test_what_other_code_has_cached_is_made_anew(folder, cache, monkeypatch):
     load_track(folder)
     loading._loaded.clear()
-    monkeypatch.setattr("pcs_racing.track.cache.algorithm_digest", lambda module: f"another {module}".encode())
+    monkeypatch.setattr(
+        "pcs_racing.track.cache.algorithm_digest", lambda module: f"another {module}".encode()
+    )
     load_track(folder)
     assert len(list(cache.iterdir())) == 2
 
 
 def test_the_digest_of_an_algorithm_is_that_of_the_modules_that_it_imports():
-    track, race = (set(_sources(module, {})) for module in ("pcs_racing.track.loading", "pcs_racing.race.calibration"))
-    assert {"pcs_racing.track.building.raceline", "pcs_racing.track.frenet", "pcs_racing.base.elementary"} <= track
-    assert {"pcs_racing.planners.lattice", "pcs_racing.race.kernel", "pcs_racing.car.vehicle"} <= race
+    track, race = (
+        set(_sources(module, {}))
+        for module in ("pcs_racing.track.loading", "pcs_racing.race.calibration")
+    )
+    assert {
+        "pcs_racing.track.building.raceline",
+        "pcs_racing.track.frenet",
+        "pcs_racing.base.elementary",
+    } <= track
+    assert {
+        "pcs_racing.planners.lattice",
+        "pcs_racing.race.kernel",
+        "pcs_racing.car.vehicle",
+    } <= race
     elsewhere = {
         "pcs_racing.planners.mppi",
         "pcs_racing.race.replay",
@@ -128,7 +158,9 @@ def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monke
     assert list(cache.iterdir()) == []
 
 
-def test_where_nothing_can_be_written_nothing_is_kept_and_that_is_no_error(folder, monkeypatch, tmp_path):
+def test_where_nothing_can_be_written_nothing_is_kept_and_that_is_no_error(
+    folder, monkeypatch, tmp_path
+):
     def homeless():
         raise RuntimeError("Could not determine home directory.")
 
@@ -144,9 +176,14 @@ def test_where_nothing_can_be_written_nothing_is_kept_and_that_is_no_error(folde
 def test_a_changed_file_is_noticed_and_errors_name_the_file(folder):
     one = load_track(folder)
     info = folder / "Big Oval_track.yaml"
-    own = "{speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}, left_share: 0.5}"
+    own = (
+        "{speed_range: [0.5, 0.6], start_spacing: 0.5, start_places: {front: [[2, 3]]}, left_share:"
+        " 0.5}"
+    )
     info.write_text(f"calibration: {{contest: {own}}}")
-    assert load_track(folder).calibration == {"contest": Calibration((0.5, 0.6), 0.5, {"front": ((2.0, 3.0),)})}
+    assert load_track(folder).calibration == {
+        "contest": Calibration((0.5, 0.6), 0.5, {"front": ((2.0, 3.0),)})
+    }
     info.unlink()
     assert load_track(folder).calibration == {}
     assert load_track(folder).content_hash == one.content_hash
@@ -165,7 +202,10 @@ def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
         (folder / f"Big Oval_{kind}.csv").unlink()
     made = load_track(folder)
     load_track(folder)
-    warning = "track Big Oval: it has no race line and it has no centre line; it was made from the picture"
+    warning = (
+        "track Big Oval: it has no race line and it has no centre line; it was made from the"
+        " picture"
+    )
     assert [record.getMessage() for record in caplog.records] == [warning]
     assert np.abs(oval.to_frenet(made.centerline[:, :2])[:, 1]).max() < 0.1
     assert made.wall_distance(made.line[:, :2]).min() > 0.29
@@ -197,15 +237,23 @@ def test_an_obstacle_stays_on_the_track_and_the_line_goes_past_it(folder, oval):
     i, j = np.floor((at - content.origin) / content.resolution).astype(int)[::-1]
     occupied[i - 4 : i + 5, j - 4 : j + 5] = True
     track = load_track(
-        write_map(content._replace(folder=folder.parent / "Box", name="Box", occupied=occupied, raceline=None))
+        write_map(
+            content._replace(
+                folder=folder.parent / "Box", name="Box", occupied=occupied, raceline=None
+            )
+        )
     )
     assert track.wall_distance(at) == 0.0 < oval.wall_distance(at)
     assert track.wall_distance(track.line[:, :2]).min() > 0.29
-    write_map(content._replace(folder=folder.parent / "No", name="No", occupied=np.zeros_like(occupied)))
+    write_map(
+        content._replace(folder=folder.parent / "No", name="No", occupied=np.zeros_like(occupied))
+    )
     refused("the picture has no wall", load_track, folder.parent / "No", error=MapError)
 
 
-def test_names_that_stand_for_nothing_and_missing_mapping_tools_are_told(tmp_path, monkeypatch, folder):
+def test_names_that_stand_for_nothing_and_missing_mapping_tools_are_told(
+    tmp_path, monkeypatch, folder
+):
     monkeypatch.chdir(tmp_path)
     refused("unknown track 'Nowhere'", load_track, "Nowhere", error=UnknownNameError)
     refused(r"map folder .*nowhere", load_track, tmp_path / "nowhere", error=MapError)

@@ -1,4 +1,6 @@
-"""Map folders: what is written reads back, every common shape is found, and bad input gives one clear error."""
+"""Map folders: what is written reads back, every common shape is found, and bad input gives one
+clear error.
+"""
 
 import io
 import json
@@ -17,7 +19,14 @@ from refusal import refused
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import maps
 from pcs_racing.track.building.centerline import centerline_from_grid
-from pcs_racing.track.maps import MapFolder, find_map, find_shipped, list_tracks, read_map, write_map
+from pcs_racing.track.maps import (
+    MapFolder,
+    find_map,
+    find_shipped,
+    list_tracks,
+    read_map,
+    write_map,
+)
 
 
 def _map(folder, name="Ring"):
@@ -25,8 +34,15 @@ def _map(folder, name="Ring"):
     grid[5, 5:30] = True
     t = np.linspace(0.0, 2.0 * np.pi, 25)
     lines = np.column_stack([np.cos(t), np.sin(t), np.full(25, 0.5), np.full(25, 0.6)])
-    race = np.column_stack([t, np.cos(t), np.sin(t), t, np.ones(25), np.full(25, 3.0), np.zeros(25)])
-    own = {"speed_range": [0.9, 1.2], "start_spacing": 0.45, "start_places": {"front": [[1.0, 5.5]]}, "left_share": 0.5}
+    race = np.column_stack(
+        [t, np.cos(t), np.sin(t), t, np.ones(25), np.full(25, 3.0), np.zeros(25)]
+    )
+    own = {
+        "speed_range": [0.9, 1.2],
+        "start_spacing": 0.45,
+        "start_places": {"front": [[1.0, 5.5]]},
+        "left_share": 0.5,
+    }
     info = {"seed": 5, "style": "hull", "license": "MIT", "calibration": {"contest": own}}
     return MapFolder(name, folder, grid, 0.05, (-1.25, 2.5), lines[:-1], race, info)
 
@@ -40,7 +56,9 @@ def _edit(folder, **changes):
     """Change values of the map's yaml file; None takes one out."""
     file = folder / "Ring_map.yaml"
     values = yaml.safe_load(file.read_text()) | changes
-    file.write_text(yaml.safe_dump({key: value for key, value in values.items() if value is not None}))
+    file.write_text(
+        yaml.safe_dump({key: value for key, value in values.items() if value is not None})
+    )
 
 
 def _picture(folder, array, mode=None, name="Ring_map.png"):
@@ -52,7 +70,12 @@ def test_what_is_written_reads_back_and_replaces_another(folder, tmp_path):
     np.testing.assert_array_equal(found.occupied, written.occupied)
     np.testing.assert_allclose(found.centerline, written.centerline, atol=1e-9)
     np.testing.assert_allclose(found.raceline, written.raceline, atol=1e-9)
-    assert (found.name, found.folder, found.resolution, found.origin) == ("Ring", folder, 0.05, (-1.25, 2.5))
+    assert (found.name, found.folder, found.resolution, found.origin) == (
+        "Ring",
+        folder,
+        0.05,
+        (-1.25, 2.5),
+    )
     assert found.info == written.info
     assert sorted(file.name for file in folder.parent.iterdir()) == ["Ring"]
     again = write_map(_map(tmp_path / "other"))
@@ -107,7 +130,12 @@ def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):
     monkeypatch.setattr(maps, "_SHIPPED", folder.parent)
     assert list_tracks() == ["Ring"]
     assert find_shipped("rInG") == folder
-    refused("unknown track 'Rong': .* did you mean 'Ring'?", find_shipped, "Rong", error=UnknownNameError)
+    refused(
+        "unknown track 'Rong': .* did you mean 'Ring'?",
+        find_shipped,
+        "Rong",
+        error=UnknownNameError,
+    )
 
 
 @pytest.mark.parametrize(("negate", "wall"), [(0, 0), (1, 255)])
@@ -150,7 +178,9 @@ def test_unknown_regions_are_walls_and_numbers_may_be_written_as_text(folder):
 
 @pytest.mark.parametrize("name", ["Spielberg", "Catalunya", "Oschersleben"])
 def test_the_walls_of_real_maps_are_nearly_those_of_the_established_simulator(real_maps, name):
-    """It takes pixels up to 128 whatever the map says; these maps' own threshold of 0.45 means up to 140."""
+    """It takes pixels up to 128 whatever the map says; these maps' own threshold of 0.45 means up
+    to 140.
+    """
     found = read_map(real_maps / name).occupied
     grey = np.asarray(Image.open(real_maps / name / f"{name}_map.png"))[::-1]
     np.testing.assert_array_equal(found, grey <= 140)
@@ -165,7 +195,9 @@ def test_grey_pictures_of_any_mode_are_read(folder, mode):
 
 
 @pytest.mark.parametrize("yaw", [1e-17, 1.5707963, -3.14159265, 4.7123890, 0.5, -2.0])
-def test_a_yaw_turns_the_picture_about_its_lower_left_corner_and_other_keys_are_ignored(folder, yaw):
+def test_a_yaw_turns_the_picture_about_its_lower_left_corner_and_other_keys_are_ignored(
+    folder, yaw
+):
     grid = np.zeros((30, 40), dtype=bool)
     grid[4:9, 6:31] = grid[4:20, 6:12] = True
     _picture(folder, np.where(grid, 0, 255)[::-1])
@@ -173,11 +205,17 @@ def test_a_yaw_turns_the_picture_about_its_lower_left_corner_and_other_keys_are_
     found = read_map(folder)
     i, j = np.argwhere(grid).T
     x, y = (j + 0.5) * 0.05, (i + 0.5) * 0.05
-    points = np.column_stack([x * np.cos(yaw) - y * np.sin(yaw) - 1.25, x * np.sin(yaw) + y * np.cos(yaw) + 2.5])
+    points = np.column_stack(
+        [x * np.cos(yaw) - y * np.sin(yaw) - 1.25, x * np.sin(yaw) + y * np.cos(yaw) + 2.5]
+    )
     cols, rows = np.floor((points - found.origin) / found.resolution + 1e-9).astype(int).T
     assert found.occupied[rows, cols].all()
     # Turned by other angles a wall may grow by a part of a cell.
-    assert len(i) <= np.count_nonzero(found.occupied) <= len(i) * (1.0 if yaw not in (0.5, -2.0) else 1.35)
+    assert (
+        len(i)
+        <= np.count_nonzero(found.occupied)
+        <= len(i) * (1.0 if yaw not in (0.5, -2.0) else 1.35)
+    )
 
 
 def test_single_dark_cells_are_left_out_and_said(folder, capsys):
@@ -188,8 +226,9 @@ def test_single_dark_cells_are_left_out_and_said(folder, capsys):
     _picture(folder, np.where(dirty, 0, 255)[::-1])
     found = read_map(folder).occupied
     assert np.count_nonzero(found) == np.count_nonzero(grid) + 6
-    assert "2 specks of up to 2 cells are left out, such as the one at (-0.82, 3.12) m, pixel (8, 17)" in (
-        capsys.readouterr().err
+    assert (
+        "2 specks of up to 2 cells are left out, such as the one at (-0.82, 3.12) m, pixel (8, 17)"
+        in (capsys.readouterr().err)
     )
 
 
@@ -200,7 +239,10 @@ def test_the_lines_of_a_race_stack_are_read_where_there_are_no_csv_files(folder)
         (folder / f"Ring_{kind}.csv").unlink()
     keys = ("s_m", "x_m", "y_m", "psi_rad", "kappa_radpm", "vx_mps", "ax_mps2", "d_right", "d_left")
     rows = [dict(zip(keys, [*map(float, row), 0.5, 0.6], strict=True)) for row in race]
-    lines = {"centerline_waypoints": {"wpnts": rows}, "global_traj_wpnts_iqp": {"header": {}, "wpnts": rows}}
+    lines = {
+        "centerline_waypoints": {"wpnts": rows},
+        "global_traj_wpnts_iqp": {"header": {}, "wpnts": rows},
+    }
     file = folder / "global_waypoints.json"
     file.write_text(json.dumps(lines | {"map_info_str": {"data": ""}}))
     found = read_map(folder)
@@ -211,7 +253,12 @@ def test_the_lines_of_a_race_stack_are_read_where_there_are_no_csv_files(folder)
     )  # the race stack's name; the maps of its filter lie beside it
     (folder / "pf_map.yaml").write_text((folder / "Ring.yaml").read_text())
     assert find_map(folder).name == "Ring"
-    for wrong in ({}, {"global_traj_wpnts_iqp": {"wpnts": rows[:3]}}, {"global_traj_wpnts_iqp": {"wpnts": [{}]}}, []):
+    for wrong in (
+        {},
+        {"global_traj_wpnts_iqp": {"wpnts": rows[:3]}},
+        {"global_traj_wpnts_iqp": {"wpnts": [{}]}},
+        [],
+    ):
         file.write_text(json.dumps(wrong))
         refused("global_traj_wpnts_iqp must hold", read_map, folder, error=MapError)
     del lines["centerline_waypoints"]
@@ -261,7 +308,9 @@ def test_no_file_of_a_map_leads_out_of_its_folder_or_waits_for_ever(folder, kind
     ):
         file.unlink(missing_ok=True)
         make()
-        with pytest.raises(MapError, match=message if kind != "map.yaml" else "link out|holds no map") as caught:
+        with pytest.raises(
+            MapError, match=message if kind != "map.yaml" else "link out|holds no map"
+        ) as caught:
             read_map(folder)
         assert "root:secret" not in str(caught.value)
 
@@ -272,7 +321,12 @@ def test_a_circuit_of_many_kilometres_is_refused_before_its_line_is_made(monkeyp
     occupied[10:-10, 10:-10] = True
     monkeypatch.setattr("pcs_racing.track.building.centerline.distance_to_walls", None)
     refused(
-        r"at least 11\d\d\d m long.*resolution, 1 m", centerline_from_grid, occupied, 1.0, (0.0, 0.0), error=MapError
+        r"at least 11\d\d\d m long.*resolution, 1 m",
+        centerline_from_grid,
+        occupied,
+        1.0,
+        (0.0, 0.0),
+        error=MapError,
     )
 
 
@@ -280,7 +334,9 @@ def _png_header(width, height):
     """A png that claims a size and holds no pixels."""
 
     def chunk(kind, data):
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        return (
+            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        )
 
     header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0))
     return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
@@ -293,9 +349,13 @@ def picture(array, **options):
     return file.getvalue()
 
 
-def calibration(speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str = "{front: [[1.0, 2.0]]}") -> str:
+def calibration(
+    speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str = "{front: [[1.0, 2.0]]}"
+) -> str:
     """A track file with a calibration for one preset, as text."""
-    own = f"speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}, left_share: 0.5"
+    own = (
+        f"speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}, left_share: 0.5"
+    )
     return f"calibration: {{contest: {{{own}}}}}"
 
 

@@ -10,7 +10,8 @@ from pcs_racing import Lidar
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
 from pcs_racing.track.obstacles import with_obstacles
 
-BOX = [0.0, -4.0, 0.3, 0.6, 0.4]  # on the lower straight of the oval, whose race line runs through (x, -4)
+# on the lower straight of the oval, whose race line runs through (x, -4)
+BOX = [0.0, -4.0, 0.3, 0.6, 0.4]
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +32,12 @@ def test_boxes_change_the_distance_field_and_not_the_track_itself(oval, blocked)
     arrays, before = blocked.arrays, oval.arrays.distance
     rows, columns = np.nonzero(before > 0.0)
     expected = [
-        min(before[i, j], outside(np.array([j + 0.5, i + 0.5]) * arrays.cell + (arrays.origin_x, arrays.origin_y), BOX))
+        min(
+            before[i, j],
+            outside(
+                np.array([j + 0.5, i + 0.5]) * arrays.cell + (arrays.origin_x, arrays.origin_y), BOX
+            ),
+        )
         for i, j in zip(rows, columns, strict=True)
     ]
     np.testing.assert_allclose(arrays.distance[rows, columns], expected, atol=1e-6)
@@ -47,7 +53,9 @@ def test_boxes_change_the_distance_field_and_not_the_track_itself(oval, blocked)
 
 
 def test_the_lidar_measures_the_way_to_a_box(oval, blocked):
-    """A beam straight ahead ends at the near side; those that pass the box measure what they measured before."""
+    """A beam straight ahead ends at the near side; those that pass the box measure what they
+    measured before.
+    """
     lidar = {"beams": 181, "fov": np.pi}
     at = [-3.0, -4.0, 0.0]
     before, after = Lidar(oval, **lidar).scan(at), Lidar(blocked, **lidar).scan(at)
@@ -77,7 +85,10 @@ def test_a_circle_is_round_for_the_distance_field_and_the_lidar(oval):
     round_one = with_obstacles(oval, [CIRCLE])
     arrays, before = round_one.arrays, oval.arrays.distance
     rows, columns = np.nonzero(before > 0.0)
-    x, y = (columns + 0.5) * arrays.cell + arrays.origin_x, (rows + 0.5) * arrays.cell + arrays.origin_y
+    x, y = (
+        (columns + 0.5) * arrays.cell + arrays.origin_x,
+        (rows + 0.5) * arrays.cell + arrays.origin_y,
+    )
     expected = np.minimum(before[rows, columns], np.maximum(np.hypot(x, y + 4.0) - 0.25, 0.0))
     np.testing.assert_allclose(arrays.distance[rows, columns], expected, atol=1e-6)
     for angle in np.linspace(0.0, 2.0 * np.pi, 11):  # from every side it is as near
@@ -109,7 +120,13 @@ def test_boxes_and_circles_stand_together_listed_near_ones_first(oval):
 
 def test_impossible_boxes_are_refused(oval):
     for boxes in [
-        [[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0, 0.01, 0.3]], [[0.0, 0.0, 0.0, 0.01, 0.0]],
-        [[0.0, 0.0, 0.0, 0.3, -0.3]], [[0.0, np.nan, 0.0, 0.3, 0.3]], [BOX] * 101, "boxes", [["x"] * 5],
-    ]:  # fmt: skip
+        [[0.0, 0.0, 0.0]],
+        [[0.0, 0.0, 0.0, 0.01, 0.3]],
+        [[0.0, 0.0, 0.0, 0.01, 0.0]],
+        [[0.0, 0.0, 0.0, 0.3, -0.3]],
+        [[0.0, np.nan, 0.0, 0.3, 0.3]],
+        [BOX] * 101,
+        "boxes",
+        [["x"] * 5],
+    ]:
         refused("obstacle", with_obstacles, oval, boxes)

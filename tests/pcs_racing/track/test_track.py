@@ -56,12 +56,18 @@ def test_a_track_can_not_be_changed_and_says_what_it_is(oval):
 def gap_to_the_border(values):
     occupied = np.pad(values["occupied"], 10, constant_values=False)
     occupied[:30, 200] = False
-    return {"occupied": occupied, "origin": tuple(corner - 10 * values["resolution"] for corner in values["origin"])}
+    return {
+        "occupied": occupied,
+        "origin": tuple(corner - 10 * values["resolution"] for corner in values["origin"]),
+    }
 
 
 def gap_to_the_infield(values):
     rows, cols = values["occupied"].shape
-    far = np.hypot(np.maximum(np.abs(np.arange(cols) - cols / 2) - 80, 0.0), np.arange(rows)[:, None] - rows / 2)
+    far = np.hypot(
+        np.maximum(np.abs(np.arange(cols) - cols / 2) - 80, 0.0),
+        np.arange(rows)[:, None] - rows / 2,
+    )
     occupied = values["occupied"] & ~(far < 45)
     occupied[rows // 2 :, cols // 2] &= np.arange(rows // 2, rows) > rows / 2 + 80
     return {"occupied": occupied}
@@ -84,8 +90,14 @@ def with_value(array, index, value):
     ("change", "message"),
     [
         (gap_to_the_border, r"border of the picture: the wall has a gap"),
-        (gap_to_the_infield, r"times the area of the track: the wall has a gap .* \(0\.\d\d, [0-4]\.\d\d\) m"),
-        (race_line(lambda xy: np.column_stack([xy[:, 0], xy[:, 1] * np.sign(xy[:, 0]) * 0.2])), "crosses itself"),
+        (
+            gap_to_the_infield,
+            r"times the area of the track: the wall has a gap .* \(0\.\d\d, [0-4]\.\d\d\) m",
+        ),
+        (
+            race_line(lambda xy: np.column_stack([xy[:, 0], xy[:, 1] * np.sign(xy[:, 0]) * 0.2])),
+            "crosses itself",
+        ),
         (race_line(lambda xy: xy[: len(xy) // 2]), "race line is open"),
         (race_line(lambda xy: xy * 0.65), "through a wall"),
         (race_line(lambda xy: xy + 100.0), "race line leaves"),
@@ -99,7 +111,10 @@ def with_value(array, index, value):
             centre_line(lambda rows: np.maximum(rows, [-99.0, -99.0, 5.0, 5.0])),
             "states 5.00 m .* in the picture a wall",
         ),
-        (centre_line(lambda rows: rows * [1.0, 0.88, 1.0, 1.0]), "in the picture a wall is 0.[2-7]"),
+        (
+            centre_line(lambda rows: rows * [1.0, 0.88, 1.0, 1.0]),
+            "in the picture a wall is 0.[2-7]",
+        ),
         (lambda values: {"resolution": np.nan}, "resolution is nan"),
         (lambda values: {"occupied": values["occupied"].astype(np.uint8)}, "grid is uint8"),
         (lambda values: {"origin": (0.0, np.inf)}, "origin holds inf"),
@@ -117,7 +132,9 @@ def test_a_gap_is_found_where_it_is(values):
 
 
 def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
-    """Two legs: where the line of one hugs the wall between, points of the other beside it belong to their own."""
+    """Two legs: where the line of one hugs the wall between, points of the other beside it belong
+    to their own.
+    """
     cell = 0.05
     rows, cols = 90, 420
     occupied = np.ones((rows, cols), dtype=bool)
@@ -129,11 +146,17 @@ def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
     bend = 0.6 * np.column_stack([np.cos(turn), np.sin(turn)])
     along = np.linspace(2.0, 19.0, 60)[1:-1]
     lower, upper = (np.column_stack([along, np.full(58, y)]) for y in (1.3, 2.5))
-    line = np.vstack([lower, np.array([19.0, 1.9]) + bend, upper[::-1], np.array([2.0, 1.9]) - bend])
-    track = build_track("u", occupied, cell, (0.0, 0.0), np.column_stack([line, np.full((len(line), 2), 0.3)]), line)
+    line = np.vstack(
+        [lower, np.array([19.0, 1.9]) + bend, upper[::-1], np.array([2.0, 1.9]) - bend]
+    )
+    track = build_track(
+        "u", occupied, cell, (0.0, 0.0), np.column_stack([line, np.full((len(line), 2), 0.3)]), line
+    )
     points = np.column_stack([np.linspace(4.0, 17.0, 400), np.full(400, 2.15)])
     s, d = track.to_frenet(points).T
     assert np.abs(track.to_cartesian(np.column_stack([s, np.zeros(400)]))[:, 1] - 1.3).max() < 0.02
-    np.testing.assert_allclose(track.to_cartesian(np.column_stack([s, d]))[:, :2], points, atol=1e-9)
+    np.testing.assert_allclose(
+        track.to_cartesian(np.column_stack([s, d]))[:, :2], points, atol=1e-9
+    )
     points[:, 1] = 4.2
     np.testing.assert_allclose(track.to_frenet(points)[:, 1], -1.7, atol=0.02)

@@ -64,13 +64,21 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
     np.testing.assert_array_equal(hash_rows(zeros, 1), hash_rows(-zeros, 1))
     # Chances that add up to a bit less or more than 1.
     rows = np.random.default_rng(1).normal(size=(5000, 2)).astype(np.float32)
-    for chances in ([0.0, 1.0 - 1e-16, 0.0], [0.3, 0.3, 0.4 - 1e-12], [0.0, 1e-300, 0.0], [5e-324, 0.0], [0.1] * 10):
+    for chances in (
+        [0.0, 1.0 - 1e-16, 0.0],
+        [0.3, 0.3, 0.4 - 1e-12],
+        [0.0, 1e-300, 0.0],
+        [5e-324, 0.0],
+        [0.1] * 10,
+    ):
         assert (np.array(chances)[draw(np.tile(chances, (5000, 1)), rows, 3)] > 0.0).all()
 
 
 def test_agents_and_drivers_travel_to_other_processes(spec, seen):
     agent = pickle.loads(pickle.dumps(random_moves(spec, seed=7)))
-    np.testing.assert_array_equal(agent.predict(seen[1])[0], random_moves(spec, seed=7).predict(seen[1])[0])
+    np.testing.assert_array_equal(
+        agent.predict(seen[1])[0], random_moves(spec, seed=7).predict(seen[1])[0]
+    )
     assert agent.content_hash == random_moves(spec, seed=7).content_hash
     driver = pickle.loads(pickle.dumps(make("lane-switcher")))
     assert driver.planner is get_planner("lane-switcher")
@@ -85,7 +93,9 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     others.append(build("cfr-argmax", spec, network=network))
     others.append(build("cfr-regret-matching", spec, network=network))
     layers = network.layers
-    changed = replace(network, layers=replace(layers, biases=(layers.biases[0], layers.biases[1] + 1.0)))
+    changed = replace(
+        network, layers=replace(layers, biases=(layers.biases[0], layers.biases[1] + 1.0))
+    )
     others.append(build("cfr-argmax", spec, network=changed))
     assert len({first.content_hash, *(agent.content_hash for agent in others)}) == 7
     assert [competitor_hash(agent) for agent in others] == [agent.content_hash for agent in others]
@@ -112,7 +122,10 @@ def test_bad_agents_drivers_and_observations_are_refused(spec):
     assert repr(agent) == "<Agent 'random-moves': archive 'toy', paper rules>"
     assert repr(driver) == "<Driver 'L': 1 policies of planner 'lattice'>"
     named = as_competitor(Model(3), "three")
-    assert (named.predict(np.zeros((2, 5)))[0].tolist(), as_competitor(named, "four").name) == ([3, 3], "four")
+    assert (named.predict(np.zeros((2, 5)))[0].tolist(), as_competitor(named, "four").name) == (
+        [3, 3],
+        "four",
+    )
     for wrong in ("never-switch", 3, Model):
         refused("can't race", as_competitor, wrong)
     refused("an agent's name is ''", random_moves, spec, name="")
@@ -145,7 +158,9 @@ def test_observations_are_read_as_the_game_writes_them_and_tell_what_was_earlier
     count = observing.moves_made(last, 2)
     for step, rows in enumerate(seen[:-1]):
         long_enough = count >= step
-        np.testing.assert_array_equal(observing.earlier(last, 2, step)[long_enough], rows[long_enough])
+        np.testing.assert_array_equal(
+            observing.earlier(last, 2, step)[long_enough], rows[long_enough]
+        )
     state = game.reset(games=10, seed=3)
     rows = game.observation(state)[:, 1]
     np.testing.assert_array_equal(spec.archive.nearest(observing.own(rows, 2)), state.policy[:, 1])

@@ -29,7 +29,11 @@ def test_the_page_of_the_zoo_explains_every_option_with_and_without_measurements
 
 @pytest.mark.parametrize(("archive", "race"), zoo_page.SETTINGS)
 def test_every_agent_was_measured_as_it_is_now(archive, race):
-    known = {name: one.sha256 for (*where, name), one in measurements().items() if where == [archive, race]}
+    known = {
+        name: one.sha256
+        for (*where, name), one in measurements().items()
+        if where == [archive, race]
+    }
     shipped = {}
     for name in {*names(archive, race), *known}:
         try:
@@ -37,7 +41,9 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
         except LookupError:  # nothing is shipped for it
             continue
     changed = sorted(name for name in {*known, *shipped} if known.get(name) != shipped.get(name))
-    assert not changed, f"{', '.join(changed)} not measured as they are: run: python dev/benchmarks/zoo.py --write"
+    assert not changed, (
+        f"{', '.join(changed)} not measured as they are: run: python dev/benchmarks/zoo.py --write"
+    )
 
 
 def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, tmp_path):
@@ -50,17 +56,38 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {digest[:16]}."]
         assert facts_of("never-switch", spec) == unmeasured
         one = Measured(
-            *("default", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
+            *(
+                "default",
+                "paper",
+                "never-switch",
+                digest,
+                "Tarnfjord, Saltmere",
+                300.0,
+                0.5,
+                -12.0,
+                -40.0,
+                20.0,
+                0.02,
+            ),
             *(46.0, 0.53, {"random-moves": 0.625}),
         )
-        zoo_page.write_measurements([one, one._replace(agent="lane-switcher", many_us=np.nan, against={})])
+        zoo_page.write_measurements(
+            [one, one._replace(agent="lane-switcher", many_us=np.nan, against={})]
+        )
         assert measurements()["default", "paper", "never-switch"] == one
-        assert facts_of("never-switch", spec)[0].startswith("Strength: score 0.500, rating -12 [-40, +20], on ")
+        assert facts_of("never-switch", spec)[0].startswith(
+            "Strength: score 0.500, rating -12 [-40, +20], on "
+        )
         assert describe.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
         page = zoo_page.zoo_page()
-        assert f"| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 | `{digest[:12]}` |" in page
-        assert f"| `lane-switcher` | 0.500 | -12 [-40, +20] | 2.0% | 46 |  | `{digest[:12]}` |" in page
+        assert (
+            f"| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 | `{digest[:12]}` |"
+            in page
+        )
+        assert (
+            f"| `lane-switcher` | 0.500 | -12 [-40, +20] | 2.0% | 46 |  | `{digest[:12]}` |" in page
+        )
     finally:
         measurements.cache_clear()
 

@@ -4,7 +4,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, never_switch, path_moves
+from pcs_racing_agents.agents.blind import (
+    best_fixed,
+    best_lead_plan,
+    best_schedule,
+    never_switch,
+    path_moves,
+)
 
 
 def test_a_schedule_follows_the_steps_and_never_switching_is_staying(spec, game, seen):
@@ -44,7 +50,9 @@ def test_a_walk_arrives_and_stays(spec, game, target):
 
 
 def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(spec, game, seen):
-    """Every decision is that of the walk to one of its two policies, by the lead of the last step that is over."""
+    """Every decision is that of the walk to one of its two policies, by the lead of the last step
+    that is over.
+    """
     plan = best_lead_plan(spec, targets={"behind": 10, "ahead": 1})
     walks = [best_fixed(spec, target=target) for target in (10, 1)]
     for made, observation in enumerate(seen):
@@ -76,8 +84,13 @@ def _reachable(table) -> list[list[int]]:
 @st.composite
 def worlds(draw):
     policies, moves = draw(st.integers(1, 7)), draw(st.integers(1, 4))
-    table = draw(st.lists(st.lists(st.integers(0, policies - 1), min_size=moves, max_size=moves), min_size=policies,
-                          max_size=policies))  # fmt: skip
+    table = draw(
+        st.lists(
+            st.lists(st.integers(0, policies - 1), min_size=moves, max_size=moves),
+            min_size=policies,
+            max_size=policies,
+        )
+    )
     return np.array(table), draw(st.integers(0, policies - 1))
 
 

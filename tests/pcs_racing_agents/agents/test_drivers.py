@@ -25,19 +25,25 @@ def folder(layers, tmp_path):
     return save_driver(tmp_path / "mine", layers, name="mine", hold=4, training={"steps": 7})
 
 
-def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(folder, layers, tmp_path):
+def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
+    folder, layers, tmp_path
+):
     shipped, own = make("ppo-drive"), make("ppo-drive", network=folder)
     assert shipped.planner is get_planner("ppo-drive")
     assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
     assert (own.planner.name, own.name) == ("mine", "ppo-drive")
     _, manifest = read_driver(folder)
-    facts = {"network": "mine", "trained on": "steps 7", "weights sha256": manifest["weights_sha256"]}
+    facts = {
+        "network": "mine",
+        "trained on": "steps 7",
+        "weights sha256": manifest["weights_sha256"],
+    }
     assert {key: own.facts[key] for key in facts} == facts
     assert shipped.facts["network"] == "ppo-drive"
     assert [one.name for one in make("gap-follower").policies] == ["gap-follower"]
-    assert [one.name for one in planner_driver(None, name="x", planner="lane-switcher").policies[:2]] == [
-        "lane-switcher:0", "lane-switcher:1"
-    ]  # fmt: skip
+    assert [
+        one.name for one in planner_driver(None, name="x", planner="lane-switcher").policies[:2]
+    ] == ["lane-switcher:0", "lane-switcher:1"]
     assert len({shipped.content_hash, own.content_hash, make("pure-pursuit").content_hash}) == 3
     refused("unknown driver 'nobody'", make, "ppo-drive", error=UnknownNameError, network="nobody")
     # They are of one name and have no parameters: results of one must not be taken for the other's.
@@ -51,7 +57,8 @@ def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
 
 def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_has_never_seen():
     game = make_game("Saltmere", "default", "contest", threads=1)
-    slow = make("gap-follower:top_speed=5")  # the shipped driver was trained against slower ones than there are now
+    # the shipped driver was trained against slower ones than there are now
+    slow = make("gap-follower:top_speed=5")
     pairing = cross_pairing(game, make("ppo-drive"), slow, egos=1, opponents=1, lines=4, seed=5)
     races = play_pairing(pairing)
     ahead = races.side == 0

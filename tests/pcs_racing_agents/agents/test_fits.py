@@ -29,14 +29,32 @@ def test_a_fit_is_kept_and_followed(spec, tmp_path, kind, seen):
 
 def test_a_fit_of_another_game_is_refused(spec, archive):
     fit = make_fit("best-fixed", 3, spec, {})
-    for change, message in [({"epsilon": 0.7}, "epsilon"), ({"moves": 3}, "games of 4 moves; the game has 3")]:
-        refused(message, find_fit, "best-fixed", make_game_spec(archive, replace(spec.config, **change)), fit)
+    for change, message in [
+        ({"epsilon": 0.7}, "epsilon"),
+        ({"moves": 3}, "games of 4 moves; the game has 3"),
+    ]:
+        refused(
+            message,
+            find_fit,
+            "best-fixed",
+            make_game_spec(archive, replace(spec.config, **change)),
+            fit,
+        )
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
     refused("was made for archive", find_fit, "best-fixed", make_game_spec(fewer, spec.config), fit)
     refused("is one of 'best-fixed'", find_fit, "best-schedule", spec, fit)
     for kind, option in OPTIONS.items():
-        refused(f"agent '{kind}' got .* and a fit", build, kind, spec, fit=fit, **{option: CHOICES[kind]})
-    refused("archive 'toy' and rules 'paper'", find_fit, "best-schedule", spec, error=UnknownNameError)
+        refused(
+            f"agent '{kind}' got .* and a fit",
+            build,
+            kind,
+            spec,
+            fit=fit,
+            **{option: CHOICES[kind]},
+        )
+    refused(
+        "archive 'toy' and rules 'paper'", find_fit, "best-schedule", spec, error=UnknownNameError
+    )
 
 
 def test_files_that_are_no_fit_are_refused(spec, tmp_path):

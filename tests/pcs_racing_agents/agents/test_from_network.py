@@ -16,7 +16,9 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.fingerprint import fingerprint
 
 
-def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(spec, network, seen):
+def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in_proportion(
+    spec, network, seen
+):
     agent = build("cfr-argmax", spec, network=network)
     rows = np.concatenate(seen)
     np.testing.assert_array_equal(agent.predict(rows)[0], network.choose(rows))
@@ -24,10 +26,21 @@ def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in
     np.testing.assert_array_equal(clipped.predict(rows)[0], network.choose(rows))
     assert agent.facts["source"] == "the paper's GT agent, Equations 8 and 9"
     assert agent.facts["weights sha256"] == fingerprint(network.layers)
-    facts = {"setting_a": 1, "test_b": 2, "validation_c": 3, "training_d": 4, "games": 5, "loss": 0.25}
+    facts = {
+        "setting_a": 1,
+        "test_b": 2,
+        "validation_c": 3,
+        "training_d": 4,
+        "games": 5,
+        "loss": 0.25,
+    }
     agent = build("cfr-argmax", spec, network=replace(network, training=facts))
     about = {key: agent.facts[key] for key in ("network", "trained on", "decision")}
-    assert list(about.values()) == ["untrained-regret: regret, preset paper", "games 5, loss 0.25", "argmax"]
+    assert list(about.values()) == [
+        "untrained-regret: regret, preset paper",
+        "games 5, loss 0.25",
+        "argmax",
+    ]
     agent = build("cfr-regret-matching", spec, network=network)
     values = np.maximum(network.unclipped(seen[1]), 0.0).astype(float)
     some = values.sum(axis=1) > 0.0
@@ -47,7 +60,9 @@ def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(spec, seen):
     np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
 
 
-def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(spec, seen):
+def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(
+    spec, seen
+):
     network = untrained(spec, "gain")
     rows = np.concatenate(seen)
     values = network.unclipped(rows)
@@ -61,17 +76,29 @@ def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_r
         leaves[margin] = np.mean(expected != 3)
     assert sorted(leaves.values(), reverse=True) == list(leaves.values())
     assert list(leaves.values())[-1] == 0.0
-    trained = adaptive(spec, network=replace(network, training={"margin": 1e9}), open_loop="never-switch")
+    trained = adaptive(
+        spec, network=replace(network, training={"margin": 1e9}), open_loop="never-switch"
+    )
     assert (trained.predict(rows)[0] == 4).all()
     assert trained.facts["keeps to"] == "never-switch"
-    refused("margin of agent 'adaptive' is -1", adaptive, spec, network=network, open_loop=habit, margin=-1)
+    refused(
+        "margin of agent 'adaptive' is -1",
+        adaptive,
+        spec,
+        network=network,
+        open_loop=habit,
+        margin=-1,
+    )
     agent = adaptive(spec, network=network, open_loop=random_moves(spec), margin=1e9)
     np.testing.assert_allclose(agent.probabilities(seen[0]), [[0.25, 0.25, 0.25, 0.25, 0.0]] * 40)
 
 
 def test_a_network_of_another_game_is_refused(spec, network, archive):
     longer = make_game_spec(archive, replace(spec.config, moves=5))
-    with pytest.raises(InputError, match=r"agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37"):
+    with pytest.raises(
+        InputError,
+        match=r"agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37",
+    ):
         build("cfr-argmax", longer, network=network)
     wider = make_game_spec(archive, replace(spec.config, epsilon=0.7))
     refused(r"epsilon 0\.5", build, "nash", wider, network=network)
@@ -93,7 +120,8 @@ def test_chances_are_chances(name, values):
 
 
 def test_what_each_rule_does():
-    # Of equal values argmax takes the first; where no regret is positive, regret matching takes the highest.
+    # Of equal values argmax takes the first; where no regret is positive, regret matching takes the
+    # highest.
     values = np.array([[1.0, 3.0, -2.0, 0.0], [-3.0, -1.0, -1.0, -9.0]])
     argmax, regret_matching, softmax = map(get_decision, ("argmax", "regret-matching", "softmax"))
     np.testing.assert_array_equal(argmax(values), [[0, 1, 0, 0], [0, 1, 0, 0]])

@@ -25,7 +25,8 @@ def test_the_move_with_the_largest_output_is_made_and_what_is_no_network_refused
     seen = np.random.default_rng(0).normal(size=(20, 5)).astype(np.float32)
     policy = TorchPolicy(module, "mine")
     moves, state = policy.predict(seen)
-    np.testing.assert_array_equal(moves, (seen @ weight.T + bias).argmax(axis=1))  # the dropout is off
+    # the dropout is off
+    np.testing.assert_array_equal(moves, (seen @ weight.T + bias).argmax(axis=1))
     assert state is None
     assert policy.predict(seen[3])[0].shape == ()
     assert policy.predict(seen[3])[0] == moves[3]
@@ -39,9 +40,13 @@ def test_the_move_with_the_largest_output_is_made_and_what_is_no_network_refused
 
 
 def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, game):
-    assert competitor_hash(TorchPolicy(linear(0))) == competitor_hash(TorchPolicy(linear(0), "other name"))
+    assert competitor_hash(TorchPolicy(linear(0))) == competitor_hash(
+        TorchPolicy(linear(0), "other name")
+    )
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
-    digests = {competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")}
+    digests = {
+        competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")
+    }
     assert len(digests) == 2
     refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
     refused("str has no actor", network_from_sb3, "model", game_identity(game))
@@ -57,9 +62,13 @@ def models(oval, spec):
     """Untrained models with ReLUs and with SB3's default, tanh."""
     PPO = pytest.importorskip("stable_baselines3").PPO
 
-    env = gym.make("pcs_racing/Duel-v1", track=oval, archive=spec.archive, step_seconds=0.8, stay=True)
+    env = gym.make(
+        "pcs_racing/Duel-v1", track=oval, archive=spec.archive, step_seconds=0.8, stay=True
+    )
     relu = {"activation_fn": torch.nn.ReLU, "net_arch": [24, 16]}
-    return [PPO("MlpPolicy", env, seed=0, policy_kwargs=kwargs, device="cpu") for kwargs in (relu, None)]
+    return [
+        PPO("MlpPolicy", env, seed=0, policy_kwargs=kwargs, device="cpu") for kwargs in (relu, None)
+    ]
 
 
 def test_a_model_decides_alike_as_our_own_network(models, game, spec, seen):
@@ -69,7 +78,9 @@ def test_a_model_decides_alike_as_our_own_network(models, game, spec, seen):
     assert (network.name, network.training) == ("ppo", {"steps": 0})
     assert (network.mean.tolist(), network.scale.tolist()) == ([0.0] * 31, [1.0] * 31)
     agent = build("ppo", spec, network=network)
-    np.testing.assert_array_equal(agent.predict(rows)[0], model.predict(rows, deterministic=True)[0])
+    np.testing.assert_array_equal(
+        agent.predict(rows)[0], model.predict(rows, deterministic=True)[0]
+    )
     with torch.no_grad():
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
     drawn = build("ppo", spec, network=network, decision="softmax")

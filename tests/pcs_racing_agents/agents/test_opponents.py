@@ -52,7 +52,9 @@ def test_a_name_without_a_network_for_the_game_says_what_is_missing():
 
 
 def test_an_agent_moves_in_a_drive_as_in_a_game(game):
-    """Car 1 watches for 8 s, then each move changes its policy as the table of the game says, every 8 s."""
+    """Car 1 watches for 8 s, then each move changes its policy as the table of the game says, every
+    8 s.
+    """
     env = DriveEnv("Tarnfjord", "always-aggressiveness +")
     for seed in range(20):
         env.reset(seed=seed)
@@ -62,7 +64,9 @@ def test_an_agent_moves_in_a_drive_as_in_a_game(game):
             over = ended or late
             if round(info["time"] * 10) % 80 == 0:
                 policies.append(env.batch._moving._games.policy[0, 1])
-                np.testing.assert_array_equal(env.batch.theta[0, 1], game.theta(np.array(policies[-1])))
+                np.testing.assert_array_equal(
+                    env.batch.theta[0, 1], game.theta(np.array(policies[-1]))
+                )
         if late:
             break
     assert late, "every race ends in a crash"
@@ -99,7 +103,9 @@ def test_names_are_known_with_their_options_and_a_driver_draws_one_of_its_varian
     with pytest.raises(UnknownNameError, match="'cfr-argmx' is unknown; did you mean 'cfr-argmax'"):
         make_competitor("cfr-argmx", game)
     driver = planner_driver(None, name="lane-switcher")
-    envs = gym.make_vec("pcs_racing/Duel-v1", num_envs=60, opponent=driver, step_seconds=0.1, moves=1)
+    envs = gym.make_vec(
+        "pcs_racing/Duel-v1", num_envs=60, opponent=driver, step_seconds=0.1, moves=1
+    )
     envs.reset(seed=0)
     drawn = {tuple(theta) for theta in envs.unwrapped.batch.state.theta[:, 1]}
     assert len(drawn) > 10

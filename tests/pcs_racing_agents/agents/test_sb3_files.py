@@ -1,4 +1,6 @@
-"""Policies of Stable-Baselines3 are read without running their code; those that drive race wherever a policy does."""
+"""Policies of Stable-Baselines3 are read without running their code; those that drive race wherever
+a policy does.
+"""
 
 import zipfile
 from types import SimpleNamespace
@@ -22,7 +24,9 @@ from pcs_racing_agents.agents.sb3_files import (
 )
 from pcs_racing_agents.agents.zoo import load_entrant
 
-sb3, torch, gym = (pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium"))
+sb3, torch, gym = (
+    pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium")
+)
 vec = sb3.common.vec_env
 RIVAL = "lattice:pace=0.3"
 ROWS = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 46)).astype(np.float32)
@@ -39,7 +43,10 @@ def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
     for weights in model.policy.parameters():  # biases among them, which begin with 0
         torch.nn.init.uniform_(weights, -1.0, 1.0)
     model.save(tmp_path / "mine.zip")
-    policy, expected = load_sb3_policy(tmp_path / "mine.zip"), model.predict(ROWS, deterministic=True)[0]
+    policy, expected = (
+        load_sb3_policy(tmp_path / "mine.zip"),
+        model.predict(ROWS, deterministic=True)[0],
+    )
     np.testing.assert_array_equal(policy.predict(ROWS)[0], expected)
     assert len(set(expected.tolist())) > 1
     backwards = dict(reversed(model.policy.state_dict().items()))
@@ -50,12 +57,21 @@ def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
     model.save(tmp_path / "broken.zip")
     refused("a weight is not finite", load_sb3_policy, tmp_path / "broken.zip")
     kept = zipfile.ZipFile(tmp_path / "mine.zip").read("policy.pth")
-    for settings, weights in ((b"[]", kept), (b'{"a": NaN}', kept), (b"[" * 10**6, kept), (b"{}", b"")):
+    for settings, weights in (
+        (b"[]", kept),
+        (b'{"a": NaN}', kept),
+        (b"[" * 10**6, kept),
+        (b"{}", b""),
+    ):
         with zipfile.ZipFile(tmp_path / "other.zip", "w") as file:
             file.writestr("data", settings)
             file.writestr("policy.pth", weights)
-        refused(r"other\.zip is no file of Stable-Baselines3", load_sb3_policy, tmp_path / "other.zip")
-    short = {key: value for key, value in model.policy.state_dict().items() if key != "action_net.bias"}
+        refused(
+            r"other\.zip is no file of Stable-Baselines3", load_sb3_policy, tmp_path / "other.zip"
+        )
+    short = {
+        key: value for key, value in model.policy.state_dict().items() if key != "action_net.bias"
+    }
     refused("no weights or biases: 'action_net.bias'", actor_of, "short", short, None)
     (tmp_path / "other.zip").write_bytes(b"not a zip")
     refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
@@ -69,7 +85,10 @@ def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
 def test_layers_are_applied_one_after_the_other(activation, hidden):
     """As in a few lines of numpy, for every kind of actor."""
     rng, sizes = np.random.default_rng(0), (46, *hidden, 3)
-    weights = [rng.normal(0.0, 0.3, pair).astype(np.float32) for pair in zip(sizes[1:], sizes[:-1], strict=True)]
+    weights = [
+        rng.normal(0.0, 0.3, pair).astype(np.float32)
+        for pair in zip(sizes[1:], sizes[:-1], strict=True)
+    ]
     biases = [rng.normal(0.0, 0.3, size).astype(np.float32) for size in sizes[1:]]
     expected = ROWS
     for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
@@ -79,7 +98,12 @@ def test_layers_are_applied_one_after_the_other(activation, hidden):
     inner = [2 * k for k in range(len(hidden))]
     for names, more, moves, squash in [
         ([*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"], {}, True, False),
-        ([*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"], {"log_std": 0}, False, False),
+        (
+            [*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"],
+            {"log_std": 0},
+            False,
+            False,
+        ),
         ([*(f"actor.latent_pi.{k}" for k in inner), "actor.mu"], {}, False, True),
         ([f"actor.mu.{k}" for k in [*inner, 2 * len(hidden)]], {}, False, True),
     ]:
@@ -88,7 +112,9 @@ def test_layers_are_applied_one_after_the_other(activation, hidden):
             state |= {f"{name}.weight": torch.tensor(weight), f"{name}.bias": torch.tensor(bias)}
         policy = actor_of("folder/mine.zip", {**state, **more}, activation)
         assert (policy.name, policy.moves, policy.squash) == ("mine", moves, squash)
-        assert actor_of("mine", state, None).activation == ("Tanh" if names[0].startswith("mlp") else "ReLU")
+        assert actor_of("mine", state, None).activation == (
+            "Tanh" if names[0].startswith("mlp") else "ReLU"
+        )
         found = policy.predict(ROWS)[0]
         if moves:
             np.testing.assert_array_equal(found, expected.argmax(axis=1))
@@ -100,7 +126,9 @@ def test_layers_are_applied_one_after_the_other(activation, hidden):
     model.policy_kwargs = {"features_extractor_class": object}
     assert plain_model(model, "mine") is model
     refused("the activation is Sigmoid", actor_of, "mine", state, "Sigmoid")
-    refused("no actor of fully connected layers", actor_of, "mine", {**state, "lstm.weight": 0}, None)
+    refused(
+        "no actor of fully connected layers", actor_of, "mine", {**state, "lstm.weight": 0}, None
+    )
 
 
 def test_a_scale_is_read_with_its_bounds(tmp_path):
@@ -111,10 +139,22 @@ def test_a_scale_is_read_with_its_bounds(tmp_path):
     np.testing.assert_allclose(seen, [[0.1, -0.5], [0.5, -0.5]], rtol=1e-6)
     assert seen.dtype == np.float32
     for key, value in [
-        ("mean", [0.0]), ("mean", [0.0, -1e9]), ("spread", [0.0, 1.0]), ("spread", [1.0, 1e9]), ("spread", [-1.0, 1.0]),
-        ("clip", 0.0), ("clip", [1.0]), ("mean", ["a", 0.0]),
-    ]:  # fmt: skip
-        refused("scale must hold mean and spread, 2 numbers", _read_scale, tmp_path, {**good, key: value}, 2)
+        ("mean", [0.0]),
+        ("mean", [0.0, -1e9]),
+        ("spread", [0.0, 1.0]),
+        ("spread", [1.0, 1e9]),
+        ("spread", [-1.0, 1.0]),
+        ("clip", 0.0),
+        ("clip", [1.0]),
+        ("mean", ["a", 0.0]),
+    ]:
+        refused(
+            "scale must hold mean and spread, 2 numbers",
+            _read_scale,
+            tmp_path,
+            {**good, key: value},
+            2,
+        )
 
 
 class Shaped(gym.RewardWrapper):
@@ -172,12 +212,21 @@ W = gym.wrappers
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("TransformAction", {"one": lambda env: W.TransformAction(env, np.negative, env.action_space)}),
-        ("RescaleAction", {"one": lambda env: W.RescaleAction(env, np.float32(-2.0), np.float32(2.0))}),
+        (
+            "TransformAction",
+            {"one": lambda env: W.TransformAction(env, np.negative, env.action_space)},
+        ),
+        (
+            "RescaleAction",
+            {"one": lambda env: W.RescaleAction(env, np.float32(-2.0), np.float32(2.0))},
+        ),
         ("StickyAction", {"one": lambda env: W.StickyAction(env, 0.5)}),
         (
             "TransformObservation",
-            {"one": lambda env: W.TransformObservation(env, np.negative, env.observation_space), "others": 1},
+            {
+                "one": lambda env: W.TransformObservation(env, np.negative, env.observation_space),
+                "others": 1,
+            },
         ),
         ("NormalizeObservation", {"one": lambda env: W.TimeLimit(W.NormalizeObservation(env), 9)}),
         ("Turned", {"one": Turned}),
@@ -200,9 +249,22 @@ def test_what_a_model_would_lose_is_refused_and_named(tmp_path, name, arguments)
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"one": lambda env: W.ClipAction(W.TimeLimit(W.OrderEnforcing(W.PassiveEnvChecker(env)), 9)), "others": 1},
-        {"one": lambda env: Shaped(Logs(W.NormalizeReward(W.TransformReward(W.RecordEpisodeStatistics(env), abs))))},
-        {"many": lambda envs: vec.VecNormalize(vec.VecCheckNan(vec.VecMonitor(envs)), norm_obs=False)},
+        {
+            "one": lambda env: W.ClipAction(
+                W.TimeLimit(W.OrderEnforcing(W.PassiveEnvChecker(env)), 9)
+            ),
+            "others": 1,
+        },
+        {
+            "one": lambda env: Shaped(
+                Logs(W.NormalizeReward(W.TransformReward(W.RecordEpisodeStatistics(env), abs)))
+            )
+        },
+        {
+            "many": lambda envs: vec.VecNormalize(
+                vec.VecCheckNan(vec.VecMonitor(envs)), norm_obs=False
+            )
+        },
         {"many": lambda envs: vec.VecCheckNan(vec.VecNormalize(envs))},
     ],
 )
@@ -212,9 +274,16 @@ def test_what_changes_neither_observations_nor_actions_may_be_around(tmp_path, a
 
 
 def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
-    envs = vec.DummyVecEnv([lambda step=step: DriveEnv("Pipkin", None, time_step=step) for step in (0.1, 0.2)])
+    envs = vec.DummyVecEnv(
+        [lambda step=step: DriveEnv("Pipkin", None, time_step=step) for step in (0.1, 0.2)]
+    )
     model = sb3.PPO("MlpPolicy", envs, n_steps=4, batch_size=4, device="cpu")
-    refused("differ in time_step; give one of them as env= or like=", save_model, tmp_path / "model", model)
+    refused(
+        "differ in time_step; give one of them as env= or like=",
+        save_model,
+        tmp_path / "model",
+        model,
+    )
     save_model(tmp_path / "model", model, env=DriveEnv("Pipkin", None, time_step=0.2))
     assert load_model(tmp_path / "model.zip").planner.drive.hold == 20
     turned = wrapped(Turned, make_env=lambda *_, **__: DuelEnv(step_seconds=0.5, moves=2))
@@ -222,7 +291,9 @@ def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
         refused("was trained behind Turned", DuelEnv, opponent=opponent, step_seconds=0.5, moves=2)
 
 
-@pytest.mark.parametrize(("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})])
+@pytest.mark.parametrize(
+    ("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})]
+)
 def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more):
     track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
     env = DriveEnv(track, RIVAL, beams=5, time_step=0.2, vehicle={"mu": 0.9})
@@ -234,23 +305,33 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     assert (kept.hold, kept.options.beams, kept.options.vehicle[0].mu) == (20, 5, 0.9)
     assert load_entrant(file, make_game_spec("default", "paper")).planner.drive.hold == 20
     assert make(file).planner.drive.content_hash == named.planner.drive.content_hash
-    ends = [run_races(track, one, parse_policy(RIVAL), config, seed=2) for one in (load_model(file), *named.policies)]
+    ends = [
+        run_races(track, one, parse_policy(RIVAL), config, seed=2)
+        for one in (load_model(file), *named.policies)
+    ]
     np.testing.assert_array_equal(ends[0].state.cars, ends[1].state.cars)
     for opponent in (file, model):
         rival = DriveEnv(track, opponent, config)
         rival.reset(seed=1)
         rival.step([0.0, -1.0])
         assert rival.batch.state.memory[0, 1, :2].any()
-    scaled = sb3.common.vec_env.VecNormalize(sb3.common.vec_env.DummyVecEnv([lambda: env]), clip_obs=1.5)
+    scaled = sb3.common.vec_env.VecNormalize(
+        sb3.common.vec_env.DummyVecEnv([lambda: env]), clip_obs=1.5
+    )
     scaled.obs_rms.update(3.0 * ROWS[:, : env.observation_space.shape[0]] + 1.0)
     model.set_env(scaled)
     refused("behind VecNormalize; only save_model", as_competitor, model, "mine")
-    seen, kept = env.reset(seed=3)[0][None], load_model(save_model(tmp_path / "model", model)).planner.drive
+    seen, kept = (
+        env.reset(seed=3)[0][None],
+        load_model(save_model(tmp_path / "model", model)).planner.drive,
+    )
     expected = np.clip(model.predict(scaled.normalize_obs(seen), deterministic=True)[0], -1.0, 1.0)
     np.testing.assert_allclose(np.clip(kept.model.predict(seen)[0], -1.0, 1.0), expected, atol=1e-5)
     assert kept.content_hash != named.planner.drive.content_hash
     for harm, said in (("clip: 1.5", "clip: -1"), ("scale:", "scales:"), ("spread:", "spreads:")):
-        (tmp_path / "model.yaml").write_text((tmp_path / "model.yaml").read_text().replace(harm, said))
+        (tmp_path / "model.yaml").write_text(
+            (tmp_path / "model.yaml").read_text().replace(harm, said)
+        )
         refused("scale", load_model, file)
     (tmp_path / "model.yaml").unlink()
     refused(r"model\.yaml with the arguments", load_model, file)

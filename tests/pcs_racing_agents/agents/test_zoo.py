@@ -58,7 +58,9 @@ def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
             assert signature(entries()[name].build).parameters["seed"].default == 0
             assert entries()[name].moves == (not isinstance(created, Driver))
         if isinstance(created, Driver):
-            assert name in (*("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),)
+            assert name in (
+                *("random-policy", "lane-switcher", "gap-follower", "ppo-drive", "pure-pursuit"),
+            )
             continue
         assert isinstance(created, Agent)
         for rows in seen[:-1]:
@@ -75,9 +77,11 @@ def test_an_entrant_has_its_own_name_or_the_one_that_is_given(spec, tmp_path):
     layers = random_layers(len(INPUTS), 6, 2, seed=1)
     folder = save_driver(tmp_path / "place", layers, name="mine", hold=4, training={})
     for text, own, more in [
-        (str(folder), "mine", {"drive": True}), ("ppo-drive", "ppo-drive", {"drive": True}),
-        ("never-switch", "never-switch", {}), ("lattice:pace=0.5", "lattice:pace=0.5", {}),
-    ]:  # fmt: skip
+        (str(folder), "mine", {"drive": True}),
+        ("ppo-drive", "ppo-drive", {"drive": True}),
+        ("never-switch", "never-switch", {}),
+        ("lattice:pace=0.5", "lattice:pace=0.5", {}),
+    ]:
         assert load_entrant(text, spec, **more).name == own
         assert load_entrant(text, spec, **more, name="other").name == "other"
     refused("no file of weights", load_entrant, "a:b", spec, weights=tmp_path / "none.npz")
@@ -85,14 +89,21 @@ def test_an_entrant_has_its_own_name_or_the_one_that_is_given(spec, tmp_path):
 
 def test_the_archive_of_a_setting_has_the_axes_of_the_game(archive):
     one = make_game_spec(archive, replace(CONFIG, characteristics=("restraint",)))
-    assert (one.archive.characteristics, one.moves) == (("restraint",), ("restraint +", "restraint -", "stay"))
+    assert (one.archive.characteristics, one.moves) == (
+        ("restraint",),
+        ("restraint +", "restraint -", "stay"),
+    )
     same = make_game_spec(archive, replace(CONFIG, characteristics=archive.characteristics))
     assert same.archive is archive
-    assert [make_game_spec(archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)] == [4, 5]
+    assert [
+        make_game_spec(archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)
+    ] == [4, 5]
     assert (one.move("restraint-"), one.race, len(one.elements)) == (1, "paper", 5 * 4 + 1)
 
 
-def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(game, spec, oval):
+def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(
+    game, spec, oval
+):
     agent = pcs_racing_agents.make("random-moves", race="contest", seed=1)
     assert isinstance(agent, Agent)
     assert agent.spec.race == "contest"
@@ -105,7 +116,13 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     with pytest.raises(AttributeError, match="has no attribute 'mak'"):
         pcs_racing_agents.mak  # noqa: B018
     other = make("never-switch")
-    refused(r"agent 'never-switch' was made for archive 'default' \(.*\)", game_between, game, other, other)
+    refused(
+        r"agent 'never-switch' was made for archive 'default' \(.*\)",
+        game_between,
+        game,
+        other,
+        other,
+    )
     agent, wider = random_moves(spec), make_game(oval, spec.archive, spec.config, epsilon=0.7)
     refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
@@ -117,9 +134,16 @@ def test_agents_as_text_and_bad_names_and_options(spec):
     (only,) = parse_agent("lane-switcher:4", spec).policies
     assert only.name == "lane-switcher:4"
     spec = make_game_spec("contest", "contest")
-    adaptive = parse_agent("adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", spec)
+    adaptive = parse_agent(
+        "adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", spec
+    )
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
-    for text in ("best-fixed:3", "best-fixed:target=3,target=4", "best-fixed:name=x", "best-fixed:target=[1"):
+    for text in (
+        "best-fixed:3",
+        "best-fixed:target=3,target=4",
+        "best-fixed:name=x",
+        "best-fixed:target=[1",
+    ):
         refused("agent 'best-fixed", parse_agent, text, spec)
     for name, given, message in [
         ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
@@ -134,7 +158,9 @@ def test_agents_as_text_and_bad_names_and_options(spec):
         ("lattice:pace=7", {}, "must lie in"),
     ]:
         refused(message, build, name, spec, **given)
-    refused("unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError)
+    refused(
+        "unknown archive 'nowhere'", make, "never-switch", archive="nowhere", error=UnknownNameError
+    )
 
 
 def third_party(spec, *, name="x", seed=0, bold=False):
@@ -157,7 +183,9 @@ def test_agents_of_other_people(spec, monkeypatch):
     for name in ("", "a b", "nash", "always-x", "a:b"):
         refused("agent", register_agent, name, third_party)
 
-    monkeypatch.setattr(zoo, "_declared", lambda: {"far": f"{__name__}:third_party", "broken": "no.such:thing"})
+    monkeypatch.setattr(
+        zoo, "_declared", lambda: {"far": f"{__name__}:third_party", "broken": "no.such:thing"}
+    )
     assert {"far", "broken"} <= set(names(spec.archive, spec.config))
     assert build("far", spec, bold=True).name == "far"
     refused(r"agent 'broken' can't be loaded from no\.such:thing", build, "broken", spec)
@@ -178,7 +206,10 @@ def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
     assert options("bold") == {"move": "aggressiveness +"}
     created = build("bold", spec)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
-    assert created.spec.moves[created.predict(np.zeros((1, len(spec.elements))))[0][0]] == "aggressiveness +"
+    assert (
+        created.spec.moves[created.predict(np.zeros((1, len(spec.elements))))[0][0]]
+        == "aggressiveness +"
+    )
     text = describe.describe("bold", entries()["bold"])
     assert "Races ever more aggressively." in text
     assert "- Option `move`, by default `aggressiveness +`." in text
@@ -186,22 +217,45 @@ def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
 
 def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, monkeypatch):
     assert describe.describe("nash", entries()["nash"]).splitlines() == [
-        "Draws its moves from an approximate equilibrium strategy.", "", "- Source: backward induction, sampled.",
+        "Draws its moves from an approximate equilibrium strategy.",
+        "",
+        "- Source: backward induction, sampled.",
         "- Needs the network `ARCHIVE-RACE-nash`, or `network=FOLDER`.",
-        "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`, `sample` or `softmax`.",
-        "- Option `network`, by default `None`. Another network: the name of a shipped one or its folder.",
-    ]  # fmt: skip
+        (
+            "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`,"
+            " `sample` or `softmax`."
+        ),
+        (
+            "- Option `network`, by default `None`. Another network: the name of a shipped one or"
+            " its folder."
+        ),
+    ]
     digest = competitor_hash(build("never-switch", spec))
     one = describe.Measured(
-        *("toy", "paper", "never-switch", digest, "Tarnfjord, Saltmere", 300.0, 0.5, -12.0, -40.0, 20.0, 0.02),
+        *(
+            "toy",
+            "paper",
+            "never-switch",
+            digest,
+            "Tarnfjord, Saltmere",
+            300.0,
+            0.5,
+            -12.0,
+            -40.0,
+            20.0,
+            0.02,
+        ),
         *(46.0, 0.53, {"random-moves": 0.625, "nash": 0.25}),
     )
     monkeypatch.setattr(describe, "measurements", lambda: {("toy", "paper", "never-switch"): one})
     assert describe.facts_of("never-switch", spec) == [
-        "Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races (0.625 against random-"
-        "moves, 0.250 against nash); own crashes 2.0%.",
-        "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once.", f"Hash: {digest[:16]}.",
-    ]  # fmt: skip
+        (
+            "Strength: score 0.500, rating -12 [-40, +20], on Tarnfjord, Saltmere in 300 races"
+            " (0.625 against random-moves, 0.250 against nash); own crashes 2.0%."
+        ),
+        "Cost: 46 us for one observation, 0.53 us for each of 1,000 at once.",
+        f"Hash: {digest[:16]}.",
+    ]
     changed = competitor_hash(build("random-moves", spec))
     unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
     assert describe.facts_of("random-moves", spec) == unmeasured
@@ -215,5 +269,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
         assert describe._cost(one._replace(agent=name, many_us=np.nan)) == words
     times = {np.nan: "", 0.5312: "0.531", 99.96: "100", 1234.4: "1,234"}
     assert list(map(describe.microseconds, times)) == list(times.values())
-    ratings = [describe.rating_text(one._replace(**{key: np.nan})) for key in ("rating", "rating_low")]
+    ratings = [
+        describe.rating_text(one._replace(**{key: np.nan})) for key in ("rating", "rating_low")
+    ]
     assert (ratings, training_text({})) == (["unknown", "-12"], "not said")

@@ -18,7 +18,12 @@ from refusal import refused
 from warm_start import kill, start_python
 
 from pcs_racing_agents.base import executors
-from pcs_racing_agents.base.executors import make_executor, sent_once, tasks_in_flight, worker_identity
+from pcs_racing_agents.base.executors import (
+    make_executor,
+    sent_once,
+    tasks_in_flight,
+    worker_identity,
+)
 from pcs_racing_agents.base.folders import JobError
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main
@@ -40,8 +45,18 @@ class Cluster:
         self.workers: list[BaseProcess] = []
 
     def add_worker(self) -> BaseProcess:
-        options = ("--nthreads", "1", "--no-nanny", "--memory-limit", "2GB", "--death-timeout", str(PATIENCE))
-        worker = self._start("worker", self.address, *options, "--local-directory", str(self.folder / "scratch"))
+        options = (
+            "--nthreads",
+            "1",
+            "--no-nanny",
+            "--memory-limit",
+            "2GB",
+            "--death-timeout",
+            str(PATIENCE),
+        )
+        worker = self._start(
+            "worker", self.address, *options, "--local-directory", str(self.folder / "scratch")
+        )
         self.workers.append(worker)
         return worker
 
@@ -53,11 +68,25 @@ class Cluster:
     def _start(self, what: str, *arguments: str) -> BaseProcess:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(HERE), *sys.path])}
         log = self.folder / f"{what}.log"
-        return start_python("-m", "dask", what, "--no-dashboard", *arguments, env=environment, stdout=log, stderr=log)
+        return start_python(
+            "-m",
+            "dask",
+            what,
+            "--no-dashboard",
+            *arguments,
+            env=environment,
+            stdout=log,
+            stderr=log,
+        )
 
     def _address(self) -> str:
         log = self.folder / "scheduler.log"
-        wait_for(lambda: (log.exists() and "Scheduler at:" in log.read_text()) or not self.scheduler.is_alive())
+        wait_for(
+            lambda: (
+                (log.exists() and "Scheduler at:" in log.read_text())
+                or not self.scheduler.is_alive()
+            )
+        )
         return log.read_text().split("Scheduler at:")[1].split()[0]
 
 
@@ -74,7 +103,10 @@ def started(folder: Path, workers: int) -> Iterator[Cluster]:
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory) -> Iterator[Cluster]:
-    with started(tmp_path_factory.mktemp("cluster"), 3) as cluster, make_executor("dask", None, cluster.address):
+    with (
+        started(tmp_path_factory.mktemp("cluster"), 3) as cluster,
+        make_executor("dask", None, cluster.address),
+    ):
         Client.current().wait_for_workers(3, timeout=PATIENCE)
         yield cluster
 
@@ -109,7 +141,10 @@ def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_p
 
 
 def test_workers_are_busy_all_of_them(cluster, tmp_path):
-    with open_job(tmp_path, "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
+    with (
+        open_job(tmp_path, "k", {}) as job,
+        make_executor("dask", address=cluster.address) as executor,
+    ):
         Client.current().wait_for_workers(3, timeout=PATIENCE)
         assert tasks_in_flight(executor) == 6
         found = job.run("who", who, range(30), executor=executor)
@@ -137,7 +172,10 @@ class Heavy:
 def test_a_large_function_travels_once_and_not_with_every_task(tmp_path, kind, request, recwarn):
     address = request.getfixturevalue("cluster").address if kind == "dask" else None
     heavy = Heavy()
-    with open_job(tmp_path, "k", {}) as job, make_executor(kind, None if address else 2, address) as executor:
+    with (
+        open_job(tmp_path, "k", {}) as job,
+        make_executor(kind, None if address else 2, address) as executor,
+    ):
         found = job.run("heavy", heavy, range(40), executor=executor)
         with sent_once(heavy, executor) as submit:
             sent = submit.args[1:]  # what goes along with every task
@@ -165,7 +203,10 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
     tasks = [(number, str(marks)) for number in range(40)]
     killed = []
 
-    with open_job(tmp_path / "job", "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
+    with (
+        open_job(tmp_path / "job", "k", {}) as job,
+        make_executor("dask", address=cluster.address) as executor,
+    ):
         victim = cluster.workers.pop(0)
 
         def kill_one(done, total, what):
@@ -179,7 +220,9 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
     assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
 
 
-def test_a_worker_killed_while_ppo_learns_costs_a_seed_at_most(cluster, long_commands, tmp_path, monkeypatch):
+def test_a_worker_killed_while_ppo_learns_costs_a_seed_at_most(
+    cluster, long_commands, tmp_path, monkeypatch
+):
     """Six seeds on three workers, of which two are left; compared with a training in this process."""
     pytest.importorskip("stable_baselines3")
     command = [*long_commands["ppo"], "--seeds", *map(str, range(6))]
@@ -220,7 +263,10 @@ def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_p
     done = len(list((tmp_path / "job" / "chunks").iterdir()))
     assert 5 <= done < 25
     told = []
-    with open_job(tmp_path / "job", "k", {}) as job, make_executor("dask", address=cluster.address) as executor:
+    with (
+        open_job(tmp_path / "job", "k", {}) as job,
+        make_executor("dask", address=cluster.address) as executor,
+    ):
         job.run("slow", slow, tasks, executor=executor, progress=lambda *news: told.append(news[0]))
     assert told[0] == done
     assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
@@ -233,7 +279,9 @@ def out_of_memory(task: int) -> dict[str, int]:
     raise KilledWorker("out_of_memory-12", SimpleNamespace(address="tcp://there:1"), 3)
 
 
-def test_a_task_that_kills_its_workers_and_a_scheduler_without_any_are_told_in_a_line(tmp_path, monkeypatch):
+def test_a_task_that_kills_its_workers_and_a_scheduler_without_any_are_told_in_a_line(
+    tmp_path, monkeypatch
+):
     with (
         open_job(tmp_path, "k", {}) as job,
         pytest.raises(JobError, match=r"^deadly .*worker died.*out_of_memory-12"),
@@ -242,10 +290,15 @@ def test_a_task_that_kills_its_workers_and_a_scheduler_without_any_are_told_in_a
         job.run("deadly", out_of_memory, range(2), executor=executor)
     monkeypatch.setattr(executors, "WORKER_SECONDS", 0.5)
     with started(tmp_path, 0) as lonely:
-        refused(f"{lonely.address} has no workers", make_executor("dask", address=lonely.address).__enter__)
+        refused(
+            f"{lonely.address} has no workers",
+            make_executor("dask", address=lonely.address).__enter__,
+        )
 
 
-@pytest.mark.parametrize("error", [BrokenExecutor("a process died"), CancelledError("scheduler-connection-lost")])
+@pytest.mark.parametrize(
+    "error", [BrokenExecutor("a process died"), CancelledError("scheduler-connection-lost")]
+)
 def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, error):
     """A tournament without a folder keeps nothing, and has no job."""
 
@@ -253,22 +306,45 @@ def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, er
         raise error
 
     monkeypatch.setattr("pcs_racing_agents.tournament.plan_tournament", fail)
-    assert main(["tournament", "--track", "Pipkin", "--agents", "never-switch", "random-moves"]) == 2
-    told = f"pcs-racing: error: a worker failed or the cluster is unreachable ({error}); rerun to resume\n"
+    assert (
+        main(["tournament", "--track", "Pipkin", "--agents", "never-switch", "random-moves"]) == 2
+    )
+    told = (
+        f"pcs-racing: error: a worker failed or the cluster is unreachable ({error}); rerun to"
+        " resume\n"
+    )
     assert capsys.readouterr().err == told
 
 
 @pytest.mark.parametrize(
-    "address", ["tcp://127.0.0.1:9", "nonsense://there", "tcp://no-such-host.invalid:8786", "127.0.0.1:x", ""]
+    "address",
+    ["tcp://127.0.0.1:9", "nonsense://there", "tcp://no-such-host.invalid:8786", "127.0.0.1:x", ""],
 )
 def test_a_wrong_address_is_one_clear_error(address, monkeypatch, capfd):
     monkeypatch.setattr(executors, "ANSWER_SECONDS", 1.0)
-    assert main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "x", "--executor", "dask",
-                 "--scheduler", address]) == 2  # fmt: skip
+    assert (
+        main(
+            [
+                "tree",
+                "--archive",
+                "default",
+                "--track",
+                "Pipkin",
+                "--out",
+                "x",
+                "--executor",
+                "dask",
+                "--scheduler",
+                address,
+            ]
+        )
+        == 2
+    )
     error = capfd.readouterr().err
     assert error.startswith(f"pcs-racing: error: no dask scheduler answers at {address}: ")
     assert error.count("\n") == 1
-    # One that waits to be collected would be closed within the start of another, where both wait for ever.
+    # One that waits to be collected would be closed within the start of another, where both wait
+    # for ever.
     assert {one.status for one in gc.get_objects() if type(one) is Client} <= {"running", "closed"}
 
 
@@ -284,7 +360,9 @@ def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypa
     assert executors._client(busy, "tcp://there:1") == "a client"
     monkeypatch.setattr(executors, "CONNECT_ATTEMPTS", 2)
     asked.clear()
-    with pytest.raises(JobError, match="dask's own thread does not start: this machine is too busy"):
+    with pytest.raises(
+        JobError, match="dask's own thread does not start: this machine is too busy"
+    ):
         executors._client(busy, "tcp://there:1")
 
 
@@ -292,7 +370,11 @@ def test_workers_of_other_versions_torches_and_processors_are_told(caplog, clust
     theirs = {**worker_identity(), "torch": "0.1"}
     executors._check_workers({"tcp://there:1": {**theirs, "torch": ""}})  # a tournament needs none
     if worker_identity()["torch"]:
-        refused(r"tcp://there:1 has torch 0\.1, not \d", executors._check_workers, {"tcp://there:1": theirs})
+        refused(
+            r"tcp://there:1 has torch 0\.1, not \d",
+            executors._check_workers,
+            {"tcp://there:1": theirs},
+        )
     executors._check_workers({"tcp://there:1": {**worker_identity(), "processor": "z80"}})
     assert "the worker at tcp://there:1 has a processor of another kind (z80, here " in caplog.text
     theirs = worker_identity()["pcs-racing"]

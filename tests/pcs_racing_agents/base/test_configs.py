@@ -20,7 +20,9 @@ def test_names_are_sorted_and_without_their_kind():
 def test_every_kind_has_a_schema_and_every_shipped_file_obeys_its_own():
     """``python dev/tools/write_schemas.py`` writes the schemas again."""
     tool = load_tool("write_schemas")
-    assert {file.stem: file.read_text(encoding="utf-8") for file in tool.FOLDER.glob("*.json")} == tool.schemas()
+    assert {
+        file.stem: file.read_text(encoding="utf-8") for file in tool.FOLDER.glob("*.json")
+    } == tool.schemas()
     files = {kind: shipped_configs(kind).values() for kind in tool.schemas()}
     for kind, file in [(kind, file) for kind, of_kind in files.items() for file in of_kind]:
         text = file.read_text(encoding="utf-8")

@@ -1,4 +1,6 @@
-"""Long commands that are killed, run out of disk, or meet each other: nothing is lost, and the results are the same."""
+"""Long commands that are killed, run out of disk, or meet each other: nothing is lost, and the
+results are the same.
+"""
 
 import os
 import signal
@@ -16,10 +18,18 @@ from warm_start import call_python, kill, start_python
 
 from pcs_racing_agents.cli.main import main
 
-pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs SIGKILL, flock and a limit on the size of files")
+pytestmark = pytest.mark.skipif(
+    sys.platform != "linux", reason="needs SIGKILL, flock and a limit on the size of files"
+)
 
 TORCH = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
-LONG = ["synthesize", "tree", pytest.param("train", marks=TORCH), "tournament", pytest.param("study", marks=TORCH)]
+LONG = [
+    "synthesize",
+    "tree",
+    pytest.param("train", marks=TORCH),
+    "tournament",
+    pytest.param("study", marks=TORCH),
+]
 KILLS = 2  # of a folder
 SEEDS = range(int(os.environ.get("PCS_RACING_KILLED_FOLDERS", "1")))  # of each command
 
@@ -38,21 +48,39 @@ code = main(sys.argv[2:])
 print(f"processor time {time.process_time():.3f}")
 sys.exit(code)
 """
-"""Run a command and kill it after some seconds of processor time: they pass alike, however busy the machine is."""
+"""Run a command and kill it after some seconds of processor time: they pass alike, however busy the
+machine is.
+"""
 
 
 @pytest.fixture(scope="module")
 def long_commands(tmp_path_factory) -> dict[str, list[str]]:
-    """Every long command; the training is of a network on some trees, without curves, which hold times."""
+    """Every long command; the training is of a network on some trees, without curves, which hold
+    times.
+    """
     folder = tmp_path_factory.mktemp("settings")
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
-    train = ["train", str(folder / "trees"), "--config", "quick", "--epochs", "12", "--name", "small"]
-    return commands() | {"study": ["study", str(SETTINGS / "study.yaml")], "train": [*train, "--no-tensorboard"]}
+    train = [
+        "train",
+        str(folder / "trees"),
+        "--config",
+        "quick",
+        "--epochs",
+        "12",
+        "--name",
+        "small",
+    ]
+    return commands() | {
+        "study": ["study", str(SETTINGS / "study.yaml")],
+        "train": [*train, "--no-tensorboard"],
+    }
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("what", LONG)
-def test_killed_at_random_moments_and_damaged_the_results_are_the_same(long_commands, tmp_path, what, seed, capsys):
+def test_killed_at_random_moments_and_damaged_the_results_are_the_same(
+    long_commands, tmp_path, what, seed, capsys
+):
     command = long_commands[what]
     whole = call_python("-c", KILLED, "inf", *command, "--out", tmp_path / "whole")
     assert whole.returncode == 0, whole.stderr
@@ -65,7 +93,9 @@ def test_killed_at_random_moments_and_damaged_the_results_are_the_same(long_comm
         assert done.returncode in (0, -signal.SIGKILL), done.stderr
         killed += done.returncode != 0
         seconds *= 1.0 if done.returncode else 0.5  # less was left, or the whole run had to compile
-    left = sorted(file for file in (tmp_path / "killed").rglob("*") if file.is_file() and file.stat().st_size)
+    left = sorted(
+        file for file in (tmp_path / "killed").rglob("*") if file.is_file() and file.stat().st_size
+    )
     struck = rng.choice(left) if left else tmp_path / "nothing was written"
     if left:
         content = bytearray(struck.read_bytes())
@@ -83,10 +113,23 @@ def test_killed_at_random_moments_and_damaged_the_results_are_the_same(long_comm
 
 
 def test_sigterm_ends_a_command_and_its_workers_as_ctrl_c_does(long_commands, tmp_path):
-    command = [*long_commands["tree"], "--executor", "processes", "--workers", "1", "--out", tmp_path]
+    command = [
+        *long_commands["tree"],
+        "--executor",
+        "processes",
+        "--workers",
+        "1",
+        "--out",
+        tmp_path,
+    ]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     # A new interpreter: its own tracker of semaphores says what was left behind.
-    with Popen([sys.executable, "-m", "pcs_racing_agents", *command], stderr=PIPE, text=True, env=environment) as run:
+    with Popen(
+        [sys.executable, "-m", "pcs_racing_agents", *command],
+        stderr=PIPE,
+        text=True,
+        env=environment,
+    ) as run:
         while run.poll() is None and not list(tmp_path.glob("chunks/*.npz")):
             time.sleep(0.02)
         run.terminate()
@@ -96,7 +139,9 @@ def test_sigterm_ends_a_command_and_its_workers_as_ctrl_c_does(long_commands, tm
 
 
 def test_ppo_killed_after_a_seed_ends_with_the_same_weights(long_commands, tmp_path):
-    """The other commands' test, waiting for a chunk in place of seconds: loading torch takes most of these."""
+    """The other commands' test, waiting for a chunk in place of seconds: loading torch takes most
+    of these.
+    """
     pytest.importorskip("stable_baselines3")
     command = long_commands["ppo"]
     assert main([*command, "--out", str(tmp_path / "whole")]) == 0
@@ -145,7 +190,9 @@ def only_error(text: str) -> str:
 
 @pytest.mark.parametrize("size", [0, 2500])
 @pytest.mark.parametrize("what", LONG)
-def test_a_full_disk_is_one_clear_error_and_loses_nothing(long_commands, tmp_path, what, size, capsys):
+def test_a_full_disk_is_one_clear_error_and_loses_nothing(
+    long_commands, tmp_path, what, size, capsys
+):
     with largest_file(size):
         assert main([*long_commands[what], "--out", str(tmp_path / "out")]) == 2
     error = only_error(capsys.readouterr().err)
@@ -154,9 +201,11 @@ def test_a_full_disk_is_one_clear_error_and_loses_nothing(long_commands, tmp_pat
     assert not list((tmp_path / "out").rglob(".*.????????"))  # no half-written file is left
 
 
-@pytest.mark.parametrize("what", ["tree", "tournament"])  # the settings of the others lie where only we may read
+# the settings of the others lie where only we may read
+@pytest.mark.parametrize("what", ["tree", "tournament"])
 def test_a_read_only_folder_is_one_clear_error(long_commands, tmp_path, what, capsys, monkeypatch):
-    assert main([*long_commands[what], "--out", str(tmp_path / "warm")]) == 0  # somebody else may not import everything
+    # somebody else may not import everything
+    assert main([*long_commands[what], "--out", str(tmp_path / "warm")]) == 0
     capsys.readouterr()
     folder = tmp_path / "read-only"
     folder.mkdir(mode=0o555)
@@ -189,5 +238,7 @@ def test_the_second_of_two_in_one_folder_is_refused(long_commands, tmp_path, wha
         lock.flush()
         assert main(command) == 2
     error = capsys.readouterr().err.splitlines()[-1]
-    assert error.endswith(f"in use by process {os.getpid()}; wait until it ends, or choose another folder")
+    assert error.endswith(
+        f"in use by process {os.getpid()}; wait until it ends, or choose another folder"
+    )
     assert [file.name for file in place.iterdir()] == [".lock"]

@@ -43,7 +43,11 @@ def same(results, others):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for file in sorted(folder.rglob("*"))
+        if file.is_file()
+    }
 
 
 def test_results_come_in_the_order_of_the_tasks_and_progress_counts_what_was_there(tmp_path):
@@ -72,10 +76,16 @@ def test_files_are_the_same_whatever_the_executor(tmp_path, kind, executor):
 
 def test_names_and_results_that_can_not_be_are_refused(tmp_path):
     for value in [[1, 2], {"object": object()}, {"ragged": [None, {}]}, 3]:
-        with open_job(tmp_path, "squares", SETTINGS) as job, pytest.raises(InputError, match="task 0 of odd"):
+        with (
+            open_job(tmp_path, "squares", SETTINGS) as job,
+            pytest.raises(InputError, match="task 0 of odd"),
+        ):
             job.run("odd", lambda _, value=value: value, [0])
     for name in ["", "../up", "A", "a b", "x" * 81]:
-        with open_job(tmp_path, "squares", SETTINGS) as job, pytest.raises(InputError, match="small letters"):
+        with (
+            open_job(tmp_path, "squares", SETTINGS) as job,
+            pytest.raises(InputError, match="small letters"),
+        ):
             job.run(name, square, [1])
 
 
@@ -88,7 +98,10 @@ def test_a_job_goes_on_where_it_failed(tmp_path):
             raise ZeroDivisionError("the third")
         return square(task)
 
-    with open_job(tmp_path, "squares", SETTINGS) as job, pytest.raises(ZeroDivisionError, match="the third"):
+    with (
+        open_job(tmp_path, "squares", SETTINGS) as job,
+        pytest.raises(ZeroDivisionError, match="the third"),
+    ):
         job.run("square", fails_once, range(5))
     with open_job(tmp_path, "squares", SETTINGS) as job:
         results = job.run("square", fails_once, range(5))
@@ -106,9 +119,12 @@ def test_a_damaged_chunk_is_named_and_made_again(tmp_path, damage, caplog):
         if damage == "bit":
             content[len(content) // 2] ^= 4
         replaced = {
-            "cut": content[: len(content) // 2], "bit": content, "empty": b"", "other": b"PK" * 400,
+            "cut": content[: len(content) // 2],
+            "bit": content,
+            "empty": b"",
+            "other": b"PK" * 400,
             "swapped": job.file("square", 3).read_bytes(),
-        }  # fmt: skip
+        }
         file.write_bytes(replaced[damage])
         same(job.run("square", square, range(4)), expected)
         assert [record.getMessage().split(" ")[0] for record in caplog.records] == [str(file)]
@@ -229,8 +245,16 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
         ("squares", {**SETTINGS, "seed": True}, "its seed is 3, not True"),
         ("squares", {"seed": 3}, "its race is"),
         ("squares", {**SETTINGS, "moves": 4}, "it has no moves, which is 4"),
-        ("squares", {"seed": 3, "race": {**RACE, "duration": 8.0}}, r"its race\.duration is 16\.0, not 8\.0"),
-        ("squares", {"seed": 3, "race": {**RACE, "tracks": ("Pipkin",)}}, r"its race\.tracks is .*Saltmere"),
+        (
+            "squares",
+            {"seed": 3, "race": {**RACE, "duration": 8.0}},
+            r"its race\.duration is 16\.0, not 8\.0",
+        ),
+        (
+            "squares",
+            {"seed": 3, "race": {**RACE, "tracks": ("Pipkin",)}},
+            r"its race\.tracks is .*Saltmere",
+        ),
     ],
 )
 def test_a_folder_of_another_run_is_refused_and_left_alone(tmp_path, kind, settings, message):
@@ -246,7 +270,9 @@ def test_a_folder_of_another_run_is_refused_and_left_alone(tmp_path, kind, setti
 def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
     with open_job(tmp_path, "squares", SETTINGS):
         monkeypatch.setattr("pcs_racing_agents.base.folders.package_version", lambda: "99.0")
-    refused(r"package version is '.*', not '99\.0'", open_job(tmp_path, "squares", SETTINGS).__enter__)
+    refused(
+        r"package version is '.*', not '99\.0'", open_job(tmp_path, "squares", SETTINGS).__enter__
+    )
 
 
 @pytest.mark.parametrize("damage", ["cut", "bit", "empty", "gone", "digest", "no digest"])
@@ -256,7 +282,8 @@ def test_a_damaged_manifest_is_written_again_by_the_same_command(tmp_path, damag
     whole = contents(tmp_path)
     file = tmp_path / (".job.sha256" if "digest" in damage else "job.yaml")
     content = bytearray(file.read_bytes())
-    content[content.index(b"3" if "digest" not in damage else content[:1])] ^= 1  # the seed, of the manifest
+    # the seed, of the manifest
+    content[content.index(b"3" if "digest" not in damage else content[:1])] ^= 1
     if damage in ("gone", "no digest"):
         file.unlink()
     else:
@@ -266,9 +293,9 @@ def test_a_damaged_manifest_is_written_again_by_the_same_command(tmp_path, damag
     with open_job(tmp_path, "squares", SETTINGS) as job:
         job.run("square", square, range(3))
     found = contents(tmp_path)
-    assert {name: found[name] for name in found if "digest" not in damage or name != ".job.sha256"} == {
-        name: whole[name] for name in whole if "digest" not in damage or name != ".job.sha256"
-    }
+    assert {
+        name: found[name] for name in found if "digest" not in damage or name != ".job.sha256"
+    } == {name: whole[name] for name in whole if "digest" not in damage or name != ".job.sha256"}
 
 
 def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
@@ -279,7 +306,10 @@ def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
             assert job.settings["epsilon"] == [0.1, 0.2]
             assert job.settings["race"]["duration"] == 40.0
             assert job.settings["tiny"] == 1e-30
-    assert yaml.safe_load((tmp_path / "job.yaml").read_text())["settings"]["bounds"] == [[1.0, 0.0], [0.0, 1.0]]
+    assert yaml.safe_load((tmp_path / "job.yaml").read_text())["settings"]["bounds"] == [
+        [1.0, 0.0],
+        [0.0, 1.0],
+    ]
     refused("settings.f is <function", open_job(tmp_path / "f", "k", {"f": square}).__enter__)
 
 
@@ -308,7 +338,10 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
         pytest.raises(
-            JobError, match=r"can't write .*square-00002.npz: No space left on device; completed work is saved"
+            JobError,
+            match=(
+                r"can't write .*square-00002.npz: No space left on device; completed work is saved"
+            ),
         ),
     ):
         job.run("square", square, range(5))
@@ -317,7 +350,9 @@ def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
         assert len(job.run("square", square, range(5))) == 5
 
 
-def test_impossible_executors_are_refused_and_processes_keep_linear_algebra_to_one_thread(tmp_path, monkeypatch):
+def test_impossible_executors_are_refused_and_processes_keep_linear_algebra_to_one_thread(
+    tmp_path, monkeypatch
+):
     for arguments, message in [
         (("fibres",), "executor is 'fibres'"),
         (("threads", 0), "workers is 0"),
@@ -338,10 +373,30 @@ def blas_threads(task: int) -> dict[str, str]:
 def test_fingerprints_tell_values_apart():
     config = load_race_config("paper")
     values = [
-        0, 0.0, False, "0", b"0", None, [], [0], [[0]], [0, 0], {}, {0: 0}, {"0": 0}, np.zeros(1), np.zeros(2),
-        np.zeros((1, 1)), np.zeros(1, np.float32), np.int64(0), config, load_race_config("contest"), float("nan"),
-        len, fingerprint,
-    ]  # fmt: skip
+        0,
+        0.0,
+        False,
+        "0",
+        b"0",
+        None,
+        [],
+        [0],
+        [[0]],
+        [0, 0],
+        {},
+        {0: 0},
+        {"0": 0},
+        np.zeros(1),
+        np.zeros(2),
+        np.zeros((1, 1)),
+        np.zeros(1, np.float32),
+        np.int64(0),
+        config,
+        load_race_config("contest"),
+        float("nan"),
+        len,
+        fingerprint,
+    ]
     assert len({fingerprint(value) for value in values}) == len(values)
     assert fingerprint(config, np.arange(3)) == fingerprint(load_race_config("paper"), np.arange(3))
     assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
@@ -359,4 +414,7 @@ def test_the_time_left_counts_only_this_run(capsys, monkeypatch):
     show(55, 100, "tree")
     clock[0] += 20.0
     show(100, 100, "tree")
-    assert capsys.readouterr().err.splitlines() == ["55/100 trees, 10 s, about 90 s left: tree", "100/100 trees, 30 s"]
+    assert capsys.readouterr().err.splitlines() == [
+        "55/100 trees, 10 s, about 90 s left: tree",
+        "100/100 trees, 30 s",
+    ]

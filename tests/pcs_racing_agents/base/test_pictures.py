@@ -19,7 +19,9 @@ def heights(axes, line: int) -> list[float]:
 
 
 def test_panels_show_what_is_known_and_nothing_to_draw_is_one_clear_error():
-    figure = curves_picture({"loss": [FALLING, SPARSE], "share": [SPARSE]}, log=("loss",), mark=2.0, title="net")
+    figure = curves_picture(
+        {"loss": [FALLING, SPARSE], "share": [SPARSE]}, log=("loss",), mark=2.0, title="net"
+    )
     loss, share = figure.axes
     assert (loss.get_yscale(), share.get_yscale()) == ("log", "linear")
     assert {0.2, 0.5} <= set(np.round(loss.yaxis.get_majorticklocs(), 6))
@@ -39,11 +41,19 @@ def test_curves_for_tensorboard_replace_earlier_ones(tmp_path):
     reader = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     pytest.importorskip("torch")
     for last in (0.25, 0.125):
-        runs = {"seed-0": [(0, {"loss/a": 0.5, "loss/b": np.nan}), (10, {"loss/a": last, "loss/b": 1.0})]}
+        runs = {
+            "seed-0": [
+                (0, {"loss/a": 0.5, "loss/b": np.nan}),
+                (10, {"loss/a": last, "loss/b": 1.0}),
+            ]
+        }
         assert write_tensorboard(tmp_path / "curves", runs) == tmp_path / "curves"
     assert len(list((tmp_path / "curves" / "seed-0").glob("events.out.tfevents.*"))) == 1
     events = reader.EventAccumulator(str(tmp_path / "curves" / "seed-0")).Reload()
-    assert [(event.step, event.value) for event in events.Scalars("loss/a")] == [(0, 0.5), (10, 0.125)]
+    assert [(event.step, event.value) for event in events.Scalars("loss/a")] == [
+        (0, 0.5),
+        (10, 0.125),
+    ]
     assert [event.step for event in events.Scalars("loss/b")] == [10]
 
 
@@ -76,10 +86,16 @@ def test_names_stand_beside_their_points_and_cover_neither_points_nor_each_other
     boxes += [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in marks]
     for one, other in combinations(range(len(boxes)), 2):
         (x0, y0, x1, y1), (u0, v0, u1, v1) = boxes[one], boxes[other]
-        assert min(one, other) >= 7 or not (x0 < u1 and u0 < x1 and y0 < v1 and v0 < y1), (one, other)
+        assert min(one, other) >= 7 or not (x0 < u1 and u0 < x1 and y0 < v1 and v0 < y1), (
+            one,
+            other,
+        )
     for text, box, mark in zip(axes.texts, boxes, marks, strict=False):
         assert left <= box[0] < box[2] <= right
         assert low <= box[1] < box[3] <= high
-        away = np.hypot(max(box[0] - mark[0], mark[0] - box[2], 0.0), max(box[1] - mark[1], mark[1] - box[3], 0.0))
+        away = np.hypot(
+            max(box[0] - mark[0], mark[0] - box[2], 0.0),
+            max(box[1] - mark[1], mark[1] - box[3], 0.0),
+        )
         assert away < 60.0
         assert (text.arrow_patch is None) == (away < 10.0)

@@ -1,4 +1,6 @@
-"""Tables are laid out as plain text and Markdown, and read line by line; what is no table is refused."""
+"""Tables are laid out as plain text and Markdown, and read line by line; what is no table is
+refused.
+"""
 
 import os
 
@@ -17,7 +19,10 @@ def written(tmp_path, text):
 def test_lines_are_numbered_as_an_editor_does_and_what_is_no_text_is_refused(tmp_path):
     table = read_csv(written(tmp_path, '\ufeffego,lead\r\na,1.5\r\n\r\n"b, c",2\r\n'))
     assert table.columns == ("ego", "lead")
-    assert list(table.lines()) == [(2, {"ego": "a", "lead": "1.5"}), (4, {"ego": "b, c", "lead": "2"})]
+    assert list(table.lines()) == [
+        (2, {"ego": "a", "lead": "1.5"}),
+        (4, {"ego": "b, c", "lead": "2"}),
+    ]
     assert table.rows() == [row for _, row in table.lines()]
     table = read_csv(written(tmp_path, ""))
     assert (table.columns, table.rows()) == ((), [])
@@ -55,9 +60,17 @@ def test_words_begin_and_numbers_end_below_each_other():
     rows = [("agent", "races", "note"), ("a", "5", "x|y"), ("bcd", "12", "")]
     assert aligned(rows) == ["agent  races  note", "a          5  x|y", "bcd       12"]
     assert aligned(rows, left=3)[1:] == ["a      5      x|y", "bcd    12"]
-    assert markdown(rows) == ["| agent | races | note |", "| --- | --- | --- |", r"| a | 5 | x\|y |", "| bcd | 12 |  |"]
+    assert markdown(rows) == [
+        "| agent | races | note |",
+        "| --- | --- | --- |",
+        r"| a | 5 | x\|y |",
+        "| bcd | 12 |  |",
+    ]
 
 
 def test_markdown_shows_tags_as_text():
     """Names come from files of strangers; numbers such as "< 0.001" stay as they are."""
-    assert markdown([("agent",), ("<img src=x> | b",), ("< 0.001",)])[2:] == ["| &lt;img src=x> \\| b |", "| < 0.001 |"]
+    assert markdown([("agent",), ("<img src=x> | b",), ("< 0.001",)])[2:] == [
+        "| &lt;img src=x> \\| b |",
+        "| < 0.001 |",
+    ]

@@ -75,7 +75,8 @@ def test_tasks_are_made_when_they_are_asked_for(workers):
 
 
 def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
-    together = threading.Barrier(2, timeout=30.0)  # broken if one group waits for the end of the other
+    # broken if one group waits for the end of the other
+    together = threading.Barrier(2, timeout=30.0)
 
     def meet(task: int) -> dict[str, int]:
         together.wait()
@@ -91,7 +92,8 @@ def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
         results = run_groups(groups, executor=executor, progress=lambda *news: told.append(news))
         assert [[int(one["value"]) for one in group] for group in results] == [[2], [4]]
         assert [(done, total) for done, total, _ in told] == [(0, 2), (1, 2), (2, 2)]
-        assert run_groups(groups, keep=False) == [[], []]  # nothing is done again: nobody waits at the barrier
+        # nothing is done again: nobody waits at the barrier
+        assert run_groups(groups, keep=False) == [[], []]
     assert (tmp_path / "a" / "chunks" / "first-00000.npz").is_file()
     assert (tmp_path / "b" / "chunks" / "second-00000.npz").is_file()
     assert run_groups([]) == []

@@ -14,17 +14,38 @@ from zoo_games import toy_archive
 from pcs_racing import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.zoo import load_entrant
-from pcs_racing_agents.benchmark.card import Card, board_page, board_rows, read_card, read_cards, write_card
+from pcs_racing_agents.benchmark.card import (
+    Card,
+    board_page,
+    board_rows,
+    read_card,
+    read_cards,
+    write_card,
+)
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain, ReplyLoss
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, rating, summarise
+from pcs_racing_agents.benchmark.scoring import (
+    decision_cost,
+    gain,
+    play_protocol,
+    rating,
+    summarise,
+)
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
-    "race": "paper", "archive": "default", "seen": ("Pipkin",), "unseen": ("Larkmoor",),
-    "keeps": ("never-switch",), "switches": ("random-moves",), "planners": ("pure-pursuit",),
-    "agents": ("always-restraint+",), "blind": ("never-switch",), "egos": 2, "variants": 2,
-}  # fmt: skip
+    "race": "paper",
+    "archive": "default",
+    "seen": ("Pipkin",),
+    "unseen": ("Larkmoor",),
+    "keeps": ("never-switch",),
+    "switches": ("random-moves",),
+    "planners": ("pure-pursuit",),
+    "agents": ("always-restraint+",),
+    "blind": ("never-switch",),
+    "egos": 2,
+    "variants": 2,
+}
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +60,9 @@ def results(protocol):
 
 def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
     cells = list(protocol.cells)
-    assert {(cell.circuit, cell.kind) for cell in cells} == {(c, k) for c in ("Pipkin", "Larkmoor") for k in KINDS}
+    assert {(cell.circuit, cell.kind) for cell in cells} == {
+        (c, k) for c in ("Pipkin", "Larkmoor") for k in KINDS
+    }
     assert list(results) == ["random-moves", "never-switch"]
     for races in results.values():
         assert [one.cell for one in races] == cells
@@ -55,11 +78,18 @@ def test_scores_and_gains_are_means_over_the_same_races(results):
     assert scores["all", "all"].score == pytest.approx(every.mean())
     assert scores["all", "all"].races == len(every)
     crashed = np.concatenate([one.races.crashed for one in own])
-    assert scores["all", "all"].own_crash + scores["all", "all"].other_crash == pytest.approx(crashed.mean())
+    assert scores["all", "all"].own_crash + scores["all", "all"].other_crash == pytest.approx(
+        crashed.mean()
+    )
     one = own[0]
-    assert scores[one.cell.opponent, one.cell.circuit].score == pytest.approx(one.races.score.mean())
+    assert scores[one.cell.opponent, one.cell.circuit].score == pytest.approx(
+        one.races.score.mean()
+    )
     found = gain(results, "random-moves")
-    means = {name: np.concatenate([one.races.score for one in cells]).mean() for name, cells in results.items()}
+    means = {
+        name: np.concatenate([one.races.score for one in cells]).mean()
+        for name, cells in results.items()
+    }
     assert found.over == "never-switch"
     assert found.gain == pytest.approx(means["random-moves"] - means["never-switch"])
     assert found.low <= found.gain <= found.high
@@ -71,7 +101,9 @@ def test_a_rating_explains_the_score(protocol, results, monkeypatch):
     own = [one for one in results["random-moves"] if one.cell.opponent == "never-switch"]
     score = np.mean([one.races.score.mean() for one in own])
     if 0.0 < score < 1.0:
-        assert rating(protocol, own) == pytest.approx(100.0 + 400.0 * np.log10(score / (1.0 - score)))
+        assert rating(protocol, own) == pytest.approx(
+            100.0 + 400.0 * np.log10(score / (1.0 - score))
+        )
     monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", dict)
     assert rating(protocol, own) is None
 
@@ -105,7 +137,10 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.path", sys.path[:])
     assert load_entrant("never-switch", protocol.spec).name == "never-switch"
     assert load_entrant("brought:agent", protocol.spec).name == "brought:agent"
-    assert load_entrant("brought:agent", protocol.spec, weights=tmp_path / "net.pt", name="x").name == "x"
+    assert (
+        load_entrant("brought:agent", protocol.spec, weights=tmp_path / "net.pt", name="x").name
+        == "x"
+    )
     assert load_entrant("lattice:pace=0.4", protocol.spec).name == "lattice:pace=0.4"
     assert load_entrant("ppo-drive", protocol.spec, drive=True).planner.name == "ppo-drive"
     for text in ("brought:nothing", "nobody", "gone.zip"):
@@ -117,15 +152,24 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
 
 def card(name="mine", score=0.5, **changes):
     parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
-    scores = tuple(CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0) for k, part in enumerate(parts))
+    scores = tuple(
+        CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0)
+        for k, part in enumerate(parts)
+    )
     gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
     hashes = {"protocol_sha256": "ab" * 32, "agent_sha256": "cd" * 32}
-    return Card(**{"protocol": "p-v1", "agent": name, **hashes, "gains": gains, "scores": scores, **changes})
+    return Card(
+        **{"protocol": "p-v1", "agent": name, **hashes, "gains": gains, "scores": scores, **changes}
+    )
 
 
 def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_path):
     written = card("<b>mine</b>", rating=12.0, cost_us=3.5)
-    assert {path.name for path in write_card(written, tmp_path)} == {"card.json", "card.md", "card.html"}
+    assert {path.name for path in write_card(written, tmp_path)} == {
+        "card.json",
+        "card.md",
+        "card.html",
+    }
     assert read_card(tmp_path) == written
     assert written.score("keeps", "seen").races == 13
     refused("no score of 'keeps' on 'unseen' circuits", written.score, "keeps", "unseen")
@@ -140,7 +184,10 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        *[({"score": value}, "score is .*from 0 to 1") for value in (5.0, -0.1, "1", None, True, [0.5])],
+        *[
+            ({"score": value}, "score is .*from 0 to 1")
+            for value in (5.0, -0.1, "1", None, True, [0.5])
+        ],
         ({"score": float("nan")}, "NaN.*finite"),
         ({"score": float("inf")}, "Infinity.*finite"),
         ({"score": 0.9}, "score is 0.9, outside of its interval"),
@@ -167,7 +214,9 @@ def test_no_value_of_a_strangers_card_is_believed(change, message, tmp_path):
     refused(message, read_card, tmp_path)
 
 
-@pytest.mark.parametrize("text", ["[" * 200_000, '{"a": ' * 200_000, "9" * 5000, "1e999", "-Infinity", "\ud800", "1 2"])
+@pytest.mark.parametrize(
+    "text", ["[" * 200_000, '{"a": ' * 200_000, "9" * 5000, "1e999", "-Infinity", "\ud800", "1 2"]
+)
 def test_what_is_no_json_is_no_card(text, tmp_path):
     (tmp_path / "card.json").write_text(text, "utf-8", "surrogatepass")
     refused(r"card\.json", read_card, tmp_path)
@@ -183,7 +232,11 @@ def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_meas
     cards = read_cards(good)
     assert [row[0] for row in board_rows(cards)] == ["agent", "b", "a"]
     assert "p-v1" in board_page(cards)
-    others = {"v2": card("c", protocol="p-v2"), "hash": card("d", protocol_sha256="0" * 64), "twice": card("a")}
+    others = {
+        "v2": card("c", protocol="p-v2"),
+        "hash": card("d", protocol_sha256="0" * 64),
+        "twice": card("a"),
+    }
     for name, value in others.items():
         refused(name, read_cards, [*good, folder(name, value)])
     reply = ReplyLoss(0.123, 0.1, 0.15, 8, 1, 40)
@@ -197,19 +250,38 @@ def protocol_file(tmp_path_factory) -> str:
     """A protocol with the toy archive, as a file for the command."""
     folder = tmp_path_factory.mktemp("protocol")
     save_archive(toy_archive(), folder / "toy")
-    settings = {key: list(value) if isinstance(value, tuple) else value for key, value in SMALL.items()}
+    settings = {
+        key: list(value) if isinstance(value, tuple) else value for key, value in SMALL.items()
+    }
     file = folder / "protocol.yaml"
-    file.write_text(json.dumps({**settings, "archive": str(folder / "toy"), "agents": ["random-moves"]}))
+    file.write_text(
+        json.dumps({**settings, "archive": str(folder / "toy"), "agents": ["random-moves"]})
+    )
     return str(file)
 
 
 def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monkeypatch):
     pytest.importorskip("torch")
-    (tmp_path / "learner.yaml").write_text("starts: 8\nrounds: 1\nmembers: 1\nepochs: 2\nhidden: [4]\n")
+    (tmp_path / "learner.yaml").write_text(
+        "starts: 8\nrounds: 1\nmembers: 1\nepochs: 2\nhidden: [4]\n"
+    )
     monkeypatch.setattr("pcs_racing_agents.cli.benchmark.LEARNER", str(tmp_path / "learner.yaml"))
     monkeypatch.setattr("pcs_racing_agents.cli.benchmark.REPLY_RACES", 40)
     out = tmp_path / "card"
-    assert main(["benchmark", "always-restraint+", "--full", "--protocol", protocol_file, "--out", str(out)]) == 0
+    assert (
+        main(
+            [
+                "benchmark",
+                "always-restraint+",
+                "--full",
+                "--protocol",
+                protocol_file,
+                "--out",
+                str(out),
+            ]
+        )
+        == 0
+    )
     reply = read_card(out).best_reply
     assert (reply.starts, reply.rounds) == (8, 1)
     assert reply.low <= reply.loss <= reply.high
@@ -218,14 +290,17 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
 
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):
     def benchmark(*arguments: str, out: str) -> int:
-        return main(["benchmark", *arguments, "--protocol", protocol_file, "--out", str(tmp_path / out)])
+        return main(
+            ["benchmark", *arguments, "--protocol", protocol_file, "--out", str(tmp_path / out)]
+        )
 
     assert benchmark("always-restraint+", out="card") == 0
     assert "Adaptivity gain over the best baseline (never-switch)" in capsys.readouterr().out
     both = ["always-restraint+", "pure-pursuit"]
     assert benchmark(*both, out="two") == 0
     one, two = read_card(tmp_path / "card"), read_card(tmp_path / "two" / both[0])
-    assert replace(two, cost_us=one.cost_us) == one  # an agent drives the same races alone and beside others
+    # an agent drives the same races alone and beside others
+    assert replace(two, cost_us=one.cost_us) == one
     driver = read_card(tmp_path / "two" / "pure-pursuit")
     assert driver.score().races == one.score().races  # one policy, so more start lines
     assert driver.gains == {}  # on other races than those of the baseline

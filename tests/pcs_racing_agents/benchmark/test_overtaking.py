@@ -8,7 +8,15 @@ from refusal import refused
 
 from pcs_racing import MapError, Planner, load_track, parse_policy
 from pcs_racing.planners.pursuit import hold_command
-from pcs_racing_agents.benchmark.overtaking import AHEAD, Lines, joined, made_lines, race_scenarios, read_lines, summary
+from pcs_racing_agents.benchmark.overtaking import (
+    AHEAD,
+    Lines,
+    joined,
+    made_lines,
+    race_scenarios,
+    read_lines,
+    summary,
+)
 
 
 @pytest.fixture(scope="module")
@@ -23,12 +31,19 @@ def test_lanes_lie_beside_the_race_line_between_the_walls(lines):
     assert -0.57 <= right.min() < -0.3
     s = np.arange(len(left)) / len(left) * lines.track.length
     off_line = np.abs(left) > 0.05
-    assert (lines.track.wall_distance(lines.track.to_cartesian(np.stack([s, left], axis=-1))[off_line, :2]) > 0.3).all()
+    assert (
+        lines.track.wall_distance(
+            lines.track.to_cartesian(np.stack([s, left], axis=-1))[off_line, :2]
+        )
+        > 0.3
+    ).all()
     assert (np.abs(np.diff(lines.d, axis=1)) < 0.1).all()
 
 
 def test_an_opponent_passes_nobody_who_stands_and_drives_its_lines_without_a_crash(lines):
-    found = race_scenarios(lines, Planner("parked", (), control=hold_command, memory_size=2).policy())
+    found = race_scenarios(
+        lines, Planner("parked", (), control=hold_command, memory_size=2).policy()
+    )
     assert len(found.start) == 600
     assert len(set(found.start)) == 50
     assert len(set(zip(found.line.tolist(), found.factor.tolist(), strict=True))) == 3 * 4
@@ -38,7 +53,9 @@ def test_an_opponent_passes_nobody_who_stands_and_drives_its_lines_without_a_cra
 
 
 def test_a_faster_car_overtakes_slow_ones_more_often_and_one_seed_has_one_result(lines):
-    one, again = (race_scenarios(lines, parse_policy("predictive-spliner"), threads=n) for n in (1, 2))
+    one, again = (
+        race_scenarios(lines, parse_policy("predictive-spliner"), threads=n) for n in (1, 2)
+    )
     np.testing.assert_array_equal(one.overtakes, again.overtakes)
     assert not (one.overtakes & ~one.safe).any()
     slow, fast = (one.overtakes[one.factor == factor].mean() for factor in (0.5, 0.8))
@@ -54,7 +71,12 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     for k in range(3):
         xy = track.to_cartesian(np.stack([s, lines.d[k]], axis=-1))[::-1, :2]
         columns = np.column_stack([s, xy, s * 0.0, s * 0.0, lines.speed[k][::-1], s * 0.0])
-        np.savetxt(tmp_path / f"Brackwater_line{k}.csv", columns, delimiter=";", header="s; x; y; psi; kappa; v; a")
+        np.savetxt(
+            tmp_path / f"Brackwater_line{k}.csv",
+            columns,
+            delimiter=";",
+            header="s; x; y; psi; kappa; v; a",
+        )
     read = read_lines(track, tmp_path)
     assert read.track.length == pytest.approx(track.length, rel=0.01)
     ahead = track.to_frenet(read.track.to_cartesian([[0.0, 0.0], [AHEAD, 0.0]])[:, :2])[:, 0]
@@ -76,9 +98,12 @@ WRONG = {
     "point 4: the speed must be above 0": lambda line: line[3:, 5].fill(1e300),
     "point 3: the speed must be above 0": lambda line: line[2:, 5].fill(-5.0),
     "point 1: s must rise": lambda line: line[:, 0].fill(0.0),
-    "point 1: it must lie between the walls": lambda line: np.add(line[:, 1:3], 100.0, out=line[:, 1:3]),
+    "point 1: it must lie between the walls": lambda line: np.add(
+        line[:, 1:3], 100.0, out=line[:, 1:3]
+    ),
     "the next point must be within 2 m": _shuffled,
-    "must go round Brackwater once": lambda line: np.copyto(line[:, 1:3], line[0, 1:3]),  # 200 times the same point
+    # 200 times the same point
+    "must go round Brackwater once": lambda line: np.copyto(line[:, 1:3], line[0, 1:3]),
 }
 
 
@@ -107,7 +132,9 @@ def test_a_link_to_a_line_elsewhere_is_not_followed(lines, tmp_path):
 
 def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, printed):
     out = tmp_path / "scenarios.csv"
-    assert "without collision" in printed("overtaking", "--drivers", "stanley", "--track", "Pipkin", "--out", out)
+    assert "without collision" in printed(
+        "overtaking", "--drivers", "stanley", "--track", "Pipkin", "--out", out
+    )
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert len(rows) == 600
     assert {row["circuit"] for row in rows} == {"Pipkin"}

@@ -7,7 +7,12 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.study.study import Study, StudyConfig
-from pcs_racing_agents.tournament import plan_tournament, play_plan, tournament_settings, write_results
+from pcs_racing_agents.tournament import (
+    plan_tournament,
+    play_plan,
+    tournament_settings,
+    write_results,
+)
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairing
@@ -34,13 +39,20 @@ def study_folder(saved_archive, tmp_path_factory):
     with claim_folder(place, "study", plain_settings(config)):
         game = study.game("Pipkin")
         pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
-        pairings = [cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in config.arms]
+        pairings = [
+            cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs)
+            for arm in config.arms
+        ]
         # A second table has the same pairs with other lines.
-        pairings += [cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)]
+        pairings += [
+            cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)
+        ]
         write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
         rated = {name: study.agent(name) for name in config.rated}
         track = load_track("Pipkin")
-        plan = plan_tournament(track, rated, config.game, archive=saved_archive, races_per_pair=2, seed=7)
+        plan = plan_tournament(
+            track, rated, config.game, archive=saved_archive, races_per_pair=2, seed=7
+        )
         with open_job(place / "ratings", "tournament", tournament_settings(plan)) as job:
             write_results(play_plan(plan, job=job).races, place / "ratings.csv")
     return place, pairings

@@ -20,7 +20,14 @@ from annotated_types import Interval
 from PIL import Image
 from refusal import refused
 
-from pcs_racing import list_tracks, load_race_config, load_track, parse_policy, read_replay, record_race
+from pcs_racing import (
+    list_tracks,
+    load_race_config,
+    load_track,
+    parse_policy,
+    read_replay,
+    record_race,
+)
 from pcs_racing.base.settings import OptionalNames, Settings
 from pcs_racing.planners import registry
 from pcs_racing.race.calibration import calibrate
@@ -38,7 +45,19 @@ from pcs_racing_agents.policies.archive_search import ArchiveProgress
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
 DRIVE = ["ppo", "--config", "drive", "--out", "x"]
-TREE = ["tree", "--archive", "default", "--track", "Tarnfjord", "--moves", "2", "--step", "2", "--out", "x"]
+TREE = [
+    "tree",
+    "--archive",
+    "default",
+    "--track",
+    "Tarnfjord",
+    "--moves",
+    "2",
+    "--step",
+    "2",
+    "--out",
+    "x",
+]
 
 
 @pytest.fixture
@@ -56,8 +75,13 @@ def test_a_race_tells_what_happened(run, printed):
     assert out.startswith("Pipkin, 58.")
     assert "preset paper, seed 3, race 0" in out
     assert "car 0: lattice:pace=0.8, " in out
-    assert re.search(r"\n(lattice:pace=0.\d wins by .* m after 4 s|crash after .* s, fault of .*)\nto watch it: ", out)
-    assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out  # the same seed, the same race
+    assert re.search(
+        r"\n(lattice:pace=0.\d wins by .* m after 4 s|crash after .* s, fault of .*)\nto watch"
+        r" it: ",
+        out,
+    )
+    # the same seed, the same race
+    assert run("race", "--track", "Pipkin", *PAIR, *SHORT, "--seed", 3)[1] == out
 
 
 def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printed, tmp_path):
@@ -71,7 +95,9 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     races = [record_race(track, *cars, config, seed=2, index=index) for index in (3, 4, 5)]
     one = races[1]
     driven = [
-        f"car {car}: {PAIR[1 + 2 * car]}, {one.progress[-1, car] - one.progress[0, car]:.1f} m driven" for car in (0, 1)
+        f"car {car}: {PAIR[1 + 2 * car]}, {one.progress[-1, car] - one.progress[0, car]:.1f} m"
+        " driven"
+        for car in (0, 1)
     ]
     happened = [f"{event.time:5.1f} s  car {event.car} {event.text}" for event in one.events]
     lines = out.splitlines()
@@ -87,7 +113,9 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
 def test_progress_of_a_search_tells_the_time_that_is_left(monkeypatch):
     """By the last eight news: the first ones of a run that resumes are too fast."""
     told, clock = [], iter(range(0, 1000, 10))
-    monkeypatch.setattr(synthesize, "show_line", lambda: lambda text, last: told.append((text, last)))
+    monkeypatch.setattr(
+        synthesize, "show_line", lambda: lambda text, last: told.append((text, last))
+    )
     monkeypatch.setattr(synthesize.time, "monotonic", lambda: next(clock))
     show = synthesize.progress_line()
     for done in (0.0, 0.1, *np.linspace(0.2, 0.9, 8), 1.0):
@@ -118,14 +146,20 @@ def test_a_map_folder_with_a_space_in_its_name_and_rules_from_a_file(printed, co
         file.unlink()  # what is left are the picture and its ROS file
     rules = tmp_path / "rules.yaml"
     rules.write_text("preset: contest\nname: sprint\nduration: 2.0\n")
-    out = printed("race", "--track", copied, "--ego", "lattice", "--opponent", "lattice", "--rules", rules)
+    out = printed(
+        "race", "--track", copied, "--ego", "lattice", "--opponent", "lattice", "--rules", rules
+    )
     assert out.startswith("Pipkin, ")
     assert "preset sprint" in out
     assert "car 0: lattice (car 0), " in out
-    assert re.search(r"\n(lattice \(car [01]\) wins by|crash after .*, fault of lattice \(car [01]\))", out)
+    assert re.search(
+        r"\n(lattice \(car [01]\) wins by|crash after .*, fault of lattice \(car [01]\))", out
+    )
 
 
-def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(printed, tmp_path, monkeypatch):
+def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(
+    printed, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     out = printed("race")
     assert out.startswith("Brackwater, ")
@@ -140,14 +174,25 @@ def test_a_race_without_options_is_worth_watching_and_says_how_to_watch_it(print
 
 @pytest.mark.parametrize("name", ["race.html", "race.json"])
 def test_a_race_writes_a_replay(printed, tmp_path, name):
-    assert str(tmp_path / name) in printed("race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name)
+    assert str(tmp_path / name) in printed(
+        "race", "--track", "Pipkin", *PAIR, *SHORT, "--replay", tmp_path / name
+    )
     assert read_replay(tmp_path / name).candidates is not None
 
 
 def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path, monkeypatch):
     """Without a folder it prints its table and writes nothing."""
     monkeypatch.chdir(tmp_path)
-    arguments = ["tournament", "--track", "Pipkin", "--agents", "random-moves", "always-restraint +", "--races", 2]
+    arguments = [
+        "tournament",
+        "--track",
+        "Pipkin",
+        "--agents",
+        "random-moves",
+        "always-restraint +",
+        "--races",
+        2,
+    ]
     table = run(*arguments, *SHORT)[1]
     assert not list(tmp_path.iterdir())
     _, out, err = run(*arguments, *SHORT, "--out", tmp_path / "out")
@@ -165,15 +210,24 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path
 
 def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(printed):
     out = printed("agents")
-    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {line.split()[0] for line in out.splitlines()}
-    assert "- Option target, by default None. Index of the policy." in printed("agents", "best-fixed")
+    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {
+        line.split()[0] for line in out.splitlines()
+    }
+    assert "- Option target, by default None. Index of the policy." in printed(
+        "agents", "best-fixed"
+    )
     assert set(registry.SHIPPED) <= set(printed("policies").splitlines())
     lattice, switcher = (printed("policies", name) for name in ("lattice", "lane-switcher"))
     for one in registry.get_planner("lattice").parameters:
         assert re.search(
-            rf"\n  {one.name} +{one.default:g} +in \[{one.low:g}, {one.high:g}\] +{re.escape(one.meaning)}\n", lattice
+            rf"\n  {one.name} +{one.default:g} +in \[{one.low:g}, {one.high:g}\]"
+            rf" +{re.escape(one.meaning)}\n",
+            lattice,
         )
-    assert switcher.splitlines()[1] == f"  variants: {', '.join(registry.get_planner('lane-switcher').variants)}"
+    assert (
+        switcher.splitlines()[1]
+        == f"  variants: {', '.join(registry.get_planner('lane-switcher').variants)}"
+    )
     told = printed("agents", "always-restraint+")
     assert told.startswith("always-restraint+\n\nMakes the same move again and again.\n")
 
@@ -206,7 +260,10 @@ def test_track_import_completes_a_map(printed, copied, tmp_path):
 
 def test_track_generate_is_repeatable(run, tmp_path):
     one, two = tmp_path / "one", tmp_path / "two"
-    assert [run("track", "generate", "--seed", 2, "--name", "Dell", "--out", out)[0] for out in (one, two)] == [0, 0]
+    assert [
+        run("track", "generate", "--seed", 2, "--name", "Dell", "--out", out)[0]
+        for out in (one, two)
+    ] == [0, 0]
     assert load_track(one).content_hash == load_track(two).content_hash
 
 
@@ -240,13 +297,28 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
     ("arguments", "message"),
     [
         (["race", "--track", "Nurburg", *PAIR], "unknown track 'Nurburg'"),
-        (["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"], "did you mean 'lattice'?"),
-        (["race", *PAIR, "--index", "20000000000"], "index is 20000000000; it must be a whole number from 0 to"),
-        (["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"], "there is no folder"),
-        (["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"], "must end in .html or .json"),
+        (
+            ["race", "--track", "Pipkin", "--ego", "latice", "--opponent", "lattice"],
+            "did you mean 'lattice'?",
+        ),
+        (
+            ["race", *PAIR, "--index", "20000000000"],
+            "index is 20000000000; it must be a whole number from 0 to",
+        ),
+        (
+            ["race", "--track", "Pipkin", *PAIR, "--replay", "no/such/folder/race.html"],
+            "there is no folder",
+        ),
+        (
+            ["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"],
+            "must end in .html or .json",
+        ),
         (["race", "--ego", "cfr-argmax"], "pcs-racing tournament --agents cfr-argmax"),
         (["race", "--opponent", "always-speed+"], "--opponent is 'always-speed+'"),
-        (["tournament", "--track", "Pipkin", "--policies", "lattice"], "a tournament needs at least 2"),
+        (
+            ["tournament", "--track", "Pipkin", "--policies", "lattice"],
+            "a tournament needs at least 2",
+        ),
         (["tournament"], "name them behind --agents"),
         (["tornament"], "command 'tornament' is unknown; did you mean 'tournament'?"),
         (["race", "--ego", "lane-switcher:33"], "no variant '33'; did you mean '3'?"),
@@ -257,10 +329,16 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
         (["race", "--ego", "random:Random"], "here it must be a driver, not an agent"),
         (["play", "--opponent", "nahs"], "did you mean 'nash'?"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
-        (["tournament", "--agents", "random-moves", "nash", "--archive", "x"], "unknown archive 'x'"),
+        (
+            ["tournament", "--agents", "random-moves", "nash", "--archive", "x"],
+            "unknown archive 'x'",
+        ),
         (["track", "calibrate", "--write"], "--write changes a map folder: say which"),
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
-        (["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"], "style 'baroque' is unknown"),
+        (
+            ["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"],
+            "style 'baroque' is unknown",
+        ),
         (["policies", "latice"], "did you mean 'lattice'?"),
         (["agents", "robot"], "agent 'robot' is unknown; there are: "),
         (["headroom", "--size", "2", "--out", "x"], "2"),
@@ -275,7 +353,10 @@ def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, c
         (["ppo", "--config", "nonsense", "--out", "x"], "ppo settings 'nonsense' are unknown"),
         ([*DRIVE, "--steps", "0"], "steps is 0"),
         ([*DRIVE, "--seeds", "-1"], "seeds is (-1,)"),
-        ([*DRIVE, "--scheduler", "tcp://x:1"], "a scheduler's address (tcp://x:1) goes with the executor dask"),
+        (
+            [*DRIVE, "--scheduler", "tcp://x:1"],
+            "a scheduler's address (tcp://x:1) goes with the executor dask",
+        ),
         ([*TREE, "--epsilon", "0"], "epsilon is (0.0,); it must be a number in (0, 10]"),
         ([*TREE, "--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
         ([*TREE, "--rules", "nope"], "race settings 'nope' are unknown"),
@@ -292,7 +373,11 @@ def test_an_error_is_one_line(told, arguments, message, tmp_path, monkeypatch):
     [
         (KeyboardInterrupt(), 130, "pcs-racing: interrupted\n"),
         (None, 143, "pcs-racing: terminated\n"),
-        (PermissionError(13, "Permission denied", "a.csv"), 2, "can't read or write a.csv: Permission denied"),
+        (
+            PermissionError(13, "Permission denied", "a.csv"),
+            2,
+            "can't read or write a.csv: Permission denied",
+        ),
         (OSError("no room for\n  two lines"), 2, "pcs-racing: error: no room for two lines\n"),
     ],
 )
@@ -341,13 +426,38 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
 
     parser = argparse.ArgumentParser()
     add_commands(parser.add_subparsers(), SimpleNamespace(wave=wave, another=3))
-    for words in (["Ada"], ["Ada", "2", "--no-loud", "--others", "Cy", "Bo", "--rain", "--wind", "1", "2.5",
-                            "--herbs", "dill", "sage", "--sugar", "3"]):  # fmt: skip
+    for words in (
+        ["Ada"],
+        [
+            "Ada",
+            "2",
+            "--no-loud",
+            "--others",
+            "Cy",
+            "Bo",
+            "--rain",
+            "--wind",
+            "1",
+            "2.5",
+            "--herbs",
+            "dill",
+            "sage",
+            "--sugar",
+            "3",
+        ],
+    ):
         parsed = parser.parse_args(["wave", *words])
         parsed.run(parsed)
     assert told == [
         ("Ada", 1, None, ("Bo",), Weather(), {}),
-        ("Ada", 2, False, ("Cy", "Bo"), Weather(rain=True, wind=[1.0, 2.5]), {"herbs": ("dill", "sage"), "sugar": 3}),
+        (
+            "Ada",
+            2,
+            False,
+            ("Cy", "Bo"),
+            Weather(rain=True, wind=[1.0, 2.5]),
+            {"herbs": ("dill", "sage"), "sugar": 3},
+        ),
     ]
     with pytest.raises(SystemExit):
         parser.parse_args(["wave", "--help"])
@@ -381,8 +491,15 @@ def test_each_command_is_found_in_its_file():
 
 def modules_after(code: str) -> set[str]:
     """What a process has imported after some code."""
-    code = f"import sys; from pcs_racing_agents.cli.main import main, _parser; {code}; print(*sys.modules)"
-    return set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split())
+    code = (
+        f"import sys; from pcs_racing_agents.cli.main import main, _parser; {code};"
+        " print(*sys.modules)"
+    )
+    return set(
+        subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True
+        ).stdout.split()
+    )
 
 
 def test_a_race_begins_without_what_other_commands_need():
@@ -390,10 +507,17 @@ def test_a_race_begins_without_what_other_commands_need():
     assert "numba" not in modules_after("_parser(brief=True).format_help()")
     loaded = modules_after("_parser('race')")
     assert "pcs_racing_agents.cli.race" in loaded
-    assert not {name for name in loaded if name.startswith(("pcs_racing_agents.study", "pcs_racing_agents.learning"))}
+    assert not {
+        name
+        for name in loaded
+        if name.startswith(("pcs_racing_agents.study", "pcs_racing_agents.learning"))
+    }
 
 
-UNKNOWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup|play --opponent x"
+UNKNOWN = (
+    "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup|play"
+    " --opponent x"
+)
 
 
 @pytest.mark.parametrize("words", UNKNOWN.split("|"))
@@ -435,7 +559,9 @@ def last(spec):
 
 
 def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monkeypatch):
-    """A driver's class, an agent's class and a function of the game spec, of a file and of a module beside it."""
+    """A driver's class, an agent's class and a function of the game spec, of a file and of a module
+    beside it.
+    """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
@@ -451,29 +577,52 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
         refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
 
 
-def test_own_code_races_in_other_processes_and_commands_find_it_again(tmp_path, monkeypatch, told, printed, run):
+def test_own_code_races_in_other_processes_and_commands_find_it_again(
+    tmp_path, monkeypatch, told, printed, run
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own_racers.py").write_text(OWN)
     cars = ["own_racers.py:Straight", "own_racers.py:First", "own_racers.py"]
     races = ["--races", 2, "--executor", "processes", "--workers", 1, "--out", "out"]
-    view, explain = ["view", "out", "--no-open", "--agents", *cars], ["explain", "out", "--agents", *cars]
-    for line in (["tournament", "--agents", *cars, *races], ["view", "out", "--no-open"], view, explain):
-        with monkeypatch.context() as patch:  # each command in a process that does not know them yet
+    view, explain = (
+        ["view", "out", "--no-open", "--agents", *cars],
+        ["explain", "out", "--agents", *cars],
+    )
+    for line in (
+        ["tournament", "--agents", *cars, *races],
+        ["view", "out", "--no-open"],
+        view,
+        explain,
+    ):
+        # each command in a process that does not know them yet
+        with monkeypatch.context() as patch:
             patch.setattr(registry, "_planners", dict(registry._planners))
             code, text, error = run(*line)
         assert code == (2 if len(line) == 3 else 0)
         # A folder alone makes no command run code: the user does.
         assert ("(view and explain: --agents own_racers.py" in error) == (len(line) == 3)
     assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
-    assert "makes no moves, so there is nothing to explain; nor does" in run(*explain, "--index", 2)[2]
+    assert (
+        "makes no moves, so there is nothing to explain; nor does" in run(*explain, "--index", 2)[2]
+    )
     assert "variants: Straight" in printed("policies", "own_racers.py")
-    assert "'lattice' did not race in out; there are own_racers.py" in told("explain", "out", "--agents", "lattice")
+    assert "'lattice' did not race in out; there are own_racers.py" in told(
+        "explain", "out", "--agents", "lattice"
+    )
 
 
-@pytest.mark.parametrize(("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")])
+@pytest.mark.parametrize(
+    ("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")]
+)
 def test_rules_bring_their_archive(run, race, archive):
-    assert f"With archive {archive} in the {race} race:" in run("agents", "random-moves", "--rules", race)[1]
-    assert "With archive default in" in run("agents", "random-moves", "--rules", race, "--archive", "default")[1]
+    assert (
+        f"With archive {archive} in the {race} race:"
+        in run("agents", "random-moves", "--rules", race)[1]
+    )
+    assert (
+        "With archive default in"
+        in run("agents", "random-moves", "--rules", race, "--archive", "default")[1]
+    )
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -482,13 +631,17 @@ def test_every_command_has_a_help_text_with_examples_that_it_understands(name, c
         main(["help", *name.split()[1:]])
     assert stop.value.code == 0
     captured = capsys.readouterr().out
-    examples = re.findall(r"^(?:examples?:)?\s*(pcs-racing .*)$", captured[captured.rindex("example") :], re.MULTILINE)
+    examples = re.findall(
+        r"^(?:examples?:)?\s*(pcs-racing .*)$", captured[captured.rindex("example") :], re.MULTILINE
+    )
     assert examples
     for example in examples:
         assert example.startswith(name)
         _parser().parse_args(shlex.split(example)[1:])
     for action in COMMANDS[name]._actions:
-        assert action.help or isinstance(action, argparse._SubParsersAction), f"{name} {action.dest}"
+        assert action.help or isinstance(action, argparse._SubParsersAction), (
+            f"{name} {action.dest}"
+        )
 
 
 def test_as_a_process(tmp_path):
@@ -496,7 +649,9 @@ def test_as_a_process(tmp_path):
     command = [sys.executable, "-m", "pcs_racing_agents"]
     done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
     assert done.stdout == f"pcs-racing {version('pcs-racing')}\n"
-    done = subprocess.run([*command, "track", "show", "Nowhere"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [*command, "track", "show", "Nowhere"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 2
     assert done.stderr.startswith("pcs-racing: error: unknown track 'Nowhere'")
     assert "Traceback" not in done.stderr
@@ -505,9 +660,14 @@ def test_as_a_process(tmp_path):
     done = subprocess.run(drawn, capture_output=True, text=True, check=True, env=terminal)
     assert done.stdout.endswith("K\\xfcche.png\n")
     closed = f"'{sys.executable}' -m pcs_racing_agents race --replay race.html >&-"
-    done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path)
+    done = subprocess.run(
+        closed, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path
+    )
     assert done.returncode == 2
-    assert done.stderr == "pcs-racing: error: the standard output is closed; send it to a file or to /dev/null\n"
+    assert (
+        done.stderr
+        == "pcs-racing: error: the standard output is closed; send it to a file or to /dev/null\n"
+    )
     assert not (tmp_path / "race.html").exists()
     closed = f"'{sys.executable}' -m pcs_racing_agents track show Nowhere 2>&-"
     done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from pcs_racing import InputError, load_archive, make_game
-from pcs_racing_agents.cli.headroom import PoolOptions, headroom_row, mean_row, pool_settings, write_payoffs
+from pcs_racing_agents.cli.headroom import (
+    PoolOptions,
+    headroom_row,
+    mean_row,
+    pool_settings,
+    write_payoffs,
+)
 from pcs_racing_agents.cli.options import Rules
 from pcs_racing_agents.cli.trees import _csv_rows, _SolvedTree, solve_table, tree_table
 from pcs_racing_agents.policies.headroom import Headroom
@@ -28,25 +34,47 @@ def test_the_figures_of_a_headroom_are_those_of_the_estimates(tmp_path):
     """By hand, and the errors of means over circuits by definition."""
     one = Headroom(0.1, 0.05, 0.02, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.1, 0.2]), 1)
     other = Headroom(0.3, 0.15, 0.04, np.array([0.3, 0.2, 0.1]), np.array([0.1, 0.3, 0.5]), 0)
-    assert headroom_row("t", one, 0.256) == ("t", "+0.100", "+0.050", "0.020", f"{one.pool_error:.3f}", "0.26")
+    assert headroom_row("t", one, 0.256) == (
+        "t",
+        "+0.100",
+        "+0.050",
+        "0.020",
+        f"{one.pool_error:.3f}",
+        "0.26",
+    )
     error = np.std([0.05, 0.2, 0.35], ddof=1) / np.sqrt(3.0)
     assert mean_row([one, other]) == ("mean", "+0.200", "+0.100", f"{error:.3f}", "0.000", "")
     payoffs = np.array([[[[0.0, 0.25], [-0.25, 0.0]], [[0.0, 0.5], [-0.5, 0.0]]]])
-    rows = csv.reader(write_payoffs(["t"], payoffs, ["a", "b"], tmp_path / "payoffs.csv").read_text().splitlines())
+    rows = csv.reader(
+        write_payoffs(["t"], payoffs, ["a", "b"], tmp_path / "payoffs.csv").read_text().splitlines()
+    )
     assert list(rows) == [
-        ["track", "policy", "opponent", "payoff", "error"], ["t", "a", "b", "0.375000", "0.125000"],
+        ["track", "policy", "opponent", "payoff", "error"],
+        ["t", "a", "b", "0.375000", "0.125000"],
         ["t", "b", "a", "-0.375000", "0.125000"],
-    ]  # fmt: skip
+    ]
 
 
 def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path, printed):
-    short = ["--duration", "2", "--races", "32", "--track", "Tarnfjord", "Pipkin", "--executor", "serial"]
+    short = [
+        "--duration",
+        "2",
+        "--races",
+        "32",
+        "--track",
+        "Tarnfjord",
+        "Pipkin",
+        "--executor",
+        "serial",
+    ]
     text = printed("headroom", "--size", 3, *short, "--seed", 4, "--out", tmp_path)
     lines = {line.split()[0]: line.split() for line in text.splitlines() if line}
     found = {row["track"]: row for row in rows_of(tmp_path / "headroom.csv")}
     assert list(found) == ["Tarnfjord", "Pipkin"]
     for name, row in found.items():
-        assert lines[name][1:5] == [f"{float(row[key]):{'+' * (key in 'Hlow')}.3f}" for key in list(row)[1:5]]
+        assert lines[name][1:5] == [
+            f"{float(row[key]):{'+' * (key in 'Hlow')}.3f}" for key in list(row)[1:5]
+        ]
         assert f"{name}: the best fixed policy is {row['best_fixed']}" in text
     assert lines["mean"][1] == f"{np.mean([float(row['H']) for row in found.values()]):+.3f}"
     assert len(rows_of(tmp_path / "payoffs.csv")) == 2 * 6
@@ -57,31 +85,55 @@ def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path
     assert (len(names), pool.races, pool.seed, pool.config.name) == (16, 32, 4, "contest")
     assert len(PoolOptions(rules=Rules(rules="contest")).pool()[0]) == small
     stated = pool_settings(pool)
-    assert (stated["races"], stated["folds"], stated["seed"], len(stated["policies"])) == (32, pool.folds, 4, 16)
+    assert (stated["races"], stated["folds"], stated["seed"], len(stated["policies"])) == (
+        32,
+        pool.folds,
+        4,
+        16,
+    )
 
 
 def test_tables_of_trees_hold_their_figures_and_the_sums_and_means():
     """By hand."""
     trees = [
         SimpleNamespace(
-            policies=(3, 7), start_s=12.34, side=1, statistics=TreeStatistics(2, 50, 60, 100, 400, 0.125, 0.5)
+            policies=(3, 7),
+            start_s=12.34,
+            side=1,
+            statistics=TreeStatistics(2, 50, 60, 100, 400, 0.125, 0.5),
         ),
         SimpleNamespace(
-            policies=(0, 1), start_s=5.0, side=0, statistics=TreeStatistics(2, 25, 40, 200, 400, 0.0, 0.25)
+            policies=(0, 1),
+            start_s=5.0,
+            side=0,
+            statistics=TreeStatistics(2, 25, 40, 200, 400, 0.0, 0.25),
         ),
     ]
     assert tree_table(trees).splitlines() == [
         "tree  policies   start  side  seeds  driven  of shared  of replayed  crashes  repeats",
         "   0       3 7  12.3 m     1      2      50      50.0%        12.5%    12.5%    50.0%",
         "   1       0 1   5.0 m     0      2      25      12.5%         6.2%     0.0%    25.0%",
-        "75 segments driven of 100 different ones: 25% of the 300 of trees that share only beginnings, 9.4% of the 800 "
-        "of races from the start",
-        "driven: segments; crashes, repeats: histories of moves that end in a crash, or repeat another's policies",
+        (
+            "75 segments driven of 100 different ones: 25% of the 300 of trees that share only"
+            " beginnings, 9.4% of the 800 of races from the start"
+        ),
+        (
+            "driven: segments; crashes, repeats: histories of moves that end in a crash, or repeat"
+            " another's policies"
+        ),
     ]
-    rows = [MethodRow("exact", 0.5, 0.0, 1.0, 0.9, 0.002), MethodRow("linear", 0.4, 0.0123, 0.75, 0.5, 0.0504)]
-    others = [MethodRow("exact", -0.5, 2e-4, 0.5, 0.7, 0.004), MethodRow("linear", 0.0, 1e-3, 0.25, 0.3, 0.0496)]
+    rows = [
+        MethodRow("exact", 0.5, 0.0, 1.0, 0.9, 0.002),
+        MethodRow("linear", 0.4, 0.0123, 0.75, 0.5, 0.0504),
+    ]
+    others = [
+        MethodRow("exact", -0.5, 2e-4, 0.5, 0.7, 0.004),
+        MethodRow("linear", 0.0, 1e-3, 0.25, 0.3, 0.0496),
+    ]
     solved = [_SolvedTree(0, (3, 7), 2, rows), _SolvedTree(1, (0, 1), 4, others)]
-    assert [re.split(r"  +", line) for line in solve_table(solved).split("\n\n")[0].splitlines()] == [
+    assert [
+        re.split(r"  +", line) for line in solve_table(solved).split("\n\n")[0].splitlines()
+    ] == [
         ["tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms"],
         ["0", "3, 7", "exact", "0.5000", "0.00e+00", "100.0%", "90.0%", "2.0"],
         ["", "linear", "0.4000", "0.0123", "75.0%", "50.0%", "50.4"],
@@ -92,21 +144,38 @@ def test_tables_of_trees_hold_their_figures_and_the_sums_and_means():
     ]
     assert [",".join(map(str, row)) for row in _csv_rows(solved)][:3] == [
         "tree,policy_0,policy_1,seeds,method,value,exploitability,agreement,on_path,seconds",
-        "0,3,7,2,exact,0.5,0,1,0.9,0.002", "0,3,7,2,linear,0.4,0.0123,0.75,0.5,0.0504",
-    ]  # fmt: skip
+        "0,3,7,2,exact,0.5,0,1,0.9,0.002",
+        "0,3,7,2,linear,0.4,0.0123,0.75,0.5,0.0504",
+    ]
 
 
 def test_a_study_tells_its_stages_and_files(monkeypatch, tmp_path, printed):
     asked, study = [], SimpleNamespace(folder=tmp_path)
     (tmp_path / "table.txt").write_text("the table")
     monkeypatch.setattr(
-        "pcs_racing_agents.study.run_study", lambda *given, **more: asked.append((given, more)) or study
+        "pcs_racing_agents.study.run_study",
+        lambda *given, **more: asked.append((given, more)) or study,
     )
-    monkeypatch.setattr("pcs_racing_agents.study.run.stage_seconds", lambda one: {"archive": 61.25, "trees": 2.0})
-    out = printed("study", "contest-table", "--out", "x", "--stage", "archive", "trees", "--executor", "serial")
+    monkeypatch.setattr(
+        "pcs_racing_agents.study.run.stage_seconds", lambda one: {"archive": 61.25, "trees": 2.0}
+    )
+    out = printed(
+        "study",
+        "contest-table",
+        "--out",
+        "x",
+        "--stage",
+        "archive",
+        "trees",
+        "--executor",
+        "serial",
+    )
     assert out.splitlines() == [
-        f"{'archive':16}     61.2 s", f"{'trees':16}      2.0 s", f"table.txt: {tmp_path / 'table.txt'}", "the table"
-    ]  # fmt: skip
+        f"{'archive':16}     61.2 s",
+        f"{'trees':16}      2.0 s",
+        f"table.txt: {tmp_path / 'table.txt'}",
+        "the table",
+    ]
     (((_, folder), more),) = asked
     assert (str(folder), more) == ("x", {"only": ["archive", "trees"], "executor": None})
 
@@ -154,7 +223,9 @@ def test_trees_that_can_not_be_built_end_in_one_line(run, saved_archive, tmp_pat
         ("--pairs", 0, "pairs is 0; it must be a whole number"),
         ("--seeds", 3, "seeds_per_pair is 3, but there is no steering noise"),
     ]:
-        code, _, told = run(*TREES, "--archive", saved_archive, option, value, "--out", tmp_path / "trees")
+        code, _, told = run(
+            *TREES, "--archive", saved_archive, option, value, "--out", tmp_path / "trees"
+        )
         assert code == 2
         assert re.fullmatch(f"pcs-racing: error: .*{message}.*\n", told)
         assert not (tmp_path / "trees").exists()
@@ -164,7 +235,9 @@ def test_trees_that_can_not_be_built_end_in_one_line(run, saved_archive, tmp_pat
 def folder(tmp_path_factory):
     """Two small trees of short races."""
     made = tmp_path_factory.mktemp("trees") / "played"
-    build_trees(make_game("Pipkin", moves=2, step_seconds=2.0), made, pairs=np.array([[0, 3], [2, 1]]))
+    build_trees(
+        make_game("Pipkin", moves=2, step_seconds=2.0), made, pairs=np.array([[0, 3], [2, 1]])
+    )
     return made
 
 

@@ -13,7 +13,10 @@ def test_every_race_of_a_tournament_is_found_again(tournament_folder):
     place, tournament = tournament_folder
     results = open_results(place)
     assert len(results.races) == len(tournament.races)
-    pairings = [((pairing.ego.name, pairing.opponent.name), car) for pairing, car in results.pairings("lane-switcher")]
+    pairings = [
+        ((pairing.ego.name, pairing.opponent.name), car)
+        for pairing, car in results.pairings("lane-switcher")
+    ]
     assert {names[car] for names, car in pairings} == {"lane-switcher"}
     assert len(pairings) == 2
     for number in (0, 7, 17):
@@ -28,7 +31,9 @@ def test_every_race_of_a_tournament_is_found_again(tournament_folder):
 def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, printed):
     place, tournament = tournament_folder
     captured = printed("explain", place, "--index", 1, "--out", tmp_path / "out")
-    assert captured.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
+    assert captured.startswith(
+        "random-moves (car 0) against lane-switcher on Pipkin, contest rules: "
+    )
     assert (tmp_path / "out" / "race.txt").read_text() in captured
     assert (tmp_path / "out" / "race.png").read_bytes().startswith(b"\x89PNG")
     replay = read_replay(tmp_path / "out" / "race.html")
@@ -38,7 +43,9 @@ def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, printed):
 def test_drivers_are_left_to_the_other_car(tournament_folder, printed):
     place, tournament = tournament_folder
     number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
-    assert printed("explain", place, "--index", number).startswith("never-switch (car 1) against lane-switcher")
+    assert printed("explain", place, "--index", number).startswith(
+        "never-switch (car 1) against lane-switcher"
+    )
 
 
 def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, printed):
@@ -54,17 +61,39 @@ def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, print
 
 
 def test_two_agents_race_as_in_a_tournament(saved_archive, printed, told):
-    arguments = ["explain", "--agents", "random-moves", "never-switch", "--track", "Pipkin", "--duration", "6"]
+    arguments = [
+        "explain",
+        "--agents",
+        "random-moves",
+        "never-switch",
+        "--track",
+        "Pipkin",
+        "--duration",
+        "6",
+    ]
     arguments += ["--archive", saved_archive, "--races", 4, "--seed", 2, "--rules", "contest"]
     text = printed(*arguments, "--index", 3)
     assert text.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
-    assert printed(*arguments, "--situations", "random-moves").startswith("Pipkin, contest rules, 4 races\n")
-    assert "must be one of random-moves, never-switch" in told(*arguments, "--situations", "somebody")
+    assert printed(*arguments, "--situations", "random-moves").startswith(
+        "Pipkin, contest rules, 4 races\n"
+    )
+    assert "must be one of random-moves, never-switch" in told(
+        *arguments, "--situations", "somebody"
+    )
 
 
 def test_a_picture_that_is_left_out_is_told(saved_archive, run, tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.cli.options.find_spec", lambda name: None)
-    arguments = ["explain", "--agents", "random-moves", "never-switch", "--duration", "5", "--races", "2"]
+    arguments = [
+        "explain",
+        "--agents",
+        "random-moves",
+        "never-switch",
+        "--duration",
+        "5",
+        "--races",
+        "2",
+    ]
     code, out, err = run(*arguments, "--archive", saved_archive, "--out", tmp_path)
     assert code == 0
     assert " on Brackwater, paper rules: " in out  # the default circuit
@@ -87,7 +116,10 @@ def test_a_picture_that_is_left_out_is_told(saved_archive, run, tmp_path, monkey
         (["{folder}/chunks"], "holds no races"),
         (["{folder}", "--index", "5", "--car", "0"], "'lane-switcher' in car 0 makes no moves"),
         (["--agents", "random-moves", "nobody", "--track", "Pipkin"], "agent 'nobody' is unknown"),
-        (["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"], "there are races 0 to 19"),
+        (
+            ["--agents", "random-moves", "never-switch", "--track", "Pipkin", "--index", "20"],
+            "there are races 0 to 19",
+        ),
     ],
 )
 def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, message, told):
@@ -100,9 +132,19 @@ def test_what_is_asked_for_wrongly_is_named(tournament_folder, arguments, messag
 def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_path, run):
     place, _ = tournament_folder
     for name, old, new, message in (
-        ("job.yaml", "  never-switch: ", "  never-switch: 0000", "agent 'never-switch' has changed"),
+        (
+            "job.yaml",
+            "  never-switch: ",
+            "  never-switch: 0000",
+            "agent 'never-switch' has changed",
+        ),
         ("job.yaml", "  Pipkin: ", "  Pipkin: 0000", "track 'Pipkin' has changed"),
-        ("job.yaml", "archive_sha256: ", "archive_sha256: 0000", "has changed since the races were driven"),
+        (
+            "job.yaml",
+            "archive_sha256: ",
+            "archive_sha256: 0000",
+            "has changed since the races were driven",
+        ),
         ("results.csv", "contest,random-moves", "contest,random-moves", ""),
         ("job.yaml", "kind: tournament", "kind: fitting", "holds no races"),
         ("job.yaml", "format:", "- format:", "is damaged"),
@@ -118,7 +160,9 @@ def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_p
     rows = (place / "results.csv").read_text().splitlines()
     lead = rows[1].split(",")[8]
     (copy / "job.yaml").write_text((place / "job.yaml").read_text())
-    (copy / "results.csv").write_text("\n".join([rows[0], rows[1].replace(lead, "99.0000"), *rows[2:]]))
+    (copy / "results.csv").write_text(
+        "\n".join([rows[0], rows[1].replace(lead, "99.0000"), *rows[2:]])
+    )
     code, _, error = run("explain", copy, "--index", 0)
     assert code == 2
     assert "a lead of" in error
@@ -144,5 +188,7 @@ def test_races_of_a_study_are_found_again(study_folder, run, printed):
 def test_settings_of_another_version_are_named(study_folder, tmp_path, told):
     place, _ = study_folder
     (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
-    (tmp_path / "job.yaml").write_text((place / "job.yaml").read_text().replace("  egos:", "  drivers:"))
+    (tmp_path / "job.yaml").write_text(
+        (place / "job.yaml").read_text().replace("  egos:", "  drivers:")
+    )
     assert "settings are of another version" in told("explain", tmp_path, "--index", 0)

@@ -53,15 +53,26 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
 def test_what_is_asked_for_stands_first_and_then_what_the_rule_selects(tournament_folder):
     races = open_results(tournament_folder[0]).races
     chosen = choose_races(races, 4)
-    first, other = chosen[2].race, next(k for k in range(18) if k not in [pick.race for pick in chosen])
+    first, other = (
+        chosen[2].race,
+        next(k for k in range(18) if k not in [pick.race for pick in chosen]),
+    )
     asked = [SelectedRace(number, "a race that was asked for") for number in (other, first)]
-    assert view._picks(races, [other, first], 4) == [*asked, *(pick for pick in chosen if pick.race != first)]
+    assert view._picks(races, [other, first], 4) == [
+        *asked,
+        *(pick for pick in chosen if pick.race != first),
+    ]
     assert view._picks(races, [], 0) == []
 
 
 @pytest.mark.parametrize(
     ("platform", "variable", "opened"),
-    [("linux", "DISPLAY", 1), ("linux", "WAYLAND_DISPLAY", 1), ("linux", "HOME", 0), ("win32", "HOME", 1)],
+    [
+        ("linux", "DISPLAY", 1),
+        ("linux", "WAYLAND_DISPLAY", 1),
+        ("linux", "HOME", 0),
+        ("win32", "HOME", 1),
+    ],
 )
 def test_a_browser_is_opened_where_there_is_a_screen(platform, variable, opened, monkeypatch):
     asked = []
@@ -87,8 +98,12 @@ def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, printed, told):
 
 def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed):
     folder = shutil.copytree(study_folder[0], tmp_path / "study")
-    assert "40 races, 2 of them to be watched" in printed("view", folder, "--index", 0, 12, "--no-open")
-    assert "2 races, 1 of them to be watched" in printed("view", folder / "ratings.csv", "--index", 1, "--no-open")
+    assert "40 races, 2 of them to be watched" in printed(
+        "view", folder, "--index", 0, 12, "--no-open"
+    )
+    assert "2 races, 1 of them to be watched" in printed(
+        "view", folder / "ratings.csv", "--index", 1, "--no-open"
+    )
     assert (folder / "ratings-view.html").is_file()
 
 
@@ -104,7 +119,10 @@ def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed)
         (["{folder}", "--port", "80"], "--port goes with --serve"),
         (["{folder}", "--replays", "-1"], "--replays is -1; it must be from 0 to 2000"),
         (["{folder}", "--replays", "2001"], "--replays is 2001; it must be"),
-        (["{folder}", "--index", *["1"] * 2001], "--index names 2001 races; a page holds at most 2000"),
+        (
+            ["{folder}", "--index", *["1"] * 2001],
+            "--index names 2001 races; a page holds at most 2000",
+        ),
         (["{folder}", "--index", "18"], "--index names 18; there are races 0 to 17"),
         (["{folder}", "--index", "-1"], "--index names -1"),
         (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
@@ -122,15 +140,21 @@ def change_settings(folder, **values):
 
 
 def another_agent(folder):
-    change_settings(folder, agents=dict.fromkeys(["random-moves", "lane-switcher", "never-switch"], "0" * 64))
+    change_settings(
+        folder, agents=dict.fromkeys(["random-moves", "lane-switcher", "never-switch"], "0" * 64)
+    )
 
 
 SPOILT = {
     "holds no races": lambda folder: (folder / "results.csv").write_text(""),
     "job.yaml is damaged": lambda folder: (folder / "job.yaml").write_text("[unclosed"),
-    "archive 'default' has changed since the races": lambda folder: change_settings(folder, archive="default"),
+    "archive 'default' has changed since the races": lambda folder: change_settings(
+        folder, archive="default"
+    ),
     "has changed since the races were driven": another_agent,
-    "is not the one that its folder describes": lambda folder: change_settings(folder, races_per_pair=8),
+    "is not the one that its folder describes": lambda folder: change_settings(
+        folder, races_per_pair=8
+    ),
 }
 
 
@@ -175,12 +199,18 @@ def test_the_server_drives_what_it_is_asked_for(ask, tournament_folder):
     answer, content = ask("/race/4")
     race = json.loads(content)
     assert answer.status == 200
-    assert race["race"]["car_names"] == [tournament_folder[1].races[4].ego, tournament_folder[1].races[4].opponent]
+    assert race["race"]["car_names"] == [
+        tournament_folder[1].races[4].ego,
+        tournament_folder[1].races[4].opponent,
+    ]
     assert race["circuit"][0] == "Pipkin"
     assert ask("/race/4", Host="localhost:{port}", Sec_Fetch_Site="same-origin")[1] == content
 
 
-NOWHERE = f"/race/18 /race/99999999 /race/-1 /race/1/../../job.yaml /../job.yaml /race/%31 /race/1?x /race/{'1' * 5000}"
+NOWHERE = (
+    "/race/18 /race/99999999 /race/-1 /race/1/../../job.yaml /../job.yaml /race/%31 /race/1?x"
+    f" /race/{'1' * 5000}"
+)
 
 
 @pytest.mark.parametrize(
@@ -231,12 +261,16 @@ def test_two_hosts_are_none_and_200_connections_at_once_are_answered():
         host = f"127.0.0.1:{server.server_address[1]}"
         waiting = [socket.create_connection(server.server_address, 60) for _ in range(200)]
         for one in waiting:
-            one.sendall(f"GET /race/1 HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode())
+            one.sendall(
+                f"GET /race/1 HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n".encode()
+            )
         answers = [one.makefile("rb").read() for one in waiting]
         for one in waiting:
             one.close()
         with socket.create_connection(server.server_address, 60) as one:
-            one.sendall(f"GET / HTTP/1.1\r\nHost: {host}\r\nHost: evil\r\nConnection: close\r\n\r\n".encode())
+            one.sendall(
+                f"GET / HTTP/1.1\r\nHost: {host}\r\nHost: evil\r\nConnection: close\r\n\r\n".encode()
+            )
             twice = one.makefile("rb").read()
         server.shutdown()
     assert all(one.startswith(b"HTTP/1.1 200") for one in answers)
@@ -245,7 +279,9 @@ def test_two_hosts_are_none_and_200_connections_at_once_are_answered():
 
 
 def exchange(server, *requests):
-    """Send requests on a connection each, all before the first answer is read; return the answers' first lines."""
+    """Send requests on a connection each, all before the first answer is read; return the answers'
+    first lines.
+    """
     host = f"127.0.0.1:{server.server_address[1]}"
     lines = []
     for request in requests:
@@ -257,16 +293,21 @@ def exchange(server, *requests):
 
 def test_what_changes_something_is_asked_for_by_post_and_two_origins_are_none():
     asked = []
-    with make_server("", lambda path: asked.append(path) or Answer(200, b"{}"), method="POST") as server:
+    with make_server(
+        "", lambda path: asked.append(path) or Answer(200, b"{}"), method="POST"
+    ) as server:
         threading.Thread(target=server.serve_forever).start()
         head, end = "/begin/1 HTTP/1.1\nHost: {host}\n", "Connection: close\n\n"
         own, other = "Origin: http://{host}\n", "Origin: http://evil.example\n"
         answers = exchange(
             server,
-            f"GET {head}{end}", f"POST / HTTP/1.1\nHost: {{host}}\n{end}", f"POST {head}{own}{other}{end}",
-            f"POST {head}{own}{own}{end}", f"POST {head}Sec-Fetch-Site: none\nSec-Fetch-Site: cross-site\n{end}",
+            f"GET {head}{end}",
+            f"POST / HTTP/1.1\nHost: {{host}}\n{end}",
+            f"POST {head}{own}{other}{end}",
+            f"POST {head}{own}{own}{end}",
+            f"POST {head}Sec-Fetch-Site: none\nSec-Fetch-Site: cross-site\n{end}",
             f"POST {head}{own}{end}",
-        )  # fmt: skip
+        )
         # What follows as the body of a request is no request of its own.
         exchange(server, f"POST {head}Content-Length: 5\n\nPOST {head}{end}")
         server.shutdown()
@@ -285,7 +326,10 @@ def test_no_race_is_driven_for_a_viewer_who_has_left():
 
     with make_server("", answer) as server:
         threading.Thread(target=server.serve_forever).start()
-        ask = f"GET /race/{{}} HTTP/1.1\r\nHost: 127.0.0.1:{server.server_address[1]}\r\nConnection: close\r\n\r\n"
+        ask = (
+            f"GET /race/{{}} HTTP/1.1\r\nHost: 127.0.0.1:{server.server_address[1]}\r\nConnection:"
+            " close\r\n\r\n"
+        )
         waiting = [socket.create_connection(server.server_address, 60) for _ in range(3)]
         waiting[0].sendall(ask.format(0).encode())
         assert first.wait(60)
@@ -324,7 +368,19 @@ def test_answers_are_kept_but_not_for_ever():
     [
         (["view", "{folder}", "--serve"], "18 races"),
         (["play", "--opponent", "never-switch", "--track", "Pipkin"], "play"),
-        (["play", "--drive", "--opponent", "random-moves", "--track", "Pipkin", "--rules", "contest"], "play"),
+        (
+            [
+                "play",
+                "--drive",
+                "--opponent",
+                "random-moves",
+                "--track",
+                "Pipkin",
+                "--rules",
+                "contest",
+            ],
+            "play",
+        ),
     ],
 )
 def test_a_command_serves_until_it_is_ended(folder, arguments, what, capsys, monkeypatch):

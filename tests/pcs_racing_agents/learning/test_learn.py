@@ -43,7 +43,9 @@ GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
         ("self-play", "iterations: 2\nstarts: 8\nhidden: [8]\nepochs: 2\n"),
     ],
 )
-def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(method, settings, learner, tmp_path, printed):
+def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(
+    method, settings, learner, tmp_path, printed
+):
     config = tmp_path / "settings.yaml"
     config.write_text(settings.format(learner=learner), encoding="utf-8")
     out = tmp_path / method

@@ -13,7 +13,11 @@ from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning import self_play
 from pcs_racing_agents.learning.responses.branches import branch_games, random_player
-from pcs_racing_agents.learning.self_play import RaceSampler, learn_self_play, load_self_play_settings
+from pcs_racing_agents.learning.self_play import (
+    RaceSampler,
+    learn_self_play,
+    load_self_play_settings,
+)
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.solvers import exploitability, uniform_profile
 from pcs_racing_agents.tournament.games import game_between
@@ -21,7 +25,13 @@ from pcs_racing_agents.tournament.games import game_between
 pytest.importorskip("torch", reason="torch is not installed")
 
 # A network without hidden layers on the number of the infoset is a table.
-TABLE = {"hidden": (), "exploration": 0.0, "weight_decay": 0.0, "learning_rate": 0.05, "batch_size": 256}
+TABLE = {
+    "hidden": (),
+    "exploration": 0.0,
+    "weight_decay": 0.0,
+    "learning_rate": 0.05,
+    "batch_size": 256,
+}
 SHORT = load_self_play_settings(iterations=2, starts=12, hidden=(8,), epochs=3, patience=3)
 
 
@@ -31,20 +41,27 @@ def learned(samplers, settings, folder) -> NetworkSet:
 
 
 def first(networks: NetworkSet, count: int) -> NetworkSet:
-    return NetworkSet("first", networks.networks[:count], networks.weights[:count], networks.decision)
+    return NetworkSet(
+        "first", networks.networks[:count], networks.weights[:count], networks.decision
+    )
 
 
 @pytest.fixture(scope="module")
 def poker(tmp_path_factory):
     sampler = TreeSampler(kuhn_poker())
-    settings = load_self_play_settings(iterations=24, starts=192, epochs=10, patience=10, weights="uniform", **TABLE)
+    settings = load_self_play_settings(
+        iterations=24, starts=192, epochs=10, patience=10, weights="uniform", **TABLE
+    )
     return sampler, learned([sampler], settings, tmp_path_factory.mktemp("poker") / "run")
 
 
 def test_in_kuhn_poker_the_average_strategy_becomes_unexploitable(poker):
     sampler, networks = poker
     uniform = exploitability(sampler.tree, uniform_profile(sampler.tree)).exploitability
-    lost = [exploitability(sampler.tree, sampler.average(first(networks, n))).exploitability for n in (2, 24)]
+    lost = [
+        exploitability(sampler.tree, sampler.average(first(networks, n))).exploitability
+        for n in (2, 24)
+    ]
     assert lost[0] < uniform
     assert lost[1] < 0.3 * lost[0]
     assert lost[1] < 0.06
@@ -65,13 +82,18 @@ def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
 
 @pytest.fixture(scope="module")
 def race(oval, archive):
-    rules = load_race_config("contest", speed_range=(1.2, 1.7))  # fast enough for moves to matter in 3.2 s
+    # fast enough for moves to matter in 3.2 s
+    rules = load_race_config("contest", speed_range=(1.2, 1.7))
     return make_game(oval, archive, rules, stay=False, moves=2, step_seconds=1.6, threads=1)
 
 
-def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(race, oval, archive, tmp_path):
+def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(
+    race, oval, archive, tmp_path
+):
     offered = make_game(oval, archive, race.config, stay=True, threads=1)
-    networks = learned([RaceSampler(offered, make_game_spec(archive, offered.config))], SHORT, tmp_path / "one")
+    networks = learned(
+        [RaceSampler(offered, make_game_spec(archive, offered.config))], SHORT, tmp_path / "one"
+    )
     assert networks.identity.moves[-1] == "stay"
     assert (networks.decision, len(networks.networks)) == ("regret-matching", 2)
     longer = make_game(race.track, archive, race.config, moves=3)
@@ -81,23 +103,33 @@ def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(race, o
         refused("at least one", learn_self_play, [], SHORT, job)
 
 
-def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(race, archive, game, spec, network, seen):
+def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(
+    race, archive, game, spec, network, seen
+):
     sampler = RaceSampler(race, make_game_spec(archive, race.config))
     keys = np.arange(1, 9, dtype=np.uint64)
     rows = sampler.traverse(None, 0.1, 1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)
     parts = [sampler.traverse(None, 0.1, 1, keys[k : k + 4]) for k in (0, 4)]
-    np.testing.assert_array_equal(rows["advantages"], np.concatenate([part["advantages"] for part in parts]))
+    np.testing.assert_array_equal(
+        rows["advantages"], np.concatenate([part["advantages"] for part in parts])
+    )
     trained, sampler = untrained(spec, "advantage"), RaceSampler(game, spec, "utility")
     rows = sampler.traverse(trained, 0.2, 1, keys)
     chances = self_play.ExploringStrategy(trained, 0.2, 5)(rows["observations"])
     np.testing.assert_allclose((chances * rows["advantages"]).sum(axis=1), 0.0, atol=1e-12)
     assert np.abs(rows["advantages"]).max() > 0.0
-    first, second = (Agent("x", self_play.ExploringStrategy(trained, 0.2, 5), spec, seed) for seed in (0, 1))
+    first, second = (
+        Agent("x", self_play.ExploringStrategy(trained, 0.2, 5), spec, seed) for seed in (0, 1)
+    )
     before = random_player(game, spec, 2)
-    by_hand = branch_games(game_between(game, first, second), second, keys, 1, [before], first, "utility", 5)
+    by_hand = branch_games(
+        game_between(game, first, second), second, keys, 1, [before], first, "utility", 5
+    )
     np.testing.assert_array_equal(rows["observations"], by_hand.observations)
-    np.testing.assert_allclose(rows["advantages"], by_hand.outcomes - (chances * by_hand.outcomes).sum(axis=1)[:, None])
+    np.testing.assert_allclose(
+        rows["advantages"], by_hand.outcomes - (chances * by_hand.outcomes).sum(axis=1)[:, None]
+    )
     chances = self_play.ExploringStrategy(network, 0.1, len(spec.moves))(seen[0])
     assert chances.min() >= 0.1 / len(network.moves) - 1e-12
     np.testing.assert_allclose(chances.sum(axis=1), 1.0)
@@ -106,7 +138,9 @@ def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(rac
 
 
 @pytest.mark.parametrize("weights", ["linear", "uniform"])
-def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before(tmp_path, monkeypatch, weights):
+def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before(
+    tmp_path, monkeypatch, weights
+):
     asked, fitted = [], []
 
     class Counting(TreeSampler):
@@ -133,11 +167,17 @@ def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before
     networks = learned([Counting(kuhn_poker())] * 2, settings, tmp_path / "run")
     steps = kuhn_poker().depth
     assert [one[:3] for one in asked] == [
-        (f"iteration-{k}" if k else None, 0.3, step) for k in range(3) for _ in range(2) for step in range(steps)
+        (f"iteration-{k}" if k else None, 0.3, step)
+        for k in range(3)
+        for _ in range(2)
+        for step in range(steps)
     ]
     assert len({keys for *_, keys in asked}) == len(asked)  # games of their own everywhere
     for k, (part, seeds, rows) in enumerate(fitted, start=1):
-        assert (part, seeds) == (f"iteration-{k}-networks", [(5 * 64 + k) * 32 + member for member in (0, 1)])
+        assert (part, seeds) == (
+            f"iteration-{k}-networks",
+            [(5 * 64 + k) * 32 + member for member in (0, 1)],
+        )
         new = rows.weights[len(fitted[k - 2][2]) if k > 1 else 0 :]
         assert set(new.tolist()) == {float(k) if weights == "linear" else 1.0}
     place, game = np.divmod(fitted[2][2].pair, 1_000_000)
@@ -145,8 +185,15 @@ def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before
         (k * 100 + step) * 1000 + i for k in (1, 2, 3) for step in range(steps) for i in (0, 1)
     }
     assert game.max() < 8
-    np.testing.assert_allclose(networks.weights, np.array([2.0, 3.0, 4.0]) / 9.0 if weights == "linear" else 1 / 3)
+    np.testing.assert_allclose(
+        networks.weights, np.array([2.0, 3.0, 4.0]) / 9.0 if weights == "linear" else 1 / 3
+    )
     assert networks.training == {
-        "rows": len(fitted[2][2]), "iterations": 3, "starts": 8, "exploration": 0.3, "weights": weights, "worth": "win",
+        "rows": len(fitted[2][2]),
+        "iterations": 3,
+        "starts": 8,
+        "exploration": 0.3,
+        "weights": weights,
+        "worth": "win",
         "seed": 5,
-    }  # fmt: skip
+    }

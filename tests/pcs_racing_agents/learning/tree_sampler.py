@@ -1,4 +1,6 @@
-"""Samples of small game trees for self-play, and the average strategy on them, whose exploitability is exact."""
+"""Samples of small game trees for self-play, and the average strategy on them, whose exploitability
+is exact.
+"""
 
 from dataclasses import dataclass
 
@@ -14,7 +16,8 @@ from pcs_racing_agents.solvers import GameTree, uniform_profile
 class TreeSampler:
     """External sampling on a game tree; what a player observes is which of all infosets it is in.
 
-    Games with an even number are traversed by player 0, the others by player 1. Both have one network.
+    Games with an even number are traversed by player 0, the others by player 1. Both have one
+    network.
     """
 
     tree: GameTree
@@ -40,7 +43,9 @@ class TreeSampler:
     def observed(self, level: int, player: int, nodes: np.ndarray) -> np.ndarray:
         before = [self.tree.rows(k, p) for k in range(self.steps) for p in (0, 1)]
         offset = sum(before[: 2 * level + player])
-        return np.eye(self.size, dtype=np.float32)[offset + self.tree.infosets[level][player][nodes]]
+        return np.eye(self.size, dtype=np.float32)[
+            offset + self.tree.infosets[level][player][nodes]
+        ]
 
     def chances(self, network, exploration, level, player, nodes) -> np.ndarray:
         count = self.tree.moves[level][player]
@@ -55,9 +60,13 @@ class TreeSampler:
             for car in (0, 1):
                 free = uniform and car == player
                 chances = self.chances(None if free else network, exploration, level, car, nodes)
-                drawn.append((rng.random((len(nodes), 1)) >= np.cumsum(chances, axis=1)).sum(axis=1))
+                drawn.append(
+                    (rng.random((len(nodes), 1)) >= np.cumsum(chances, axis=1)).sum(axis=1)
+                )
                 drawn[-1] = np.minimum(drawn[-1], chances.shape[1] - 1)
-            nodes = (nodes * self.tree.moves[level][0] + drawn[0]) * self.tree.moves[level][1] + drawn[1]
+            nodes = (nodes * self.tree.moves[level][0] + drawn[0]) * self.tree.moves[level][
+                1
+            ] + drawn[1]
         return nodes
 
     def traverse(self, network, exploration, step, keys):
@@ -80,9 +89,15 @@ class TreeSampler:
         for move in range(self.moves if len(games) else 0):
             pair = (move, other) if player == 0 else (other, move)
             children = (nodes * a + pair[0]) * b + pair[1]
-            leaves = self.play(network, exploration, range(step + 1, self.steps), children, player, rng)
+            leaves = self.play(
+                network, exploration, range(step + 1, self.steps), children, player, rng
+            )
             outcomes[:, move] = (1 - 2 * player) * self.tree.payoffs.reshape(-1)[leaves]
-        own = self.chances(network, exploration, step, player, nodes) if len(games) else np.zeros((0, self.moves))
+        own = (
+            self.chances(network, exploration, step, player, nodes)
+            if len(games)
+            else np.zeros((0, self.moves))
+        )
         return {
             "observations": self.observed(step, player, nodes),
             "advantages": outcomes - (own * outcomes).sum(axis=1, keepdims=True),
@@ -90,7 +105,9 @@ class TreeSampler:
         }
 
     def average(self, networks: NetworkSet):
-        """The strategy of drawing a network for each game, as a profile: weighted by each one's own reach."""
+        """The strategy of drawing a network for each game, as a profile: weighted by each one's own
+        reach.
+        """
         profile = uniform_profile(self.tree)
         sums = [[np.zeros_like(strategy) for strategy in pair] for pair in profile]
         for network, weight in zip(networks.networks, networks.weights, strict=True):
@@ -106,7 +123,10 @@ class TreeSampler:
                     following.append(reach[player][:, None] * chances)
                 if k + 1 < self.steps:
                     a, b = self.tree.moves[k]
-                    reach = [np.repeat(following[0], b, axis=1).reshape(-1), np.tile(following[1], (1, a)).reshape(-1)]
+                    reach = [
+                        np.repeat(following[0], b, axis=1).reshape(-1),
+                        np.tile(following[1], (1, a)).reshape(-1),
+                    ]
         return [tuple(_shares(rows) for rows in pair) for pair in sums]
 
 

@@ -12,14 +12,23 @@ MOVES = ("a", "b", "c")
 def linear(race_tree, seed=0):
     """A network without hidden layers that sees a toy tree."""
     inputs = race_tree.observations(0).shape[-1]
-    return plain_network(np.random.default_rng(seed).normal(size=(3, inputs)), identity=identity(inputs, MOVES))
+    return plain_network(
+        np.random.default_rng(seed).normal(size=(3, inputs)), identity=identity(inputs, MOVES)
+    )
 
 
 def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped():
     network = plain_network(np.eye(4, 3))
     rows = Rows(  # the network chooses 0, 1, 2, 2
         observations=np.eye(3)[[0, 1, 2, 2]],
-        targets=np.array([[5.0, 1.0, 5.0, 0.0], [0.0, -3.0, 1.0, 0.0], [0.0, 0.0, 2.0, 9.0], [0.0, 0.0, 2.0, 9.0]]),
+        targets=np.array(
+            [
+                [5.0, 1.0, 5.0, 0.0],
+                [0.0, -3.0, 1.0, 0.0],
+                [0.0, 0.0, 2.0, 9.0],
+                [0.0, 0.0, 2.0, 9.0],
+            ]
+        ),
         weights=np.array([1.0, 2.0, 1.0, 4.0]),
         pair=np.zeros(4, int),
         step=np.array([0, 0, 1, 2]),
@@ -32,11 +41,22 @@ def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped
     assert first.chance == pytest.approx((0.5 + 2 * 0.25) / 3)
     assert first.constant == pytest.approx(1.0)  # move 2 is best in both rows
     assert first.shortfall == pytest.approx(2 * 4 / 3)
-    assert (second.agreement, second.shortfall, third.agreement, third.shortfall) == (0.0, 7.0, 1.0, 0.0)
+    assert (second.agreement, second.shortfall, third.agreement, third.shortfall) == (
+        0.0,
+        7.0,
+        1.0,
+        0.0,
+    )
     assert third.chance == pytest.approx(1 / 3)
     assert third.error == pytest.approx((0.0 + 0.0 + 1.0) / 3)
     network = plain_network(np.zeros((4, 1)), [-2.0, -1.0, -3.0, -4.0], clipped=True)
-    rows = Rows(np.zeros((1, 1)), np.array([[-8.0, -5.0, -9.0, -9.0]]), np.ones(1), np.zeros(1, int), np.zeros(1, int))
+    rows = Rows(
+        np.zeros((1, 1)),
+        np.array([[-8.0, -5.0, -9.0, -9.0]]),
+        np.ones(1),
+        np.zeros(1, int),
+        np.zeros(1, int),
+    )
     score = metrics.score_rows(network, rows)[0]
     assert (score.error, score.agreement, score.shortfall) == (0.0, 1.0, 0.0)
 
@@ -51,7 +71,9 @@ def test_a_strategy_is_followed_in_both_roles_and_one_of_probabilities_drawn_fro
         assert profile[1][player][9 + 4].argmax() == network.choose(seen[1, 4, player])
         np.testing.assert_array_equal(profile[1][player].sum(axis=1), 1.0)
     network = plain_network([[3.0, -2.0], [1.0, -1.0], [-1.0, -3.0], [0.0, -4.0]], target="nash")
-    np.testing.assert_allclose(metrics.follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
+    np.testing.assert_allclose(
+        metrics.follow(network)(np.eye(2)), [[0.75, 0.25, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]
+    )
 
 
 @pytest.mark.parametrize("moves", [1, 2])
@@ -62,9 +84,13 @@ def test_on_one_seed_the_loss_is_half_the_nash_conv(moves):
     for seed in range(5):
         profile = metrics.play_profile(metrics.follow(linear(race_tree, seed)), race_tree)
         score = metrics.score_tree(profile, race_tree)
-        assert score.lost_to_best_response == pytest.approx(exploitability(tree, profile).exploitability)
+        assert score.lost_to_best_response == pytest.approx(
+            exploitability(tree, profile).exploitability
+        )
         assert score.lost_to_best_response >= score.lost_to_equilibrium - 1e-9 >= -2e-9
-        assert score.off_in_self_play == pytest.approx(abs(exploitability(tree, profile).value - exact.value))
+        assert score.off_in_self_play == pytest.approx(
+            abs(exploitability(tree, profile).value - exact.value)
+        )
 
 
 def test_the_equilibrium_loses_nothing_and_a_constant_move_in_pennies_everything():
@@ -78,38 +104,62 @@ def test_the_equilibrium_loses_nothing_and_a_constant_move_in_pennies_everything
 
 def test_who_sees_the_seed_may_do_better_and_seeds_that_nobody_sees_are_their_mean():
     """Two seeds of opposite sign: a car that sees which gets 1 from any opponent that does not."""
-    race_tree = ToyTree(np.array([[1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]]), 1, 2, sees_seed=True)
+    race_tree = ToyTree(
+        np.array([[1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]]), 1, 2, sees_seed=True
+    )
     first = np.eye(2)[[0, 1]]
     score = metrics.score_tree([(first, np.full((2, 2), 0.5))], race_tree)
-    assert score.lost_to_best_response == pytest.approx(-0.5)  # 1 won as car 0, nothing lost as car 1
+    # 1 won as car 0, nothing lost as car 1
+    assert score.lost_to_best_response == pytest.approx(-0.5)
     assert score.off_in_self_play == pytest.approx(1.0)
     assert score.against_random == pytest.approx(0.5)
     race_tree = random_tree(seeds=3)
     mean = ToyTree(race_tree.payoffs.mean(axis=0, keepdims=True))
     network = linear(race_tree)
     plays = metrics.follow(network)
-    scores = [metrics.score_tree(metrics.play_profile(plays, tree), tree) for tree in (race_tree, mean)]
+    scores = [
+        metrics.score_tree(metrics.play_profile(plays, tree), tree) for tree in (race_tree, mean)
+    ]
     np.testing.assert_allclose(*scores, atol=1e-9)
 
 
 def test_scores_on_several_trees_are_a_table():
     race_trees = [random_tree(seed=seed) for seed in range(4)]
     network = linear(race_trees[0])
-    scores = metrics.score_trees({"network": metrics.follow(network), **metrics.constant_plays(MOVES)}, race_trees)
-    assert list(scores) == ["network", "always a", "always b", "always c", "equilibrium", "random moves"]
+    scores = metrics.score_trees(
+        {"network": metrics.follow(network), **metrics.constant_plays(MOVES)}, race_trees
+    )
+    assert list(scores) == [
+        "network",
+        "always a",
+        "always b",
+        "always c",
+        "equilibrium",
+        "random moves",
+    ]
     assert all(array.shape == (4, 4) for array in scores.values())
     np.testing.assert_allclose(scores["equilibrium"][:, :3], 0.0, atol=1e-8)
     assert (scores["network"][:, 0] > 1.0).all()
     uniform = uniform_profile(race_trees[2].game_tree())
     expected = exploitability(race_trees[2].game_tree(), uniform).exploitability
     assert scores["random moves"][2, 0] == pytest.approx(expected)
-    rows = Rows(race_trees[0].observations(0)[0, 0], np.eye(3)[:2], np.ones(2), np.zeros(2, int), np.zeros(2, int))
+    rows = Rows(
+        race_trees[0].observations(0)[0, 0],
+        np.eye(3)[:2],
+        np.ones(2),
+        np.zeros(2, int),
+        np.zeros(2, int),
+    )
     lines = metrics.score_table(metrics.score_rows(network, rows), scores).splitlines()
     assert lines[0] == "choices on held-out rows:"
     assert lines[2].split()[:2] == ["all", "2"]
     assert lines[3].split()[:2] == ["1", "2"]  # the first move
-    assert lines[5] == "utility on 4 held-out trees, mean of both roles (standard error over trees):"
+    assert (
+        lines[5] == "utility on 4 held-out trees, mean of both roles (standard error over trees):"
+    )
     assert lines[7].startswith("  network ")
     assert f"{scores['network'][:, 0].mean():.3f}" in lines[7]
     assert len(lines) == 7 + 6
-    assert "nan" in metrics.score_table(metrics.score_rows(network, rows), metrics.score_trees({}, race_trees[:1]))
+    assert "nan" in metrics.score_table(
+        metrics.score_rows(network, rows), metrics.score_trees({}, race_trees[:1])
+    )

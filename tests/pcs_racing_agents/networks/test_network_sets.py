@@ -7,7 +7,13 @@ from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing import UnknownNameError
-from pcs_racing_agents.networks import NetworkSet, list_networks, load_network_set, save_network, save_network_set
+from pcs_racing_agents.networks import (
+    NetworkSet,
+    list_networks,
+    load_network_set,
+    save_network,
+    save_network_set,
+)
 
 
 @pytest.fixture

@@ -7,7 +7,14 @@ from toy_trees import ToyTree, random_tree
 
 from pcs_racing import UnknownNameError
 from pcs_racing_agents.networks.rows import pair_number
-from pcs_racing_agents.networks.targets import TARGETS, best_moves, get_target, node_targets, solve_for, tree_rows
+from pcs_racing_agents.networks.targets import (
+    TARGETS,
+    best_moves,
+    get_target,
+    node_targets,
+    solve_for,
+    tree_rows,
+)
 from pcs_racing_agents.solvers import GameTree, cfr, solve_exact
 
 
@@ -17,7 +24,9 @@ def targets_of(payoffs, target):
 
 
 def test_regrets_of_matching_pennies_by_hand():
-    """Payoff 3 instead of 1 in a corner; both begin with even moves, so the first regrets are q - v."""
+    """Payoff 3 instead of 1 in a corner; both begin with even moves, so the first regrets are q -
+    v.
+    """
     payoffs = np.array([[3.0, -1.0], [-1.0, 1.0]])
     tree = GameTree.from_payoffs(payoffs)
     one = solve_for(tree, "regret", iterations=1)
@@ -27,12 +36,16 @@ def test_regrets_of_matching_pennies_by_hand():
     ((q0, q1),) = targets_of(payoffs, "static-q")
     np.testing.assert_allclose([q0[0], q1[0]], [[1.0, 0.0], [-1.0, 0.0]])
     ((a0, a1),) = targets_of(payoffs, "advantage")
-    np.testing.assert_allclose([a0[0], a1[0]], np.zeros((2, 2)), atol=1e-9)  # mixed: no move is better
+    # mixed: no move is better
+    np.testing.assert_allclose([a0[0], a1[0]], np.zeros((2, 2)), atol=1e-9)
 
 
 def test_regrets_fade_with_the_opponents_reach_and_are_unknown_where_cfr_never_was():
-    """Car 1 has to choose first; its second move leads to a lower game for car 0, so car 1 keeps to it."""
-    payoffs = np.zeros((1, 2, 2, 1))  # car 0 has one move, then car 0 chooses between 0 and what follows
+    """Car 1 has to choose first; its second move leads to a lower game for car 0, so car 1 keeps to
+    it.
+    """
+    # car 0 has one move, then car 0 chooses between 0 and what follows
+    payoffs = np.zeros((1, 2, 2, 1))
     payoffs[0, 0, :, 0] = [10.0, 13.0]  # car 1 avoids this one ...
     payoffs[0, 1, :, 0] = [0.0, 3.0]  # ... for this one; at both car 0 loses 3 by its first move
     tree = GameTree.from_payoffs(payoffs)
@@ -106,7 +119,9 @@ def rows_of(race_tree, target="advantage", **options):
 
 def values_at(rows, race_tree, level, node, player, seed=0):
     """Targets of the rows of a node, shape (number of such rows, A)."""
-    return rows.targets[(rows.observations == race_tree.observations(level)[seed, node, player]).all(axis=1)]
+    return rows.targets[
+        (rows.observations == race_tree.observations(level)[seed, node, player]).all(axis=1)
+    ]
 
 
 @pytest.mark.parametrize("target", list(TARGETS))
@@ -119,7 +134,9 @@ def test_every_decision_of_both_cars_is_a_row(target):
     targets = node_targets(race_tree.game_tree(), solve_for(race_tree.game_tree(), target), target)
     for k, pair in enumerate(targets):
         for player in (0, 1):
-            found = [values_at(rows, race_tree, k, node, player) for node in range(race_tree.nodes(k))]
+            found = [
+                values_at(rows, race_tree, k, node, player) for node in range(race_tree.nodes(k))
+            ]
             np.testing.assert_allclose(np.concatenate(found), pair[player], rtol=1e-5, atol=1e-6)
 
 
@@ -127,7 +144,8 @@ def test_crashed_nodes_are_left_out_and_the_rest_is_as_if_they_were_not_there():
     """Two seeds; one has crashed in a node: targets there are those of the other seed alone."""
     whole = random_tree(seeds=2, sees_seed=True)
     payoffs = whole.payoffs.copy()
-    payoffs[1].reshape(9, 9)[4] = 0.7  # what the crash in seed 1 pays, whatever is played afterwards
+    # what the crash in seed 1 pays, whatever is played afterwards
+    payoffs[1].reshape(9, 9)[4] = 0.7
     over = np.zeros((2, 9), bool)
     over[1, 4] = True
     crashed = ToyTree(payoffs, ended={1: over}, sees_seed=True)
@@ -137,7 +155,10 @@ def test_crashed_nodes_are_left_out_and_the_rest_is_as_if_they_were_not_there():
         assert len(rows) == 2 * 2 * (1 + 9) - 2
         for player in (0, 1):
             assert len(values_at(rows, crashed, 1, 4, player, seed=1)) == 0
-            here, there = values_at(rows, crashed, 1, 4, player), values_at(expected, alone, 1, 4, player)
+            here, there = (
+                values_at(rows, crashed, 1, 4, player),
+                values_at(expected, alone, 1, 4, player),
+            )
             np.testing.assert_allclose(here, there, rtol=1e-5, atol=1e-5)
             assert here.shape == (1, 3)
 
@@ -147,7 +168,9 @@ def test_weights(seeds):
     race_tree = random_tree(seeds=seeds)
     uniform = rows_of(race_tree)
     np.testing.assert_allclose(uniform.weights, 1.0 / seeds)
-    by_step = [rows_of(race_tree, row_weights="random").weights[uniform.step == k].sum() for k in range(2)]
+    by_step = [
+        rows_of(race_tree, row_weights="random").weights[uniform.step == k].sum() for k in range(2)
+    ]
     np.testing.assert_allclose(by_step, 2.0)  # one for each player
     refused("unknown row weights 'x'", rows_of, race_tree, row_weights="x", error=UnknownNameError)
 
@@ -158,10 +181,14 @@ def test_some_nodes_can_stand_for_all():
     some = rows_of(race_tree, rows_per_step=5, seed=1)
     assert [int(np.sum(some.step == k)) for k in range(3)] == [4, 20, 20]
     for k in range(3):
-        assert some.weights[some.step == k].sum() == pytest.approx(everything.weights[everything.step == k].sum())
+        assert some.weights[some.step == k].sum() == pytest.approx(
+            everything.weights[everything.step == k].sum()
+        )
     again = rows_of(race_tree, rows_per_step=5, seed=1)
     np.testing.assert_array_equal(some.observations, again.observations)
     other = rows_of(race_tree, rows_per_step=5, seed=2)
     assert not np.array_equal(some.observations, other.observations)
-    known = {row.tobytes() for row in np.column_stack([everything.observations, everything.targets])}
+    known = {
+        row.tobytes() for row in np.column_stack([everything.observations, everything.targets])
+    }
     assert {row.tobytes() for row in np.column_stack([some.observations, some.targets])} <= known

@@ -24,7 +24,9 @@ def network() -> RegretNetwork:
 
 def by_formula(network: RegretNetwork, x: np.ndarray) -> np.ndarray:
     x = (np.asarray(x, np.float64) - network.mean) / network.scale
-    for i, (weight, bias) in enumerate(zip(network.layers.weights, network.layers.biases, strict=True)):
+    for i, (weight, bias) in enumerate(
+        zip(network.layers.weights, network.layers.biases, strict=True)
+    ):
         x = x @ weight.T.astype(np.float64) + bias
         x = np.maximum(x, 0.0) if i < len(network.layers.weights) - 1 or network.clipped else x
     return x
@@ -51,16 +53,22 @@ def values_network(*rows: list[float], clipped: bool) -> RegretNetwork:
     return plain_network(np.array(rows).T, clipped=clipped)
 
 
-def test_bad_observations_are_refused_and_of_others_the_highest_value_before_clipping_chosen(network):
+def test_bad_observations_are_refused_and_of_others_the_highest_value_before_clipping_chosen(
+    network,
+):
     refused(r"\(2, 6\); network 'toy' .*\(\.\.\., 7\)", network, np.zeros((2, 6)))
     refused(r"shape \(\)", network, 1.0)
     refused("NaN or infinity", network, [0.0, 0.0, np.nan, 0.0, 0.0, 0.0, 0.0])
     refused("NaN or infinity", values_network, [1e300] * 4, clipped=False)  # beyond float32
     assert network(np.zeros((0, 7))).shape == (0, 4)
-    network = values_network([1.0, 3.0, 2.0, -5.0], [-3.0, -4.0, -1.0, -2.0], [0.0, 0.0, 0.0, 0.0], clipped=True)
+    network = values_network(
+        [1.0, 3.0, 2.0, -5.0], [-3.0, -4.0, -1.0, -2.0], [0.0, 0.0, 0.0, 0.0], clipped=True
+    )
     np.testing.assert_array_equal(network(np.eye(3)), [[1.0, 3.0, 2.0, 0.0], [0.0] * 4, [0.0] * 4])
     np.testing.assert_array_equal(network.choose(np.eye(3)), [1, 2, 0])
-    allowed = np.array([[True, False, True, True], [True, True, False, False], [False, False, False, True]])
+    allowed = np.array(
+        [[True, False, True, True], [True, True, False, False], [False, False, False, True]]
+    )
     np.testing.assert_array_equal(network.choose(np.eye(3), allowed), [2, 0, 3])
     refused("allows no move", network.choose, np.eye(3), np.zeros((3, 4), bool))
     refused(r"mask has shape \(4,\)", network.choose, np.eye(3), np.ones(4, bool))
@@ -87,8 +95,13 @@ def test_a_network_never_changes_and_shipped_ones_are_sound(network):
         network.training["rows"] = 3
     for other in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
         np.testing.assert_array_equal(other(np.ones(7)), network(np.ones(7)))
-    assert repr(network) == "<RegretNetwork 'toy': 7-16-16-4, advantage, archive 'toy', preset 'paper'>"
-    assert list_networks() == sorted(path.parent.name for path in NETWORK_FORMAT.shipped.glob("*/manifest.yaml"))
+    assert (
+        repr(network)
+        == "<RegretNetwork 'toy': 7-16-16-4, advantage, archive 'toy', preset 'paper'>"
+    )
+    assert list_networks() == sorted(
+        path.parent.name for path in NETWORK_FORMAT.shipped.glob("*/manifest.yaml")
+    )
     for name in list_networks():
         network = load_network(name)
         assert network.name == name
@@ -100,8 +113,16 @@ def test_a_network_never_changes_and_shipped_ones_are_sound(network):
 def test_a_network_reads_back_exactly(tmp_path, clipped):
     network = random_network(clipped=clipped, hidden=(9,))
     again = load_network(save_network(network, tmp_path / "deep" / "net"))
-    assert (again.name, again.identity, again.target) == (network.name, network.identity, network.target)
-    assert (again.clipped, again.hidden, dict(again.training)) == (clipped, (9,), dict(network.training))
+    assert (again.name, again.identity, again.target) == (
+        network.name,
+        network.identity,
+        network.target,
+    )
+    assert (again.clipped, again.hidden, dict(again.training)) == (
+        clipped,
+        (9,),
+        dict(network.training),
+    )
     np.testing.assert_array_equal(again(observations(50)), network(observations(50)))
     assert load_network(network) is network
     before = {file.name: file.read_bytes() for file in (tmp_path / "deep" / "net").iterdir()}
@@ -113,7 +134,9 @@ def test_a_network_reads_back_exactly(tmp_path, clipped):
 def edit(folder: Path, **changes) -> None:
     file = folder / "manifest.yaml"
     manifest = {**yaml.safe_load(file.read_text()), **changes}
-    file.write_text(yaml.safe_dump({key: value for key, value in manifest.items() if value != "gone"}))
+    file.write_text(
+        yaml.safe_dump({key: value for key, value in manifest.items() if value != "gone"})
+    )
 
 
 def other_weights(folder: Path, change) -> None:
@@ -157,8 +180,11 @@ def made_for(game, **changes) -> RegretNetwork:
 
 def test_a_network_of_the_game_fits(game):
     made_for(game).check_fits(game)
-    made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))  # the move that it does not know comes last
-    made_for(game).check_fits(make_game("Tarnfjord", race="contest", moves=4, epsilon=0.35, stay=False))
+    # the move that it does not know comes last
+    made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))
+    made_for(game).check_fits(
+        make_game("Tarnfjord", race="contest", moves=4, epsilon=0.35, stay=False)
+    )
     state = game.reset(games=2)
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)
 
@@ -166,12 +192,21 @@ def test_a_network_of_the_game_fits(game):
 def test_a_network_of_another_game_is_one_clear_error(game):
     for made, played, message in [
         ({}, {"moves": 3}, "games of 4 moves"),
-        ({}, {"characteristics": ("restraint", "aggressiveness")}, "'own_aggressiveness_0' at place 0"),
+        (
+            {},
+            {"characteristics": ("restraint", "aggressiveness")},
+            "'own_aggressiveness_0' at place 0",
+        ),
         ({}, {"epsilon": 0.7}, r"epsilon 0.35"),
         ({}, {"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\)"),
         ({"archive": "x", "archive_sha256": "abc"}, {}, r"made for archive 'x' \(sha256 abc\)"),
-        # A network that makes a move more than the game offers does not fit, only the other way round.
+        # A network that makes a move more than the game offers does not fit, only the other way
+        # round.
         ({"moves": (*MOVES, "stay")}, {}, "values moves 5"),
     ]:
         made_for(game, archive="renamed").check_fits(game)
-        refused(message, made_for(game, **made).check_fits, make_game("Pipkin", **({"epsilon": 0.35} | played)))
+        refused(
+            message,
+            made_for(game, **made).check_fits,
+            make_game("Pipkin", **({"epsilon": 0.35} | played)),
+        )

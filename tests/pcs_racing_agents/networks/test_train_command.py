@@ -18,7 +18,9 @@ from pcs_racing_agents.trees import build_trees
 
 pytest.importorskip("torch")
 
-TOY = GameIdentity(tuple(f"x{i}" for i in range(15)), ("a", "b", "c"), (0.35,), "toy", "0" * 64, "paper")
+TOY = GameIdentity(
+    tuple(f"x{i}" for i in range(15)), ("a", "b", "c"), (0.35,), "toy", "0" * 64, "paper"
+)
 QUICK = load_train_settings(target="advantage", hidden=(16,), epochs=3, iterations=20)
 
 
@@ -37,14 +39,23 @@ def folder(game, tmp_path_factory):
 @pytest.mark.parametrize("target", ["regret", "static-q"])
 def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, printed, target):
     out = tmp_path / "net"
-    text = printed("train", folder, "--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3, "--out", out)
+    text = printed(
+        "train", folder, "--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3, "--out", out
+    )
     files = {file.name for file in out.iterdir()}
     assert files == {"weights.safetensors", "manifest.yaml", "tensorboard"} | {
-        "learning_curves.csv", "learning_curves.png", "scores.csv"
-    }  # fmt: skip
+        "learning_curves.csv",
+        "learning_curves.png",
+        "scores.csv",
+    }
     network = load_network(out)
     network.check_fits(game)
-    assert (network.name, network.target, network.clipped, network.hidden) == ("net", target, target == "regret", (8,))
+    assert (network.name, network.target, network.clipped, network.hidden) == (
+        "net",
+        target,
+        target == "regret",
+        (8,),
+    )
     summary = dict(network.training)
     assert (summary["trees"], summary["tracks"], summary["setting_seed"]) == (8, "Pipkin", 3)
     curves = list(csv.DictReader((out / "learning_curves.csv").read_text().splitlines()))
@@ -65,16 +76,40 @@ def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, pr
 
 def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_path, printed, run):
     for name in ("one", "two"):
-        arguments = ["--epochs", 2, "--no-tensorboard", "--no-picture", "--name", "same", "--out", tmp_path / name]
+        arguments = [
+            "--epochs",
+            2,
+            "--no-tensorboard",
+            "--no-picture",
+            "--name",
+            "same",
+            "--out",
+            tmp_path / name,
+        ]
         printed("train", folder, *arguments)
-    one, two = ({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in ("one", "two"))
+    one, two = (
+        {file.name: file.read_bytes() for file in (tmp_path / name).iterdir()}
+        for name in ("one", "two")
+    )
     assert one == two
     assert set(one) == {"weights.safetensors", "manifest.yaml", "learning_curves.csv", "scores.csv"}
     build_trees(make_game("Pipkin", moves=2, step_seconds=1.0), tmp_path / "more", pairs=3, seed=1)
     out = tmp_path / "out"
-    printed("train", folder, tmp_path / "more", "--epochs", 1, "--no-tensorboard", "--no-picture", "--out", out)
+    printed(
+        "train",
+        folder,
+        tmp_path / "more",
+        "--epochs",
+        1,
+        "--no-tensorboard",
+        "--no-picture",
+        "--out",
+        out,
+    )
     assert yaml.safe_load((out / "manifest.yaml").read_text())["training"]["trees"] == 11
-    build_trees(make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2)
+    build_trees(
+        make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2
+    )
     code, _, err = run("train", folder, tmp_path / "other", "--out", tmp_path / "none")
     assert code == 2
     assert "hold trees of different games: epsilon is 0.2 in one and" in err
@@ -131,17 +166,23 @@ def test_without_held_out_trees_the_validation_rows_judge_and_too_few_pairs_are_
     assert trained.network.training["rows"] == 60
     assert trained.network.training["trees"] == 5
     refused("2 starting pairs", train_toys, toy_trees(2))
-    refused("1 starting pairs", train_toys, toy_trees(1), load_train_settings(QUICK, test_share=0.0))
+    refused(
+        "1 starting pairs", train_toys, toy_trees(1), load_train_settings(QUICK, test_share=0.0)
+    )
 
 
 def test_settings_come_from_yaml_and_open_choices_fit_the_target(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("target: advantage\nhidden: [8, 4]\nlearning_rate: 1.0e-3\n")
     settings = load_train_settings(file, epochs=7)
-    assert settings == TrainSettings(target="advantage", hidden=(8, 4), learning_rate=1e-3, epochs=7)
+    assert settings == TrainSettings(
+        target="advantage", hidden=(8, 4), learning_rate=1e-3, epochs=7
+    )
     assert load_train_settings(settings, seed=2) == load_train_settings(file, epochs=7, seed=2)
     assert load_train_settings() == TrainSettings()
-    refused("settings 'nowhere' are unknown", load_train_settings, "nowhere", error=UnknownNameError)
+    refused(
+        "settings 'nowhere' are unknown", load_train_settings, "nowhere", error=UnknownNameError
+    )
 
     def chosen(target, **given):
         made = settings_for_trees(load_train_settings(target=target, **given))
@@ -150,7 +191,11 @@ def test_settings_come_from_yaml_and_open_choices_fit_the_target(tmp_path):
     assert chosen("regret") == ("uniform", 0.25, True)
     assert chosen("advantage") == ("random", 0.25, True)
     assert chosen("nash") == ("random", 0.0, False)
-    assert chosen("advantage", row_weights="uniform", floor=0.0, differences=False) == ("uniform", 0.0, False)
+    assert chosen("advantage", row_weights="uniform", floor=0.0, differences=False) == (
+        "uniform",
+        0.0,
+        False,
+    )
 
 
 def test_impossible_settings_are_one_clear_error(tmp_path):

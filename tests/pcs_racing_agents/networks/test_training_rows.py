@@ -21,20 +21,28 @@ def rows(count=12, pairs=4, seed=0, **changes) -> Rows:
 
 def test_rows_are_compact_and_impossible_ones_one_clear_error():
     made = rows()
-    assert (made.observations.dtype, made.targets.dtype, made.weights.dtype) == (np.float32, np.float32, np.float64)
+    assert (made.observations.dtype, made.targets.dtype, made.weights.dtype) == (
+        np.float32,
+        np.float32,
+        np.float64,
+    )
     assert made.mask.all()
     assert len(made) == 12
     assert repr(made) == "<Rows: 12 of 5 numbers, 3 moves, 4 starting pairs>"
     mask = np.ones((12, 3), bool)
     mask[:, 2] = False
     masked = rows(mask=mask, targets=np.full((12, 3), 7.0))
-    np.testing.assert_array_equal(masked.targets[0], [7.0, 7.0, 0.0])  # what is not known is no number
+    # what is not known is no number
+    np.testing.assert_array_equal(masked.targets[0], [7.0, 7.0, 0.0])
     for changes, message in [
         ({"targets": np.zeros((0, 3))}, r"targets have shape \(0, 3\)"),
         ({"targets": np.zeros(12)}, r"targets have shape \(12,\)"),
         ({"observations": np.zeros((11, 5))}, r"observations have shape \(11, 5\)"),
         ({"observations": np.full((12, 5), "a")}, "observations have shape"),
-        ({"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)}, r"targets .* row 4"),
+        (
+            {"targets": np.where(np.arange(36).reshape(12, 3) == 13, np.nan, 1.0)},
+            r"targets .* row 4",
+        ),
         ({"observations": np.full((12, 5), np.inf)}, r"observations .* row 0"),
         ({"weights": np.zeros(12)}, "some must be above 0"),
         ({"weights": np.linspace(-1.0, 1.0, 12)}, "weights lie in -1 to 1"),
@@ -52,7 +60,9 @@ def test_rows_can_be_taken_joined_and_split_by_pair():
     again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
     for key in ("observations", "targets", "weights", "pair", "step", "mask"):
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
-    refused(r"source 1 .*2 numbers, source 0 of 3", join_rows, [made, rows(targets=np.ones((12, 2)))])
+    refused(
+        r"source 1 .*2 numbers, source 0 of 3", join_rows, [made, rows(targets=np.ones((12, 2)))]
+    )
     refused("no rows to join", join_rows, [])
     refused("one starting pair", split_by_pair, rows(pairs=1), 0.2, 0)
     refused("weights of 0", split_by_pair, rows(pairs=2, weights=np.arange(12) % 2 + 0.0), 0.5, 0)

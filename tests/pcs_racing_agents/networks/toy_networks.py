@@ -41,4 +41,6 @@ def plain_network(weight, bias=None, **changes) -> RegretNetwork:
     """A network without hidden layers that takes observations as they are."""
     outputs, inputs = np.shape(weight)
     layers = DenseLayers((weight,), (np.zeros(outputs) if bias is None else bias,))
-    return random_network(inputs, layers=layers, mean=np.zeros(inputs), scale=np.ones(inputs), **changes)
+    return random_network(
+        inputs, layers=layers, mean=np.zeros(inputs), scale=np.ones(inputs), **changes
+    )

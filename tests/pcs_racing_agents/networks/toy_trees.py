@@ -1,4 +1,6 @@
-"""Trees of made-up payoffs in place of races: the players see the moves so far, and perhaps the seed."""
+"""Trees of made-up payoffs in place of races: the players see the moves so far, and perhaps the
+seed.
+"""
 
 from dataclasses import dataclass, field
 
@@ -18,16 +20,23 @@ class ToyTree:
 
     @property
     def over(self):
-        return [self.ended.get(k, np.zeros((len(self.payoffs), self.nodes(k)), bool)) for k in range(self.moves)]
+        return [
+            self.ended.get(k, np.zeros((len(self.payoffs), self.nodes(k)), bool))
+            for k in range(self.moves)
+        ]
 
     def nodes(self, level):
         return self.options ** (2 * level)
 
     def game_tree(self):
-        return GameTree.from_payoffs(self.payoffs.mean(axis=0).reshape((self.options,) * (2 * self.moves)))
+        return GameTree.from_payoffs(
+            self.payoffs.mean(axis=0).reshape((self.options,) * (2 * self.moves))
+        )
 
     def observations(self, level):
-        """One-hot own and other moves of each step, then the step, the car, and the seed if they see it."""
+        """One-hot own and other moves of each step, then the step, the car, and the seed if they
+        see it.
+        """
         a, m, count = self.options, self.moves, self.nodes(level)
         seen = np.zeros((len(self.payoffs), count, 2, 2 * a * m + 3), np.float32)
         for k in range(level):

@@ -26,10 +26,25 @@ pytest.importorskip("cma")
 pytest.importorskip("moocore")
 
 TINY = ArchiveConfig(
-    name="tiny", tracks=("Pipkin", "Tarnfjord"), duration=4.0, final_duration=8.0, segment_seconds=2.0,
-    generations=3, population=6, initial_sample=12, opponents=2, starts=1, crash_limit=0.4, candidates=16,
-    choice_opponents=2, choice_starts=1, final_opponents=3, final_starts=1, min_policies=2, seed=6,
-)  # fmt: skip
+    name="tiny",
+    tracks=("Pipkin", "Tarnfjord"),
+    duration=4.0,
+    final_duration=8.0,
+    segment_seconds=2.0,
+    generations=3,
+    population=6,
+    initial_sample=12,
+    opponents=2,
+    starts=1,
+    crash_limit=0.4,
+    candidates=16,
+    choice_opponents=2,
+    choice_starts=1,
+    final_opponents=3,
+    final_starts=1,
+    min_policies=2,
+    seed=6,
+)
 
 
 def with_(**changes) -> ArchiveConfig:
@@ -64,19 +79,31 @@ def test_the_manifest_and_the_curve_say_how_it_was_made(made):
     archive, folder, news = made
     settings = archive.settings
     stated = {
-        "tracks": "Pipkin, Tarnfjord", "seed": 6, "characteristics": "aggressiveness, restraint", "fixed": "",
-        "min_coordinates": "none", "cma_version": version("cma"), "moocore_version": version("moocore"),
-        "numba_version": version("numba"), "numpy_version": np.__version__, "enough_policies": True,
-        "package_version": version("pcs-racing"), "search_over_crash_limit": 0, "policies": len(archive),
-    }  # fmt: skip
+        "tracks": "Pipkin, Tarnfjord",
+        "seed": 6,
+        "characteristics": "aggressiveness, restraint",
+        "fixed": "",
+        "min_coordinates": "none",
+        "cma_version": version("cma"),
+        "moocore_version": version("moocore"),
+        "numba_version": version("numba"),
+        "numpy_version": np.__version__,
+        "enough_policies": True,
+        "package_version": version("pcs-racing"),
+        "search_over_crash_limit": 0,
+        "policies": len(archive),
+    }
     stated["search_over_crash_limit"] = np.sum(archive.explored.own_crash > TINY.search_crash_limit)
     assert {key: settings[key] for key in stated} == stated
     assert not {*settings} & {"groups", "payoff_races", "judging_races", "judging_tracks"}
     assert "Tarnfjord " in settings["track_hashes"]
-    left_out = sum(settings[f"choice_{why}"] for why in ("outside_limits", "beaten", "too_near_another"))
+    left_out = sum(
+        settings[f"choice_{why}"] for why in ("outside_limits", "beaten", "too_near_another")
+    )
     left_out += sum(settings[f"measurement_{why}"] for why in ("over_crash_limit", "beaten"))
     assert settings["choice_candidates"] - left_out == len(archive)
-    # The search: the initial sample, whose range is the unit, and three generations. What is done counts by the races.
+    # The search: the initial sample, whose range is the unit, and three generations. What is done
+    # counts by the races.
     explored = archive.explored
     sample = explored.coordinates[:12]
     scale = Scale(sample.max(axis=0), sample.min(axis=0))
@@ -87,13 +114,16 @@ def test_the_manifest_and_the_curve_say_how_it_was_made(made):
     everything = hypervolume(scale(explored.coordinates), -0.1)
     assert settings["search_hypervolume_without_crash_limit"] == pytest.approx(everything, rel=1e-5)
     ends, search = [12, 18, 24, 30], [one for one in news if one.stage == "search"]
-    assert [(n.generation, n.generations, n.evaluations) for n in search] == [(k, 3, end) for k, end in enumerate(ends)]
+    assert [(n.generation, n.generations, n.evaluations) for n in search] == [
+        (k, 3, end) for k, end in enumerate(ends)
+    ]
     crashes = [part.mean() for part in np.split(explored.own_crash, ends[:-1])]
     assert [n.own_crash for n in search] == pytest.approx(crashes)
     first = sample[allowed[:12]]
     assert (search[0].hypervolume, search[0].front) == (
-        pytest.approx(hypervolume(scale(first), -0.1)), non_dominated(first).sum()
-    )  # fmt: skip
+        pytest.approx(hypervolume(scale(first), -0.1)),
+        non_dominated(first).sum(),
+    )
     volumes = [n.hypervolume for n in news]
     assert volumes == sorted(volumes)  # the same races for all: the front only grows
     # 2 circuits, both sides, opponents, start lines and seconds.
@@ -108,14 +138,22 @@ def test_the_manifest_and_the_curve_say_how_it_was_made(made):
     assert rows == [
         ["generation", "evaluations", "hypervolume", "front", "own_crash"],
         *(
-            [str(n.generation), str(n.evaluations), f"{n.hypervolume:.6f}", str(n.front), f"{n.own_crash:.4f}"]
+            [
+                str(n.generation),
+                str(n.evaluations),
+                f"{n.hypervolume:.6f}",
+                str(n.front),
+                f"{n.own_crash:.4f}",
+            ]
             for n in search
         ),
     ]
 
 
 def test_the_coordinates_come_from_races_that_chose_nobody(made):
-    """Measured here once more, from the configuration alone; the manifest says what these races came to."""
+    """Measured here once more, from the configuration alone; the manifest says what these races
+    came to.
+    """
     archive = made[0]
     search, choice, final = stage_scenarios(TINY)
     assert final.config.duration == 8.0
@@ -134,19 +172,28 @@ def test_the_coordinates_come_from_races_that_chose_nobody(made):
         "policies_not_beaten": np.sum(front_layers(found.coordinates) == 0),
         "hypervolume": hypervolume(Scale(high, low)(found.coordinates), -0.1),
         "hypervolume_error": hypervolume_error(raced, Scale(high, low), -0.1),
-        "own_crash_mean": rate.mean(), "own_crash_least": rate.min(), "own_crash_largest": rate.max(),
+        "own_crash_mean": rate.mean(),
+        "own_crash_least": rate.min(),
+        "own_crash_largest": rate.max(),
         "own_crash_lower_half": rate[: count // 2].mean(),
         "own_crash_most_aggressive_tenth": rate[-max(1, count // 10) :].mean(),
         "finished_against_random": 1.0 - raced["crashed"].mean(),
-        "win_share_against_random": (winner == 0).mean(), "loss_share_against_random": (winner == 1).mean(),
-        "no_op_share": no_op_share(archive), "duplicate_share": duplicate_share(archive),
+        "win_share_against_random": (winner == 0).mean(),
+        "loss_share_against_random": (winner == 1).mean(),
+        "no_op_share": no_op_share(archive),
+        "duplicate_share": duplicate_share(archive),
         "correlation_aggressiveness_restraint": np.corrcoef(found.coordinates.T)[0, 1],
-    }  # fmt: skip
+    }
     for k, axis in enumerate(TINY.axes):
-        facts |= {f"ideal_{axis}": found.coordinates[:, k].max(), f"nadir_{axis}": found.coordinates[:, k].min()}
+        facts |= {
+            f"ideal_{axis}": found.coordinates[:, k].max(),
+            f"nadir_{axis}": found.coordinates[:, k].min(),
+        }
         unit = f"0 at {low[k]:.4f}, 1 at {high[k]:.4f} (range of the initial sample)"
         assert archive.settings[f"hypervolume_unit_{axis}"] == unit
-    assert {key: archive.settings[key] for key in facts} == {key: float(f"{value:.6g}") for key, value in facts.items()}
+    assert {key: archive.settings[key] for key in facts} == {
+        key: float(f"{value:.6g}") for key, value in facts.items()
+    }
 
 
 def test_the_error_of_a_hypervolume_is_the_one_that_is_made():
@@ -166,10 +213,15 @@ def test_the_error_of_a_hypervolume_is_the_one_that_is_made():
 
 def test_limits_are_violated_by_the_largest_shortfall():
     """Of crashes, of the score against rivals, and of coordinates in units of the initial sample."""
-    config = with_(crash_limit=0.19, min_score=0.5, rivals=("lane-switcher",), min_coordinates=(1.0, 2.0))
+    config = with_(
+        crash_limit=0.19, min_score=0.5, rivals=("lane-switcher",), min_coordinates=(1.0, 2.0)
+    )
     assert config.search_crash_limit == pytest.approx(0.1)
     assert config.work["search"] == 30 * 2 * (2 + 1) * 2 * 4.0
-    assert (config.work["choice"], config.work["measurement"]) == (16 * 4 * 3 * 4.0, 80 * 4 * 4 * 8.0)
+    assert (config.work["choice"], config.work["measurement"]) == (
+        16 * 4 * 3 * 4.0,
+        80 * 4 * 4 * 8.0,
+    )
     races = PolicyRaces(config, None, None, None, None)
     races.scale = Scale(np.array([10.0, 4.0]), np.array([0.0, 0.0]))
     coordinates = np.array([[2.0, 3.0], [2.0, 3.0], [2.0, 3.0], [0.0, 3.0], [2.0, 1.0]])
@@ -188,14 +240,23 @@ def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
     points, spread = archive.coordinates[:, ::-1], archive.spread[:, ::-1]
     together = np.corrcoef(points.T)[0, 1]
     assert (
-        plot.get_title("left") == f"archive tiny, preset paper; bars: one standard error; correlation {together:+.2f}"
+        plot.get_title("left")
+        == f"archive tiny, preset paper; bars: one standard error; correlation {together:+.2f}"
     )
     assert (plot.get_xlabel(), plot.get_ylabel()) == ("restraint (s)", "aggressiveness (m)")
-    assert [text.get_text() for text in plot.get_legend().get_texts()] == ["30 explored", f"{len(archive)} policies"]
-    dots, (across, upright) = plot.collections[-1], [c for c in plot.collections if hasattr(c, "get_segments")]
+    assert [text.get_text() for text in plot.get_legend().get_texts()] == [
+        "30 explored",
+        f"{len(archive)} policies",
+    ]
+    dots, (across, upright) = (
+        plot.collections[-1],
+        [c for c in plot.collections if hasattr(c, "get_segments")],
+    )
     drawn = plot.lines[0].get_xydata(), dots.get_offsets(), dots.get_array()
     for found, expected in zip(
-        drawn, (archive.explored.coordinates[:, ::-1], points, 100.0 * archive.own_crash), strict=True
+        drawn,
+        (archive.explored.coordinates[:, ::-1], points, 100.0 * archive.own_crash),
+        strict=True,
     ):
         np.testing.assert_array_equal(found, expected)
     ends = [[(points[:, k] - spread[:, k]), (points[:, k] + spread[:, k])] for k in (0, 1)]
@@ -214,8 +275,14 @@ def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
     rows = LATTICE.indices(config.fixed)
     final = stage_scenarios(config)[2]
     complete = archive.complete
-    for policies in (complete(archive.parameters), complete(archive.explored_parameters), final.opponents):
-        np.testing.assert_array_equal(policies[:, rows], np.tile(LATTICE.default[rows], (len(policies), 1)))
+    for policies in (
+        complete(archive.parameters),
+        complete(archive.explored_parameters),
+        final.opponents,
+    ):
+        np.testing.assert_array_equal(
+            policies[:, rows], np.tile(LATTICE.default[rows], (len(policies), 1))
+        )
     found = summarise(race_policies((final, archive.complete(archive.parameters))))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
 
@@ -226,14 +293,19 @@ def test_the_executor_has_no_influence(made, tmp_path, kind, executor):
     assert files(tmp_path / "again") == files(made[1])
 
 
-def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(made, monkeypatch, tmp_path):
+def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(
+    made, monkeypatch, tmp_path
+):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
-    (folder / ".archive.npz.0123abcd").write_bytes(b"half")  # of a run that was killed while it wrote
+    # of a run that was killed while it wrote
+    (folder / ".archive.npz.0123abcd").write_bytes(b"half")
     again = make_archive(TINY, folder)
     np.testing.assert_array_equal(again.coordinates, made[0].coordinates)
     assert files(folder) == files(made[1])
-    shipped = Path(shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job")))
+    shipped = Path(
+        shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job"))
+    )
     before = files(shipped)
     refused(r"archive\.npz but no run", make_archive, TINY, shipped)
     assert files(shipped) == before
@@ -244,7 +316,9 @@ def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(mad
 
 
 def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
-    """Rules under which many crash; the limit is for the longer races, so it is lower for the shorter ones."""
+    """Rules under which many crash; the limit is for the longer races, so it is lower for the
+    shorter ones.
+    """
     wild = tmp_path / "wild.yaml"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
     config = with_(preset=str(wild), crash_limit=0.3, seed=12)
@@ -254,11 +328,16 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     assert (archive.own_crash <= 0.3).all()
     over = np.sum(archive.explored.own_crash > config.search_crash_limit)
     assert archive.settings["search_over_crash_limit"] == over > 0
-    assert archive.settings["search_hypervolume"] < archive.settings["search_hypervolume_without_crash_limit"]
+    assert (
+        archive.settings["search_hypervolume"]
+        < archive.settings["search_hypervolume_without_crash_limit"]
+    )
     assert archive.preset == "wild"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
     with pytest.raises(InputError, match=r"all 30 policies|crash limit of 0%"):
-        make_archive(with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none")
+        make_archive(
+            with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none"
+        )
 
 
 def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_path, made, caplog):
@@ -291,7 +370,15 @@ def test_impossible_settings_are_refused():
 
 
 def test_the_command(tmp_path, run, told):
-    arguments = ["synthesize", "--config", SETTINGS / "synthesis.yaml", "--track", "Pipkin", "--generations", 0]
+    arguments = [
+        "synthesize",
+        "--config",
+        SETTINGS / "synthesis.yaml",
+        "--track",
+        "Pipkin",
+        "--generations",
+        0,
+    ]
     arguments += ["--population", 4, "--out", tmp_path / "a"]
     code, out, err = run(*arguments, "--name", "small", "--executor", "serial")
     assert code == 0

@@ -10,7 +10,9 @@ POLICIES, FOLDS = 24, 8
 
 
 def speeds_and_strengths(seed: int) -> np.ndarray:
-    """True payoffs, shape (24, 24): a wheel on which half of the policies lie, all of different strength."""
+    """True payoffs, shape (24, 24): a wheel on which half of the policies lie, all of different
+    strength.
+    """
     rng = np.random.default_rng(seed)
     angle = 2.0 * np.pi * np.arange(POLICIES) / POLICIES
     radius = np.tile([0.5, 0.0], POLICIES // 2)
@@ -32,15 +34,21 @@ GROUPS = np.array_split(np.arange(POLICIES), 4)
 def test_without_noise_most_errors_are_gone_and_ratings_are_left():
     truth = speeds_and_strengths(0)
     raw = played(truth, 1, 2)
-    assert np.square(denoised(raw) - truth).mean() < 0.4 * np.square(raw.mean(axis=0) - truth).mean()
+    assert (
+        np.square(denoised(raw) - truth).mean() < 0.4 * np.square(raw.mean(axis=0) - truth).mean()
+    )
     strength = np.linspace(-0.2, 0.2, POLICIES)
     matrices = [denoised(played(strength[:, None] - strength[None], seed, 2)) for seed in range(10)]
-    cyclic = [matrix - matrix.mean(axis=1)[:, None] + matrix.mean(axis=1)[None] for matrix in matrices]
+    cyclic = [
+        matrix - matrix.mean(axis=1)[:, None] + matrix.mean(axis=1)[None] for matrix in matrices
+    ]
     assert sum(np.abs(part).max() < 1e-9 for part in cyclic) >= 7
 
 
 def test_the_pool_that_is_chosen_in_noise_really_has_headroom():
-    """Eight races of each pair on two circuits; what counts is the true headroom of what was chosen."""
+    """Eight races of each pair on two circuits; what counts is the true headroom of what was
+    chosen.
+    """
     truths = [speeds_and_strengths(0), speeds_and_strengths(1)]
     expected = np.array([denoised(played(truth, seed, 1)) for seed, truth in enumerate(truths)])
     raw = np.array([played(truth, seed, 1).mean(axis=0) for seed, truth in enumerate(truths)])
@@ -64,10 +72,18 @@ def test_no_exchange_improves_the_pool_whose_headroom_is_what_its_payoffs_say():
     part = truth[np.ix_([0, 8, 16], [0, 8, 16])]
     expected = part.max(axis=0).mean() - part.mean(axis=1).max()
     np.testing.assert_allclose(pool_headroom(truth[None], np.array([[0, 8, 16]])), [[expected]])
-    refused("group 1 holds 1 policies", choose_pool, np.zeros((1, 6, 6)), [np.arange(5), np.array([5])], 4)
+    refused(
+        "group 1 holds 1 policies",
+        choose_pool,
+        np.zeros((1, 6, 6)),
+        [np.arange(5), np.array([5])],
+        4,
+    )
 
 
-@pytest.mark.parametrize(("count", "taken"), [(8, [2, 2, 2, 2]), (6, [2, 1, 2, 1]), (12, [3, 3, 3, 3])])
+@pytest.mark.parametrize(
+    ("count", "taken"), [(8, [2, 2, 2, 2]), (6, [2, 1, 2, 1]), (12, [3, 3, 3, 3])]
+)
 def test_every_group_gives_its_share(count, taken):
     pool = choose_pool(speeds_and_strengths(0)[None], GROUPS, count, starts=1)
     assert [np.isin(group, pool).sum() for group in GROUPS] == taken

@@ -14,10 +14,13 @@ from pcs_racing_agents.policies import diverse
 def an_archive(coordinates):
     rng = np.random.default_rng(0)
     return PolicyArchive(
-        name="points", planner="lattice", parameter_names=LATTICE.parameter_names,
+        name="points",
+        planner="lattice",
+        parameter_names=LATTICE.parameter_names,
         parameters=np.stack([LATTICE.sample(rng) for _ in coordinates]),
-        characteristics=("aggressiveness", "restraint"), coordinates=coordinates,
-    )  # fmt: skip
+        characteristics=("aggressiveness", "restraint"),
+        coordinates=coordinates,
+    )
 
 
 def probabilities(kernel, k):
@@ -37,7 +40,10 @@ def test_the_sets_drawn_have_the_probabilities_of_the_definition(size, k):
     for _ in range(draws):
         found[tuple(sorted(diverse.sample_kdpp(kernel, k, rng).tolist()))] += 1
     unsure = {chosen: p for chosen, p in expected.items() if p < 1.0}
-    error = [(found[chosen] - draws * p) / np.sqrt(draws * p * (1 - p) + 1e-9) for chosen, p in unsure.items()]
+    error = [
+        (found[chosen] - draws * p) / np.sqrt(draws * p * (1 - p) + 1e-9)
+        for chosen, p in unsure.items()
+    ]
     assert np.max(np.abs([*error, 0.0])) < 4.0
 
 
@@ -45,11 +51,17 @@ def test_draws_are_repeated_and_impossible_choices_refused():
     archive = an_archive(np.random.default_rng(3).uniform(size=(30, 2)))
     first = diverse.select_diverse(archive, 6, rng=np.random.default_rng(5))
     np.testing.assert_array_equal(first, diverse.select_diverse(archive, 6, rng=5))
-    assert {tuple(diverse.select_diverse(archive, 6, rng=seed)) for seed in range(5)} != {tuple(first)}
+    assert {tuple(diverse.select_diverse(archive, 6, rng=seed)) for seed in range(5)} != {
+        tuple(first)
+    }
     places = archive.normalised
-    kernel = np.exp(-0.5 * ((places[:, None] - places[None]) ** 2).sum(axis=2) / 0.2**2) + 1e-6 * np.eye(30)
+    kernel = np.exp(
+        -0.5 * ((places[:, None] - places[None]) ** 2).sum(axis=2) / 0.2**2
+    ) + 1e-6 * np.eye(30)
     np.testing.assert_allclose(diverse.similarity(places, 0.2), kernel, rtol=1e-12)
-    drawn = np.sort(diverse.sample_kdpp(diverse.similarity(places, 0.2), 6, np.random.default_rng(5)))
+    drawn = np.sort(
+        diverse.sample_kdpp(diverse.similarity(places, 0.2), 6, np.random.default_rng(5))
+    )
     np.testing.assert_array_equal(first, drawn)  # the defaults
     # The determinants of all sets are below the smallest number there is.
     kernel = diverse.similarity(np.random.default_rng(0).uniform(size=(90, 2)) * 1e-3, 0.5)
@@ -63,7 +75,12 @@ def test_draws_are_repeated_and_impossible_choices_refused():
         ({"k": 2, "scale": 0.0}, "scale is 0.0"),
         ({"k": 2, "scale": float("nan")}, "scale is nan"),
     ]:
-        refused(message, diverse.select_diverse, an_archive(np.random.default_rng(0).uniform(size=(5, 2))), **arguments)
+        refused(
+            message,
+            diverse.select_diverse,
+            an_archive(np.random.default_rng(0).uniform(size=(5, 2))),
+            **arguments,
+        )
 
 
 @given(values=st.lists(st.floats(0.0, 3.0), min_size=1, max_size=7), k=st.integers(0, 7))
@@ -82,7 +99,10 @@ def test_each_greedy_step_takes_the_item_that_enlarges_the_determinant_most(seed
     assert len(set(chosen)) == k
     for i in range(k):
         others = [item for item in range(size) if item not in chosen[:i]]
-        volumes = [np.linalg.det(kernel[np.ix_([*chosen[:i], item], [*chosen[:i], item])]) for item in others]
+        volumes = [
+            np.linalg.det(kernel[np.ix_([*chosen[:i], item], [*chosen[:i], item])])
+            for item in others
+        ]
         taken = volumes[others.index(chosen[i])]
         assert taken >= max(volumes) - 1e-9
 
@@ -97,6 +117,9 @@ def test_diverse_sets_lie_farther_apart_than_random_ones():
         away = np.linalg.norm(points[:, None] - points[None], axis=-1)
         return away[np.triu_indices(8, 1)].min()
 
-    spread = {method: np.mean([nearest_pair(method, seed) for seed in range(40)]) for method in ("kdpp", "random")}
+    spread = {
+        method: np.mean([nearest_pair(method, seed) for seed in range(40)])
+        for method in ("kdpp", "random")
+    }
     assert spread["kdpp"] > 1.5 * spread["random"]
     assert nearest_pair("map", 0) > spread["kdpp"]

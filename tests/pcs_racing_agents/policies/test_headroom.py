@@ -6,7 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing_agents.policies.headroom import cyclic_part, cyclic_planes, headroom, ratings, transitive_share
+from pcs_racing_agents.policies.headroom import (
+    cyclic_part,
+    cyclic_planes,
+    headroom,
+    ratings,
+    transitive_share,
+)
 
 FOLDS, RACES = 4, 400
 
@@ -59,7 +65,9 @@ def test_gains_add_up_to_the_headroom_and_parts_to_the_payoffs():
     assert result.opponents_error == pytest.approx(result.gains.std(ddof=1) / np.sqrt(6))
     folds = played(wheel(7) + ladder(7), 1)
     rating = ratings(folds)
-    np.testing.assert_allclose(rating[:, None] - rating[None, :] + cyclic_part(folds), folds.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(
+        rating[:, None] - rating[None, :] + cyclic_part(folds), folds.mean(axis=0), atol=1e-12
+    )
     np.testing.assert_allclose(cyclic_part(folds).sum(axis=1), 0.0, atol=1e-12)
 
 

@@ -29,17 +29,23 @@ def test_the_front_is_what_no_other_feasible_member_beats_and_the_first_of_equal
     front = [
         i
         for i in rows
-        if not any(beats(values[j], values[i]) or (j < i and (values[j] == values[i]).all()) for j in rows)
+        if not any(
+            beats(values[j], values[i]) or (j < i and (values[j] == values[i]).all()) for j in rows
+        )
     ]
     assert explored.front.tolist() == front
     assert 0 < len(front) < len(rows) < len(explored)
 
 
 def test_points_are_added_as_members_unless_stated():
-    one = ParetoArchive.empty(2).joined(np.array([[0.1, 0.2]]), np.array([[1.0, 2.0, 3.0]]), np.array([-1.0]))
+    one = ParetoArchive.empty(2).joined(
+        np.array([[0.1, 0.2]]), np.array([[1.0, 2.0, 3.0]]), np.array([-1.0])
+    )
     assert len(one) == 1
     assert (one.member.tolist(), one.front.tolist()) == ([True], [0])
-    two = one.joined(np.array([[0.3, 0.4]]), np.array([[9.0, 9.0, 9.0]]), np.array([0.0]), np.array([False]))
+    two = one.joined(
+        np.array([[0.3, 0.4]]), np.array([[9.0, 9.0, 9.0]]), np.array([0.0]), np.array([False])
+    )
     assert two.parameters.tolist() == [[0.1, 0.2], [0.3, 0.4]]
     assert two.objectives.tolist() == [[1.0, 2.0, 3.0], [9.0, 9.0, 9.0]]
     assert two.violation.tolist() == [-1.0, 0.0]
@@ -53,10 +59,15 @@ def test_the_scale_runs_from_the_worst_to_the_best_of_the_front_or_of_all_feasib
     front = explored.objectives[explored.front]
     np.testing.assert_array_equal(scale.nadir, front.min(axis=0))
     np.testing.assert_array_equal(scale.ideal, front.max(axis=0))
-    np.testing.assert_allclose([scale(front).min(axis=0), scale(front).max(axis=0)], [[0.0, 0.0], [1.0, 1.0]])
+    np.testing.assert_allclose(
+        [scale(front).min(axis=0), scale(front).max(axis=0)], [[0.0, 0.0], [1.0, 1.0]]
+    )
     stated = explored.scale(np.array([4.0, 8.0]), np.array([2.0, 0.0]))
     np.testing.assert_allclose(stated(np.array([3.0, 2.0])), [0.5, 0.25])
-    objectives, violation = np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]), np.array([0.0, 0.0, 1.0])
+    objectives, violation = (
+        np.array([[5.0, 2.0], [4.0, 2.0], [9.0, 9.0]]),
+        np.array([0.0, 0.0, 1.0]),
+    )
     single = ParetoArchive.empty(3).joined(np.zeros((3, 3)), objectives, violation)
     assert single.front.tolist() == [0]
     scale = single.scale()

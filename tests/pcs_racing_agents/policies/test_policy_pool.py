@@ -1,4 +1,6 @@
-"""Payoffs of a pool: every pair races on the same lines, from both sides, wherever the races are driven."""
+"""Payoffs of a pool: every pair races on the same lines, from both sides, wherever the races are
+driven.
+"""
 
 import numpy as np
 import pytest
@@ -6,16 +8,25 @@ from refusal import refused
 
 from pcs_racing import load_archive, load_race_config, parse_policy
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs, slot_payoffs, spanning_policies
+from pcs_racing_agents.policies.policy_pool import (
+    PolicyPool,
+    pool_payoffs,
+    slot_payoffs,
+    spanning_policies,
+)
 
 SLOW, EQUAL, FAST = (parse_policy(f"lattice:pace={pace}") for pace in (0.2, 0.5, 1.0))
 
 
 def pool(**changes) -> PolicyPool:
     given = {
-        "policies": (SLOW, EQUAL, FAST), "tracks": ("Tarnfjord",),
-        "config": load_race_config("paper", duration=6.0), "races": 8, "folds": 4, "seed": 3,
-    }  # fmt: skip
+        "policies": (SLOW, EQUAL, FAST),
+        "tracks": ("Tarnfjord",),
+        "config": load_race_config("paper", duration=6.0),
+        "races": 8,
+        "folds": 4,
+        "seed": 3,
+    }
     return PolicyPool(**given | changes)
 
 
@@ -45,7 +56,8 @@ def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):
     for _ in range(2):
         with open_job(tmp_path, "headroom", {}) as job:
             np.testing.assert_array_equal(pool_payoffs(pool(), job=job), payoffs.mean(axis=2))
-        monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)  # nothing is raced again
+        # nothing is raced again
+        monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)
 
 
 def test_a_pool_spans_an_archive_and_races_that_cannot_be_divided_are_refused():

@@ -1,4 +1,6 @@
-"""The way of a parameter vector theta from the search to the compiled kernel: few files, and none of them twice."""
+"""The way of a parameter vector theta from the search to the compiled kernel: few files, and none
+of them twice.
+"""
 
 import sys
 from itertools import pairwise
@@ -21,9 +23,9 @@ THETA = LATTICE.bounds[:, 0] + MARK * (LATTICE.bounds[:, 1] - LATTICE.bounds[:, 
 PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")
 
 SETTINGS = (
-    "{duration: 2, final_duration: 2, segment_seconds: 2, initial_sample: 12, opponents: 1, starts: 1, candidates: 4,"
-    " choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1, crash_limit: 1.0, min_policies: 2,"
-    " population: 4, generations: 1, tracks: [Pipkin]}"
+    "{duration: 2, final_duration: 2, segment_seconds: 2, initial_sample: 12, opponents: 1, starts:"
+    " 1, candidates: 4, choice_opponents: 1, choice_starts: 1, final_opponents: 1, final_starts: 1,"
+    " crash_limit: 1.0, min_policies: 2, population: 4, generations: 1, tracks: [Pipkin]}"
 )
 
 
@@ -34,7 +36,11 @@ def holds(value, depth: int = 4) -> bool:
         return fits and bool((value == THETA).all(axis=-1).any())
     if depth and isinstance(value, list | tuple):
         return any(holds(item, depth - 1) for item in value)
-    return depth > 0 and isinstance(value, dict) and any(holds(item, depth - 1) for item in value.values())
+    return (
+        depth > 0
+        and isinstance(value, dict)
+        and any(holds(item, depth - 1) for item in value.values())
+    )
 
 
 class SpyKernel:
@@ -48,27 +54,43 @@ class SpyKernel:
             files, frame = [], sys._getframe(1)
             while frame is not None:
                 file = Path(frame.f_code.co_filename)
-                if any(package in file.parents for package in PACKAGES) and holds(dict(frame.f_locals)):
+                if any(package in file.parents for package in PACKAGES) and holds(
+                    dict(frame.f_locals)
+                ):
                     files.append(str(file.relative_to(REPOSITORY)))
                 frame = frame.f_back
             files.reverse()
-            self.roads.append([*files[:1], *(later for earlier, later in pairwise(files) if later != earlier)])
+            self.roads.append(
+                [*files[:1], *(later for earlier, later in pairwise(files) if later != earlier)]
+            )
         return self.kernel(*arguments)
 
     def __getattr__(self, name):
         return getattr(self.kernel, name)
 
 
-def test_theta_passes_eight_files_between_the_search_and_the_kernel_and_none_twice(monkeypatch, tmp_path):
+def test_theta_passes_eight_files_between_the_search_and_the_kernel_and_none_twice(
+    monkeypatch, tmp_path
+):
     draw = MOCMAES.ask
     spy = SpyKernel(driving.advance_races)
     monkeypatch.setattr(driving, "advance_races", spy)
     monkeypatch.setattr(MOCMAES, "ask", lambda self: np.vstack([MARK, draw(self)[1:]]))
     settings = tmp_path / "small.yaml"
     settings.write_text(SETTINGS)
-    command = ["synthesize", "--config", str(settings), "--out", str(tmp_path / "archive"), "--executor", "serial"]
+    command = [
+        "synthesize",
+        "--config",
+        str(settings),
+        "--out",
+        str(tmp_path / "archive"),
+        "--executor",
+        "serial",
+    ]
     assert main(command) == 0
-    road = spy.roads[0]  # of the search; the choice and the measurement race policies of the archive once more
-    assert road[0] == "pcs_racing_agents/policies/synthesize.py"  # the function of the documentation
+    # of the search; the choice and the measurement race policies of the archive once more
+    road = spy.roads[0]
+    # the function of the documentation
+    assert road[0] == "pcs_racing_agents/policies/synthesize.py"
     assert len(road) <= 8  # one of them only guards the task against what can't be sent back
     assert len(set(road)) == len(road)

@@ -5,9 +5,19 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pcs_racing_agents.policies.evaluate import summarise
-from pcs_racing_agents.policies.selection import beaten, difference_errors, front_layers, spread_first, thin_out
+from pcs_racing_agents.policies.selection import (
+    beaten,
+    difference_errors,
+    front_layers,
+    spread_first,
+    thin_out,
+)
 
-clouds = hnp.arrays(np.float64, st.tuples(st.integers(1, 12), st.integers(1, 3)), elements=st.integers(0, 4).map(float))
+clouds = hnp.arrays(
+    np.float64,
+    st.tuples(st.integers(1, 12), st.integers(1, 3)),
+    elements=st.integers(0, 4).map(float),
+)
 
 
 @given(points=clouds)
@@ -37,7 +47,9 @@ def test_errors_of_differences_are_those_of_paired_means_also_of_races_cut_short
     for i in range(3):
         for j in range(3):
             paired = (totals[i] - totals[j]) / 2.0
-            np.testing.assert_allclose(errors[i, j], paired.std(axis=0, ddof=1) / np.sqrt(40.0), atol=1e-9)
+            np.testing.assert_allclose(
+                errors[i, j], paired.std(axis=0, ddof=1) / np.sqrt(40.0), atol=1e-9
+            )
     assert (errors[0, 1] < 0.5 * summarise(raced(totals)).spread[0]).all()
     # Over many repetitions, the error that is stated is the one that is made.
     rng = np.random.default_rng(1)

@@ -26,7 +26,9 @@ def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
     assert archive.parameter_names == config.varied
     for key, value in stated_settings(config).items():
         # The first is only a wish; an archive made before there were rivals had none.
-        if key != "min_policies" and (key in archive.settings or key not in ("rivals", "min_score")):
+        if key != "min_policies" and (
+            key in archive.settings or key not in ("rivals", "min_score")
+        ):
             assert archive.settings[key] == value, key
     assert len(config.tracks) >= 3
     stated_hashes = archive.settings["track_hashes"].split(", ")
@@ -54,7 +56,8 @@ def test_the_default_archive_lies_along_the_front_and_that_of_the_contest_holds_
     assert speed.min() < 0.75  # pace 0 is 0.72 of pace 1
     assert speed.max() > 0.85
     assert float(archive.settings["headroom_low"]) > 0.0  # on races not used for the choice
-    assert float(archive.settings["headroom_low_elsewhere"]) > 0.0  # on circuits not used for the choice
+    # on circuits not used for the choice
+    assert float(archive.settings["headroom_low_elsewhere"]) > 0.0
 
 
 def test_it_is_measured_again_with_crashes_as_rare_as_they_should_be(name, tmp_path):
@@ -66,7 +69,9 @@ def test_it_is_measured_again_with_crashes_as_rare_as_they_should_be(name, tmp_p
     archive, config = load_archive(name), load_archive_config(name)
     if name == "default":
         before = shutil.copytree(REPOSITORY / "maps" / "Tarnfjord", tmp_path / "Tarnfjord")
-        shutil.copy(Path(__file__).with_name("tarnfjord_before.yaml"), before / "Tarnfjord_track.yaml")
+        shutil.copy(
+            Path(__file__).with_name("tarnfjord_before.yaml"), before / "Tarnfjord_track.yaml"
+        )
         tracks = [str(before) if track == "Tarnfjord" else track for track in config.tracks]
         config = load_archive_config(config, tracks=tuple(tracks))
     _, _, final = stage_scenarios(config)

@@ -19,17 +19,23 @@ SMALL = {"population": 12, "generations": 6, "seed": 3}
 def spheres(points, dimension: int = 6):
     """Minus the squared distances from two points: the Pareto set is the line between them."""
     one, other = np.full(dimension, 0.3), np.full(dimension, 0.7)
-    return -np.column_stack([((points - one) ** 2).sum(axis=1), ((points - other) ** 2).sum(axis=1)])
+    return -np.column_stack(
+        [((points - one) ** 2).sum(axis=1), ((points - other) ** 2).sum(axis=1)]
+    )
 
 
 def zdt1(points):
-    """Pareto set at the border: all parameters but the first are 0 (E. Zitzler, K. Deb, L. Thiele, 2000)."""
+    """Pareto set at the border: all parameters but the first are 0 (E. Zitzler, K. Deb, L. Thiele,
+    2000).
+    """
     g = 1.0 + 9.0 * points[:, 1:].mean(axis=1)
     return -np.column_stack([points[:, 0], g * (1.0 - np.sqrt(points[:, 0] / g))])
 
 
 def three(points):
-    return -np.column_stack([((points - centre) ** 2).sum(axis=1) for centre in (0.2, 0.5, np.linspace(0.2, 0.8, 6))])
+    return -np.column_stack(
+        [((points - centre) ** 2).sum(axis=1) for centre in (0.2, 0.5, np.linspace(0.2, 0.8, 6))]
+    )
 
 
 def same(one, other):
@@ -39,7 +45,9 @@ def same(one, other):
         np.testing.assert_array_equal(news[:7], others[:7])
 
 
-@pytest.fixture(params=[pytest.param(name, marks=[pytest.mark.compare] * (name == "nsga2")) for name in METHODS])
+@pytest.fixture(
+    params=[pytest.param(name, marks=[pytest.mark.compare] * (name == "nsga2")) for name in METHODS]
+)
 def method(request):
     if request.param == "nsga2":
         pytest.importorskip("pymoo")
@@ -54,7 +62,9 @@ def test_it_comes_near_the_whole_front_and_random_search_does_not(function, shar
     low, extent = front.min(axis=0), np.ptp(front, axis=0)
 
     def of_possible(result):
-        return hypervolume((result.objectives - low) / extent, -0.1) / hypervolume((front - low) / extent, -0.1)
+        return hypervolume((result.objectives - low) / extent, -0.1) / hypervolume(
+            (front - low) / extent, -0.1
+        )
 
     found = synthesize(function, UNIT, population=25, generations=60, seed=1)
     drawn = synthesize(function, UNIT, population=25, generations=60, seed=1, method="random")
@@ -65,7 +75,9 @@ def test_it_comes_near_the_whole_front_and_random_search_does_not(function, shar
 
 def test_the_front_is_what_nothing_explored_beats():
     seen = []
-    result = synthesize(spheres, UNIT, population=12, generations=10, elite_ratio=1.0, callback=seen.append)
+    result = synthesize(
+        spheres, UNIT, population=12, generations=10, elite_ratio=1.0, callback=seen.append
+    )
     front = non_dominated(result.explored_objectives, duplicates=False)
     np.testing.assert_array_equal(result.parameters, result.explored_parameters[front])
     np.testing.assert_array_equal(result.objectives, spheres(result.parameters))
@@ -74,7 +86,11 @@ def test_the_front_is_what_nothing_explored_beats():
     assert grown.shape == (10,)
     assert (np.diff(grown) >= -1e-12).all()
     last = result.generations[-1]
-    assert (last.generation, last.evaluations, last.archive_size) == (10, 120, len(result.parameters))
+    assert (last.generation, last.evaluations, last.archive_size) == (
+        10,
+        120,
+        len(result.parameters),
+    )
     assert last.hypervolume == pytest.approx(grown[-1])
     assert (seen[0].infeasible, len(seen)) == (0, 10) == (0, len(result.generations))
     for one in result.generations:
@@ -87,11 +103,14 @@ def test_the_front_is_what_nothing_explored_beats():
 
 
 def test_infeasible_points_never_enter_the_archive_but_lead_the_way_back():
-    def evaluate(points):  # everything good is forbidden: the sum must be 5 or above, and objectives ask for less
+    # everything good is forbidden: the sum must be 5 or above, and objectives ask for less
+    def evaluate(points):
         return -np.column_stack([points[:, 0], points[:, 1:].sum(axis=1)]), 5.0 - points.sum(axis=1)
 
     seen = []
-    result = synthesize(evaluate, UNIT, population=25, generations=30, callback=seen.append, start=np.full(6, 0.1))
+    result = synthesize(
+        evaluate, UNIT, population=25, generations=30, callback=seen.append, start=np.full(6, 0.1)
+    )
     assert seen[0].infeasible == 25
     assert seen[0].archive_size == 0
     assert seen[0].hypervolume == 0.0
@@ -126,7 +145,12 @@ def test_a_search_starts_again_within_the_bounds_in_the_middle_of_the_front():
     assert Search(bounds).ask().mean() == pytest.approx(1.0, abs=0.3)
     search = Search(bounds, population=4)
     first = search.add([[-2.0] * 6, [4.0] * 6], [[0.0, 1.0], [1.0, 0.0]], [0.0, 0.5])
-    assert (first.generation, first.evaluations, first.archive_size, first.infeasible) == (0, 2, 1, 1)
+    assert (first.generation, first.evaluations, first.archive_size, first.infeasible) == (
+        0,
+        2,
+        1,
+        1,
+    )
     assert search.archive.tolist() == [[-2.0] * 6]
     search.ask()
     search.tell([[0.0, 0.0]] * 4)
@@ -169,7 +193,10 @@ def test_a_search_told_again_what_it_was_told_goes_on_as_if_it_had_never_stopped
     options = {"method": method, **SMALL}
     whole = synthesize(evaluate, UNIT, **options)
     calls.clear()
-    stored = [Evaluated(news.objectives, news.violation, news.parameters) for news in whole.generations[:known]]
+    stored = [
+        Evaluated(news.objectives, news.violation, news.parameters)
+        for news in whole.generations[:known]
+    ]
     again = synthesize(evaluate, UNIT, evaluated=stored, **options)
     assert len(calls) == 6 - known
     same(whole, again)
@@ -180,11 +207,19 @@ def test_an_executor_and_asking_and_telling_change_nothing():
         return spheres(points), points[:, 0] - 0.6
 
     with ThreadPoolExecutor(2) as executor:
-        same(synthesize(evaluate, UNIT, executor=executor, **SMALL), synthesize(evaluate, UNIT, **SMALL))
+        same(
+            synthesize(evaluate, UNIT, executor=executor, **SMALL),
+            synthesize(evaluate, UNIT, **SMALL),
+        )
     parts = []
     with ThreadPoolExecutor(1) as executor:
         options = {**SMALL, "population": 40, "generations": 1}
-        synthesize(lambda points: parts.append(len(points)) or spheres(points), UNIT, executor=executor, **options)
+        synthesize(
+            lambda points: parts.append(len(points)) or spheres(points),
+            UNIT,
+            executor=executor,
+            **options,
+        )
     assert sorted(parts) == [2] * 8 + [3] * 8  # up to 16 blocks
     search = Search(UNIT, population=12, seed=3)
     for _ in range(6):
@@ -193,10 +228,18 @@ def test_an_executor_and_asking_and_telling_change_nothing():
 
 
 def test_three_objectives_and_fixed_scales(method):
-    options = {"method": method, **SMALL, "ideal": [0.0, 0.0, 0.0], "nadir": [-3.0, -3.0, -3.0], "reference": [0.0] * 3}
+    options = {
+        "method": method,
+        **SMALL,
+        "ideal": [0.0, 0.0, 0.0],
+        "nadir": [-3.0, -3.0, -3.0],
+        "reference": [0.0] * 3,
+    }
     result = synthesize(three, UNIT, **options)
     np.testing.assert_array_equal(result.nadir, [-3.0] * 3)
-    assert result.hypervolumes()[-1] == pytest.approx(hypervolume(result.objectives / 3.0 + 1.0, 0.0))
+    assert result.hypervolumes()[-1] == pytest.approx(
+        hypervolume(result.objectives / 3.0 + 1.0, 0.0)
+    )
 
 
 def test_an_initial_sample_is_the_first_archive_and_evaluations_end_the_search():
@@ -252,7 +295,10 @@ def test_impossible_results_are_named():
         (lambda x: np.zeros((len(x), 1)), r"shape \(12, 1\)"),
         (lambda x: [["a", "b"]] * len(x), "no number"),
         (lambda x: None, "shape"),
-        (lambda x: np.where(np.arange(24).reshape(12, 2) == 7, np.nan, 1.0), "objective 1 of point 3 is nan"),
+        (
+            lambda x: np.where(np.arange(24).reshape(12, 2) == 7, np.nan, 1.0),
+            "objective 1 of point 3 is nan",
+        ),
         (lambda x: (spheres(x), np.full(12, np.inf)), "violation of point 0 is inf"),
         (lambda x: (spheres(x), np.zeros((12, 1))), r"violations have shape \(12, 1\)"),
     ]:
@@ -261,14 +307,36 @@ def test_impossible_results_are_named():
 
 def test_results_that_do_not_fit_each_other_or_another_search_are_named():
     """Where an executor has each part of the points evaluated on its own."""
-    with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
-        synthesize(lambda x: np.zeros((len(x), 2 + int(x[0, 0] > 0.5))), UNIT, **SMALL, executor=executor)
-    with ThreadPoolExecutor(2) as executor, pytest.raises(InputError, match="results of different shapes"):
+    with (
+        ThreadPoolExecutor(2) as executor,
+        pytest.raises(InputError, match="results of different shapes"),
+    ):
+        synthesize(
+            lambda x: np.zeros((len(x), 2 + int(x[0, 0] > 0.5))), UNIT, **SMALL, executor=executor
+        )
+    with (
+        ThreadPoolExecutor(2) as executor,
+        pytest.raises(InputError, match="results of different shapes"),
+    ):
         synthesize(violations_in_a_part, UNIT, **SMALL, executor=executor)
     generations = synthesize(spheres, UNIT, **SMALL).generations
     stored = [Evaluated(news.objectives, None, news.parameters) for news in generations]
-    refused(r"other points .*0 evaluations", synthesize, spheres, UNIT, **{**SMALL, "seed": 4}, evaluated=stored)
-    refused("holds 6 results", synthesize, spheres, UNIT, **{**SMALL, "generations": 5}, evaluated=stored)
+    refused(
+        r"other points .*0 evaluations",
+        synthesize,
+        spheres,
+        UNIT,
+        **{**SMALL, "seed": 4},
+        evaluated=stored,
+    )
+    refused(
+        "holds 6 results",
+        synthesize,
+        spheres,
+        UNIT,
+        **{**SMALL, "generations": 5},
+        evaluated=stored,
+    )
 
 
 def violations_in_a_part(points):

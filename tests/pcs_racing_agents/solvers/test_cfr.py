@@ -9,17 +9,26 @@ from pcs_racing_agents.solvers import VARIANTS, Variant, cfr, exploitability
 
 
 def same(one, other, tolerance=0.0) -> bool:
-    pairs = [arrays for levels in zip(one, other, strict=True) for arrays in zip(*levels, strict=True)]
+    pairs = [
+        arrays for levels in zip(one, other, strict=True) for arrays in zip(*levels, strict=True)
+    ]
     return all(np.allclose(a, b, rtol=0.0, atol=tolerance) for a, b in pairs)
 
 
 class SlowCFR:
-    """The definition (Zinkevich et al. 2007; Brown and Sandholm 2019) in loops over the nodes of a tree."""
+    """The definition (Zinkevich et al. 2007; Brown and Sandholm 2019) in loops over the nodes of a
+    tree.
+    """
 
     def __init__(self, tree, variant):
         self.tree, self.variant = tree, variant
-        shapes = [[(tree.rows(k, player), tree.moves[k][player]) for player in (0, 1)] for k in range(tree.depth)]
-        self.regrets, self.sums = ([[np.zeros(shape) for shape in pair] for pair in shapes] for _ in range(2))
+        shapes = [
+            [(tree.rows(k, player), tree.moves[k][player]) for player in (0, 1)]
+            for k in range(tree.depth)
+        ]
+        self.regrets, self.sums = (
+            [[np.zeros(shape) for shape in pair] for pair in shapes] for _ in range(2)
+        )
         self.reached = [[np.zeros(shape[0]) for shape in pair] for pair in shapes]
         self.strategy = [[np.full(shape, 1.0 / shape[1]) for shape in pair] for pair in shapes]
 
@@ -36,7 +45,9 @@ class SlowCFR:
             for b in range(moves[1 - player]):
                 pair = (a, b) if player == 0 else (b, a)
                 child = (node * moves[0] + pair[0]) * moves[1] + pair[1]
-                gains[a] += theirs[b] * self.visit(level + 1, child, player, own * mine[a], others * theirs[b])
+                gains[a] += theirs[b] * self.visit(
+                    level + 1, child, player, own * mine[a], others * theirs[b]
+                )
         value = mine @ gains
         row = rows[player]
         self.regrets[level][player][row] += others * (gains - value)
@@ -52,7 +63,9 @@ class SlowCFR:
             for root, chance in enumerate(self.tree.chance):
                 self.visit(0, root, player, 1.0, chance)
             for level, reach in enumerate(self.own_reach):
-                self.sums[level][player] += t**variant.gamma * reach[:, None] * self.strategy[level][player]
+                self.sums[level][player] += (
+                    t**variant.gamma * reach[:, None] * self.strategy[level][player]
+                )
             if variant.alternating:
                 self.follow(t, player)
         if not variant.alternating:
@@ -72,20 +85,25 @@ class SlowCFR:
             positive = np.maximum(regrets, 0.0)
             total = positive.sum(axis=1, keepdims=True)
             even = np.full_like(positive, 1.0 / positive.shape[1])
-            self.strategy[level][player] = np.where(total > 0.0, positive / np.where(total > 0.0, total, 1.0), even)
+            self.strategy[level][player] = np.where(
+                total > 0.0, positive / np.where(total > 0.0, total, 1.0), even
+            )
 
 
 DISCOUNTED_TOGETHER = Variant(alternating=False, alpha=1.5, beta=0.0, gamma=2.0)
 
 
-@pytest.mark.parametrize("variant", [*VARIANTS.values(), DISCOUNTED_TOGETHER], ids=[*VARIANTS, "discounted together"])
+@pytest.mark.parametrize(
+    "variant", [*VARIANTS.values(), DISCOUNTED_TOGETHER], ids=[*VARIANTS, "discounted together"]
+)
 @pytest.mark.parametrize(
     "tree",
     [
         random_tree(7, 2, 3, 3, 2),
         random_tree(8, 3, 2, 2, 3, chance=3, blur=2),
         kuhn_poker(),
-        random_tree(9, 4, 5, 4, 4, 1, 2),  # more nodes in a level than the kernels work on at a time
+        # more nodes in a level than the kernels work on at a time
+        random_tree(9, 4, 5, 4, 4, 1, 2),
     ],
     ids=["open", "hidden", "kuhn", "wide"],
 )
@@ -120,7 +138,9 @@ def test_resuming_changes_nothing(variant):
     for name in ("average", "current", "regrets", "opponent_reach", "strategy_sums"):
         assert same(getattr(whole, name), getattr(parts, name)), name
     full = random_tree(2, 3, 3, 3, 3)
-    assert same(cfr(full, 7, variant).regrets, cfr(full, 4, variant, resume=cfr(full, 3, variant)).regrets)
+    assert same(
+        cfr(full, 7, variant).regrets, cfr(full, 4, variant, resume=cfr(full, 3, variant)).regrets
+    )
 
 
 def test_impossible_runs():

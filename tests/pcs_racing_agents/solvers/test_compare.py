@@ -1,4 +1,6 @@
-"""Methods side by side: what each of them gives by itself, and agreement counted decision by decision."""
+"""Methods side by side: what each of them gives by itself, and agreement counted decision by
+decision.
+"""
 
 import numpy as np
 import pytest
@@ -24,7 +26,9 @@ def slow_agreement(tree, exact, profile, on_path):
             if values.max() - values.min() > 1e-9 * span:
                 weight = reach if on_path else 1.0
                 decisions += weight
-                agreed += weight * (values[profile[k][player][node].argmax()] >= values.max() - 1e-9 * span)
+                agreed += weight * (
+                    values[profile[k][player][node].argmax()] >= values.max() - 1e-9 * span
+                )
         first, second = exact.profile[k]
         for a, b in np.ndindex(tree.moves[k]):
             child = (node * tree.moves[k][0] + a) * tree.moves[k][1] + b
@@ -47,8 +51,12 @@ def test_agreement_is_the_share_of_decisions_with_a_best_move(seed, on_path):
 
 def test_everybody_agrees_where_nothing_matters_and_whatever_the_unit():
     tree = GameTree.from_payoffs(np.full((2, 2), 7.0))
-    assert agreement(tree, solve_exact(tree), [(np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]]))]) == 1.0
-    assert agreement(PENNIES, solve_exact(PENNIES), random_profile(PENNIES)) == 1.0  # all moves are best ones
+    assert (
+        agreement(tree, solve_exact(tree), [(np.array([[0.0, 1.0]]), np.array([[1.0, 0.0]]))])
+        == 1.0
+    )
+    # all moves are best ones
+    assert agreement(PENNIES, solve_exact(PENNIES), random_profile(PENNIES)) == 1.0
     tree = random_tree(5, 3, 3, 2, 2)
     profile = random_profile(tree, 1)
     expected = agreement(tree, solve_exact(tree), profile)
@@ -71,12 +79,17 @@ def test_the_table_is_what_each_method_gives_by_itself():
         else:
             profile = cfr(tree, 20, row.method).average
         judged = exploitability(tree, profile)
-        assert (row.value, row.exploitability) == pytest.approx((judged.value, judged.exploitability), abs=1e-12)
+        assert (row.value, row.exploitability) == pytest.approx(
+            (judged.value, judged.exploitability), abs=1e-12
+        )
         assert row.agreement == pytest.approx(agreement(tree, exact, profile))
         assert row.on_path == pytest.approx(agreement(tree, exact, profile, on_path=True))
         assert 0.0 <= row.seconds < 600.0
     assert rows[0].exploitability < 1e-9
-    assert [row.method for row in compare_methods(tree, 5, ["linear", "exact"])] == ["linear", "exact"]
+    assert [row.method for row in compare_methods(tree, 5, ["linear", "exact"])] == [
+        "linear",
+        "exact",
+    ]
 
 
 def test_the_papers_rule_takes_the_largest_regret_and_unknown_methods_are_named():
@@ -87,4 +100,11 @@ def test_the_papers_rule_takes_the_largest_regret_and_unknown_methods_are_named(
             assert (strategy.sum(axis=1) == 1.0).all()
             np.testing.assert_array_equal(strategy.argmax(axis=1), regret.argmax(axis=1))
             assert set(np.unique(strategy)) == {0.0, 1.0}
-    refused("method 'guess' is unknown", compare_methods, PENNIES, 1, ["exact", "guess"], error=UnknownNameError)
+    refused(
+        "method 'guess' is unknown",
+        compare_methods,
+        PENNIES,
+        1,
+        ["exact", "guess"],
+        error=UnknownNameError,
+    )

@@ -28,10 +28,15 @@ def test_the_text_of_matching_pennies(tmp_path):
         move_names=[(("heads", "tails"), ("left", "right"))],
     )
     assert path.read_text().splitlines() == [
-        'EFG 2 R "Pennies" { "car_0" "car_1" }', 'p "" 1 1 "0:0" { "heads" "tails" } 0',
-        'p "" 2 1 "0:0" { "left" "right" } 0', 't "" 1 "" { 1.0 -1.0 }', 't "" 2 "" { -1.0 1.0 }',
-        'p "" 2 1 "0:0" { "left" "right" } 0', 't "" 3 "" { -0.00000015 0.00000015 }', 't "" 4 "" { 0.0 -0.0 }',
-    ]  # fmt: skip
+        'EFG 2 R "Pennies" { "car_0" "car_1" }',
+        'p "" 1 1 "0:0" { "heads" "tails" } 0',
+        'p "" 2 1 "0:0" { "left" "right" } 0',
+        't "" 1 "" { 1.0 -1.0 }',
+        't "" 2 "" { -1.0 1.0 }',
+        'p "" 2 1 "0:0" { "left" "right" } 0',
+        't "" 3 "" { -0.00000015 0.00000015 }',
+        't "" 4 "" { 0.0 -0.0 }',
+    ]
 
 
 @pytest.mark.parametrize("name", TREES)
@@ -40,7 +45,10 @@ def test_openspiel_plays_the_same_game(name):
     pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
     tree = TREES[name]
     game = efg_game(tree)
-    for variant, solver in (("alternating", pyspiel.CFRSolver(game)), ("alternating+", pyspiel.CFRPlusSolver(game))):
+    for variant, solver in (
+        ("alternating", pyspiel.CFRSolver(game)),
+        ("alternating+", pyspiel.CFRPlusSolver(game)),
+    ):
         done = 0
         for iterations in (9, 13):
             for _ in range(iterations - done):
@@ -48,9 +56,13 @@ def test_openspiel_plays_the_same_game(name):
             done = iterations
             theirs = pyspiel.exploitability(game, solver.tabular_average_policy())
             ours = solvers.cfr(tree, iterations, variant).average
-            assert solvers.exploitability(tree, ours).exploitability == pytest.approx(theirs, rel=1e-10, abs=1e-12)
+            assert solvers.exploitability(tree, ours).exploitability == pytest.approx(
+                theirs, rel=1e-10, abs=1e-12
+            )
             back = efg_profile(tree, solver.tabular_average_policy().policy_table())
-            assert solvers.exploitability(tree, back).exploitability == pytest.approx(theirs, rel=1e-10, abs=1e-12)
+            assert solvers.exploitability(tree, back).exploitability == pytest.approx(
+                theirs, rel=1e-10, abs=1e-12
+            )
 
 
 @pytest.mark.parametrize("name", TREES)
@@ -63,7 +75,9 @@ def test_openspiel_judges_profiles_alike(name):
         policy = efg_policy(tree, profile)
         expected = solvers.exploitability(tree, profile)
         assert pyspiel.nash_conv(game, policy) == pytest.approx(expected.nash_conv, rel=1e-10)
-        assert pyspiel.exploitability(game, policy) == pytest.approx(expected.exploitability, rel=1e-10)
+        assert pyspiel.exploitability(game, policy) == pytest.approx(
+            expected.exploitability, rel=1e-10
+        )
         back = solvers.play_value(tree, efg_profile(tree, policy))
         assert back == pytest.approx(solvers.play_value(tree, profile), abs=1e-12)
 
@@ -83,7 +97,9 @@ def test_gambit_finds_the_same_value(name, tmp_path):
 
 
 def test_uneven_chance_adds_up_to_one_and_what_cant_be_converted_is_told(tmp_path, monkeypatch):
-    tree = solvers.GameTree.from_payoffs(np.zeros((7, 1, 2)), np.random.default_rng(0).dirichlet(np.ones(7)))
+    tree = solvers.GameTree.from_payoffs(
+        np.zeros((7, 1, 2)), np.random.default_rng(0).dirichlet(np.ones(7))
+    )
     text = solvers.efg_text(tree.with_infosets([(np.arange(7), np.arange(7))]))
     shares = re.findall(r'"\d" (0\.\d+)', text)
     assert len(shares) == 7

@@ -57,17 +57,27 @@ def test_a_best_response_is_the_best_of_all_plans(seed, blur, sharp):
     for player in (0, 1):
         values = []
         for plan in pure_strategies(tree, player):
-            tried = [(own, pair[1]) if player == 0 else (pair[0], own) for own, pair in zip(plan, profile, strict=True)]
+            tried = [
+                (own, pair[1]) if player == 0 else (pair[0], own)
+                for own, pair in zip(plan, profile, strict=True)
+            ]
             values.append((1, -1)[player] * solvers.play_value(tree, tried))
         best = solvers.best_response(tree, profile, player)
         assert best.value == pytest.approx(max(values), abs=1e-12)
-        answer = [(a, p[1]) if player == 0 else (p[0], a) for a, p in zip(best.strategy, profile, strict=True)]
-        assert (1, -1)[player] * solvers.play_value(tree, answer) == pytest.approx(best.value, abs=1e-12)
+        answer = [
+            (a, p[1]) if player == 0 else (p[0], a)
+            for a, p in zip(best.strategy, profile, strict=True)
+        ]
+        assert (1, -1)[player] * solvers.play_value(tree, answer) == pytest.approx(
+            best.value, abs=1e-12
+        )
 
 
 @given(seed=st.integers(0, 10**6), chance=st.sampled_from([0, 3]), blur=st.integers(0, 2))
 def test_q_values_are_what_one_other_move_is_worth(seed, chance, blur):
-    """Changing a strategy at one infoset changes the value by the reach of chance and the other, times own reach."""
+    """Changing a strategy at one infoset changes the value by the reach of chance and the other,
+    times own reach.
+    """
     tree = random_tree(seed, 2, 3, 2, 2, chance=chance, blur=blur)
     profile = random_profile(tree, seed)
     rng = np.random.default_rng(seed)
@@ -77,6 +87,10 @@ def test_q_values_are_what_one_other_move_is_worth(seed, chance, blur):
     changed[k][player][row] = np.eye(tree.moves[k][player])[move]
     nodes = tree.infosets[k][player] == row
     reach = solvers.reach_probabilities(tree, profile)[k]
-    visits = (reach[0] * reach[1] * np.repeat(tree.chance, tree.nodes(k) // tree.roots))[nodes].sum()
+    visits = (reach[0] * reach[1] * np.repeat(tree.chance, tree.nodes(k) // tree.roots))[
+        nodes
+    ].sum()
     gain = (1, -1)[player] * (solvers.play_value(tree, changed) - solvers.play_value(tree, profile))
-    assert gain == pytest.approx(visits * solvers.advantages(tree, profile)[k][player][row, move], abs=1e-12)
+    assert gain == pytest.approx(
+        visits * solvers.advantages(tree, profile)[k][player][row, move], abs=1e-12
+    )

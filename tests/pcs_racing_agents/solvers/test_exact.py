@@ -6,7 +6,14 @@ from hypothesis.extra.numpy import arrays
 from refusal import refused
 from small_games import kuhn_poker, random_tree
 
-from pcs_racing_agents.solvers import GameTree, advantages, exploitability, q_values, solve_exact, solve_sequence_form
+from pcs_racing_agents.solvers import (
+    GameTree,
+    advantages,
+    exploitability,
+    q_values,
+    solve_exact,
+    solve_sequence_form,
+)
 
 SMALL = st.sampled_from([(2, 2), (3, 2), (1, 3), (2, 2, 2, 2), (3, 2, 2, 1), (2, 3, 1, 2, 2, 2)])
 METRES = st.integers(-4, 4) | st.floats(-60.0, 60.0, width=32)
@@ -14,7 +21,9 @@ PAYOFFS = SMALL.flatmap(lambda shape: arrays(np.float64, shape, elements=METRES)
 
 
 def pure_security(tree: GameTree) -> tuple[float, float]:
-    """What car 0 can hold with moves that the other sees, and with seeing the other's: bounds of the value."""
+    """What car 0 can hold with moves that the other sees, and with seeing the other's: bounds of
+    the value.
+    """
     low = high = tree.payoffs[0]
     for a, b in reversed(tree.moves):
         low = low.reshape(-1, a, b).min(axis=2).max(axis=1)
@@ -39,7 +48,9 @@ def test_moves_are_rated_against_the_equilibrium():
     solution = solve_exact(tree)
     for k in range(2):
         for player in (0, 1):
-            assert solution.q[k][player] == pytest.approx(q_values(tree, solution.profile)[k][player])
+            assert solution.q[k][player] == pytest.approx(
+                q_values(tree, solution.profile)[k][player]
+            )
             mine = solution.advantages[k][player]
             assert mine == pytest.approx(advantages(tree, solution.profile)[k][player], abs=1e-12)
             assert (mine < 1e-12).all()
@@ -60,7 +71,9 @@ def test_seeds_that_nobody_sees_and_moves_that_need_another_solver():
 
 
 def test_kuhn_poker():
-    """Worth -1/18 to the first player (Kuhn 1950), who never bets the middle card and bluffs at most a third."""
+    """Worth -1/18 to the first player (Kuhn 1950), who never bets the middle card and bluffs at
+    most a third.
+    """
     tree = kuhn_poker()
     solution = solve_sequence_form(tree)
     assert solution.value == pytest.approx(-1.0 / 18.0, abs=1e-9)

@@ -19,7 +19,10 @@ def test_nodes_stand_in_the_order_of_their_history_in_a_tree_that_is_a_value():
     second = np.zeros((6, 4)), np.zeros((6, 2))
     second[0][:, 0] = second[1][:, 1] = 1.0
     second[0][node], second[1][node] = [0, 0, 0, 1], [1, 0]
-    assert play_value(tree, [(np.array([[0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])), second]) == payoffs[1, 2, 3, 0]
+    assert (
+        play_value(tree, [(np.array([[0.0, 1.0]]), np.array([[0.0, 0.0, 1.0]])), second])
+        == payoffs[1, 2, 3, 0]
+    )
     given = np.zeros((2, 2))
     tree = GameTree.from_payoffs(given)
     given[0, 0] = 5.0
@@ -32,7 +35,9 @@ def test_hidden_chance_is_averaged_out():
     payoffs = np.random.default_rng(1).normal(size=(3, 2, 2, 3, 2))
     weights = np.array([0.5, 0.2, 0.3])
     tree = GameTree.from_payoffs(payoffs, weights)
-    assert tree.averaged.payoffs[0] == pytest.approx(np.einsum("s,s...->...", weights, payoffs).reshape(-1))
+    assert tree.averaged.payoffs[0] == pytest.approx(
+        np.einsum("s,s...->...", weights, payoffs).reshape(-1)
+    )
     profile = random_profile(tree)
     each = [play_value(GameTree.from_payoffs(table), profile) for table in payoffs]
     assert play_value(tree, profile) == pytest.approx(weights @ each)
@@ -58,7 +63,10 @@ def test_infosets_are_numbered_as_they_come_and_observations_add_to_them():
     assert [seen.rows(k, 0) for k in range(3)] == [1, 4, 8]
     assert [seen.rows(k, 1) for k in range(3)] == [1, 2, 4]
     # Several numbers a node; equal rows look alike.
-    pairs = [(np.zeros((tree.nodes(k), 2)), np.stack([np.arange(tree.nodes(k))] * 2, axis=1)) for k in range(3)]
+    pairs = [
+        (np.zeros((tree.nodes(k), 2)), np.stack([np.arange(tree.nodes(k))] * 2, axis=1))
+        for k in range(3)
+    ]
     assert [tree.with_observations(pairs).rows(k, 1) for k in range(3)] == [1, 4, 16]
 
 
@@ -85,8 +93,16 @@ def test_impossible_trees_and_what_no_player_can_see():
         (TWO_STEPS.with_infosets, [([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
         (TWO_STEPS.with_infosets, [([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
         # These forget their own move.
-        (TWO_STEPS.with_infosets, [([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])], "level 1, car 0: node 2"),
-        (TWO_STEPS.with_infosets, [([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])], "level 1, car 1: node 1"),
+        (
+            TWO_STEPS.with_infosets,
+            [([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])],
+            "level 1, car 0: node 2",
+        ),
+        (
+            TWO_STEPS.with_infosets,
+            [([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])],
+            "level 1, car 1: node 1",
+        ),
         (ONE_STEP.with_observations, [(np.zeros(1), np.zeros(2))], "level 0, car 1"),
         (ONE_STEP.with_observations, [(np.zeros(1), np.zeros((1, 1, 1)))], "level 0, car 1"),
         (ONE_STEP.with_observations, [(np.zeros(1), [np.nan])], "level 0, car 1"),
@@ -94,4 +110,7 @@ def test_impossible_trees_and_what_no_player_can_see():
         refused(message, see, labels)
 
 
-TWO_STEPS, ONE_STEP = GameTree.from_payoffs(np.zeros((2, 2, 2, 2))), GameTree.from_payoffs(np.zeros((2, 2)))
+TWO_STEPS, ONE_STEP = (
+    GameTree.from_payoffs(np.zeros((2, 2, 2, 2))),
+    GameTree.from_payoffs(np.zeros((2, 2))),
+)

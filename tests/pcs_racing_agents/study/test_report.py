@@ -35,8 +35,13 @@ def raced(oval, archive):
     """A pairing of an agent, its races, and those of the agent that never switches."""
     game = make_game(oval, archive, "contest", step_seconds=0.8)
     spec = make_game_spec(archive, game.config)
-    agent, base, rival = (build(name, spec) for name in ("random-moves", "never-switch", "lane-switcher"))
-    pairings = [cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3) for arm in (agent, base)]
+    agent, base, rival = (
+        build(name, spec) for name in ("random-moves", "never-switch", "lane-switcher")
+    )
+    pairings = [
+        cross_pairing(game, arm, rival, egos=4, opponents=4, lines=2, seed=3)
+        for arm in (agent, base)
+    ]
     return pairings[0], *play_pairings(pairings)
 
 
@@ -102,7 +107,13 @@ def test_the_page_loads_nothing_and_texts_stay_texts(page, parsed):
 
 def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, content):
     assert re.findall('<section id="([^"]*)"', page) == [
-        *("results", "all-findings", "adaptivity-gain", "races-to-watch", "which-move-in-which-situation"),
+        *(
+            "results",
+            "all-findings",
+            "adaptivity-gain",
+            "races-to-watch",
+            "which-move-in-which-situation",
+        ),
         *("policies", "ratings", "more", "how-it-was-made"),
     ]
     everything = " ".join(parsed.text)
@@ -118,13 +129,17 @@ def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, cont
     assert all(image["alt"] for image in parsed.images)
 
 
-def test_the_page_is_written_races_read_back_and_every_field_told(tmp_path, content, page, parsed, watched):
+def test_the_page_is_written_races_read_back_and_every_field_told(
+    tmp_path, content, page, parsed, watched
+):
     assert write_page(content, tmp_path / "report.html").read_text() == page
     # What is given changes the page.
     for name in ReportContent.__dataclass_fields__:
         empty = ReportContent("")
         if name not in ("epsilon", "loss_unit", "curves", "reward_curves", "title"):
-            assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(empty), name
+            assert report_page(replace(empty, **{name: getattr(content, name)})) != report_page(
+                empty
+            ), name
     file = tmp_path / "race.html"
     file.write_text(parsed.frames[0]["srcdoc"])
     back = read_replay(file)
@@ -146,21 +161,30 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     browser.wait("state.playing", frame=1)  # since it is on the screen
     # One screen and the table; the rest is folded, but not on paper.
     screen = browser.run("document.documentElement.scrollHeight")
-    hidden = "[...document.images].filter((image) => !image.checkVisibility({ contentVisibilityAuto: true })).length"
+    hidden = (
+        "[...document.images].filter((image) => !image.checkVisibility({ contentVisibilityAuto:"
+        " true })).length"
+    )
     assert browser.run(hidden) == 7 + 2
     browser.page.emulate_media(media="print")
     assert browser.run(hidden) == 0
     assert browser.run("document.documentElement.scrollHeight") > 2 * screen
     assert browser.run("Math.min(...[...document.images].map((image) => image.naturalWidth))") > 100
-    assert browser.said == [f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"]
+    assert browser.said == [
+        f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"
+    ]
     assert browser.complaints == []
 
 
 def test_a_highlight_shows_its_race(raced, watched):
     _, ours, baseline = raced
-    race = {one.title: one.race for one in inputs.select_highlights(ours, baseline).values()}[watched.title]
+    race = {one.title: one.race for one in inputs.select_highlights(ours, baseline).values()}[
+        watched.title
+    ]
     assert watched.replay.lead[-1] == ours.lead[race]
-    assert watched.text.startswith("random-moves (car 0) against lane-switcher on oval, contest rules")
+    assert watched.text.startswith(
+        "random-moves (car 0) against lane-switcher on oval, contest rules"
+    )
 
 
 def test_the_most_telling_race_of_each_kind_is_the_closest_one():
@@ -168,19 +192,38 @@ def test_the_most_telling_race_of_each_kind_is_the_closest_one():
 
     def races(name, *rows):
         words = ("winner", "lead", "fault", "ego_path", "ego_moves")
-        made = [RaceRow(ego=name, opponent="b", **dict(zip(words, row, strict=True))) for row in rows]
-        return race_table(row._replace(crash="none" if row.fault == "none" else "wall") for row in made)
+        made = [
+            RaceRow(ego=name, opponent="b", **dict(zip(words, row, strict=True))) for row in rows
+        ]
+        return race_table(
+            row._replace(crash="none" if row.fault == "none" else "wall") for row in made
+        )
 
     moves = (("+", "-", "+"), ("+",), ())
     switched, kept, driver = ((0, 1, 1, 2), moves[0]), ((0, 0, 0, 0), moves[0]), ((0,), moves[2])
     ours = races(
-        "a", ("ego", 3.0, "none", *switched), ("ego", 0.5, "none", *switched), ("ego", 2.0, "none", *switched),
-        ("ego", 0.1, "none", *kept), ("opponent", -4.0, "none", *kept), ("opponent", -1.0, "none", *kept),
-        ("opponent", -0.2, "ego", *driver), ("opponent", -6.0, "both", (0, 1), ("+",)),
+        "a",
+        ("ego", 3.0, "none", *switched),
+        ("ego", 0.5, "none", *switched),
+        ("ego", 2.0, "none", *switched),
+        ("ego", 0.1, "none", *kept),
+        ("opponent", -4.0, "none", *kept),
+        ("opponent", -1.0, "none", *kept),
+        ("opponent", -0.2, "ego", *driver),
+        ("opponent", -6.0, "both", (0, 1), ("+",)),
         ("none", 0.3, "opponent", *kept),
-    )  # fmt: skip
-    rows = [("opponent", -1.0, "none", *driver), ("ego", 1.0, "none", *driver), ("opponent", -1.0, "none", *driver)]
-    base = races("still", *rows, *[("ego", 1.0, "none", *driver)] * 2, *[("opponent", -1.0, "none", *driver)] * 4)
+    )
+    rows = [
+        ("opponent", -1.0, "none", *driver),
+        ("ego", 1.0, "none", *driver),
+        ("opponent", -1.0, "none", *driver),
+    ]
+    base = races(
+        "still",
+        *rows,
+        *[("ego", 1.0, "none", *driver)] * 2,
+        *[("opponent", -1.0, "none", *driver)] * 4,
+    )
     highlight = inputs.Highlight
     assert inputs.select_highlights(ours, base) == {
         "win": highlight(0, 2.0, "A win by switching; still starts alike and loses", 2, 2),
@@ -198,19 +241,30 @@ def test_the_most_telling_race_of_each_kind_is_the_closest_one():
 
 @pytest.fixture
 def raced_study(tmp_path):
-    """A study of two circuits, of which agents learned on one, with the races of its two tables, drawn."""
+    """A study of two circuits, of which agents learned on one, with the races of its two tables,
+    drawn.
+    """
     arms = {"never-switch": 0.0, "cfr-argmax": 0.5}
     config = StudyConfig(
-        circuits=("Tarnfjord",), tracks=("Tarnfjord", "Brackwater"), opponents=("never-switch", "somebody"),
+        circuits=("Tarnfjord",),
+        tracks=("Tarnfjord", "Brackwater"),
+        opponents=("never-switch", "somebody"),
         arms=tuple(arms),
-    )  # fmt: skip
+    )
     cells = [
-        StudyRaces(table, SimpleNamespace(game=SimpleNamespace(track=SimpleNamespace(name=track)), names=(arm, rival)),
-                   of(races, track, rival, arm))
-        for table, races in (("main", toy_races(config.tracks, config.opponents, arms, 4, 4)),
-                             ("further", toy_races(("Pipkin",), ("somebody",), arms, 4, 4, seed=1)))
+        StudyRaces(
+            table,
+            SimpleNamespace(
+                game=SimpleNamespace(track=SimpleNamespace(name=track)), names=(arm, rival)
+            ),
+            of(races, track, rival, arm),
+        )
+        for table, races in (
+            ("main", toy_races(config.tracks, config.opponents, arms, 4, 4)),
+            ("further", toy_races(("Pipkin",), ("somebody",), arms, 4, 4, seed=1)),
+        )
         for track, arm, rival, _ in races.pairs
-    ]  # fmt: skip
+    ]
     return Study(config, tmp_path, quiet=True), cells
 
 
@@ -230,27 +284,50 @@ def test_a_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(race
     bare = replace(expected, rows=tuple(replace(row, paper=None) for row in expected.rows))
     assert reporting.study_table(contest, cells, "main") == bare
     without = [cell for cell in cells if cell.pairing.names[0] == "never-switch"]
-    alone = replace(study, config=replace(study.config, arms=("never-switch",), best="never-switch"))
-    assert [*reporting._papers_statistic(contest, cells), *reporting._papers_statistic(alone, without)] == []
+    alone = replace(
+        study, config=replace(study.config, arms=("never-switch",), best="never-switch")
+    )
+    assert [
+        *reporting._papers_statistic(contest, cells),
+        *reporting._papers_statistic(alone, without),
+    ] == []
     assert not written.exists()
 
 
 def test_findings_and_cautions_are_told_in_words():
     toy = toy_table()
     assert list(reporting._findings(replace(toy, rows=toy.rows[:1], best="cfr-argmax"))) == [
-        "cfr-argmax and still can't be told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
+        (
+            "cfr-argmax and still can't be told apart: in all of 1 row (+0.125) the 95 % interval"
+            " contains 0."
+        ),
         "ours scores more in 1 of 1 row than still (+0.250).",
-        "What looking at the race brings: cfr-argmax and cfr-argmax, the best baseline in training can't be "
-        "told apart: in all of 1 row (+0.125) the 95 % interval contains 0.",
+        (
+            "What looking at the race brings: cfr-argmax and cfr-argmax, the best baseline in"
+            " training can't be told apart: in all of 1 row (+0.125) the 95 % interval contains 0."
+        ),
     ]
-    words = ["ours scores more in 1 and", "cfr-argmax and still can't", "What looking at the race brings: ours and cfr"]
-    assert [said.startswith(word) for said, word in zip(reporting._findings(toy), words, strict=True)] == [True] * 3
+    words = [
+        "ours scores more in 1 and",
+        "cfr-argmax and still can't",
+        "What looking at the race brings: ours and cfr",
+    ]
+    assert [
+        said.startswith(word) for said, word in zip(reporting._findings(toy), words, strict=True)
+    ] == [True] * 3
     assert len(list(reporting._findings(replace(toy, rows=toy.rows[1:])))) == 1
-    assert reporting._caution(toy).startswith("This is a smoke test, too small to conclude from: 8 races of an agent")
-    large = (arm._replace(races=races) for arm, races in zip(toy.rows[0].arms, (1000, 2000, 1001), strict=True))
+    assert reporting._caution(toy).startswith(
+        "This is a smoke test, too small to conclude from: 8 races of an agent"
+    )
+    large = (
+        arm._replace(races=races)
+        for arm, races in zip(toy.rows[0].arms, (1000, 2000, 1001), strict=True)
+    )
     large = replace(toy.rows[0], arms=tuple(large))
     small = replace(large, arms=(*large.arms[1:], large.arms[0]._replace(races=999)))
-    assert [bool(reporting._caution(replace(toy, rows=(large, row)))) for row in (large, small)] == [False, True]
+    assert [
+        bool(reporting._caution(replace(toy, rows=(large, row)))) for row in (large, small)
+    ] == [False, True]
 
 
 def test_of_all_rows_the_closest_race_of_the_best_kind_is_watched(raced_study, monkeypatch):
@@ -258,20 +335,28 @@ def test_of_all_rows_the_closest_race_of_the_best_kind_is_watched(raced_study, m
     monkeypatch.setattr(reporting, "watch_race", lambda *given: given)
     highlight = inputs.Highlight
     highlights = {
-        ("Tarnfjord", "never-switch"): {"win": highlight(1, 0.5, "W1", 3, 7), "crash": highlight(0, 2.0, "C", 1, 1)},
+        ("Tarnfjord", "never-switch"): {
+            "win": highlight(1, 0.5, "W1", 3, 7),
+            "crash": highlight(0, 2.0, "C", 1, 1),
+        },
         ("Tarnfjord", "somebody"): {"win": highlight(0, 3.0, "W0", 4, 2)},
         ("Brackwater", "never-switch"): {"win": highlight(0, 2.5, "W0", 5, 3)},
         ("Brackwater", "somebody"): {},
     }
 
     def select(races, baseline):
-        (track, ego, opponent, _), (there, base, other, _) = next(iter(races.pairs)), next(iter(baseline.pairs))
+        (track, ego, opponent, _), (there, base, other, _) = (
+            next(iter(races.pairs)),
+            next(iter(baseline.pairs)),
+        )
         assert (track, opponent, ego, base) == (there, other, "cfr-argmax", "never-switch")
         return highlights[track, opponent]
 
     monkeypatch.setattr(reporting, "select_highlights", select)
-    watched = [(pairing.game.track.name, pairing.names[1], race, title)
-               for pairing, race, title in reporting._watched(study, cells)]  # fmt: skip
+    watched = [
+        (pairing.game.track.name, pairing.names[1], race, title)
+        for pairing, race, title in reporting._watched(study, cells)
+    ]
     assert watched == [
         ("Brackwater", "never-switch", 5, "W0: of 5 such races the closest, 2.5 m at the end"),
         ("Tarnfjord", "never-switch", 1, "C: of 1 such races the closest, 2.0 m at the end"),
@@ -280,9 +365,12 @@ def test_of_all_rows_the_closest_race_of_the_best_kind_is_watched(raced_study, m
 
 def test_the_seeds_and_tables_of_a_study_follow_from_its_settings(tmp_path):
     config = StudyConfig(
-        seed=5, further_lines=2, further_tracks=("Pipkin", "Tarnfjord"), further_opponents=("random-moves",),
+        seed=5,
+        further_lines=2,
+        further_tracks=("Pipkin", "Tarnfjord"),
+        further_opponents=("random-moves",),
         further_arms=("ppo", "cfr-argmax"),
-    )  # fmt: skip
+    )
     arms = ("never-switch", "best-fixed", "best-schedule", "best-lead-plan", "cfr-argmax")
     rivals = ("never-switch", "random-policy", "lane-switcher")
     assert config.tables == {
@@ -295,15 +383,26 @@ def test_the_seeds_and_tables_of_a_study_follow_from_its_settings(tmp_path):
     assert reporting._seeds(Study(config, tmp_path)) == seeds
     more = replace(config, pairs=0, responses=("quick",), rated=("never-switch", "ppo"))
     assert reporting._seeds(Study(more, tmp_path)) == {
-        "study": 5, "training races": 2_000_005, "answers": 3_000_005, "races of the table": 5,
+        "study": 5,
+        "training races": 2_000_005,
+        "answers": 3_000_005,
+        "races of the table": 5,
         "all against all": 5_000_005,
-    }  # fmt: skip
+    }
 
 
 def test_ratings_stand_in_order_with_what_is_known_of_them():
-    floats = {name: np.array(values) for name, values in {"strength": [0.0, -1.0, 1.0], "low": [-0.5, np.nan, 0.5],
-                                                          "high": [0.5, np.nan, 1.5]}.items()}  # fmt: skip
-    ratings = Ratings(("a", "b", "c"), **floats, tie=0.0, races=np.array([8, 6, 4]), left_out=np.array([0, 1, 2]))
+    floats = {
+        name: np.array(values)
+        for name, values in {
+            "strength": [0.0, -1.0, 1.0],
+            "low": [-0.5, np.nan, 0.5],
+            "high": [0.5, np.nan, 1.5],
+        }.items()
+    }
+    ratings = Ratings(
+        ("a", "b", "c"), **floats, tie=0.0, races=np.array([8, 6, 4]), left_out=np.array([0, 1, 2])
+    )
     names = ("c", "a", "b")
     known = RoundRobin(names, np.zeros((3, 3)), 0.1, ratings, np.array([0.5, 0.25, 0.25]), None)
     assert report._ratings(ReportContent("", round_robin=known))[1:] == [
@@ -313,8 +412,10 @@ def test_ratings_stand_in_order_with_what_is_known_of_them():
     ]
     other = replace(known, equilibrium=None, alpha_rank=np.array([0.125, 0.875, 0.0]))
     assert [row[5:] for row in report._ratings(ReportContent("", round_robin=other))[1:]] == [
-        ("", "0.12"), ("", "0.88"), ("", "0.00"),
-    ]  # fmt: skip
+        ("", "0.12"),
+        ("", "0.88"),
+        ("", "0.00"),
+    ]
     for nothing in (ReportContent("", round_robin=replace(known, ratings=None)), ReportContent("")):
         assert report._ratings(nothing) == []
 
@@ -323,7 +424,11 @@ def test_curves_are_read_and_damaged_ones_refused(tmp_path):
     path = tmp_path / "learning_curves.csv"
     path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,0.25,0.3\n")
     training, validation = inputs.read_curves(path)
-    assert (training.label, training.y.tolist(), training.x.tolist()) == ("training", [0.5, 0.25], [1.0, 2.0])
+    assert (training.label, training.y.tolist(), training.x.tolist()) == (
+        "training",
+        [0.5, 0.25],
+        [1.0, 2.0],
+    )
     assert np.isnan(validation.y[0])
     path.write_text("step,won\n5,0.5\n10,1e100\n")
     (won,) = inputs.read_curves(path, "won", x="step")

@@ -40,13 +40,29 @@ def settings_file(name: str, text: str) -> str:
 SELF_PLAY = settings_file("self_play", "iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
 
 TINY = load_study_config(
-    "quick", moves=2, step_seconds=2.0, circuits=("Pipkin",), tracks=("Pipkin",), pairs=3, targets=("advantage",),
-    sampled_cfr=SELF_PLAY, fitting_games=2, fixed_targets=2,
-    opponents=("never-switch", "lane-switcher"), arms=("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick"),
-    egos=2, variants=2, lines=1, further_lines=1, further_opponents=("random-moves",),
-    further_arms=("ppo",), ppo=str(SETTINGS / "ppo_duel.yaml"), rating_races=2,
-    rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"), seed=3,
-)  # fmt: skip
+    "quick",
+    moves=2,
+    step_seconds=2.0,
+    circuits=("Pipkin",),
+    tracks=("Pipkin",),
+    pairs=3,
+    targets=("advantage",),
+    sampled_cfr=SELF_PLAY,
+    fitting_games=2,
+    fixed_targets=2,
+    opponents=("never-switch", "lane-switcher"),
+    arms=("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick"),
+    egos=2,
+    variants=2,
+    lines=1,
+    further_lines=1,
+    further_opponents=("random-moves",),
+    further_arms=("ppo",),
+    ppo=str(SETTINGS / "ppo_duel.yaml"),
+    rating_races=2,
+    rated=("never-switch", "cfr-argmax", "ppo", "lane-switcher"),
+    seed=3,
+)
 
 NAMES = [stage.name for stage in STAGES]
 
@@ -58,7 +74,8 @@ def finished(tmp_path_factory):
 
 
 def test_a_study_leaves_its_results_and_a_second_run_repeats_nothing(finished):
-    main, further = 2 * 6 * 8, 3 * 7 * 8  # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    # opponents x arms x (2 egos x 2 variants x 1 line x 2 sides)
+    main, further = 2 * 6 * 8, 3 * 7 * 8
     assert len(read_csv(finished.folder / "results.csv").rows()) == main + further
     assert "best-fixed" in (finished.folder / "table.txt").read_text(encoding="utf-8")
     page = (finished.folder / "report.html").read_text(encoding="utf-8")
@@ -118,10 +135,16 @@ def test_changed_files_of_finished_stages_are_named_and_made_again(finished, tmp
     folder = shutil.copytree(finished.folder, tmp_path / "copy")
     half = folder / "networks" / ".quick.0123abcd"
     half.mkdir()  # by a run that was killed
-    changed = ["open-loop/best-fixed.yaml", "networks/advantage/weights.safetensors", "trees/Pipkin/job.yaml"]
+    changed = [
+        "open-loop/best-fixed.yaml",
+        "networks/advantage/weights.safetensors",
+        "trees/Pipkin/job.yaml",
+    ]
     for name in [*changed, "ratings.csv"]:
         (folder / name).write_bytes(b"other")
-        with pytest.raises(InputError, match=re.escape(f"{folder / name} is not what stage")) as refused:
+        with pytest.raises(
+            InputError, match=re.escape(f"{folder / name} is not what stage")
+        ) as refused:
             run_study(TINY, folder, quiet=True)
         for file in (name, re.search(r"[\w-]+/done.yaml", str(refused.value))[0]):
             (folder / file).unlink()
@@ -157,7 +180,11 @@ def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, mo
         return called
 
     monkeypatch.setattr(preparing, "open_trees", trees)
-    monkeypatch.setattr(preparing, "run_groups", lambda groups, **given: asked.update(groups=(groups, given["keep"])))
+    monkeypatch.setattr(
+        preparing,
+        "run_groups",
+        lambda groups, **given: asked.update(groups=(groups, given["keep"])),
+    )
     preparing.play_trees(study)
     drawn = {"pairs": 3, "seeds_per_pair": 2, "one_thread": False}
     assert asked["trees"] == [
@@ -174,21 +201,31 @@ def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, mo
     names = [game.track.name for game in games] + [competitor.name for competitor in pool]
     own = load_response_settings("quick")
     assert (names, spec, named["name"], settings) == (
-        [*circuits, "never-switch", "random-moves"], study.spec, "quick",
+        [*circuits, "never-switch", "random-moves"],
+        study.spec,
+        "quick",
         replace(own, seed=config.seed + 3_000_000 + own.seed),
-    )  # fmt: skip
+    )
     (settings, folder), named = asked["ppo"]
     assert (settings.tracks, folder, named["policies"], named["rules"]) == (
-        circuits, tmp_path / "ppo" / "training", study.archive, config.game,
-    )  # fmt: skip
-    assert named["seeds"] == tuple(3 + seed for seed in settings.seeds)  # torch takes none from 2^31 on
+        circuits,
+        tmp_path / "ppo" / "training",
+        study.archive,
+        config.game,
+    )
+    # torch takes none from 2^31 on
+    assert named["seeds"] == tuple(3 + seed for seed in settings.seeds)
 
 
 @pytest.mark.parametrize("number", [0, 3, 10_000])
 def test_open_loop_agents_are_fitted_on_training_races_with_targets_spread_over_the_archive(
     tmp_path, monkeypatch, number
 ):
-    study = Study(replace(TINY, fixed_targets=number, fitting_opponents=("lane-switcher",)), tmp_path, quiet=True)
+    study = Study(
+        replace(TINY, fixed_targets=number, fitting_opponents=("lane-switcher",)),
+        tmp_path,
+        quiet=True,
+    )
     fitted, saved = [], {}
 
     def fake(name):
@@ -198,14 +235,25 @@ def test_open_loop_agents_are_fitted_on_training_races_with_targets_spread_over_
         monkeypatch.setattr(fitting, f"fit_best_{name}", fake(name))
     monkeypatch.setattr(preparing, "save_fit", lambda fit, path: saved.update({path.name: fit}))
     preparing.choose_open_loop(study)
-    assert saved == {"best-fixed.yaml": "fixed", "best-schedule.yaml": "schedule", "best-lead-plan.yaml": "lead_plan"}
+    assert saved == {
+        "best-fixed.yaml": "fixed",
+        "best-schedule.yaml": "schedule",
+        "best-lead-plan.yaml": "lead_plan",
+    }
     training, targets = fitted[0]
-    assert [(own is training, given) for own, given in fitted] == [(True, targets), (True, "none"), (True, targets)]
+    assert [(own is training, given) for own, given in fitted] == [
+        (True, targets),
+        (True, "none"),
+        (True, targets),
+    ]
     assert len(set(targets or ())) == (3 if number == 3 else 0)
     names = [one.name for one in (*training.tracks, *training.opponents)]
     assert (names, training.races, training.seed, training.spec) == (
-        ["Pipkin", "lane-switcher"], 2, 2_000_003, study.spec,
-    )  # fmt: skip
+        ["Pipkin", "lane-switcher"],
+        2,
+        2_000_003,
+        study.spec,
+    )
 
 
 def test_what_was_found_can_be_shipped(finished, tmp_path):
@@ -219,7 +267,9 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
     assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
 
 
-def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(finished, tmp_path, printed, told):
+def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(
+    finished, tmp_path, printed, told
+):
     config = tmp_path / "tiny.yaml"
     config.write_text(yaml.safe_dump(plain_settings(TINY)), encoding="utf-8")
     out = printed("study", config, "--out", finished.folder, "--stage", "archive")
@@ -250,15 +300,22 @@ def test_stages_come_in_order_and_time_before_a_stop_is_counted(tmp_path):
 
 
 @pytest.mark.parametrize("better", BEST_OPEN_LOOP)
-def test_the_gain_is_over_the_open_loop_agents_that_won_more_training_races(finished, tmp_path, better):
+def test_the_gain_is_over_the_open_loop_agents_that_won_more_training_races(
+    finished, tmp_path, better
+):
     other = Study(TINY, tmp_path)
     (tmp_path / "open-loop").mkdir()
     for name in BEST_OPEN_LOOP:
         fit = load_fit(finished.folder / "open-loop" / f"{name}.yaml")
         reached = 0.7 if name == better else 0.6
-        save_fit(replace(fit, training={**fit.training, "reached": reached}), tmp_path / "open-loop" / f"{name}.yaml")
+        save_fit(
+            replace(fit, training={**fit.training, "reached": reached}),
+            tmp_path / "open-loop" / f"{name}.yaml",
+        )
     assert best_open_loop(other) == better
-    assert best_open_loop(replace(other, config=replace(TINY, arms=("never-switch", "quick")))) is None
+    assert (
+        best_open_loop(replace(other, config=replace(TINY, arms=("never-switch", "quick")))) is None
+    )
 
 
 def test_impossible_studies_are_refused():
@@ -290,7 +347,9 @@ def test_shipped_studies_load_and_have_the_open_loop_agents_in_their_main_table(
     [({"ppo": None}, "torch", "learning"), ({"synthesis": "default"}, "moocore", "synthesis")],
 )
 def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, changes, library, extra):
-    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None if name == library else object())
+    monkeypatch.setattr(
+        "pcs_racing.base.errors.find_spec", lambda name: None if name == library else object()
+    )
     with pytest.raises(ModuleNotFoundError, match=rf"{library} is needed .*\[{extra}\]"):
         run_study(replace(TINY, **changes), tmp_path / "x", quiet=True)
     monkeypatch.setitem(sys.modules, "stable_baselines3", None)
@@ -302,5 +361,7 @@ def test_a_missing_library_is_told_before_any_work(monkeypatch, tmp_path, change
 def test_a_library_is_asked_for_only_by_stages_that_are_still_to_run(monkeypatch, finished):
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     assert [stage.name for stage in stages_to_run(TINY, finished.folder)] == ["report"]
-    left = stages_to_run(replace(TINY, synthesis="default"), finished.folder / "new", ["races", "trees"])
+    left = stages_to_run(
+        replace(TINY, synthesis="default"), finished.folder / "new", ["races", "trees"]
+    )
     assert [stage.name for stage in left] == ["trees", "races"]

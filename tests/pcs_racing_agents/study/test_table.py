@@ -10,7 +10,14 @@ from scipy import stats
 from toy_races import STRENGTHS, of, toy_difference, toy_races, toy_table
 
 from pcs_racing_agents.study import table_text as texts
-from pcs_racing_agents.study.table import PAPER_TABLE, ArmResult, Difference, TableRow, by_progress, make_table
+from pcs_racing_agents.study.table import (
+    PAPER_TABLE,
+    ArmResult,
+    Difference,
+    TableRow,
+    by_progress,
+    make_table,
+)
 from pcs_racing_agents.tournament.race_files import race_table, read_results, write_results
 from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm
@@ -27,7 +34,9 @@ def table(races):
 
 
 def test_every_row_says_what_the_statistics_say(races, table):
-    """All of a table from the races of each cell: means, intervals within 0 to 1, shares, differences, p by Holm."""
+    """All of a table from the races of each cell: means, intervals within 0 to 1, shares,
+    differences, p by Holm.
+    """
     rows = []
     for track in ("Tarnfjord", "Brackwater"):
         for rival in ("never-switch", "random-policy", "somebody"):
@@ -40,38 +49,65 @@ def test_every_row_says_what_the_statistics_say(races, table):
                 sd = cell.score.reshape(12, -1).mean(axis=1).std(ddof=1)
                 shares = cell.crashed.mean(), (cell.fault[:, 0] > 0).mean()
                 ends = max(mean.low, 0.0), min(mean.high, 1.0)
-                arms.append(ArmResult(arm, 1200, cell.score.mean(), *ends, pytest.approx(sd), *shares))
+                arms.append(
+                    ArmResult(arm, 1200, cell.score.mean(), *ends, pytest.approx(sd), *shares)
+                )
             for arm, base in (*((arm, first) for arm in others), ("our-best", "best-fixed")):
                 pair = cells[arm].score, cells[base].score, *labels
-                differences.append(Difference(arm, base, compare(*pair, start=start), compare(*pair), 0.0))
+                differences.append(
+                    Difference(arm, base, compare(*pair, start=start), compare(*pair), 0.0)
+                )
             paper = PAPER_TABLE.get(
-                ({"never-switch": "Non-GT", "random-policy": "Random"}.get(rival, ""), len(rows) < 3)
+                (
+                    {"never-switch": "Non-GT", "random-policy": "Random"}.get(rival, ""),
+                    len(rows) < 3,
+                )
             )
             rows.append(
                 TableRow(
-                    track, rival, len(rows) < 3, paper, 5, True, tuple(arms), tuple(differences[:-1]), differences[-1]
+                    track,
+                    rival,
+                    len(rows) < 3,
+                    paper,
+                    5,
+                    True,
+                    tuple(arms),
+                    tuple(differences[:-1]),
+                    differences[-1],
                 )
             )
-    adjusted = [holm([one.result.p_clustered for one in column]).tolist()
-                for column in zip(*((*row.differences, row.gain) for row in rows), strict=True)]  # fmt: skip
+    adjusted = [
+        holm([one.result.p_clustered for one in column]).tolist()
+        for column in zip(*((*row.differences, row.gain) for row in rows), strict=True)
+    ]
     for row, expected, p_values in zip(table.rows, rows, zip(*adjusted, strict=True), strict=True):
         every = [
-            replace(one, p_holm=p) for one, p in zip((*expected.differences, expected.gain), p_values, strict=True)
+            replace(one, p_holm=p)
+            for one, p in zip((*expected.differences, expected.gain), p_values, strict=True)
         ]
         assert row == replace(expected, differences=tuple(every[:-1]), gain=every[-1])
     assert (table.base, table.best, table.open_loop, table.arms) == (
-        "never-switch", "our-best", "best-fixed", tuple(STRENGTHS),
-    )  # fmt: skip
+        "never-switch",
+        "our-best",
+        "best-fixed",
+        tuple(STRENGTHS),
+    )
     other = make_table(races, base="cfr-argmax")
     assert other.arms == ("cfr-argmax", "never-switch", "best-fixed", "our-best")
-    assert other.rows[0].differences[0].result.difference == -table.rows[0].differences[1].result.difference
+    assert (
+        other.rows[0].differences[0].result.difference
+        == -table.rows[0].differences[1].result.difference
+    )
 
 
 @pytest.mark.parametrize(
-    ("egos", "variants", "lines", "drawn"), [(3, 2, 5, True), (3, 2, 4, False), (3, 2, 6, False), (5, 1, 5, False)]
+    ("egos", "variants", "lines", "drawn"),
+    [(3, 2, 5, True), (3, 2, 4, False), (3, 2, 6, False), (5, 1, 5, False)],
 )
 def test_start_lines_are_clusters_where_pairs_share_enough_of_them(egos, variants, lines, drawn):
-    row = make_table(toy_races(("a",), ("b",), {"one": -9.0, "two": 9.0}, egos, variants, lines)).rows[0]
+    row = make_table(
+        toy_races(("a",), ("b",), {"one": -9.0, "two": 9.0}, egos, variants, lines)
+    ).rows[0]
     assert (row.lines, row.lines_drawn, row.paper) == (lines, drawn, None)
     assert (row.differences[0].result == row.differences[0].two_way) == (not drawn)
     assert (row.arms[0].low, row.arms[1].high) == (0.0, 1.0)
@@ -79,15 +115,19 @@ def test_start_lines_are_clusters_where_pairs_share_enough_of_them(egos, variant
     races = of(toy_races(("a",), ("b",), {"one": 0.0}, egos, variants, lines), "a", "b", "one")
     kinds = [*races.variants.T[: 1 + (variants > 1)], *([races.start_s] if drawn else [])]
     (arm,) = make_table(races).rows[0].arms
-    assert (arm.low, arm.high) == (pytest.approx(max(clustered_mean(races.score, *kinds).low, 0.0)),
-                                   pytest.approx(min(clustered_mean(races.score, *kinds).high, 1.0)))  # fmt: skip
+    assert (arm.low, arm.high) == (
+        pytest.approx(max(clustered_mean(races.score, *kinds).low, 0.0)),
+        pytest.approx(min(clustered_mean(races.score, *kinds).high, 1.0)),
+    )
 
 
 def test_the_papers_statistic_counts_who_is_ahead_whatever_happened(races):
     ahead = by_progress(races)
     assert ahead.score.tolist() == (np.sign(races.lead) / 2 + 0.5).tolist()
     head, *rows = texts.paper_rows(make_table(ahead), "cfr-argmax")
-    assert [row[:2] for row in rows] == [(row.track, row.opponent) for row in make_table(races).rows if row.paper]
+    assert [row[:2] for row in rows] == [
+        (row.track, row.opponent) for row in make_table(races).rows if row.paper
+    ]
     ours, base = (of(ahead, *rows[0][:2], arm).score for arm in ("cfr-argmax", "never-switch"))
     egos = np.unique(of(ahead, *rows[0][:2], "cfr-argmax").variants[:, 0], return_inverse=True)[1]
     means = [np.bincount(egos, score) / np.bincount(egos) for score in (base, ours)]
@@ -99,12 +139,16 @@ def test_the_order_of_the_races_and_a_file_between_do_not_matter(races, tmp_path
     """Within an arm: it is compared race by race whatever stands where."""
     ours = np.flatnonzero(races.agents.codes[:, 0] == races.agents.words.index("our-best"))
     order = np.arange(len(races))
-    order[ours] = np.concatenate([np.random.default_rng(1).permutation(piece) for piece in np.split(ours, 6)])
+    order[ours] = np.concatenate(
+        [np.random.default_rng(1).permutation(piece) for piece in np.split(ours, 6)]
+    )
     options = {"best": "our-best", "open_loop": "best-fixed", "seen": {"Tarnfjord"}}
     assert make_table(races.take(order), **options) == make_table(races, **options)
     some = races.take(np.arange(0, len(races), 5))  # of each start line both sides or none
     rounded = replace(some, start_s=some.start_s + 1e-7)
-    assert make_table(read_results(write_results(rounded, tmp_path / "results.csv"))) == make_table(rounded)
+    assert make_table(read_results(write_results(rounded, tmp_path / "results.csv"))) == make_table(
+        rounded
+    )
 
 
 def drives(races, arm):
@@ -129,7 +173,9 @@ def test_what_does_not_fit_is_named(races):
 
 
 def test_rows_may_lack_an_arm_and_an_open_loop_best_agent_a_gain(races):
-    some = races.take([k for k, r in enumerate(races) if r[1:4] != ("our-best", "random-policy", "Tarnfjord")])
+    some = races.take(
+        [k for k, r in enumerate(races) if r[1:4] != ("our-best", "random-policy", "Tarnfjord")]
+    )
     table = make_table(some, best="our-best", open_loop="best-fixed")
     assert [arm.arm for arm in table.rows[1].arms] == ["never-switch", "best-fixed", "cfr-argmax"]
     assert table.rows[1].gain is None
@@ -199,33 +245,64 @@ def test_text_markdown_and_csv_hold_every_number(table, tmp_path, races):
     assert texts.table_markdown(toy)[: len(MARKDOWN)] == MARKDOWN
     assert texts.write_table(toy, tmp_path / "toy.csv").read_text() == CSV
     assert texts.paper_rows(toy, "ours")[1:] == [
-        ("Tarnfjord", "never-switch", "0.500 ± 0.125", "0.750 ± 0.062", "+0.250", "2.5e-04", "0.515 ± 0.251",
-         "0.569 ± 0.213", "+0.054", "0.014"),
-    ]  # fmt: skip
-    few, drawn = ("\n".join(texts.notes(replace(toy, rows=rows))) for rows in (toy.rows, toy.rows[:1]))
+        (
+            "Tarnfjord",
+            "never-switch",
+            "0.500 ± 0.125",
+            "0.750 ± 0.062",
+            "+0.250",
+            "2.5e-04",
+            "0.515 ± 0.251",
+            "0.569 ± 0.213",
+            "+0.054",
+            "0.014",
+        ),
+    ]
+    few, drawn = (
+        "\n".join(texts.notes(replace(toy, rows=rows))) for rows in (toy.rows, toy.rows[:1])
+    )
     assert "clusters of egos and opponents. Holm" in few
     assert "about these lines" in few
     assert "Each agent drove 8 races" in drawn
     assert "clusters of egos, opponents and start lines. Holm" in drawn
     assert "about these lines" not in drawn
     assert "Adaptivity gain: ours minus cfr-argmax" in few
-    assert not any("Adaptivity" in "".join(texts.notes(replace(toy, **{name: None}))) for name in ("best", "open_loop"))
+    assert not any(
+        "Adaptivity" in "".join(texts.notes(replace(toy, **{name: None})))
+        for name in ("best", "open_loop")
+    )
     p_values = (0.5, 0.0142, 0.01, 0.0099, 3e-9, 1e-99, 0.0, np.nan)
     words = ["0.500", "0.014", "0.010", "9.9e-03", "3.0e-09", "1.0e-99", "< 1e-99", "-"]
     assert [texts.p_text(p) for p in p_values] == words
     again = make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
-    one, two = (texts.write_table(made, tmp_path / name) for made, name in ((table, "a.csv"), (again, "b.csv")))
+    one, two = (
+        texts.write_table(made, tmp_path / name)
+        for made, name in ((table, "a.csv"), (again, "b.csv"))
+    )
     assert one.read_bytes() == two.read_bytes()
     assert len(list(csv.DictReader(one.read_text().splitlines()))) == 6 * (3 + 1)
 
 
 def test_tables_of_a_study_are_told_apart_by_their_seeds():
-    races = race_table([
-        RaceRow(ego=arm, opponent="b", track="Oval", start_s=float(line), seed=seed, winner=winner, ego_variant=ego,
-                opponent_variant=variant)
-        for seed, winner in ((7, "ego"), (107, "opponent"))
-        for arm in ("a", "c") for ego in range(2) for variant in range(2) for line in range(2)
-    ])  # fmt: skip
+    races = race_table(
+        [
+            RaceRow(
+                ego=arm,
+                opponent="b",
+                track="Oval",
+                start_s=float(line),
+                seed=seed,
+                winner=winner,
+                ego_variant=ego,
+                opponent_variant=variant,
+            )
+            for seed, winner in ((7, "ego"), (107, "opponent"))
+            for arm in ("a", "c")
+            for ego in range(2)
+            for variant in range(2)
+            for line in range(2)
+        ]
+    )
     refused(r"a raced b .*seeds 7 and 107", make_table, races)
     assert make_table(races.with_seeds(range(7, 9))).rows[0].arms[0].score == 1.0
     assert make_table(races.with_seeds([107])).rows[0].arms[0].score == 0.0
@@ -234,13 +311,21 @@ def test_tables_of_a_study_are_told_apart_by_their_seeds():
 @pytest.mark.parametrize(
     ("differences", "words"),
     [
-        ([0.0], "a and b can't be told apart: in all of 1 row (+0.000) the 95 % interval contains 0."),
+        (
+            [0.0],
+            "a and b can't be told apart: in all of 1 row (+0.000) the 95 % interval contains 0.",
+        ),
         ([0.2, 0.3], "a scores more in 2 of 2 rows than b (+0.200 to +0.300)."),
-        ([0.2, 0.1, -0.2], "a scores more in 1 and less in 1 of 3 rows than b (-0.200 to +0.200); "
-                           "in 1 the 95 % interval contains 0."),
+        (
+            [0.2, 0.1, -0.2],
+            (
+                "a scores more in 1 and less in 1 of 3 rows than b (-0.200 to +0.200); "
+                "in 1 the 95 % interval contains 0."
+            ),
+        ),
         ([-0.3], "a scores less in 1 of 1 row than b (-0.300)."),
     ],
-)  # fmt: skip
+)
 def test_a_verdict_counts_the_rows_whose_interval_leaves_out_zero(differences, words):
     results = [toy_difference("a", "b", one, 0.0, 0.15, 0.5, 0.5).result for one in differences]
     assert texts.verdict_text("a", "b", results) == words
@@ -249,7 +334,9 @@ def test_a_verdict_counts_the_rows_whose_interval_leaves_out_zero(differences, w
 PAGE = read_page("run_the_study.md")
 
 
-def test_a_table_is_made_again_from_the_races_with_the_columns_that_are_named(capsys, tmp_path, monkeypatch):
+def test_a_table_is_made_again_from_the_races_with_the_columns_that_are_named(
+    capsys, tmp_path, monkeypatch
+):
     monkeypatch.chdir(tmp_path)
     results = tmp_path / "out" / "my-study" / "results.csv"
     results.parent.mkdir(parents=True)

@@ -1,7 +1,15 @@
 import numpy as np
 import pytest
 
-from pcs_racing import RaceGame, Starts, draw_starts, load_race_config, load_track, make_game, parse_policy
+from pcs_racing import (
+    RaceGame,
+    Starts,
+    draw_starts,
+    load_race_config,
+    load_track,
+    make_game,
+    parse_policy,
+)
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
@@ -16,7 +24,9 @@ GAMES = 12
 @pytest.fixture(scope="session")
 def contest(oval, archive) -> RaceGame:
     """Games with short steps, so disturbed that some end in a crash."""
-    return make_game(oval, archive, load_race_config("contest", steering_noise=0.1), step_seconds=0.8)
+    return make_game(
+        oval, archive, load_race_config("contest", steering_noise=0.1), step_seconds=0.8
+    )
 
 
 @pytest.fixture(scope="session")
@@ -38,7 +48,8 @@ def games_of(contest, starts):
     def pairing(ego, opponent) -> Pairing:
         variants = np.random.default_rng(3).integers(0, 12, (GAMES, 2))
         for car, competitor in enumerate((ego, opponent)):
-            variants[:, car] %= len(getattr(competitor, "policies", range(12)))  # a driver may have a single one
+            # a driver may have a single one
+            variants[:, car] %= len(getattr(competitor, "policies", range(12)))
         return Pairing(contest, ego, opponent, variants, starts, race_seeds(6, GAMES), 0)
 
     return pairing
@@ -46,7 +57,9 @@ def games_of(contest, starts):
 
 @pytest.fixture(scope="session")
 def tournament(oval) -> Tournament:
-    return play_tournament([oval, load_track("Pipkin")], POLICIES, CONTEST, races_per_pair=6, seed=4)
+    return play_tournament(
+        [oval, load_track("Pipkin")], POLICIES, CONTEST, races_per_pair=6, seed=4
+    )
 
 
 @pytest.fixture(scope="session")

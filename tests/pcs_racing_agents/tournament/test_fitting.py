@@ -23,7 +23,9 @@ def short(archive):
 
 @pytest.fixture(scope="module")
 def training(oval, short) -> fits.TrainingRaces:
-    return fits.TrainingRaces((oval,), (build("never-switch", short), build("lane-switcher", short)), short, races=8)
+    return fits.TrainingRaces(
+        (oval,), (build("never-switch", short), build("lane-switcher", short)), short, races=8
+    )
 
 
 def test_the_best_schedule_is_better_than_constant_moves_and_than_its_neighbours(training, short):
@@ -32,7 +34,9 @@ def test_the_best_schedule_is_better_than_constant_moves_and_than_its_neighbours
     values = fits.evaluate(training, [build("best-schedule", short, moves=plan) for plan in plans])
     reached = values[plans.index(fit.choice)]
     assert fit.training["reached"] == pytest.approx(reached, abs=1e-4)
-    near = [plan[0] == plan[1] or plan[0] == fit.choice[0] or plan[1] == fit.choice[1] for plan in plans]
+    near = [
+        plan[0] == plan[1] or plan[0] == fit.choice[0] or plan[1] == fit.choice[1] for plan in plans
+    ]
     assert reached == values[near].max()
     assert 5 + 4 <= fit.training["candidates"] <= 25
 
@@ -51,21 +55,37 @@ def test_the_best_target_is_found_and_fits_repeat(training, short, tmp_path):
 
 
 def test_the_best_lead_plan_is_found(training, short):
-    """It is at least as good as the best fixed policy, and no change of one of its two policies is better."""
+    """It is at least as good as the best fixed policy, and no change of one of its two policies is
+    better.
+    """
     targets = [0, 4, 8, 11]
-    fit, fixed = fits.fit_best_lead_plan(training, targets=targets), fits.fit_best_fixed(training, targets=targets)
+    fit, fixed = (
+        fits.fit_best_lead_plan(training, targets=targets),
+        fits.fit_best_fixed(training, targets=targets),
+    )
     assert fit.training["reached"] >= fixed.training["reached"]
     plans = [{"behind": behind, "ahead": ahead} for behind, ahead in product(targets, repeat=2)]
-    values = fits.evaluate(training, [build("best-lead-plan", short, targets=plan) for plan in plans])
+    values = fits.evaluate(
+        training, [build("best-lead-plan", short, targets=plan) for plan in plans]
+    )
     reached = values[plans.index(fit.choice)]
     assert fit.training["reached"] == pytest.approx(reached, abs=1e-4)
-    near = [plan["behind"] == fit.choice["behind"] or plan["ahead"] == fit.choice["ahead"] for plan in plans]
+    near = [
+        plan["behind"] == fit.choice["behind"] or plan["ahead"] == fit.choice["ahead"]
+        for plan in plans
+    ]
     assert reached == values[near].max()
-    assert build("best-lead-plan", short, fit=fit).facts["behind"].startswith(f"policy {fit.choice['behind']} ")
+    assert (
+        build("best-lead-plan", short, fit=fit)
+        .facts["behind"]
+        .startswith(f"policy {fit.choice['behind']} ")
+    )
 
 
 def test_candidates_are_compared_in_the_same_races(training, short, oval, monkeypatch):
-    """Of each opponent on each track, with other start policies for each opponent; scores are means over all."""
+    """Of each opponent on each track, with other start policies for each opponent; scores are means
+    over all.
+    """
     tracks, opponents, given = [oval, load_track("Pipkin")], list(training.opponents), []
     two = replace(training, tracks=tracks, opponents=opponents, seed=7)
     tracks.clear()
@@ -83,25 +103,44 @@ def test_candidates_are_compared_in_the_same_races(training, short, oval, monkey
     for pairing, (agent, track, (k, opponent)) in zip(pairings, met, strict=True):
         schedule = draw_schedule(track, short.config.race_rules, 8, 7)
         counts = [len(getattr(car, "policies", range(12))) for car in (agent, opponent)]
-        assert (pairing.game.track, pairing.ego, pairing.opponent, pairing.seed) == (track, agent, opponent, 7)
-        np.testing.assert_array_equal(pairing.variants, np.roll(schedule.draws, 2 * k, axis=0) % np.array(counts, "u8"))
+        assert (pairing.game.track, pairing.ego, pairing.opponent, pairing.seed) == (
+            track,
+            agent,
+            opponent,
+            7,
+        )
+        np.testing.assert_array_equal(
+            pairing.variants, np.roll(schedule.draws, 2 * k, axis=0) % np.array(counts, "u8")
+        )
         np.testing.assert_array_equal(pairing.starts.s, schedule.starts.s)
         np.testing.assert_array_equal(pairing.noise, schedule.seeds)
     assert two.facts(0.123456, 3) == {
-        "tracks": "oval, Pipkin", "opponents": "never-switch, lane-switcher", "races": 8 * 2 * 2, "candidates": 3,
-        "seed": 7, "reached": 0.1235,
-    }  # fmt: skip
-    assert (fits.TrainingRaces((oval,), agents, short).races, fits.TrainingRaces((oval,), agents, short).seed) == (
-        100, 1_000_003,
-    )  # fmt: skip
+        "tracks": "oval, Pipkin",
+        "opponents": "never-switch, lane-switcher",
+        "races": 8 * 2 * 2,
+        "candidates": 3,
+        "seed": 7,
+        "reached": 0.1235,
+    }
+    assert (
+        fits.TrainingRaces((oval,), agents, short).races,
+        fits.TrainingRaces((oval,), agents, short).seed,
+    ) == (
+        100,
+        1_000_003,
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(seed):
-    """Against a search that looks at all scores; each choice is raced once, and told how many were raced before."""
+    """Against a search that looks at all scores; each choice is raced once, and told how many were
+    raced before.
+    """
     options, places = (1, 3, 4), 3
     every = list(product(options, repeat=places))
-    score = dict(zip(every, np.random.default_rng(seed).integers(0, 4, len(every)).tolist(), strict=True))
+    score = dict(
+        zip(every, np.random.default_rng(seed).integers(0, 4, len(every)).tolist(), strict=True)
+    )
     asked: list[tuple[int, ...]] = []
 
     def raced(choices, before):
@@ -116,17 +155,25 @@ def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(see
     known = set(near)
     while current != (top := min(known, key=lambda choice: (-score[choice], choice))):
         current = top
-        known |= {choice for choice in every if sum(a != b for a, b in zip(choice, current, strict=True)) == 1}
+        known |= {
+            choice
+            for choice in every
+            if sum(a != b for a, b in zip(choice, current, strict=True)) == 1
+        }
     assert (best, set(asked)) == (current, known)
 
 
 def test_a_candidate_scores_its_own_wins(oval, archive):
-    """Known answers: in the paper's race pace wins, so the slowest candidate beats a slower car and no faster one."""
+    """Known answers: in the paper's race pace wins, so the slowest candidate beats a slower car and
+    no faster one.
+    """
     spec = make_game_spec(archive, game_rules("paper", moves=2, step_seconds=4.0))
     slowest = build("best-fixed", spec, target=0)
     scores = [
         fits.evaluate(
-            fits.TrainingRaces((oval,), (Driver("other", (parse_policy(f"lattice:pace={pace}"),)),), spec, races=6),
+            fits.TrainingRaces(
+                (oval,), (Driver("other", (parse_policy(f"lattice:pace={pace}"),)),), spec, races=6
+            ),
             [slowest],
         )
         for pace in (0.0, 1.0)

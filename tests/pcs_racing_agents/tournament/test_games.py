@@ -20,7 +20,12 @@ GAMES = 12
 
 def played(pairing, **changes):
     """Races of a pairing by the function that documentation shows."""
-    given = {"policies": pairing.variants, "starts": pairing.starts, "seeds": pairing.noise, **changes}
+    given = {
+        "policies": pairing.variants,
+        "starts": pairing.starts,
+        "seeds": pairing.noise,
+        **changes,
+    }
     return play_games(pairing.game, pairing.ego, pairing.opponent, **given)
 
 
@@ -51,15 +56,19 @@ def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
 
 def test_a_game_whose_players_move_before_the_start_is_played_and_recorded(contest, zoo, games_of):
     config = replace(contest.config, first_steps=(0.0, 1.0))
-    pairing = replace(games_of(zoo["random-moves"], zoo["never-switch"]), game=replace(contest, config=config))
+    pairing = replace(
+        games_of(zoo["random-moves"], zoo["never-switch"]), game=replace(contest, config=config)
+    )
     races = played(pairing)
     state = pairing.game.reset(pairing.noise, policies=pairing.variants, starts=pairing.starts)
     for step in range(config.moves):
         state = pairing.game.step(state, np.maximum(races.moves.codes[:, :, step], 0))
     np.testing.assert_array_equal(races.lead, state.race.lead)
-    (whole, *_) = np.flatnonzero(~races.crashed)
+    whole, *_ = np.flatnonzero(~races.crashed)
     assert races.duration[whole] == config.horizon
-    recorded = record_game(pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(whole))
+    recorded = record_game(
+        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(whole)
+    )
     np.testing.assert_array_equal(recorded.replay.cars[-1], state.race.cars[whole])
 
 
@@ -78,7 +87,11 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, 
     for rows in ([0], [7, 3], [11, 0, 5], []):
         some = replace(together.take(np.array(rows, int)), game=replace(contest, threads=1))
         # Of no games, overtakes have another type.
-        assert_same(some.race([some.ego])[0], {name: column[rows] for name, column in expected.items()}, strict=False)
+        assert_same(
+            some.race([some.ego])[0],
+            {name: column[rows] for name, column in expected.items()},
+            strict=False,
+        )
     drivers = [name in ("random-policy", "pure-pursuit") for name in pair]
     for name in ("moves", "path"):
         assert ((expected[name] < 0).all(axis=(0, 2)) == drivers).all()
@@ -91,8 +104,12 @@ def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, z
     races = played(replace(games_of(never_switch(spec), always(spec, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
-    for car, cars in enumerate([(Counter(), zoo["random-moves"]), (zoo["random-moves"], Counter())]):
-        for columns in games_of(*cars).race([cars[0]] if car == 0 else [cars[0], zoo["never-switch"]]):
+    for car, cars in enumerate(
+        [(Counter(), zoo["random-moves"]), (zoo["random-moves"], Counter())]
+    ):
+        for columns in games_of(*cars).race(
+            [cars[0]] if car == 0 else [cars[0], zoo["never-switch"]]
+        ):
             for moves in columns["moves"][:, car]:
                 made = moves[moves >= 0].tolist()
                 assert made == list(range(len(made)))
@@ -123,11 +140,17 @@ class Leader:
 @pytest.fixture(scope="module")
 def egos(contest, zoo) -> list:
     spec = make_game_spec(contest.archive, contest.config)
-    others = [always(spec, "aggressiveness +"), random_moves(spec, seed=9), best_fixed(spec, target=3)]
+    others = [
+        always(spec, "aggressiveness +"),
+        random_moves(spec, seed=9),
+        best_fixed(spec, target=3),
+    ]
     return [zoo["never-switch"], zoo["random-moves"], *others, Leader(), Counter()]
 
 
-@pytest.mark.parametrize("opponent", ["never-switch", "random-moves", "pure-pursuit", Counter(), Leader()])
+@pytest.mark.parametrize(
+    "opponent", ["never-switch", "random-moves", "pure-pursuit", Counter(), Leader()]
+)
 def test_games_of_several_egos_are_those_of_each_alone(zoo, games_of, egos, opponent):
     pairing = games_of(egos[0], zoo.get(opponent, opponent))
     together = pairing.race(egos)
@@ -151,7 +174,9 @@ def driven(monkeypatch) -> list[int]:
     return counts
 
 
-def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(contest, zoo, games_of, egos, driven):
+def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(
+    contest, zoo, games_of, egos, driven
+):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
     pairing.race([zoo["random-moves"]] * 4)
     assert driven == [GAMES] * 4
@@ -162,9 +187,15 @@ def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(conte
     assert driven[0] < driven[-1] <= len(egos) * GAMES
     # From the edge of the archive some moves lead nowhere, as to stay does.
     targets = contest.next_policy(np.zeros(5, int), np.arange(5))
-    (nowhere, *_) = [move for move in range(4) if targets[move] == targets[contest.competitor_moves.index("stay")]]
+    nowhere, *_ = [
+        move
+        for move in range(4)
+        if targets[move] == targets[contest.competitor_moves.index("stay")]
+    ]
     other = always(make_game_spec(contest.archive, contest.config), contest.move_names[nowhere])
-    pairing = replace(games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int))
+    pairing = replace(
+        games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int)
+    )
     driven.clear()
     stays, moves = pairing.race([zoo["never-switch"], other])
     assert driven == [GAMES] * 4
@@ -173,14 +204,25 @@ def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(conte
 
 
 @pytest.mark.parametrize(
-    "pair", [("random-moves", "random-moves"), ("random-moves", "lane-switcher"), ("pure-pursuit", "random-policy")]
+    "pair",
+    [
+        ("random-moves", "random-moves"),
+        ("random-moves", "lane-switcher"),
+        ("pure-pursuit", "random-policy"),
+    ],
 )
 def test_a_recorded_game_is_the_game(contest, zoo, games_of, pair):
     pairing = games_of(*(zoo[name] for name in pair))
     races = played(pairing)
-    names = pair if pair[0] != pair[1] else tuple(f"{name} (car {car})" for car, name in enumerate(pair))
+    names = (
+        pair
+        if pair[0] != pair[1]
+        else tuple(f"{name} (car {car})" for car, name in enumerate(pair))
+    )
     for i in range(6):
-        recording = record_game(contest, pairing.ego, pairing.opponent, **pairing.race_arguments(i), candidates=False)
+        recording = record_game(
+            contest, pairing.ego, pairing.opponent, **pairing.race_arguments(i), candidates=False
+        )
         replay = recording.replay
         assert replay.lead[-1] == races.lead[i]
         assert recording.played[0] == races[i]._replace(race=0)
@@ -203,11 +245,19 @@ class Narrow:
 def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monkeypatch):
     for cars, change, value in [
         ((Narrow(), "never-switch"), {}, r"'Narrow' .*\(7,\)"),
-        (("never-switch", "never-switch"), {"policies": np.full((GAMES, 2), 12)}, "game 0: the ego's variant is 12"),
+        (
+            ("never-switch", "never-switch"),
+            {"policies": np.full((GAMES, 2), 12)},
+            "game 0: the ego's variant is 12",
+        ),
         (("never-switch", "never-switch"), {"policies": np.zeros((3, 2), int)}, r"\(3, 2\)"),
         (("never-switch", "never-switch"), {"policies": np.zeros((GAMES, 2))}, "whole numbers"),
         (("never-switch", "never-switch"), {"seeds": race_seeds(0, 3)}, r"\(3,\)"),
-        (("never-switch", "pure-pursuit"), {"policies": np.ones((GAMES, 2), int)}, "opponent's variant is 1"),
+        (
+            ("never-switch", "pure-pursuit"),
+            {"policies": np.ones((GAMES, 2), int)},
+            "opponent's variant is 1",
+        ),
     ]:
         monkeypatch.setattr(RaceGame, "reset", lambda *_, **__: pytest.fail("a race was driven"))
         refused(value, played, games_of(*(zoo.get(car, car) for car in cars)), **change)
@@ -223,7 +273,16 @@ def test_impossible_egos_and_moves_are_refused(contest, zoo, games_of, starts):
     ]:
         refused(value, pairing.race, egos)
     with pytest.raises(InputError, match="'never-switch' can't race"):
-        play_games(contest, zoo["never-switch"], "never-switch", policies=pairing.variants, starts=starts, seeds=[1])
+        play_games(
+            contest,
+            zoo["never-switch"],
+            "never-switch",
+            policies=pairing.variants,
+            starts=starts,
+            seeds=[1],
+        )
     with pytest.raises(InputError, match=r"\(1, 2\)"):
-        record_game(contest, *[zoo["never-switch"]] * 2, policies=[[1, 2]], start=starts.take([0]), seed=1)
+        record_game(
+            contest, *[zoo["never-switch"]] * 2, policies=[[1, 2]], start=starts.take([0]), seed=1
+        )
     refused("'Model': game 0: move 5", played, games_of(Model(5), zoo["never-switch"]))

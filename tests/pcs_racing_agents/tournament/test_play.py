@@ -7,7 +7,13 @@ from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.tournament import game_rules, plan_tournament, play_plan, play_tournament, tournament_settings
+from pcs_racing_agents.tournament import (
+    game_rules,
+    plan_tournament,
+    play_plan,
+    play_tournament,
+    tournament_settings,
+)
 from pcs_racing_agents.tournament.pairings import draw_schedule
 from pcs_racing_agents.tournament.play import record_row
 
@@ -22,7 +28,8 @@ def test_every_pair_drives_the_same_races_on_every_track(tournament):
     assert len(tournament.races) == 2 * 3 * 6
     met = {(row.track, row.ego, row.opponent) for row in tournament.races}
     assert len(met) == 2 * 3
-    # Common random numbers: race k has the same line, side and noise for each pair; both sides of each line.
+    # Common random numbers: race k has the same line, side and noise for each pair; both sides of
+    # each line.
     for track in tournament.plan.tracks:
         rows = [row for row in tournament.races if row.track == track.name]
         starts = {row.race: (row.start_s, row.side) for row in rows}
@@ -33,12 +40,23 @@ def test_every_pair_drives_the_same_races_on_every_track(tournament):
 
 
 def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
-    """Races 2j and 2j + 1 swap all that belongs to a seat: side and start policy. All pairs meet the same."""
-    rows = [row for row in mixed.races if (row.ego, row.opponent) == ("random-moves", "best-fixed:target=3")]
+    """Races 2j and 2j + 1 swap all that belongs to a seat: side and start policy. All pairs meet
+    the same.
+    """
+    rows = [
+        row
+        for row in mixed.races
+        if (row.ego, row.opponent) == ("random-moves", "best-fixed:target=3")
+    ]
     for one, other in zip(rows[::2], rows[1::2], strict=True):
-        assert (one.ego_variant, one.opponent_variant) == (other.opponent_variant, other.ego_variant)
+        assert (one.ego_variant, one.opponent_variant) == (
+            other.opponent_variant,
+            other.ego_variant,
+        )
         assert (one.side, other.side) == (0, 1)
-    drivers = [row for row in mixed.races if (row.ego, row.opponent) == ("random-moves", "lane-switcher")]
+    drivers = [
+        row for row in mixed.races if (row.ego, row.opponent) == ("random-moves", "lane-switcher")
+    ]
     assert [row.ego_variant for row in drivers] == [row.ego_variant for row in rows]
     assert all(0 <= row.opponent_variant < 20 for row in drivers)
     assert len({row.opponent_variant for row in drivers}) > 2
@@ -65,7 +83,9 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
             assert recording.replay.car_names == (row.ego, row.opponent)
             assert recording.replay.candidates is None
     assert record_row(tournament, tournament.races[0]).replay.candidates is not None
-    refused("was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza"))
+    refused(
+        "was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza")
+    )
 
 
 def test_the_same_rows_whoever_drives_them_also_after_a_stop(mixed, tmp_path):
@@ -80,13 +100,20 @@ def test_the_same_rows_whoever_drives_them_also_after_a_stop(mixed, tmp_path):
         if len(done) == 2:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), open_job(folder, "tournament", tournament_settings(plan)) as job:
+    with (
+        pytest.raises(KeyboardInterrupt),
+        open_job(folder, "tournament", tournament_settings(plan)) as job,
+    ):
         play_plan(plan, job=job, progress=stop)
     counts: list[int] = []
-    with open_job(folder, "tournament", tournament_settings(plan)) as job, make_executor("threads", 2) as executor:
+    with (
+        open_job(folder, "tournament", tournament_settings(plan)) as job,
+        make_executor("threads", 2) as executor,
+    ):
         again = play_plan(plan, job=job, executor=executor, progress=lambda n, *_: counts.append(n))
     assert list(again.races) == list(mixed.races)
-    # Two agents race the same driver in one task: six pairs are four tasks, of which one was there already.
+    # Two agents race the same driver in one task: six pairs are four tasks, of which one was there
+    # already.
     assert counts[0] == done[-1] == 12
     assert counts[-1] == 48
 
@@ -98,23 +125,42 @@ def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_
         ({"seed": 2}, "its seed is 1, not 2"),
         ({"races_per_pair": 10}, "its races_per_pair is 8, not 10"),
         ({"entrants": [*MIXED[:3], POLICIES[0]]}, "its agents.lattice:pace=0.5 is"),
-        ({"race": load_race_config("contest", duration=8.0)}, "its game.race.duration is 6.0, not 8.0"),
+        (
+            {"race": load_race_config("contest", duration=8.0)},
+            "its game.race.duration is 6.0, not 8.0",
+        ),
     ]:
         given = {"entrants": MIXED, "race": CONTEST, "races_per_pair": 8, "seed": 1} | change
-        settings = tournament_settings(plan_tournament(oval, given.pop("entrants"), archive=archive, **given))
+        settings = tournament_settings(
+            plan_tournament(oval, given.pop("entrants"), archive=archive, **given)
+        )
         refused(message, open_job(tmp_path / "a", "tournament", settings).__enter__)
 
 
-def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(mixed, oval, archive, tmp_path):
+def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
+    mixed, oval, archive, tmp_path
+):
     plan = plan_tournament(oval, MIXED)
     default = load_archive("default")
-    expected = {"game": game_rules("paper", stay=True), "archive": "default", "archive_sha256": default.content_hash}
+    expected = {
+        "game": game_rules("paper", stay=True),
+        "archive": "default",
+        "archive_sha256": default.content_hash,
+    }
     assert tournament_settings(plan) == {
-        "seed": 0, "races_per_pair": 20, **expected, "tracks": {"oval": oval.content_hash},
+        "seed": 0,
+        "races_per_pair": 20,
+        **expected,
+        "tracks": {"oval": oval.content_hash},
         "agents": dict(zip(plan.names, map(competitor_hash, plan.competitors), strict=True)),
-    }  # fmt: skip
-    assert [len(draw_schedule(oval, plan.config, races, 0).starts) for races in (2, 2000)] == [2, 2000]
-    assert plan_tournament(oval, MIXED, archive=str(save_archive(default, tmp_path))).archive == str(tmp_path.resolve())
+    }
+    assert [len(draw_schedule(oval, plan.config, races, 0).starts) for races in (2, 2000)] == [
+        2,
+        2000,
+    ]
+    assert plan_tournament(
+        oval, MIXED, archive=str(save_archive(default, tmp_path))
+    ).archive == str(tmp_path.resolve())
     assert mixed.plan.archive == archive.name
 
 
@@ -145,5 +191,15 @@ def test_bad_input_is_refused_before_any_race(oval):
         ({"races_per_pair": 2002}, "races_per_pair is 2002"),
         ({"race": load_race_config("paper", start_spacing=5.0)}, "no place"),
     ]:
-        arguments = {"tracks": oval, "entrants": POLICIES, "race": CONTEST, "races_per_pair": 2} | change
-        refused(message, play_tournament, **arguments, progress=lambda *_: pytest.fail("a race was driven"))
+        arguments = {
+            "tracks": oval,
+            "entrants": POLICIES,
+            "race": CONTEST,
+            "races_per_pair": 2,
+        } | change
+        refused(
+            message,
+            play_tournament,
+            **arguments,
+            progress=lambda *_: pytest.fail("a race was driven"),
+        )

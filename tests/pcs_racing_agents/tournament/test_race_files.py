@@ -21,7 +21,10 @@ paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,none,car,both,2,0,3.1000,0,3,,3,,
 @pytest.fixture
 def rows() -> list[dict[str, str]]:
     """Lines of a file, to be spoilt."""
-    made = [RaceRow("paper", "a", "b", "Oval", k, 1.5 * k, k % 2, 3, 0.1 * k, "ego", duration=40.0) for k in range(12)]
+    made = [
+        RaceRow("paper", "a", "b", "Oval", k, 1.5 * k, k % 2, 3, 0.1 * k, "ego", duration=40.0)
+        for k in range(12)
+    ]
     lists = ("", "3; 5", "", "stay")
     return [dict(zip(RaceRow._fields, (*map(str, row[:17]), *lists), strict=True)) for row in made]
 
@@ -36,14 +39,59 @@ def as_file(rows, path):
 
 
 def test_a_race_is_one_line(tmp_path):
-    races = race_table([
-        RaceRow("paper", "a", "b, c", "Oval", 0, 12.5, 0, 7, -1.23456, "opponent", "none", "none", 0, 1, 40.0, 3, 0,
-                (3, 5, 5), (), ("pace +", "stay"), ()),
-        RaceRow("paper", "b, c", "a", "Oval", 1, 12.5, 1, 7, 0.0, "none", "car", "both", 2, 0, 3.1, 0, 3, (), (3,)),
-    ])  # fmt: skip
+    races = race_table(
+        [
+            RaceRow(
+                "paper",
+                "a",
+                "b, c",
+                "Oval",
+                0,
+                12.5,
+                0,
+                7,
+                -1.23456,
+                "opponent",
+                "none",
+                "none",
+                0,
+                1,
+                40.0,
+                3,
+                0,
+                (3, 5, 5),
+                (),
+                ("pace +", "stay"),
+                (),
+            ),
+            RaceRow(
+                "paper",
+                "b, c",
+                "a",
+                "Oval",
+                1,
+                12.5,
+                1,
+                7,
+                0.0,
+                "none",
+                "car",
+                "both",
+                2,
+                0,
+                3.1,
+                0,
+                3,
+                (),
+                (3,),
+            ),
+        ]
+    )
     path = write_results(races, tmp_path / "results.csv")
     assert path.read_text(encoding="utf-8") == EXAMPLE
-    assert write_results(read_results(path), tmp_path / "again.csv").read_bytes() == path.read_bytes()
+    assert (
+        write_results(read_results(path), tmp_path / "again.csv").read_bytes() == path.read_bytes()
+    )
     assert write_results(list(races), tmp_path / "rows.csv").read_bytes() == path.read_bytes()
     refused("there is no folder", write_results, races, tmp_path / "missing" / "results.csv")
 
@@ -55,11 +103,17 @@ def test_empty_lines_are_left_out_and_counted(tmp_path):
     refused(r"line 4 \(race 1\), .*fault is 'me'", read_results, path)
     path.write_text("\n".join([head, first, "a,1.5"]))
     refused(r"line 3 .*2 values, .*21", read_results, path)
-    refused(r"the table, line 2 \(race 0\), .*fault is 'me'", race_table, [RaceRow("paper", "a", "b", fault="me")])
+    refused(
+        r"the table, line 2 \(race 0\), .*fault is 'me'",
+        race_table,
+        [RaceRow("paper", "a", "b", fault="me")],
+    )
 
 
 def test_details_may_be_missing_and_seeds_larger_than_any_number_of_the_machine(tmp_path, rows):
-    races = read_results(as_file([{name: row[name] for name in NEEDED} for row in rows], tmp_path / "results.csv"))
+    races = read_results(
+        as_file([{name: row[name] for name in NEEDED} for row in rows], tmp_path / "results.csv")
+    )
     assert np.isnan(races.duration).all()
     assert not races.overtakes.any()
     assert races[0][:12] == RaceRow("", "a", "b", "Oval", 0, 0.0, 0, 3, 0.0, "ego")[:12]
@@ -111,6 +165,8 @@ def test_files_that_hold_no_races_are_refused(tmp_path, rows):
         path.write_text(text)
         refused(r"has no column 'ego'|holds no races", read_results, path)
     with pytest.raises(InputError, match="has no column 'lead'"):
-        read_results(as_file([{name: row[name] for name in row if name != "lead"} for row in rows], path))
+        read_results(
+            as_file([{name: row[name] for name in row if name != "lead"} for row in rows], path)
+        )
     bare = [{name: row[name] for name in NEEDED} for row in rows]
     refused("has no column 'ego_variant'", read_results, as_file(bare, path), ("ego_variant",))

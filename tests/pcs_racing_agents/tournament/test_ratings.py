@@ -17,7 +17,9 @@ TIE = 0.6
 
 def chances(strength, tie, i, j):
     """Davidson's model: chances of i winning, of a tie and of j winning."""
-    parts = np.array([np.exp(strength[i]), tie * np.exp(0.5 * (strength[i] + strength[j])), np.exp(strength[j])])
+    parts = np.array(
+        [np.exp(strength[i]), tie * np.exp(0.5 * (strength[i] + strength[j])), np.exp(strength[j])]
+    )
     return parts / parts.sum()
 
 
@@ -51,36 +53,48 @@ def test_strengths_and_ties_come_back_within_their_intervals():
 
 @pytest.mark.parametrize("tie", [TIE, 0.0])
 def test_nothing_leads_uphill_from_the_fit_and_another_optimiser_finds_nothing_better(tie):
-    """The log-posterior is strictly concave, so that it is highest where its gradient vanishes, and nowhere else.
+    """The log-posterior is strictly concave, so that it is highest where its gradient vanishes, and
+    nowhere else.
 
-    How close another optimiser comes to that place depends on the processor's rounding; what it finds is only compared
-    in height.
+    How close another optimiser comes to that place depends on the processor's rounding; what it
+    finds is only compared in height.
     """
     first, second, result = simulate(np.random.default_rng(1), 25, tie)
-    races = Counter((NAMES.index(i), NAMES.index(j), r) for i, j, r in zip(first, second, result, strict=True))
+    races = Counter(
+        (NAMES.index(i), NAMES.index(j), r) for i, j, r in zip(first, second, result, strict=True)
+    )
 
     def loss(x):
         weight = np.exp(x[-1]) if tie else 0.0
-        log = sum(count * np.log(chances(x[:-1], weight, i, j)[1 - r]) for (i, j, r), count in races.items())
+        log = sum(
+            count * np.log(chances(x[:-1], weight, i, j)[1 - r])
+            for (i, j, r), count in races.items()
+        )
         return 0.5 * (x**2).sum() / 3.0**2 - log
 
     ratings = rate(first, second, result)
     fit = np.append(ratings.strength, np.log(ratings.tie) if tie else 0.0)
-    # A step along the imaginary axis takes no difference of nearly equal numbers: these derivatives are exact.
+    # A step along the imaginary axis takes no difference of nearly equal numbers: these derivatives
+    # are exact.
     slopes = np.array([loss(fit + 1e-30j * axis).imag / 1e-30 for axis in np.eye(6)])
     assert np.abs(slopes).max() < 1e-9 * len(result)  # one race alone has a slope of up to 1
     assert (ratings.tie == 0.0) == (tie == 0.0)
     reference = minimize(loss, np.zeros(6), tol=1e-10).fun
-    assert reference >= loss(fit) - 1e-12 * len(result)  # what is lost to rounding in a sum over the races
+    # what is lost to rounding in a sum over the races
+    assert reference >= loss(fit) - 1e-12 * len(result)
     assert reference == pytest.approx(loss(fit), rel=1e-6)
 
 
 @pytest.mark.compare
 def test_the_fit_is_that_of_evalica():
-    """Newman's iteration, where every agent has won and lost; his weight of ties is half of Davidson's."""
+    """Newman's iteration, where every agent has won and lost; his weight of ties is half of
+    Davidson's.
+    """
     evalica = pytest.importorskip("evalica", reason="evalica is not installed")
     first, second, result = simulate(np.random.default_rng(2), 100)
-    winners = [{1: evalica.Winner.X, 0: evalica.Winner.Draw, -1: evalica.Winner.Y}[r] for r in result]
+    winners = [
+        {1: evalica.Winner.X, 0: evalica.Winner.Draw, -1: evalica.Winner.Y}[r] for r in result
+    ]
     reference = evalica.newman(first, second, winners, tolerance=1e-12, limit=1000)
     logs = np.log(reference.scores[list(NAMES)].to_numpy())
     ours = rate(first, second, result, prior_sd=1e4)
@@ -96,12 +110,24 @@ def test_intervals_repeat_and_know_of_shared_races():
     many = [np.array(first)[copies], np.array(second)[copies], result[copies]]
     line = np.tile(np.arange(10), len(first) // 10)[copies]
     units = (line, line, None)
-    alone, again, naive = (rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units)
+    alone, again, naive = (
+        rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units
+    )
     assert (alone.low == again.low).all()
-    usual = (rate(*many, unit=line, rng=np.random.default_rng(5), **given) for given in ({}, {"replicates": 500}))
+    usual = (
+        rate(*many, unit=line, rng=np.random.default_rng(5), **given)
+        for given in ({}, {"replicates": 500})
+    )
     assert len({ratings.low.tobytes() for ratings in (*usual, alone)}) == 2
-    # Of two lines each replicate has one twice or both once: a fit of each is in the interval's ends.
-    halves = rate(["a"] * 6, ["b"] * 6, [1, 1, 1, -1, -1, 1], unit=[1, 1, 1, 2, 2, 2], rng=np.random.default_rng(0))
+    # Of two lines each replicate has one twice or both once: a fit of each is in the interval's
+    # ends.
+    halves = rate(
+        ["a"] * 6,
+        ["b"] * 6,
+        [1, 1, 1, -1, -1, 1],
+        unit=[1, 1, 1, 2, 2, 2],
+        rng=np.random.default_rng(0),
+    )
     ends = [rate(["a"] * 6, ["b"] * 6, half * 2).strength[0] for half in ([-1, -1, 1], [1, 1, 1])]
     assert (halves.low[0], halves.high[0]) == pytest.approx(ends)
     assert ((naive.high - naive.low) < 0.35 * (alone.high - alone.low)).all()
@@ -109,7 +135,9 @@ def test_intervals_repeat_and_know_of_shared_races():
 
 def test_an_agent_that_wins_everything_has_a_finite_rating():
     first, second = ["a"] * 20 + ["b"] * 20, ["b"] * 20 + ["c"] * 20
-    ratings = rate(first, second, [1] * 20 + [1, -1] * 10, rng=np.random.default_rng(0), replicates=100)
+    ratings = rate(
+        first, second, [1] * 20 + [1, -1] * 10, rng=np.random.default_rng(0), replicates=100
+    )
     assert ratings.strength[0] > 2.0
     assert np.isfinite([ratings.low, ratings.high]).all()
     assert ratings.strength[1] == pytest.approx(ratings.strength[2], abs=1.0)
@@ -128,11 +156,15 @@ def test_races_that_paid_nobody_and_who_is_named_first_do_not_matter():
     assert ratings.left_out.tolist() == [2, 1, 0, 0, 1]
     assert ratings.races.tolist() == [120] * 5
     first, second, result = simulate(np.random.default_rng(7), 20)
-    assert rate(second, first, -result).strength == pytest.approx(rate(first, second, result).strength, abs=1e-9)
+    assert rate(second, first, -result).strength == pytest.approx(
+        rate(first, second, result).strength, abs=1e-9
+    )
 
 
 def test_bad_input():
-    assert [rate(["a"], ["b"], [0], prior_sd=end).strength.tolist() for end in (1e-6, 1e6)] == [[0.0, 0.0]] * 2
+    assert [rate(["a"], ["b"], [0], prior_sd=end).strength.tolist() for end in (1e-6, 1e6)] == [
+        [0.0, 0.0]
+    ] * 2
     for call, message in [
         (lambda: rate(["a"], ["a"], [1]), "a races itself"),
         (lambda: rate(["a"], ["b"], [2]), r"result\[0\] is 2"),
@@ -146,6 +178,9 @@ def test_bad_input():
         (lambda: rate(["a"], ["b"], [1], prior_sd=9e-7), "prior_sd is 9e-07"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=1.1e6), "prior_sd is 1100000"),
         (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "the same unit"),
-        (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5), "replicates is 5"),
+        (
+            lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5),
+            "replicates is 5",
+        ),
     ]:
         refused(message, call)

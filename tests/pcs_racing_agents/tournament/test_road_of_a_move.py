@@ -1,4 +1,6 @@
-"""The way of a move from an agent's ``predict`` to a row of ``results.csv``: few files, none twice, in few forms."""
+"""The way of a move from an agent's ``predict`` to a row of ``results.csv``: few files, none twice,
+in few forms.
+"""
 
 import csv
 import sys
@@ -18,14 +20,22 @@ from pcs_racing_agents.tournament.race_files import write_results
 
 RACES = 20
 PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")
-ENDS = {"predict": "agents/agent.py", "write_chunk": "base/chunks.py", "write_results": "tournament/race_files.py"}
+ENDS = {
+    "predict": "agents/agent.py",
+    "write_chunk": "base/chunks.py",
+    "write_results": "tournament/race_files.py",
+}
 
 
 @cache
 def project_file(name: str) -> str | None:
     """Path of a file within the project; None for that of libraries and tests."""
     file = Path(name)
-    return str(file.relative_to(REPOSITORY)) if any(package in file.parents for package in PACKAGES) else None
+    return (
+        str(file.relative_to(REPOSITORY))
+        if any(package in file.parents for package in PACKAGES)
+        else None
+    )
 
 
 def holds(value, moves, depth: int = 4) -> bool:
@@ -42,7 +52,9 @@ def holds(value, moves, depth: int = 4) -> bool:
 
 
 class Watch:
-    """A profiler that notes who calls the ends of the road, and which functions hand the moves on, in which forms."""
+    """A profiler that notes who calls the ends of the road, and which functions hand the moves on,
+    in which forms.
+    """
 
     def __init__(self) -> None:
         self.roads: dict[str, list[str]] = {}  # by function: the files of its callers
@@ -54,13 +66,21 @@ class Watch:
         file, name = project_file(frame.f_code.co_filename), frame.f_code.co_name
         if file is None:
             return
-        if event == "call" and name in ENDS and file.endswith(ENDS[name]) and name not in self.roads:
+        if (
+            event == "call"
+            and name in ENDS
+            and file.endswith(ENDS[name])
+            and name not in self.roads
+        ):
             files = []
             while frame is not None:
                 files.append(project_file(frame.f_code.co_filename))
                 frame = frame.f_back
             files = [own for own in reversed(files) if own is not None]
-            self.roads[name] = [*files[:1], *(later for earlier, later in pairwise(files) if later != earlier)]
+            self.roads[name] = [
+                *files[:1],
+                *(later for earlier, later in pairwise(files) if later != earlier),
+            ]
         elif event == "return" and self.moves is None and name == "predict":
             self.moves = value[0]
         elif event == "return" and self.moves is not None and holds(value, self.moves):
@@ -69,7 +89,10 @@ class Watch:
 
 
 def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, spec, tmp_path):
-    agent, rival = build("cfr-argmax", spec, network=untrained(spec, seed=0)), build("never-switch", spec)
+    agent, rival = (
+        build("cfr-argmax", spec, network=untrained(spec, seed=0)),
+        build("never-switch", spec),
+    )
     rules = load_race_config("paper", duration=4.0)
     plan = plan_tournament(oval, [agent, rival], rules, archive=spec.archive, races_per_pair=RACES)
     play_plan(plan)  # a compiler that is watched takes minutes
@@ -81,7 +104,9 @@ def test_a_move_passes_fourteen_files_on_its_way_to_a_row_and_none_twice(oval, s
         finally:
             sys.setprofile(None)
     rows = list(csv.DictReader(written.read_text(encoding="utf-8").splitlines()))
-    assert [row["ego_moves"].split("; ")[0] for row in rows] == [spec.moves[move] for move in watch.moves]
+    assert [row["ego_moves"].split("; ")[0] for row in rows] == [
+        spec.moves[move] for move in watch.moves
+    ]
     assert len(set(watch.moves.tolist())) > 1
     assert list(watch.roads) == list(ENDS)
     for road in watch.roads.values():

@@ -1,4 +1,6 @@
-"""All against all: scores, ratings, and the game of choosing an agent, from the lines of a results file."""
+"""All against all: scores, ratings, and the game of choosing an agent, from the lines of a results
+file.
+"""
 
 import numpy as np
 import pytest
@@ -15,7 +17,13 @@ NAMES = ("paper", "rock", "scissors")
 def table(ego, opponent, winner, crashed, line):
     """Races given by their columns."""
     return race_table(
-        RaceRow(ego=one, opponent=other, winner=who, crash="car" if crash else "none", start_s=float(start))
+        RaceRow(
+            ego=one,
+            opponent=other,
+            winner=who,
+            crash="car" if crash else "none",
+            start_s=float(start),
+        )
         for one, other, who, crash, start in zip(ego, opponent, winner, crashed, line, strict=True)
     )
 
@@ -51,7 +59,9 @@ def test_scores_count_ties_half_and_ratings_see_no_cycle():
 def test_the_ratings_are_those_of_rate_and_what_is_not_told_is_left_open():
     races = cycle()
     won = np.array([{"ego": 1.0, "opponent": -1.0, "none": 0.0}[row.winner] for row in races])
-    expected = rate([row.ego for row in races], [row.opponent for row in races], won, unpaid=races.crashed)
+    expected = rate(
+        [row.ego for row in races], [row.opponent for row in races], won, unpaid=races.crashed
+    )
     result = round_robin(NAMES, races, seed=3)
     assert result.ratings.strength == pytest.approx(expected.strength)
     again = round_robin(NAMES, races, seed=3)
@@ -67,7 +77,9 @@ def test_the_ratings_are_those_of_rate_and_what_is_not_told_is_left_open():
 
 
 def test_what_start_lines_decide_counts_as_noise():
-    """Won on every second line, lost on the others: that may be nothing, whatever the number of races on a line."""
+    """Won on every second line, lost on the others: that may be nothing, whatever the number of
+    races on a line.
+    """
     line = [i // 4 for i in range(32)]
     winner = ["ego" if (i // 4) % 2 else "opponent" for i in range(32)]
     result = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, winner, [False] * 32, line))
@@ -75,9 +87,12 @@ def test_what_start_lines_decide_counts_as_noise():
     sure = round_robin(("a", "b"), table(["a"] * 32, ["b"] * 32, ["ego"] * 32, [False] * 32, line))
     assert sure.noise == 0.0
     assert sure.equilibrium == pytest.approx([1.0, 0.0])
-    for lines, enough in ((5, True), (4, False)):  # for an interval of a rating; a line without a paid race is none
+    # for an interval of a rating; a line without a paid race is none
+    for lines, enough in ((5, True), (4, False)):
         line, ends = [*(i % lines for i in range(20)), 9], [*["ego", "opponent"] * 10, "none"]
-        result = round_robin(("a", "b"), table(["a"] * 21, ["b"] * 21, ends, [False] * 20 + [True], line))
+        result = round_robin(
+            ("a", "b"), table(["a"] * 21, ["b"] * 21, ends, [False] * 20 + [True], line)
+        )
         assert np.isfinite(result.rating("a")).tolist() == [True, enough, enough]
 
 
@@ -98,7 +113,9 @@ def test_alpha_rank_prefers_who_beats_all_and_keeps_cycles():
 
 
 def test_a_missing_library_is_named_with_its_extra(monkeypatch):
-    monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None if name == "pyspiel" else object())
+    monkeypatch.setattr(
+        "pcs_racing.base.errors.find_spec", lambda name: None if name == "pyspiel" else object()
+    )
     with pytest.raises(ModuleNotFoundError, match=r"\[games\]") as error:
         alpha_rank(CYCLE)
     assert error.value.name == "pyspiel"
@@ -106,7 +123,10 @@ def test_a_missing_library_is_named_with_its_extra(monkeypatch):
 
 def test_bad_input():
     for call, value in [
-        (lambda: round_robin(("a", "b"), table(["a"], ["d"], ["ego"], [False], [1])), "'d' .* a, b"),
+        (
+            lambda: round_robin(("a", "b"), table(["a"], ["d"], ["ego"], [False], [1])),
+            "'d' .* a, b",
+        ),
         (lambda: excess([]), r"\(0,\)"),
         (lambda: excess([["a"]]), "numbers"),
         (lambda: excess([[1.0, 2.0]]), r"\(1, 2\)"),

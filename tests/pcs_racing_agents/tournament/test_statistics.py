@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 from refusal import refused
 from scipy import stats
 
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm, match_units, score, t_interval
+from pcs_racing_agents.tournament.statistics import (
+    clustered_mean,
+    compare,
+    holm,
+    match_units,
+    score,
+    t_interval,
+)
 
 EGOS, OPPONENTS, RACES = 12, 12, 3
 EGO, OPPONENT, LINE = (index.ravel() for index in np.indices((EGOS, OPPONENTS, RACES)))
@@ -28,7 +35,9 @@ def differences(rng, *, ego=0.0, opponent=0.0, cell=0.0, line=0.0, mean=0.0):
 
 
 def arms(rng, shift=0.0):
-    """Scores of two arms that win and lose the same races; their chances vary with egos and opponents."""
+    """Scores of two arms that win and lose the same races; their chances vary with egos and
+    opponents.
+    """
     race, scores = rng.normal(size=len(EGO)), []
     for mean in (shift, 0.0):
         effects = 0.3 * rng.normal(size=EGOS)[EGO] + 0.3 * rng.normal(size=OPPONENTS)[OPPONENT]
@@ -38,21 +47,33 @@ def arms(rng, shift=0.0):
 
 @pytest.mark.parametrize(
     "effects",
-    [{}, {"ego": 0.2}, {"opponent": 0.2}, {"ego": 0.1, "opponent": 0.1}, {"ego": 0.1, "opponent": 0.1, "cell": 0.3}],
+    [
+        {},
+        {"ego": 0.2},
+        {"opponent": 0.2},
+        {"ego": 0.1, "opponent": 0.1},
+        {"ego": 0.1, "opponent": 0.1, "cell": 0.3},
+    ],
     ids=["none", "ego", "opponent", "crossed", "pairs"],
 )
 def test_the_clustered_interval_covers_whatever_differs(effects):
     rng = np.random.default_rng(11)
-    estimates = [clustered_mean(differences(rng, mean=0.1, **effects), EGO, OPPONENT) for _ in range(600)]
+    estimates = [
+        clustered_mean(differences(rng, mean=0.1, **effects), EGO, OPPONENT) for _ in range(600)
+    ]
     covered = np.mean([e.low <= 0.1 <= e.high for e in estimates])
     assert 0.92 <= covered <= (0.99 if not effects else 0.975)
 
 
 def test_false_positives_where_egos_and_opponents_differ():
-    """The paper's test takes the opponents as given, so it rejects far too often; the clustered one does not."""
+    """The paper's test takes the opponents as given, so it rejects far too often; the clustered one
+    does not.
+    """
     rng = np.random.default_rng(2)
     zeros = np.zeros(len(EGO))
-    results = [compare(differences(rng, ego=0.1, opponent=0.1), zeros, EGO, OPPONENT) for _ in range(600)]
+    results = [
+        compare(differences(rng, ego=0.1, opponent=0.1), zeros, EGO, OPPONENT) for _ in range(600)
+    ]
     assert 0.025 <= np.mean([r.p_clustered < 0.05 for r in results]) <= 0.08
     assert np.mean([r.p_paired_t < 0.05 for r in results]) >= 0.1
 
@@ -75,7 +96,10 @@ def slow_variance(x, *kinds):
 def test_the_variance_is_the_formula_where_races_are_missing():
     rng = np.random.default_rng(5)
     keep = rng.random(len(EGO)) < 0.4
-    x, kinds = differences(rng, ego=0.3, opponent=0.2)[keep], (EGO[keep], OPPONENT[keep], LINE[keep])
+    x, kinds = (
+        differences(rng, ego=0.3, opponent=0.2)[keep],
+        (EGO[keep], OPPONENT[keep], LINE[keep]),
+    )
     for number in (1, 2, 3):
         estimate = clustered_mean(x, *kinds[:number])
         assert estimate.se**2 == pytest.approx(slow_variance(x, *kinds[:number]), rel=1e-12)
@@ -86,7 +110,9 @@ def test_the_variance_is_the_formula_where_races_are_missing():
 
 
 def slow_pool_variance(x, ego, opponent):
-    """Races that share a policy in whichever role, each pair once: sums over policies less those over pairs of them."""
+    """Races that share a policy in whichever role, each pair once: sums over policies less those
+    over pairs of them.
+    """
     residual = [value - sum(x) / len(x) for value in x]
     policies, pairs = {}, {}
     for value, first, second in zip(residual, ego, opponent, strict=True):
@@ -110,12 +136,24 @@ def test_the_variance_of_a_pool_corrects_each_term_by_its_clusters_start_lines_a
         x = policy[ego] + policy[opponent] + 0.3 * rng.normal(size=40)
         expected = max(slow_pool_variance(x, ego, opponent), slow_variance(x, ego, opponent))
         assert slow_pool_variance(x, ego, opponent) > 0.0
-        assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
-        names = np.char.add("policy ", ego.astype(str)), np.char.add("policy ", opponent.astype(str))
-        assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(expected, rel=1e-9)
-    # Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds of policies.
+        assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(
+            expected, rel=1e-9
+        )
+        names = (
+            np.char.add("policy ", ego.astype(str)),
+            np.char.add("policy ", opponent.astype(str)),
+        )
+        assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(
+            expected, rel=1e-9
+        )
+    # Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds
+    # of policies.
     rng = np.random.default_rng(17)
-    ego, opponent, line = rng.integers(0, 400, 1500), rng.integers(0, 400, 1500), rng.integers(0, 300, 1500)
+    ego, opponent, line = (
+        rng.integers(0, 400, 1500),
+        rng.integers(0, 400, 1500),
+        rng.integers(0, 300, 1500),
+    )
     policy = rng.normal(size=400)
     x = policy[ego] + policy[opponent] + rng.normal(size=300)[line] + rng.normal(size=1500)
     e = (x - x.mean()) / 1500
@@ -126,7 +164,9 @@ def test_the_variance_of_a_pool_corrects_each_term_by_its_clusters_start_lines_a
 
 
 def test_a_negative_variance_is_no_certainty_and_no_difference_no_evidence():
-    """On a chess board the sums of rows and columns vanish: the two-way formula alone gives less than nothing."""
+    """On a chess board the sums of rows and columns vanish: the two-way formula alone gives less
+    than nothing.
+    """
     board = 0.01 + np.where((EGO + OPPONENT) % 2 == 0, 0.5, -0.5)
     estimate = clustered_mean(board, EGO, OPPONENT)
     assert estimate.se >= 0.99 * 0.5 / np.sqrt(EGOS * OPPONENTS)
@@ -134,7 +174,11 @@ def test_a_negative_variance_is_no_certainty_and_no_difference_no_evidence():
     scores = arms(np.random.default_rng(0))[0]
     result = compare(scores, scores, EGO, OPPONENT)
     assert (result.difference, result.low, result.high) == (0.0, 0.0, 0.0)
-    assert (result.p_clustered, result.p_paired_t, result.cohen_d) == (pytest.approx(1.0), pytest.approx(1.0), 0.0)
+    assert (result.p_clustered, result.p_paired_t, result.cohen_d) == (
+        pytest.approx(1.0),
+        pytest.approx(1.0),
+        0.0,
+    )
     result = compare([0.7, 0.6, 0.9], [0.6, 0.5, 0.8], [0, 1, 2], [0, 1, 1])
     assert result.p_paired_t == 0.0
     assert result.cohen_d == np.inf
@@ -143,7 +187,9 @@ def test_a_negative_variance_is_no_certainty_and_no_difference_no_evidence():
 
 @given(st.integers(0, 2**32 - 1))
 def test_symmetries_of_a_comparison(seed):
-    """Other names of clusters and another order of the races change nothing; swapping the arms changes the sign."""
+    """Other names of clusters and another order of the races change nothing; swapping the arms
+    changes the sign.
+    """
     rng = np.random.default_rng(seed)
     a, b = arms(rng, 0.2)
     result = compare(a, b, EGO, OPPONENT)
@@ -156,13 +202,25 @@ def test_symmetries_of_a_comparison(seed):
     assert (swapped.low, swapped.high) == pytest.approx((-result.high, -result.low))
     assert (swapped.mean_a, swapped.cohen_d) == pytest.approx((result.mean_b, -result.cohen_d))
     assert result.low <= result.difference <= result.high
-    assert (result.units, result.egos, result.opponents, result.df) == (len(a), EGOS, OPPONENTS, EGOS - 1)
+    assert (result.units, result.egos, result.opponents, result.df) == (
+        len(a),
+        EGOS,
+        OPPONENTS,
+        EGOS - 1,
+    )
 
 
 def test_a_comparison_counts_its_egos_and_its_opponents():
     some = OPPONENT < 5
-    result = compare(*(scores[some] for scores in arms(np.random.default_rng(0), 0.2)), EGO[some], OPPONENT[some])
-    assert (result.units, result.egos, result.opponents, result.df) == (EGOS * 5 * RACES, EGOS, 5, 4)
+    result = compare(
+        *(scores[some] for scores in arms(np.random.default_rng(0), 0.2)), EGO[some], OPPONENT[some]
+    )
+    assert (result.units, result.egos, result.opponents, result.df) == (
+        EGOS * 5 * RACES,
+        EGOS,
+        5,
+        4,
+    )
     a, b, ego = [1.0, 0.0, 1.0, 1.0], [0.0, 0.0, 1.0, 0.0], [0, 0, 1, 1]
     result = compare(a, b, ego, ["o"] * 4)
     alone = clustered_mean(np.subtract(a, b), ego)
@@ -179,7 +237,9 @@ def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
     assert result.p_paired_t == pytest.approx(expected.pvalue)
     assert result.cohen_d == pytest.approx(expected.statistic / np.sqrt(20))
     # An ego with fewer races than the others counts as much as they do.
-    some = compare(a[:-15], b[:-15], np.repeat(np.arange(20), 20)[:-15], np.tile(np.arange(20), 20)[:-15])
+    some = compare(
+        a[:-15], b[:-15], np.repeat(np.arange(20), 20)[:-15], np.tile(np.arange(20), 20)[:-15]
+    )
     means = np.add.reduceat(a[:-15] - b[:-15], np.arange(0, 400, 20)) / np.array([20] * 19 + [5])
     assert some.p_paired_t == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
 

@@ -70,7 +70,8 @@ def test_the_table_counts_every_ending_once(monkeypatch):
     assert a.races == b.races == 8
     assert (a.win, a.tie, a.loss, a.own_crash, a.other_crash) == (1 / 8, 1 / 8, 3 / 8, 2 / 8, 1 / 8)
     assert (b.win, b.tie, b.loss, b.own_crash, b.other_crash) == (3 / 8, 1 / 8, 1 / 8, 2 / 8, 1 / 8)
-    assert a.score == pytest.approx((2 + 0.5) / 8)  # a win, a crash that the other pays for, half a tie
+    # a win, a crash that the other pays for, half a tie
+    assert a.score == pytest.approx((2 + 0.5) / 8)
     assert b.score == pytest.approx((4 + 0.5) / 8)
     assert (a.overtakes, b.overtakes) == (3 / 8, 1 / 8)
     assert tournament_text(played(*rows)) == TEXT
@@ -89,8 +90,13 @@ def test_a_crash_that_pays_nobody_scores_nothing_and_races_from_one_place_are_on
     rows = [race("a", "b", crash="car", fault="both"), race("a", "b", crash="wall", fault="ego")]
     table = standings(played(*rows, config=load_race_config("paper")))
     assert [standing.score for standing in table] == [0.0, 0.0]
-    assert {(s.name, s.own_crash, s.other_crash) for s in table} == {("a", 1.0, 0.0), ("b", 0.5, 0.5)}
-    stranger = replace(tournament, races=race_table([tournament.races[0]._replace(opponent="somebody")]))
+    assert {(s.name, s.own_crash, s.other_crash) for s in table} == {
+        ("a", 1.0, 0.0),
+        ("b", 0.5, 0.5),
+    }
+    stranger = replace(
+        tournament, races=race_table([tournament.races[0]._replace(opponent="somebody")])
+    )
     refused("'somebody' raced, but is not one of lattice:", standings, stranger)
     # Whatever their numbers: twice the races from the same places tell no more than once.
     doubled = replace(tournament.races, race=tournament.races.race + 6)
@@ -106,9 +112,14 @@ def test_best_of_three_counts_as_one_race():
     rows = [race("a", "b", race=i, winner=end) for i, end in enumerate(ends)]
     tournament = played(*rows, config=load_race_config("roboracer", duration=6.0))
     assert tournament.series.winner.tolist() == [0, -1, 1]
-    assert {(s.name, s.score, s.races) for s in standings(tournament)} == {("a", 0.5, 8), ("b", 0.5, 8)}
+    assert {(s.name, s.score, s.races) for s in standings(tournament)} == {
+        ("a", 0.5, 8),
+        ("b", 0.5, 8),
+    }
     assert "best of 3 won" in tournament_text(tournament)
-    crashed = [race("a", "b", race=i, winner="ego", crash="car", fault="opponent") for i in range(3)]
+    crashed = [
+        race("a", "b", race=i, winner="ego", crash="car", fault="opponent") for i in range(3)
+    ]
     a, b = standings(played(*crashed, config=load_race_config("roboracer", duration=6.0)))
     assert (a.score, b.score, b.own_crash) == (1.0, 0.0, 1.0)
 
@@ -126,19 +137,31 @@ def test_the_text_and_the_picture_hold_the_table(tournament, mixed, tmp_path):
 
 
 def test_pictures_hold_each_number_at_its_place():
-    """Scores in the cells of their agents, in digits that can be read; ratings below each other, the best on top."""
+    """Scores in the cells of their agents, in digits that can be read; ratings below each other,
+    the best on top.
+    """
     scores = np.array([[np.nan, 1.0, 0.625], [0.0, np.nan, np.nan], [0.375, np.nan, np.nan]])
     (axes,) = payoffs_picture(["one", "two", "three"], scores).axes
     (image,) = axes.images
     assert image.get_clim() == (-0.15, 1.15)  # so that neither end of the scale is black
     np.testing.assert_array_equal(image.get_array().filled(np.nan), scores)
-    cells = {text.get_position(): (text.get_text(), text.get_color() == "white") for text in axes.texts}
-    assert cells == {(1, 0): ("1.00", True), (2, 0): ("0.62", False), (0, 1): ("0.00", True), (0, 2): ("0.38", False)}
+    cells = {
+        text.get_position(): (text.get_text(), text.get_color() == "white") for text in axes.texts
+    }
+    assert cells == {
+        (1, 0): ("1.00", True),
+        (2, 0): ("0.62", False),
+        (0, 1): ("0.00", True),
+        (0, 2): ("0.38", False),
+    }
     for axis in (axes.xaxis, axes.yaxis):
         assert axis.get_ticklocs().tolist() == [0, 1, 2]
         assert [label.get_text() for label in axis.get_ticklabels()] == ["one", "two", "three"]
     assert axes.get_xlabel() == "score of the row's agent against the column's"
-    assert (axes.xaxis.get_ticks_position(), any(spine.get_visible() for spine in axes.spines.values())) == (
+    assert (
+        axes.xaxis.get_ticks_position(),
+        any(spine.get_visible() for spine in axes.spines.values()),
+    ) == (
         "top",
         False,
     )
@@ -151,14 +174,21 @@ def test_pictures_hold_each_number_at_its_place():
     _, *lines = (line.get_xydata() for line in axes.lines)
     elo = 400.0 / np.log(10.0)
     expected = [
-        [[elo * ratings.low[1], 0.0], [elo * ratings.high[1], 0.0]], [[elo, 0.0]], [[0.0, -1.0]],
-        [[elo * ratings.low[2], -2.0], [elo * ratings.high[2], -2.0]], [[-elo, -2.0]],
-    ]  # fmt: skip
+        [[elo * ratings.low[1], 0.0], [elo * ratings.high[1], 0.0]],
+        [[elo, 0.0]],
+        [[0.0, -1.0]],
+        [[elo * ratings.low[2], -2.0], [elo * ratings.high[2], -2.0]],
+        [[-elo, -2.0]],
+    ]
     assert len(lines) == len(expected)
     for line, points in zip(lines, expected, strict=True):
         np.testing.assert_allclose(line, points)
     labels = zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)
-    assert [(place, label.get_text()) for place, label in labels] == [(0, "b"), (-1, "a"), (-2, "c")]
+    assert [(place, label.get_text()) for place, label in labels] == [
+        (0, "b"),
+        (-1, "a"),
+        (-2, "c"),
+    ]
     assert axes.get_ylim() == (-2.6, 0.6)
     assert axes.get_xlabel() == "rating (Bradley-Terry; 400 are odds of ten to one; mean 0)"
     assert axes.figure.get_size_inches() == pytest.approx([7.2, 0.9 + 0.3 * 3])

@@ -4,7 +4,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, GameState, PolicyArchive, RaceGame, Starts, Track, load_track, make_game
+from pcs_racing import (
+    CONTEST,
+    GameState,
+    PolicyArchive,
+    RaceGame,
+    Starts,
+    Track,
+    load_track,
+    make_game,
+)
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.trees import RaceTree
 
@@ -16,14 +25,18 @@ def track() -> Track:
 
 @pytest.fixture(scope="session")
 def archive() -> PolicyArchive:
-    """Nine policies from slow to fast; made up, so that no other archive of the project decides what is tested."""
+    """Nine policies from slow to fast; made up, so that no other archive of the project decides
+    what is tested.
+    """
     pace = np.linspace(0.05, 0.95, 9)
     odd = np.arange(9) % 2
     values = [{"pace": p, "side_margin": 0.25 + 0.1 * o} for p, o in zip(pace, odd, strict=True)]
     theta = [LATTICE.policy(one).parameters for one in values]
     coordinates = np.stack([20.0 * pace - 10.0, 2.0 - pace + 0.7 * odd], axis=1)
     names = ("aggressiveness", "restraint")
-    return PolicyArchive("tiny", "lattice", LATTICE.parameter_names, np.array(theta), names, coordinates)
+    return PolicyArchive(
+        "tiny", "lattice", LATTICE.parameter_names, np.array(theta), names, coordinates
+    )
 
 
 @pytest.fixture(scope="session")
@@ -35,14 +48,29 @@ def paper(track, archive) -> RaceGame:
 @pytest.fixture(scope="session")
 def noisy(track, archive) -> RaceGame:
     """Games with noise, in which some crash."""
-    return make_game(track, archive, replace(CONTEST, steering_noise=0.03), moves=2, step_seconds=6.0, epsilon=0.35)
+    return make_game(
+        track,
+        archive,
+        replace(CONTEST, steering_noise=0.03),
+        moves=2,
+        step_seconds=6.0,
+        epsilon=0.35,
+    )
 
 
 @pytest.fixture(scope="session")
 def far(track, archive) -> RaceGame:
     """Games of cars that start out of each other's sight, and in which some crash."""
-    rules = {"moves": 3, "step_seconds": 6.0, "utility": "lead-at-crash", "fault_penalty": 3.0, "epsilon": 0.35}
-    return make_game(track, archive, replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.02), **rules)
+    rules = {
+        "moves": 3,
+        "step_seconds": 6.0,
+        "utility": "lead-at-crash",
+        "fault_penalty": 3.0,
+        "epsilon": 0.35,
+    }
+    return make_game(
+        track, archive, replace(CONTEST, name="far", start_gap=20.0, steering_noise=0.02), **rules
+    )
 
 
 @pytest.fixture(scope="session")

@@ -23,7 +23,9 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
     ends = played(paper, tree, 0, every)
     np.testing.assert_array_equal(tree.payoffs[0], paper.reward(ends)[:, 0].astype(np.float32))
     table = tree.payoffs[0].reshape(4, 4, 4, 4)
-    assert table[2, 1, 0, 3] == paper.reward(ends)[number(np.array([[[2, 1], [0, 3]]]), 4)[0], 0].astype(np.float32)
+    assert table[2, 1, 0, 3] == paper.reward(ends)[
+        number(np.array([[[2, 1], [0, 3]]]), 4)[0], 0
+    ].astype(np.float32)
     assert tree.statistics.crashed == ends.race.crashed.mean()
 
 
@@ -37,8 +39,12 @@ def test_a_tree_may_begin_before_the_start(paper, played):
     assert (tree.leads[0] == game.reset(games=1, policies=(2, 7), starts=starts).leads[0, 0]).all()
 
 
-@pytest.mark.parametrize(("name", "policies", "line", "side"), [("noisy", (7, 6), 1, 1), ("far", (7, 1), 0, 0)])
-def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, side, request, played, number):
+@pytest.mark.parametrize(
+    ("name", "policies", "line", "side"), [("noisy", (7, 6), 1, 1), ("far", (7, 1), 0, 0)]
+)
+def test_what_is_seen_on_the_way_is_what_the_game_shows(
+    name, policies, line, side, request, played, number
+):
     game = request.getfixturevalue(name)
     tree = build_tree(game, policies, (float(game.start_lines[line]), side), [1, 2])
     options, moves = tree.options, tree.moves
@@ -53,14 +59,22 @@ def test_what_is_seen_on_the_way_is_what_the_game_shows(name, policies, line, si
             over = state.race.crashed
             crashes[k] += int(over.sum())
             if k == moves:
-                np.testing.assert_array_equal(tree.payoffs[seed][nodes], game.reward(state)[:, 0].astype(np.float32))
+                np.testing.assert_array_equal(
+                    tree.payoffs[seed][nodes], game.reward(state)[:, 0].astype(np.float32)
+                )
                 continue
             np.testing.assert_array_equal(tree.over[k][seed, nodes], over)
-            np.testing.assert_array_equal(tree.observations(k)[seed, nodes], game.observation(state))
+            np.testing.assert_array_equal(
+                tree.observations(k)[seed, nodes], game.observation(state)
+            )
             np.testing.assert_array_equal(tree.leads[k][seed, nodes], state.leads[:, k])
-            np.testing.assert_array_equal(tree.estimates[k][seed, nodes], state.estimates[:, :, k].astype(np.float32))
+            np.testing.assert_array_equal(
+                tree.estimates[k][seed, nodes], state.estimates[:, :, k].astype(np.float32)
+            )
             np.testing.assert_array_equal(tree.policy[k][nodes][~over], state.policy[~over])
-    assert crashes[moves] > crashes[1] >= (name == "noisy"), "choose other noise: this test needs crashes"
+    assert crashes[moves] > crashes[1] >= (name == "noisy"), (
+        "choose other noise: this test needs crashes"
+    )
     assert not np.array_equal(tree.payoffs[0], tree.payoffs[1])
 
 
@@ -78,12 +92,16 @@ def test_putting_far_races_together_changes_no_bit_nor_do_threads(far, noisy, mo
 
 
 def test_cars_within_sight_and_drivers_that_promise_none_are_driven_together(track, archive):
-    """The car behind is the faster one: what can be put together must end where it comes within sight."""
+    """The car behind is the faster one: what can be put together must end where it comes within
+    sight.
+    """
     rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead", "epsilon": 0.35}
     game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
     place = (float(game.start_lines[5]), 0)
     tree = build_tree(game, (4, 7), place)
-    assert_same(tree.arrays(), build_tree(game, (4, 7), place, share=False).arrays(), skip=("driven",))
+    assert_same(
+        tree.arrays(), build_tree(game, (4, 7), place, share=False).arrays(), skip=("driven",)
+    )
     assert np.abs(tree.leads[1]).max() > 20.0
     assert np.abs(tree.payoffs).min() < 11.0
     assert 0.2 * tree.statistics.live < tree.statistics.driven < 0.8 * tree.statistics.live
@@ -91,7 +109,9 @@ def test_cars_within_sight_and_drivers_that_promise_none_are_driven_together(tra
     named = ("pursuers", "pure-pursuit", PURE_PURSUIT.parameter_names)
     archive = PolicyArchive(*named, theta, ("pace", "restraint"), [[0, 1], [1, 0], [2, 2]])
     rules = replace(CONTEST, start_gap=20.0, steering_noise=0.0)
-    tree = build_tree(make_game(track, archive, rules, moves=2, step_seconds=2.0), (0, 1), (20.0, 0))
+    tree = build_tree(
+        make_game(track, archive, rules, moves=2, step_seconds=2.0), (0, 1), (20.0, 0)
+    )
     assert tree.statistics.driven == tree.statistics.live
 
 
@@ -108,7 +128,9 @@ def test_a_tree_of_several_seeds_is_the_trees_of_each_and_its_game_their_mean(no
 
 
 def test_a_root_that_is_over_has_one_outcome(noisy, played):
-    """Policies that crash while they watch: nothing is driven after that, and all leaves are worth the same."""
+    """Policies that crash while they watch: nothing is driven after that, and all leaves are worth
+    the same.
+    """
     place = Starts(np.full(60, noisy.start_lines[0]), np.zeros(60, np.int64))
     over = np.flatnonzero(noisy.reset(np.arange(60), policies=(8, 7), starts=place).race.crashed)
     tree = build_tree(noisy, (8, 7), (float(noisy.start_lines[0]), 0), [over[0]])
@@ -124,7 +146,9 @@ def test_the_statistics_count_what_they_say_and_histories_stand_in_row_major_ord
     tree = build_tree(paper, (2, 7), (float(paper.start_lines[1]), 1))
     s = tree.statistics
     assert (s.seeds, s.shared, s.replayed) == (1, 1 + 16 + 256, 3 * 256)
-    counts = [[len({tuple(p) for p in sequences(paper, start, k)}) for k in range(3)] for start in (2, 7)]
+    counts = [
+        [len({tuple(p) for p in sequences(paper, start, k)}) for k in range(3)] for start in (2, 7)
+    ]
     if not tree.over[1].any():
         assert s.live == sum(a * b for a, b in zip(*counts, strict=True))
     assert s.duplicates == 1.0 - counts[0][2] * counts[1][2] / 256
@@ -158,9 +182,16 @@ def test_impossible_roots_and_games_without_a_tree_are_refused(paper, track):
         ({"seeds": []}, r"seeds are \[\]"),
         ({"seeds": [-1]}, r"seeds are .*-1.*"),
     ]:
-        refused(message, build_tree, paper, **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change})
+        refused(
+            message,
+            build_tree,
+            paper,
+            **{"policies": (2, 7), "start": (20.0, 0), "seeds": [1], **change},
+        )
     with pytest.raises(InputError, match="4 moves with 9 choices"):
-        build_tree(make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0))
+        build_tree(
+            make_game(track, paper.archive, epsilon=(0.2, 0.4), stay=True), (2, 7), (20.0, 0)
+        )
     outside = replace(paper, opponent_planner="pure-pursuit")
     refused(r"car 1 .*'pure-pursuit'", build_tree, outside, (2, 7), (20.0, 0))
     refused("move 2 ", build_tree(paper, (2, 7), (20.0, 0)).observations, 2)
@@ -168,7 +199,9 @@ def test_impossible_roots_and_games_without_a_tree_are_refused(paper, track):
 
 @given(
     table=st.integers(1, 5).flatmap(
-        lambda k: st.lists(st.lists(st.integers(0, k - 1), min_size=3, max_size=3), min_size=k, max_size=k)
+        lambda k: st.lists(
+            st.lists(st.integers(0, k - 1), min_size=3, max_size=3), min_size=k, max_size=k
+        )
     ),
     moves=st.integers(0, 3),
 )
@@ -182,7 +215,9 @@ def test_every_history_goes_along_its_policies_and_no_path_comes_twice(table, mo
     for level in range(moves + 1):
         every = [along(level, path) for path in range(paths.count(level))]
         assert len(set(every)) == len(every)
-        for history, path in zip(product(range(3), repeat=level), paths.history[level], strict=True):
+        for history, path in zip(
+            product(range(3), repeat=level), paths.history[level], strict=True
+        ):
             expected = [0]
             for move in history:
                 expected.append(table[expected[-1]][move])

@@ -23,7 +23,9 @@ def contents(trees) -> list[bytes]:
     return [trees.file(i).read_bytes() for i in range(len(trees))]
 
 
-def test_trees_come_back_as_they_were_played_and_the_manifest_names_what_decides_them(paper, stored):
+def test_trees_come_back_as_they_were_played_and_the_manifest_names_what_decides_them(
+    paper, stored
+):
     assert len(stored) == len(list(stored)) == 3
     for i, tree in enumerate(stored):
         assert tree.policies.tolist() == PAIRS[i]
@@ -37,8 +39,16 @@ def test_trees_come_back_as_they_were_played_and_the_manifest_names_what_decides
     assert settings["archive"] == {"name": "tiny", "sha256": paper.archive.content_hash}
     assert settings["track"] == {"name": "Tarnfjord", "sha256": paper.track.content_hash}
     assert settings["preset"] == "paper"
-    assert (settings["rules"]["epsilon"], settings["rules"]["moves"], settings["seeds_per_pair"]) == (0.35, 2, 1)
-    assert tuple(settings["encoding"]) == stored.elements == tuple(e.name for e in paper.observation_elements)
+    assert (
+        settings["rules"]["epsilon"],
+        settings["rules"]["moves"],
+        settings["seeds_per_pair"],
+    ) == (0.35, 2, 1)
+    assert (
+        tuple(settings["encoding"])
+        == stored.elements
+        == tuple(e.name for e in paper.observation_elements)
+    )
     stored.check(paper)
 
 
@@ -52,21 +62,34 @@ def test_what_is_missing_or_damaged_is_made_again_to_the_byte(paper, stored, cap
     with pytest.raises(InputError, match=r"tree-00002\.npz is damaged"):
         stored[2]
     calls = []
-    again = build_trees(paper, stored.folder, pairs=PAIRS, seed=3, progress=lambda *call: calls.append(call))
+    again = build_trees(
+        paper, stored.folder, pairs=PAIRS, seed=3, progress=lambda *call: calls.append(call)
+    )
     assert contents(again) == whole
     assert "tree-00002.npz" in caplog.text
     assert calls == [(1, 3, "tree"), (2, 3, "tree"), (3, 3, "tree")]
 
 
-def test_trees_of_another_game_renamed_files_and_other_folders_are_noticed(paper, noisy, stored, track, tmp_path):
-    other = replace(paper.archive, coordinates=1.1 * paper.archive.coordinates, ideal=None, nadir=None)
+def test_trees_of_another_game_renamed_files_and_other_folders_are_noticed(
+    paper, noisy, stored, track, tmp_path
+):
+    other = replace(
+        paper.archive, coordinates=1.1 * paper.archive.coordinates, ideal=None, nadir=None
+    )
     assert len(load_trees(stored.folder, paper.archive)) == 3
     refused(r"archive 'tiny' .*not with 'tiny'", load_trees, stored.folder, other)
     refused("archive sha256 is", stored.check, make_game(track, other, paper.config))
     refused("preset is 'paper', not 'contest'", stored.check, noisy)
-    refused("moves is 2, not 1", stored.check, replace(paper, config=replace(paper.config, moves=1)))
+    refused(
+        "moves is 2, not 1", stored.check, replace(paper, config=replace(paper.config, moves=1))
+    )
     with pytest.raises(InputError, match=r"rules\.moves is 2, not 1"):
-        build_trees(replace(paper, config=replace(paper.config, moves=1)), stored.folder, pairs=PAIRS, seed=3)
+        build_trees(
+            replace(paper, config=replace(paper.config, moves=1)),
+            stored.folder,
+            pairs=PAIRS,
+            seed=3,
+        )
     stored.file(2).rename(stored.file(1))
     with pytest.raises(InputError, match=r"policies \[4, 4\]"):
         stored[1]
@@ -123,6 +146,11 @@ def test_pairs_are_different_and_nobody_crashes_before_the_first_move(paper, noi
     rng = np.random.default_rng(0)
     for _ in range(3):
         root = draw_root(noisy, np.array([8, 7]), 3, rng)
-        tree = build_tree(replace(noisy, config=replace(noisy.config, moves=1)), root.policies, root[1:3], root.seeds)
+        tree = build_tree(
+            replace(noisy, config=replace(noisy.config, moves=1)),
+            root.policies,
+            root[1:3],
+            root.seeds,
+        )
         assert not tree.over[0].any()
         assert len(np.unique(root.seeds)) == 3

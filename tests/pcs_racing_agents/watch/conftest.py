@@ -7,5 +7,8 @@ from pcs_racing_agents.cli.main import main
 def page(tournament_folder, tmp_path_factory):
     """Its page, with five races to watch."""
     path = tmp_path_factory.mktemp("pages") / "view.html"
-    assert main(["view", str(tournament_folder[0]), "--replays", "5", "--out", str(path), "--no-open"]) == 0
+    assert (
+        main(["view", str(tournament_folder[0]), "--replays", "5", "--out", str(path), "--no-open"])
+        == 0
+    )
     return path

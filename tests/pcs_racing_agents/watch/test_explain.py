@@ -40,7 +40,9 @@ def network_of(spec, target="advantage", **training):
 def explained(contest, ego, rival, **options):
     """A race that is not over before the moves are made."""
     start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
-    return explain_game(contest, ego, rival, policies=[4, 6], start=start, seed=int(race_seeds(5, 8)[0]), **options)
+    return explain_game(
+        contest, ego, rival, policies=[4, 6], start=start, seed=int(race_seeds(5, 8)[0]), **options
+    )
 
 
 @pytest.fixture(scope="module")
@@ -57,17 +59,28 @@ def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(cont
     for k, step in enumerate(race.steps):
         assert step.time == pytest.approx(0.8 * (k + 1))
         assert step.policy == state.policy[0, 0]
-        assert step.own == pytest.approx(np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6)
-        assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)  # measured in the step before
-        assert step.lead == pytest.approx(race.lead[round(step.time / race.replay.frame_dt)], abs=1e-3)
+        assert step.own == pytest.approx(
+            np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6
+        )
+        # measured in the step before
+        assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)
+        assert step.lead == pytest.approx(
+            race.lead[round(step.time / race.replay.frame_dt)], abs=1e-3
+        )
         assert step.move == np.argmax(step.values)
         assert step.probabilities[step.move] == 1.0
         assert step.next_policy == spec.table[step.policy, step.move]
         state = contest.step(state, np.array([[step.move, step.opponent_move]]))
     assert contest.done(state).all()
     assert race.played.lead == state.race.lead
-    events = [(event.time, event.car, event.text) for event in race.replay.events if event.kind == "move"]
-    made = [(step.time, car, race.moves[(step.move, step.opponent_move)[car]]) for step in race.steps for car in (0, 1)]
+    events = [
+        (event.time, event.car, event.text) for event in race.replay.events if event.kind == "move"
+    ]
+    made = [
+        (step.time, car, race.moves[(step.move, step.opponent_move)[car]])
+        for step in race.steps
+        for car in (0, 1)
+    ]
     assert sorted(events) == sorted(made)
 
 
@@ -83,30 +96,59 @@ def test_the_other_car_sees_the_other_side(contest, spec):
 
 @pytest.fixture(scope="module")
 def told(race):
-    """Two decisions of car 0 in a race of five, whose lead is made up, and which a crash ends at 2 s."""
+    """Two decisions of car 0 in a race of five, whose lead is made up, and which a crash ends at 2
+    s.
+    """
     time = np.linspace(0.0, 2.0, 41)
     lead = np.interp(time, [0.0, 0.8, 1.6, 2.0], [0.0, 1.0, 2.3, -0.25])
-    cars = np.stack([np.stack([time, car + 0.1 * time, *[time] * 5], axis=1) for car in (0.0, 1.0)], axis=1)
-    moments = [(0.8, 1, "overtake", "no longer"), (1.2, 0, "overtake", "passed"), (1.6, 1, "brake", "braked")]
-    events = [ReplayEvent(*moment) for moment in [*moments, (1.7, 0, "move", "stay"), (2.4, 1, "crash", "hit a wall")]]
+    cars = np.stack(
+        [np.stack([time, car + 0.1 * time, *[time] * 5], axis=1) for car in (0.0, 1.0)], axis=1
+    )
+    moments = [
+        (0.8, 1, "overtake", "no longer"),
+        (1.2, 0, "overtake", "passed"),
+        (1.6, 1, "brake", "braked"),
+    ]
+    events = [
+        ReplayEvent(*moment)
+        for moment in [*moments, (1.7, 0, "move", "stay"), (2.4, 1, "crash", "hit a wall")]
+    ]
     replay = replace(
-        race.replay, cars=cars, progress=np.stack([lead, 0.0 * lead], axis=1), ittc=None, paths=None, events=events,
-        frame_dt=0.05, outcome="car 1 crashed",
-    )  # fmt: skip
+        race.replay,
+        cars=cars,
+        progress=np.stack([lead, 0.0 * lead], axis=1),
+        ittc=None,
+        paths=None,
+        events=events,
+        frame_dt=0.05,
+        outcome="car 1 crashed",
+    )
     first, second = race.steps[:2]
     values, chances = np.array([0.3, 0.1, 0.22, -0.1, 0.2]), np.array([0.6, 0.0, 0.4, 0.0, 0.0])
     steps = (
         first._replace(
-            time=0.8, lead=1.0, opponent=race.middle + np.array([0.12, -0.3]), move=0, policy=3, next_policy=5,
+            time=0.8,
+            lead=1.0,
+            opponent=race.middle + np.array([0.12, -0.3]),
+            move=0,
+            policy=3,
+            next_policy=5,
             values=values,
-            probabilities=chances, opponent_move=1,
+            probabilities=chances,
+            opponent_move=1,
         ),
         second._replace(
-            time=1.6, lead=2.26, opponent=race.middle + np.array([-0.31, 0.05]), move=2, policy=5, next_policy=5,
+            time=1.6,
+            lead=2.26,
+            opponent=race.middle + np.array([-0.31, 0.05]),
+            move=2,
+            policy=5,
+            next_policy=5,
             values=values,
-            probabilities=np.eye(5)[2], opponent_move=-1,
+            probabilities=np.eye(5)[2],
+            opponent_move=-1,
         ),
-    )  # fmt: skip
+    )
     return replace(race, steps=steps, replay=replay, ends=(0.8, 1.6, 2.4, 3.2, 4.0))
 
 
@@ -115,33 +157,57 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
     by, to = ("aggressiveness", "restraint")
     assert story(told).splitlines() == [
         "cfr-argmax (car 0) against random-moves on oval, contest rules: car 1 crashed",
-        "  0.8 s  saw: opponent aggressive and daring (aggressiveness 0.12 above the middle, restraint 0.30 below the "
-        "middle); ahead by 1.0 m.",
-        "         did: aggressiveness + (drawn with a chance of 60%), from policy 3 to 5 "
-        f"({by} {before[0]:.2f} to {after[0]:.2f}, {to} {before[1]:.2f} to {after[1]:.2f}).",
-        "         why: worth 0.100 of a win more than staying, 0.080 of a win more than restraint +.",
-        "         then: gained 1.3 m, ahead by 2.3 m; it passed at 1.2 s; the opponent braked at 1.6 s.",
-        "  1.6 s  saw: opponent restrained (aggressiveness 0.31 below the middle, restraint 0.05 above the middle); "
-        "ahead by 2.3 m.",
+        (
+            "  0.8 s  saw: opponent aggressive and daring (aggressiveness 0.12 above the middle,"
+            " restraint 0.30 below the middle); ahead by 1.0 m."
+        ),
+        (
+            "         did: aggressiveness + (drawn with a chance of 60%), from policy 3 to 5 "
+            f"({by} {before[0]:.2f} to {after[0]:.2f}, {to} {before[1]:.2f} to {after[1]:.2f})."
+        ),
+        (
+            "         why: worth 0.100 of a win more than staying, 0.080 of a win more than"
+            " restraint +."
+        ),
+        (
+            "         then: gained 1.3 m, ahead by 2.3 m; it passed at 1.2 s; the opponent braked"
+            " at 1.6 s."
+        ),
+        (
+            "  1.6 s  saw: opponent restrained (aggressiveness 0.31 below the middle, restraint"
+            " 0.05 above the middle); ahead by 2.3 m."
+        ),
         "         did: restraint +, no policy lies that way: kept policy 5.",
         "         why: it keeps the policy, so its value is that of staying.",
         "         then: lost 2.5 m, level; the opponent hit a wall at 2.4 s.",
     ]
-    still = told.steps[0]._replace(lead=2.26, move=4, next_policy=3, opponent=told.middle, probabilities=None)
+    still = told.steps[0]._replace(
+        lead=2.26, move=4, next_policy=3, opponent=told.middle, probabilities=None
+    )
     lines = story(replace(told, steps=(still,))).splitlines()
-    assert lines[1].startswith("  0.8 s  saw: opponent in the middle of the archive (aggressiveness 0.00 below")
+    assert lines[1].startswith(
+        "  0.8 s  saw: opponent in the middle of the archive (aggressiveness 0.00 below"
+    )
     assert lines[2] == "         did: stay, kept policy 3."
     assert lines[4].startswith("         then: no change, ahead by 2.3 m; it passed")
     empty = replace(told, steps=())
     assert story(empty).splitlines()[1:] == ["The race was over before the first move."]
     assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
-    for lead, words in [(3.14, "ahead by 3.1 m"), (-0.4, "behind by 0.4 m"), (0.3, "ahead by 0.3 m"), (0.29, "level")]:
+    for lead, words in [
+        (3.14, "ahead by 3.1 m"),
+        (-0.4, "behind by 0.4 m"),
+        (0.3, "ahead by 0.3 m"),
+        (0.29, "level"),
+    ]:
         assert lead_words(lead) == words
 
 
 def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, spec):
     step = race.steps[0]._replace(move=0, values=np.array([0.3, 0.1, 0.22, -0.1, 0.2]))
-    assert why(race, step) == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
+    assert (
+        why(race, step)
+        == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
+    )
     assert why(race, step._replace(move=4)) == "worth 0.100 of a win less than aggressiveness +"
     drawn = step._replace(move=2, values=np.array([0.3, 0.1, 0.22]))
     assert why(race, drawn) == "worth 0.080 of a win less than aggressiveness +"
@@ -149,16 +215,34 @@ def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, s
     assert why(race, step._replace(values=None)) == ""
     assert why(race, step._replace(values=np.array([0.3]))) == "there is no other move"
     metres, bare = (replace(race, unit=Unit(0.5, text)) for text in ("m of lead", ""))
-    assert why(metres, step) == "worth 0.05 m of lead more than staying, 0.04 m of lead more than restraint +"
-    assert why(bare, step) == "the highest value of all moves, worth 0.05 more than staying, 0.04 more than restraint +"
-    assert why(bare, step._replace(move=2)) == "worth 0.01 more than staying, 0.04 less than aggressiveness +"
+    assert (
+        why(metres, step)
+        == "worth 0.05 m of lead more than staying, 0.04 m of lead more than restraint +"
+    )
+    assert (
+        why(bare, step)
+        == "the highest value of all moves, worth 0.05 more than staying, 0.04 more than"
+        " restraint +"
+    )
+    assert (
+        why(bare, step._replace(move=2))
+        == "worth 0.01 more than staying, 0.04 less than aggressiveness +"
+    )
     habit = replace(race, default=DefaultStrategy("habit", 0.25))
     for change, words in [
-        ({"move": 2, "default_move": 0}, "worth 0.000 of a win more than aggressiveness +, what habit would do, and "),
+        (
+            {"move": 2, "default_move": 0},
+            "worth 0.000 of a win more than aggressiveness +, what habit would do, and ",
+        ),
         ({"move": 0, "default_move": 0}, "what habit would do, and the best move too"),
-        ({"move": 4, "default_move": 4}, "keeps to habit: the best move, aggressiveness +, promises 0.300 of a win "
-         "more, which is not above the margin of 0.250 of a win"),
-    ]:  # fmt: skip
+        (
+            {"move": 4, "default_move": 4},
+            (
+                "keeps to habit: the best move, aggressiveness +, promises 0.300 of a win "
+                "more, which is not above the margin of 0.250 of a win"
+            ),
+        ),
+    ]:
         values = step.values[: 4 if change["move"] == 4 else 5]
         assert why(habit, step._replace(**change, values=values)).startswith(words)
     assert value_unit(network_of(spec, worth="win"), "lead") == Unit(1.0, "of a win")
@@ -184,7 +268,9 @@ def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, s
     assert left
     for step in left:
         gain = step.values[step.move] - step.values[step.default_move]
-        assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(bold, step)
+        assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(
+            bold, step
+        )
 
 
 def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
@@ -194,9 +280,24 @@ def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
     race = explained(contest, build("lane-switcher", spec), build("random-moves", spec), car=1)
     assert re.search(r"drawn with a chance of 2[05]%", story(race))
     cars = build("never-switch", spec), build("lane-switcher", spec)
-    refused("'lane-switcher' in car 1 makes no moves.*; try the other car", explained, contest, *cars, car=1)
-    refused("car 0 makes no moves.*; nor does the other car's", explained, contest, *cars[1:], *cars[1:])
-    refused("car is 2", explained, contest, build("never-switch", spec), build("never-switch", spec), car=2)
+    refused(
+        "'lane-switcher' in car 1 makes no moves.*; try the other car",
+        explained,
+        contest,
+        *cars,
+        car=1,
+    )
+    refused(
+        "car 0 makes no moves.*; nor does the other car's", explained, contest, *cars[1:], *cars[1:]
+    )
+    refused(
+        "car is 2",
+        explained,
+        contest,
+        build("never-switch", spec),
+        build("never-switch", spec),
+        car=2,
+    )
     race = explained(contest, Model(), build("never-switch", spec))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
@@ -206,12 +307,21 @@ def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
 def marks(axes):
     """Signs that stand alone: marker, place, and colour of its face."""
     found = [line for line in axes.lines if len(line.get_xdata()) == 1]
-    return [(one.get_marker(), one.get_xydata()[0].tolist(), one.get_markerfacecolor()) for one in found]
+    return [
+        (one.get_marker(), one.get_xydata()[0].tolist(), one.get_markerfacecolor()) for one in found
+    ]
 
 
 def written(axes):
-    return {(text.get_text(), tuple(np.round(text.xy if hasattr(text, "xy") else text.get_position(), 9).tolist()),
-             text.get_color()) for text in axes.texts if text.get_text()}  # fmt: skip
+    return {
+        (
+            text.get_text(),
+            tuple(np.round(text.xy if hasattr(text, "xy") else text.get_position(), 9).tolist()),
+            text.get_color(),
+        )
+        for text in axes.texts
+        if text.get_text()
+    }
 
 
 def test_the_signs_of_a_race_stand_where_things_happened(told):
@@ -226,11 +336,16 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     signs += [("^", at[16][1], CARS[1]), ("^", at[24][0], CARS[0]), ("^", at[32][1], CARS[1])]
     assert marks(track) == [*signs, ("X", at[-1][1], "#c22443")]
     numbers = {
-        (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()), "white") for k in (0, 1) for car in (0, 1)
+        (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()), "white")
+        for k in (0, 1)
+        for car in (0, 1)
     }
     assert written(track) == numbers
     assert track.get_title("left").endswith(", triangle: overtake, cross: crash")
-    loops, paths = join_segments(told.replay.walls), [told.replay.cars[:, car, :2] for car in (0, 1)]
+    loops, paths = (
+        join_segments(told.replay.walls),
+        [told.replay.cars[:, car, :2] for car in (0, 1)],
+    )
     drawn = [line.get_xydata() for line in track.lines if len(line.get_xdata()) > 1]
     for line, expected in zip(drawn, [*loops, *paths], strict=True):
         np.testing.assert_array_equal(line, expected)
@@ -239,27 +354,43 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     (arrow,) = (text for text in space.texts if text.get_text() == "")
     assert (*arrow.xy, *arrow.xyann) == (*after, *before)
     assert marks(space) == [("o", before.tolist(), CARS[0]), ("o", after.tolist(), CARS[0])]
-    seen = [tuple(np.round(in_units(told.archive, step.opponent)[[1, 0]], 9).tolist()) for step in told.steps]
+    seen = [
+        tuple(np.round(in_units(told.archive, step.opponent)[[1, 0]], 9).tolist())
+        for step in told.steps
+    ]
     assert written(space) == {
         ("1", tuple(np.round((before + after) / 2.0, 9)), "white"),
-        ("1", seen[0], "white"), ("2", seen[1], "white"), ("2: kept", tuple(np.round(after, 9).tolist()), CARS[0]),
+        ("1", seen[0], "white"),
+        ("2", seen[1], "white"),
+        ("2: kept", tuple(np.round(after, 9).tolist()), CARS[0]),
         ("cfr-argmax: arrows", (0.99, 0.99), CARS[0]),
         ("random-moves: as measured before each move", (0.99, 0.94), CARS[1]),
-    }  # fmt: skip
+    }
     # The lead from -0.25 to 2.3 m, with room for the names of the moves.
     low, high, reach = -1.0, 2.3, 3.3
-    assert (*lead.get_ylim(), *lead.get_xlim()) == pytest.approx((low - 0.2 * reach, high + 0.2 * reach, 0.0, 4.0))
+    assert (*lead.get_ylim(), *lead.get_xlim()) == pytest.approx(
+        (low - 0.2 * reach, high + 0.2 * reach, 0.0, 4.0)
+    )
     top, bottom = round(high + 0.17 * reach, 9), round(low - 0.17 * reach, 9)
     assert written(lead) == {
-        ("aggressiveness +", (0.95, top), CARS[0]), ("aggressiveness -", (0.95, bottom), CARS[1]),
+        ("aggressiveness +", (0.95, top), CARS[0]),
+        ("aggressiveness -", (0.95, bottom), CARS[1]),
         ("restraint +", (1.75, top), CARS[0]),
-    }  # fmt: skip
-    above, below = (np.concatenate([p.vertices for p in area.get_paths()]) for area in lead.collections)
-    assert (above[:, 1].min(), above[:, 1].max(), below[:, 1].max()) == pytest.approx((0.0, 2.3, 0.0))
+    }
+    above, below = (
+        np.concatenate([p.vertices for p in area.get_paths()]) for area in lead.collections
+    )
+    assert (above[:, 1].min(), above[:, 1].max(), below[:, 1].max()) == pytest.approx(
+        (0.0, 2.3, 0.0)
+    )
     level = 1.6 + 0.4 * 2.3 / 2.55  # s: when the cars are side by side
     late = below[below[:, 0] > 1.0]
-    assert (above[:, 0].max(), late[:, 0].min(), below[:, 1].min()) == pytest.approx((level, level, -0.25), abs=1e-6)
-    assert lead.lines[0].get_xydata() == pytest.approx(np.stack([0.05 * np.arange(41), told.lead], axis=1))
+    assert (above[:, 0].max(), late[:, 0].min(), below[:, 1].min()) == pytest.approx(
+        (level, level, -0.25), abs=1e-6
+    )
+    assert lead.lines[0].get_xydata() == pytest.approx(
+        np.stack([0.05 * np.arange(41), told.lead], axis=1)
+    )
     assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
     assert (panels[0].get_title("left"), panels[0].get_ylim()) == ("1: 0.8 s", (4.5, -0.5))
     assert [label.get_text() for label in panels[0].get_yticklabels()] == list(told.moves)
@@ -271,11 +402,19 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
         steps = tuple(step._replace(**change) for step in told.steps)
         figure = explanation_picture(replace(told, unit=unit, steps=steps))
         expected = 0.5 * told.steps[0].values if unit else told.steps[0].probabilities
-        assert [patch.get_width() for patch in figure.axes[2].patches] == pytest.approx(expected.tolist())
+        assert [patch.get_width() for patch in figure.axes[2].patches] == pytest.approx(
+            expected.tolist()
+        )
         colours = [patch.get_facecolor() == to_rgba(CARS[0]) for patch in figure.axes[2].patches]
-        assert (colours, *(set(line.get_xdata()) for line in figure.axes[2].lines)) == ([True] + [False] * 4, {0.0})
+        assert (colours, *(set(line.get_xdata()) for line in figure.axes[2].lines)) == (
+            [True] + [False] * 4,
+            {0.0},
+        )
         assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
-    assert {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1} == {0.8, 1.6}
+    assert {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1} == {
+        0.8,
+        1.6,
+    }
     far = [told.steps[0]._replace(opponent=told.middle - distance) for distance in (3.0, 0.0)]
     limits = explanation_picture(replace(told, steps=far)).axes[0].get_xlim()
     assert limits[0] < in_units(told.archive, far[0].opponent)[1] < limits[1]
@@ -283,10 +422,14 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     assert len(explanation_picture(replace(told, steps=bare)).axes) == 3
 
 
-def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(race, contest, spec):
+def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(
+    race, contest, spec
+):
     steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
     panels = explanation_picture(replace(race, steps=steps)).axes[2:-1]
-    assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [["made"]] * len(steps)
+    assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [
+        ["made"]
+    ] * len(steps)
     race = explained(contest, build("random-moves", spec), build("never-switch", spec))
     panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
     assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
@@ -309,20 +452,31 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     dots = axes.collections[0]
     drawn = [dots.get_offsets(), dots.get_array(), *(line.get_xydata() for line in axes.lines)]
-    for found, expected in zip(drawn, [points, 100.0 * crashes, explored, points[3:4]], strict=True):
+    for found, expected in zip(
+        drawn, [points, 100.0 * crashes, explored, points[3:4]], strict=True
+    ):
         np.testing.assert_array_equal(found, expected)
     low, high = points.min(axis=0), points.max(axis=0)
     tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
     least = np.maximum(np.minimum(low, tails[0]), low - reach) - 0.08 * reach
     largest = np.minimum(np.maximum(high, tails[1]), high + reach) + 0.08 * reach
-    assert np.array([axes.get_xlim(), axes.get_ylim()]) == pytest.approx(np.stack([least, largest], axis=1))
-    texts = [text.get_text() for text in axes.texts]
-    assert f"arrows: moves of policy 3; {', '.join(kept)} keep{'s' * (len(kept) == 1)} it" in texts or not kept
-    assert {name for text in texts for name in text.split(", ")} >= {*names} - {*kept}
-    arrows = {(*text.xy, *text.xyann) for text in axes.texts if text.get_text() == "" and text.arrow_patch is not None}
-    assert arrows == {(*points[end], *points[3]) for end in leads_to if end != 3}
-    assert archive_picture(replace(archive, own_crash=None)).axes[0].lines[1].get_xydata() == pytest.approx(
-        points[[archive.select("middle")]]
+    assert np.array([axes.get_xlim(), axes.get_ylim()]) == pytest.approx(
+        np.stack([least, largest], axis=1)
     )
+    texts = [text.get_text() for text in axes.texts]
+    assert (
+        f"arrows: moves of policy 3; {', '.join(kept)} keep{'s' * (len(kept) == 1)} it" in texts
+        or not kept
+    )
+    assert {name for text in texts for name in text.split(", ")} >= {*names} - {*kept}
+    arrows = {
+        (*text.xy, *text.xyann)
+        for text in axes.texts
+        if text.get_text() == "" and text.arrow_patch is not None
+    }
+    assert arrows == {(*points[end], *points[3]) for end in leads_to if end != 3}
+    assert archive_picture(replace(archive, own_crash=None)).axes[0].lines[
+        1
+    ].get_xydata() == pytest.approx(points[[archive.select("middle")]])
     assert save_picture(figure, tmp_path / "archive.png").read_bytes().startswith(b"\x89PNG")
     refused("policy is 12", archive_picture, archive, policy=12)

@@ -1,4 +1,6 @@
-"""Every page in Chromium, wide and as on a phone, light and dark: no complaint, all on the screen, accessible."""
+"""Every page in Chromium, wide and as on a phone, light and dark: no complaint, all on the screen,
+accessible.
+"""
 
 from pathlib import Path
 
@@ -16,7 +18,12 @@ from pcs_racing_agents.benchmark.card import board_page, read_cards, write_card
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.report import write_page
 from pcs_racing_agents.study.report_inputs import ExplainedRace
-from pcs_racing_agents.watch.person_race import PersonRaces, drive_page, make_person_drive, play_page
+from pcs_racing_agents.watch.person_race import (
+    PersonRaces,
+    drive_page,
+    make_person_drive,
+    play_page,
+)
 
 CARDS = [REPOSITORY / "dev" / "benchmarks" / "bench_v2"]
 
@@ -29,14 +36,30 @@ def explained(tournament_folder, tmp_path_factory) -> Path:
 
 
 def replay(get, moment="#t=nonsense&follow=7", **changes):
-    path = save_replay(race_on_a_circle(**{"candidates": 3, **changes}), get("tmp_path") / "race.html")
+    path = save_replay(
+        race_on_a_circle(**{"candidates": 3, **changes}), get("tmp_path") / "race.html"
+    )
     return path.as_uri() + moment
 
 
 def bare_replay(get):
     two = race_on_a_circle(0.0)
-    one = {"cars": two.cars[:, :1], "progress": two.progress[:, :1], "car_names": ("alone",), "events": ()}
-    return replay(get, "#play=1", **one, candidates=0, paths=None, ittc=None, line_speed=None, walls=np.zeros((0, 4)))
+    one = {
+        "cars": two.cars[:, :1],
+        "progress": two.progress[:, :1],
+        "car_names": ("alone",),
+        "events": (),
+    }
+    return replay(
+        get,
+        "#play=1",
+        **one,
+        candidates=0,
+        paths=None,
+        ittc=None,
+        line_speed=None,
+        walls=np.zeros((0, 4)),
+    )
 
 
 def report(get):
@@ -48,7 +71,9 @@ def report(get):
 
 
 def card(get):
-    return write_card(read_cards(CARDS)[0], get("tmp_path"), [("A race", read_replay(get("explained")))])[2]
+    return write_card(
+        read_cards(CARDS)[0], get("tmp_path"), [("A race", read_replay(get("explained")))]
+    )[2]
 
 
 def leaderboard(get):
@@ -86,7 +111,8 @@ PAGES = {
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_fits_its_screen_and_hinders_nobody(name, browser, request):
     make_page, there = PAGES[name]
-    browser.open(make_page(request.getfixturevalue), motion="reduce")  # races that play by themselves take time
+    # races that play by themselves take time
+    browser.open(make_page(request.getfixturevalue), motion="reduce")
     browser.wait(f"Boolean(({there}))")
     browser.run("for (const part of document.querySelectorAll('details')) part.open = true")
     for width, height in ((1280, 720), (390, 844)):

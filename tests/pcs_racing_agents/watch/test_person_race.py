@@ -1,4 +1,6 @@
-"""Races in which a person makes the moves or steers: what the person is told, and the pages in headless Chromium."""
+"""Races in which a person makes the moves or steers: what the person is told, and the pages in
+headless Chromium.
+"""
 
 import json
 
@@ -14,7 +16,13 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
 from pcs_racing_agents.watch.explain import explain_game
-from pcs_racing_agents.watch.person_race import MOST_RACES, PersonRaces, drive_page, make_person_drive, play_page
+from pcs_racing_agents.watch.person_race import (
+    MOST_RACES,
+    PersonRaces,
+    drive_page,
+    make_person_drive,
+    play_page,
+)
 
 
 def answered(races, path, status=200):
@@ -39,17 +47,37 @@ def test_a_person_is_told_what_every_move_leads_to_and_may_race_drivers(races):
     after = races.situation(0, (2,))
     assert after["policy"] == told["choices"][2]["policy"]
     assert after["history"][0]["you"] == game.competitor_moves[2]
-    schedule = make("best-schedule", archive=game.archive, race=CONFIG, moves=["restraint +", *["stay"] * 3])
+    schedule = make(
+        "best-schedule", archive=game.archive, race=CONFIG, moves=["restraint +", *["stay"] * 3]
+    )
     explained = explain_game(
-        game, schedule, races.opponent, policies=races._policies(0), seed=int(race_seed(3, 0)), car=1,
+        game,
+        schedule,
+        races.opponent,
+        policies=races._policies(0),
+        seed=int(race_seed(3, 0)),
+        car=1,
         start=starts_of(game.track, game.setup.config, [0], 3),
-    )  # fmt: skip
+    )
     axes, first = game.archive.characteristics, explained.steps[0]
     assert after == {
-        "number": 0, "made": 1, "moves": 4, "ends": game.config.ends, "seconds": pytest.approx(1.6), "over": False,
-        "outcome": "", "winner": None, "lead": pytest.approx(explained.replay.lead[40]), "opponent": "random-moves",
-        "track": "Pipkin", "policies": game.archive.normalised.tolist(), "policy": int(explained.played.path[0, 0, 1]),
-        "axes": [{"name": one.name, "unit": one.unit, "meaning": one.meaning} for one in get_characteristics(axes)],
+        "number": 0,
+        "made": 1,
+        "moves": 4,
+        "ends": game.config.ends,
+        "seconds": pytest.approx(1.6),
+        "over": False,
+        "outcome": "",
+        "winner": None,
+        "lead": pytest.approx(explained.replay.lead[40]),
+        "opponent": "random-moves",
+        "track": "Pipkin",
+        "policies": game.archive.normalised.tolist(),
+        "policy": int(explained.played.path[0, 0, 1]),
+        "axes": [
+            {"name": one.name, "unit": one.unit, "meaning": one.meaning}
+            for one in get_characteristics(axes)
+        ],
         "choices": [
             {"name": name, "policy": int(end)}
             for name, end in zip(game.competitor_moves, game.table[after["policy"]], strict=True)
@@ -57,11 +85,17 @@ def test_a_person_is_told_what_every_move_leads_to_and_may_race_drivers(races):
         "opponent_seen": explained.played.observations[0, 0, 8:10].tolist(),
         "you_seen": explained.played.observations[0, 1, 8:10].tolist(),
         "history": [
-            {"you": "restraint +", "opponent": game.competitor_moves[first.move], "values": None,
-             "probabilities": first.probabilities.tolist()}
+            {
+                "you": "restraint +",
+                "opponent": game.competitor_moves[first.move],
+                "values": None,
+                "probabilities": first.probabilities.tolist(),
+            }
         ],
-    }  # fmt: skip
-    driven = PersonRaces(races.game, make("lattice:pace=0.3", archive=races.game.archive, race=CONFIG))
+    }
+    driven = PersonRaces(
+        races.game, make("lattice:pace=0.3", archive=races.game.archive, race=CONFIG)
+    )
     told = driven.situation(0, (1,))
     assert told["history"] == []
     assert told["opponent"] == "lattice:pace=0.3"
@@ -83,7 +117,9 @@ def test_races_that_can_not_be_are_refused(races):
     _, played, _ = races._drive(2, moves)
     game = races.game
     starts = starts_of(game.track, game.setup.config, [2], races.seed)
-    state = game.reset(np.array([race_seed(races.seed, 2)], np.uint64), policies=played.variants, starts=starts)
+    state = game.reset(
+        np.array([race_seed(races.seed, 2)], np.uint64), policies=played.variants, starts=starts
+    )
     for step, move in enumerate(moves):
         state = game.step(state, np.array([[move, played.moves.codes[0, 1, step]]]))
     assert told["lead"] == pytest.approx(state.race.lead[0], abs=1e-9)
@@ -94,7 +130,11 @@ def test_races_that_can_not_be_are_refused(races):
     np.testing.assert_array_equal(short.progress, longer.progress[:frames])
     np.testing.assert_array_equal(short.paths, longer.paths[:16])
     assert short.events == tuple(event for event in longer.events if event.time < short.duration)
-    assert (short.outcome, races.situation(1, (0,))["winner"], told["winner"]) == ("", None, played.winner[0])
+    assert (short.outcome, races.situation(1, (0,))["winner"], told["winner"]) == (
+        "",
+        None,
+        played.winner[0],
+    )
     assert races.situation(1, (0, 3))["history"] == races.situation(1, (0, 3, 1))["history"][:2]
 
 
@@ -111,7 +151,14 @@ def test_a_person_starts_with_a_policy_like_the_opponents(races):
 
 
 def test_addresses(races):
-    found = {"/race/0/": 200, "/race/0/1-2": 200, "/race/0/9": 409, "/race/0/1-": 404, "/race/x/": 404, "/a": 404}
+    found = {
+        "/race/0/": 200,
+        "/race/0/1-2": 200,
+        "/race/0/9": 409,
+        "/race/0/1-": 404,
+        "/race/x/": 404,
+        "/a": 404,
+    }
     for path, status in found.items():
         assert ("error" in answered(races, path, status)) == (status != 200)
 
@@ -119,9 +166,14 @@ def test_addresses(races):
 def test_the_page_in_a_browser(races, browser, served):
     browser.open(served(play_page(races), races.answer))
     told = races.situation(0, ())
-    goals = {choice["policy"] for choice in told["choices"]} | {told["policy"]}  # to keep the policy is offered once
+    # to keep the policy is offered once
+    goals = {choice["policy"] for choice in told["choices"]} | {told["policy"]}
     moving = [choice for choice in told["choices"] if choice["policy"] != told["policy"]]
-    assert browser.wait("document.querySelectorAll('#choices button:enabled').length") == len(moving) + 1 >= len(goals)
+    assert (
+        browser.wait("document.querySelectorAll('#choices button:enabled').length")
+        == len(moving) + 1
+        >= len(goals)
+    )
     for made in range(1, races.game.config.moves + 1):
         browser.run("document.querySelector('#choices button').click()")
         browser.wait(f"document.querySelectorAll('#history tr').length === {made}")
@@ -146,25 +198,42 @@ def test_a_person_steers_step_by_step_and_the_same_commands_give_the_same_race(n
         info = env.step(np.array([0.0, -0.2], np.float32))[4]
     expected = np.round(np.column_stack([info["poses"], np.asarray(info["velocities"])[:, 0]]), 4)
     assert driven[-1] == {
-        "number": 2, "step": 20, "cars": expected.tolist(), "lead": float(info["lead"]), "result": "", "fault": 0,
-    }  # fmt: skip
+        "number": 2,
+        "step": 20,
+        "cars": expected.tolist(),
+        "lead": float(info["lead"]),
+        "result": "",
+        "fault": 0,
+    }
     assert begun["track"] == "Pipkin"
     assert begun["line"] == np.round(env.batch.track.line[:, :2], 3).tolist()
     assert begun["walls"] == np.round(env.batch.track.arrays.walls, 3).tolist()
     turned = [
-        answered(races, "/begin/2") and answered(races, f"/drive/2/0/25/{side}/20")["cars"] for side in (-100, 100)
+        answered(races, "/begin/2") and answered(races, f"/drive/2/0/25/{side}/20")["cars"]
+        for side in (-100, 100)
     ]
     ahead = np.exp(1j * begun["cars"][0][2])
-    left = [np.imag(np.conj(ahead) * complex(*np.subtract(cars[0][:2], begun["cars"][0][:2]))) for cars in turned]
+    left = [
+        np.imag(np.conj(ahead) * complex(*np.subtract(cars[0][:2], begun["cars"][0][:2])))
+        for cars in turned
+    ]
     assert left[0] < 0.0 < left[1]
 
 
 def test_a_race_ends_and_what_can_not_be_is_refused():
     races = make_person_drive(make("lattice:pace=0.3"), track="Pipkin")
     answered(races, "/begin/0")
-    for path, status in (("/drive/0/5/1/0/0", 409), ("/drive/1/0/1/0/0", 409), ("/drive/0/0/26/0/0", 409),
-                         ("/drive/0/0/0/0/0", 409), ("/drive/0/0/1/101/0", 409), ("/drive/0/0/1/-101/0", 409),
-                         ("/drive/0/0/1/0/101", 409), ("/drive/0/0/1/0/-1", 404), ("/begin/x", 404)):  # fmt: skip
+    for path, status in (
+        ("/drive/0/5/1/0/0", 409),
+        ("/drive/1/0/1/0/0", 409),
+        ("/drive/0/0/26/0/0", 409),
+        ("/drive/0/0/0/0/0", 409),
+        ("/drive/0/0/1/101/0", 409),
+        ("/drive/0/0/1/-101/0", 409),
+        ("/drive/0/0/1/0/101", 409),
+        ("/drive/0/0/1/0/-1", 404),
+        ("/begin/x", 404),
+    ):
         assert "error" in answered(races, path, status)
     step, result = 0, ""
     while not result:

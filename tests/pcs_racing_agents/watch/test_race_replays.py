@@ -15,7 +15,13 @@ from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.race_choice import SelectedRace
-from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace, circuit_values, race_values, space_values
+from pcs_racing_agents.watch.race_replays import (
+    RaceRepeater,
+    RepeatedRace,
+    circuit_values,
+    race_values,
+    space_values,
+)
 from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
 
 
@@ -47,7 +53,9 @@ def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path)
     assert space["made"] == recording.played.moves.codes[0].tolist()
 
 
-def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournament_folder, archive):
+def test_places_are_where_the_archive_and_the_other_car_saw_them(
+    driver, tournament_folder, archive
+):
     """In 4000 steps across the picture, which holds the archive and most of what was explored."""
     _, tournament = tournament_folder
     race = driver.drive(1)
@@ -58,24 +66,38 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(driver, tournam
     largest = np.minimum(np.maximum(high, tails[1]), high + 0.5 * reach) + 0.08 * reach
     axes = [("restraint", "s", *ends) for ends in zip(least[:1], largest[:1], strict=True)]
     axes += [("aggressiveness", "m", *ends) for ends in zip(least[1:], largest[1:], strict=True)]
-    for known, crash in ((archive, None), (replace(archive, own_crash=np.linspace(0.0, 0.1234, 12)), [0.0, 12.3])):
+    for known, crash in (
+        (archive, None),
+        (replace(archive, own_crash=np.linspace(0.0, 0.1234, 12)), [0.0, 12.3]),
+    ):
         space = space_values(known, ("a", "b"))
         assert (space["archive"], space["moves"]) == ("toy", ["a", "b"])
         assert [tuple(axis.values()) for axis in space["axes"]] == [
             (*axis[:2], *map(pytest.approx, axis[2:])) for axis in axes
         ]
-        assert np.array(space["points"]) == pytest.approx(4000 * (points - least) / (largest - least), abs=0.51)
+        assert np.array(space["points"]) == pytest.approx(
+            4000 * (points - least) / (largest - least), abs=0.51
+        )
         inside = ((explored >= least) & (explored <= largest)).all(axis=1)
         assert 0 < inside.sum() < 30
         expected = 4000 * (explored[inside] - least) / (largest - least)
         assert unpack(space["explored"]) == pytest.approx(expected, abs=0.51)
         assert (space["crash"] and [min(space["crash"]), max(space["crash"])]) == crash
-    none = replace(archive, explored_parameters=archive.explored_parameters[:0], explored_coordinates=explored[:0])
+    none = replace(
+        archive,
+        explored_parameters=archive.explored_parameters[:0],
+        explored_coordinates=explored[:0],
+    )
     assert space_values(none, ())["axes"][0]["low"] == pytest.approx(low[0] - 0.08 * reach[0])
-    # A step of what a car saw: two own coordinates, two of the other, the lead, and whether it was over.
+    # A step of what a car saw: two own coordinates, two of the other, the lead, and whether it was
+    # over.
     for number in (1, 9):
         race, row = driver.drive(number), tournament.races[number]
-        blocks = record_row(tournament, row, candidates=False).played.observations[0, :, :-1].reshape(2, -1, 6)
+        blocks = (
+            record_row(tournament, row, candidates=False)
+            .played.observations[0, :, :-1]
+            .reshape(2, -1, 6)
+        )
         units = archive.nadir + blocks[..., 2:4].astype(float) * (archive.ideal - archive.nadir)
         places = np.rint(4000 * (units[..., ::-1] - least) / (largest - least))
         over = blocks[..., 5] == 1.0
@@ -127,10 +149,12 @@ def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournam
     assert values["start_s"] == pytest.approx(races.start_s, abs=0.005)
     assert packed["seeds"] == ["2"]
     for number, row in enumerate(races):
-        for car, (agent, overtakes, variant, moves) in enumerate((
-            (row.ego, row.ego_overtakes, row.ego_variant, row.ego_moves),
-            (row.opponent, row.opponent_overtakes, row.opponent_variant, row.opponent_moves),
-        )):  # fmt: skip
+        for car, (agent, overtakes, variant, moves) in enumerate(
+            (
+                (row.ego, row.ego_overtakes, row.ego_variant, row.ego_moves),
+                (row.opponent, row.opponent_overtakes, row.opponent_variant, row.opponent_moves),
+            )
+        ):
             assert packed["agents"][int(values[("ego", "opponent")[car]][number])] == agent
             assert packed["moves"][int(values[f"moves{car}"][number])] == "; ".join(moves)
             assert values[f"overtakes{car}"][number] == overtakes
@@ -151,16 +175,48 @@ def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournam
 
 def test_the_page_says_what_it_holds(tournament_folder):
     races = read_results(tournament_folder[0] / "results.csv")
-    picks, driven = [SelectedRace(2, "why"), SelectedRace(3, "no")], [RepeatedRace(2, "Pipkin", {"a": 1})]
-    content = ViewContent(
-        "a title", races, "my folder", "front", picks, driven, {"Pipkin": {"b": 2}}, {"c": 3}, serve=True
+    picks, driven = (
+        [SelectedRace(2, "why"), SelectedRace(3, "no")],
+        [RepeatedRace(2, "Pipkin", {"a": 1})],
     )
-    rows = [replace(content, races=races.take([0]), start="side-by-side", space=None, serve=False, why_not="no job")]
-    rows.append(replace(content, races=replace(races.take([0]), preset=Categorical.constant("", 1))))
+    content = ViewContent(
+        "a title",
+        races,
+        "my folder",
+        "front",
+        picks,
+        driven,
+        {"Pipkin": {"b": 2}},
+        {"c": 3},
+        serve=True,
+    )
+    rows = [
+        replace(
+            content,
+            races=races.take([0]),
+            start="side-by-side",
+            space=None,
+            serve=False,
+            why_not="no job",
+        )
+    ]
+    rows.append(
+        replace(content, races=replace(races.take([0]), preset=Categorical.constant("", 1)))
+    )
     pages = [view_page(one) for one in (content, *rows)]
     data = [json.loads(re.search(r'id="races">(.*?)</script>', page)[1]) for page in pages]
     commands = ["pcs-racing view 'my folder' --serve", "pcs-racing view 'my folder' --index {race}"]
-    keys = ("title", "about", "sides", "replays", "circuits", "space", "serve", "commands", "why_not")
+    keys = (
+        "title",
+        "about",
+        "sides",
+        "replays",
+        "circuits",
+        "space",
+        "serve",
+        "commands",
+        "why_not",
+    )
     several, one = "18 races, 3 agents, 1 circuit, contest rules", "1 race, 3 agents, 1 circuit"
     same = [[2, "why"]], [["Pipkin", {"b": 2}]]
     assert [[one[key] for key in keys] for one in data] == [
@@ -169,4 +225,6 @@ def test_the_page_says_what_it_holds(tournament_folder):
         ["a title", one, ["front", "rear"], *same, {"c": 3}, True, commands, ""],
     ]
     assert ["connect-src 'self'" in page for page in pages] == [True, False, True]
-    assert all('<script type="application/json" id="race-2">{"a":1}</script>' in page for page in pages)
+    assert all(
+        '<script type="application/json" id="race-2">{"a":1}</script>' in page for page in pages
+    )

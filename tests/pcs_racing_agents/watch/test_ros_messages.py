@@ -1,4 +1,6 @@
-"""A race as messages of ROS 2, read again by two other libraries, and the bridge's logic without ROS."""
+"""A race as messages of ROS 2, read again by two other libraries, and the bridge's logic without
+ROS.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,9 @@ from pcs_racing_agents.watch.ros_messages import car_topics, definition, race_me
 @pytest.fixture(scope="module")
 def race():
     calm, bold = parse_policy("lattice:pace=0.3"), parse_policy("lattice:pace=0.6")
-    return record_race(load_track("Pipkin"), calm, bold, load_race_config("paper", duration=1.0), seed=1)
+    return record_race(
+        load_track("Pipkin"), calm, bold, load_race_config("paper", duration=1.0), seed=1
+    )
 
 
 TOPICS = {
@@ -40,7 +44,12 @@ def test_what_is_published_when(race):
 
 
 def quaternion(psi):
-    return {"x": 0.0, "y": 0.0, "z": pytest.approx(np.sin(psi / 2.0)), "w": pytest.approx(np.cos(psi / 2.0))}
+    return {
+        "x": 0.0,
+        "y": 0.0,
+        "z": pytest.approx(np.sin(psi / 2.0)),
+        "w": pytest.approx(np.cos(psi / 2.0)),
+    }
 
 
 def test_each_message_holds_what_the_race_says_at_its_time(race):
@@ -48,7 +57,10 @@ def test_each_message_holds_what_the_race_says_at_its_time(race):
     track, lidar = load_track("Pipkin"), Lidar(load_track("Pipkin"), beams=9)
     circuit, *messages = race_messages(race, track, beams=9)
     info, arrays = circuit.fields["info"], track.arrays
-    assert (info["width"], info["height"], info["resolution"]) == (*arrays.distance.shape[::-1], arrays.cell)
+    assert (info["width"], info["height"], info["resolution"]) == (
+        *arrays.distance.shape[::-1],
+        arrays.cell,
+    )
     assert info["origin"]["position"] == {"x": arrays.origin_x, "y": arrays.origin_y, "z": 0.0}
     assert set(circuit.fields["data"]) == {0, 100}
     for frame, states in enumerate(race.cars):
@@ -60,37 +72,73 @@ def test_each_message_holds_what_the_race_says_at_its_time(race):
             name = ("ego", "opp")[car]
             x, y, _, v, psi, psi_dot, beta = state
             pose = {"position": {"x": x, "y": y, "z": 0.0}, "orientation": quaternion(psi)}
-            linear = {"x": pytest.approx(v * np.cos(beta)), "y": pytest.approx(v * np.sin(beta)), "z": 0.0}
+            linear = {
+                "x": pytest.approx(v * np.cos(beta)),
+                "y": pytest.approx(v * np.sin(beta)),
+                "z": 0.0,
+            }
             assert message.fields == {
-                "header": {"stamp": stamp, "frame_id": "map"}, "child_frame_id": f"{name}_racecar/base_link",
-                "pose": {"pose": pose}, "twist": {"twist": {"linear": linear, "angular": {"z": psi_dot}}},
-            }  # fmt: skip
+                "header": {"stamp": stamp, "frame_id": "map"},
+                "child_frame_id": f"{name}_racecar/base_link",
+                "pose": {"pose": pose},
+                "twist": {"twist": {"linear": linear, "angular": {"z": psi_dot}}},
+            }
             moved = {"translation": pose["position"], "rotation": pose["orientation"]}
             still = {"translation": {"x": 0.0, "y": 0.0, "z": 0.0}, "rotation": quaternion(0.0)}
             frames = [("map", f"{name}_racecar/base_link", moved)]
             frames += [(f"{name}_racecar/base_link", f"{name}_racecar/laser", still)]
             assert tf.fields["transforms"][2 * car : 2 * car + 2] == [
-                {"header": {"stamp": stamp, "frame_id": parent}, "child_frame_id": child, "transform": transform}
+                {
+                    "header": {"stamp": stamp, "frame_id": parent},
+                    "child_frame_id": child,
+                    "transform": transform,
+                }
                 for parent, child, transform in frames
             ]
-            colour = dict(zip("rgba", (*((0.16, 0.44, 0.86), (0.93, 0.49, 0.13))[car], 1.0), strict=True))
+            colour = dict(
+                zip("rgba", (*((0.16, 0.44, 0.86), (0.93, 0.49, 0.13))[car], 1.0), strict=True)
+            )
             shared = {"header": {"stamp": stamp, "frame_id": "map"}, "id": car, "color": colour}
             size = dict(zip("xyz", (*(2.0 * race.half_sizes[car]), 0.15), strict=True))
-            points = [{"x": x, "y": y, "z": 0.0} for x, y in plan[car, ~np.isnan(plan[car, :, 0]), :2]]
+            points = [
+                {"x": x, "y": y, "z": 0.0} for x, y in plan[car, ~np.isnan(plan[car, :, 0]), :2]
+            ]
             origin = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": quaternion(0.0)}
             expected += [{**shared, "ns": "cars", "type": 1, "pose": pose, "scale": size}]
-            expected += [{**shared, "ns": "plans", "type": 4, "pose": origin, "scale": {"x": 0.05}, "points": points}]
+            expected += [
+                {
+                    **shared,
+                    "ns": "plans",
+                    "type": 4,
+                    "pose": origin,
+                    "scale": {"x": 0.05},
+                    "points": points,
+                }
+            ]
         assert markers.fields["markers"] == expected
         for car, scan in enumerate((own, other)):
             ranges = scan.fields.pop("ranges")
             assert ranges == lidar.scan(states[car, [0, 1, 4]], states[1 - car, [0, 1, 4]]).tolist()
             assert scan.fields == {
                 "header": {"stamp": stamp, "frame_id": f"{('ego', 'opp')[car]}_racecar/laser"},
-                "angle_min": -2.35, "angle_max": 2.35, "angle_increment": pytest.approx(4.7 / 8), "range_max": 30.0,
-            }  # fmt: skip
+                "angle_min": -2.35,
+                "angle_max": 2.35,
+                "angle_increment": pytest.approx(4.7 / 8),
+                "range_max": 30.0,
+            }
     assert car_topics(2) == ("opp2_racecar", "/opp2_scan", "/opp2_racecar/odom")
-    alone = replace(race, car_names=("a",), cars=race.cars[:1, :1], progress=race.progress[:1, :1], paths=None,
-                    ittc=None, half_sizes=None, events=(), candidates=None, costs=None)  # fmt: skip
+    alone = replace(
+        race,
+        car_names=("a",),
+        cars=race.cars[:1, :1],
+        progress=race.progress[:1, :1],
+        paths=None,
+        ittc=None,
+        half_sizes=None,
+        events=(),
+        candidates=None,
+        costs=None,
+    )
     _, scan, _, _, markers = race_messages(alone, track, beams=9)
     assert scan.fields["ranges"] == lidar.scan(race.cars[0, 0, [0, 1, 4]], None).tolist()
     assert len(markers.fields["markers"]) == 1
@@ -111,7 +159,9 @@ def check_read(race, kept):
 
 
 def test_mcap_ros2_reads_the_file_again(race, tmp_path):
-    reader = pytest.importorskip("mcap_ros2.reader", reason="mcap-ros2-support, of the extra ros, is not installed")
+    reader = pytest.importorskip(
+        "mcap_ros2.reader", reason="mcap-ros2-support, of the extra ros, is not installed"
+    )
     path = write_bag(race, load_track("Pipkin"), tmp_path / "race.mcap", beams=9)
     kept = {}
     for message in reader.read_ros2_messages(str(path)):
@@ -122,21 +172,29 @@ def test_mcap_ros2_reads_the_file_again(race, tmp_path):
 def test_rosbags_reads_the_file_again(race, tmp_path):
     """It knows the definitions of ROS 2 by itself; those in the file must be the same."""
     pytest.importorskip("mcap_ros2", reason="mcap-ros2-support, of the extra ros, is not installed")
-    rosbags = pytest.importorskip("rosbags.highlevel", reason="rosbags, of the extra test, is not installed")
+    rosbags = pytest.importorskip(
+        "rosbags.highlevel", reason="rosbags, of the extra test, is not installed"
+    )
     from rosbags.typesys import Stores, get_typestore
 
     path = write_bag(race, load_track("Pipkin"), tmp_path / "race.mcap", beams=9)
     store, kept = get_typestore(Stores.ROS2_HUMBLE), {}
     with rosbags.AnyReader([path], default_typestore=store) as reader:
         for connection, _, data in reader.messages():
-            kept.setdefault(connection.topic, []).append(store.deserialize_cdr(data, connection.msgtype))
+            kept.setdefault(connection.topic, []).append(
+                store.deserialize_cdr(data, connection.msgtype)
+            )
     check_read(race, kept)
 
 
 def test_other_names_of_files_are_refused_and_a_video_is_written(race, tmp_path):
-    refused("write_bag writes .mcap files", write_bag, race, load_track("Pipkin"), tmp_path / "race.bag")
+    refused(
+        "write_bag writes .mcap files", write_bag, race, load_track("Pipkin"), tmp_path / "race.bag"
+    )
     refused("write_video writes .mp4 files", write_video, race, tmp_path / "race.avi")
-    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg, of the extra video, is not installed")
+    ffmpeg = pytest.importorskip(
+        "imageio_ffmpeg", reason="imageio-ffmpeg, of the extra video, is not installed"
+    )
     path = write_video(race, tmp_path / "race.mp4")
     about = next(ffmpeg.read_frames(str(path)))
     assert about["size"] == (960, 640)

@@ -1,4 +1,6 @@
-"""The page in headless Chromium: the list, its filters and keys, a race that plays, names that are only names."""
+"""The page in headless Chromium: the list, its filters and keys, a race that plays, names that are
+only names.
+"""
 
 from dataclasses import replace
 
@@ -14,7 +16,9 @@ from pcs_racing_agents.watch.race_replays import RaceRepeater
 from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
 from pcs_racing_agents.watch.view_server import RaceService
 
-NASTY = "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
+NASTY = (
+    "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
+)
 BLUE, ORANGE = (27, 111, 216), (224, 135, 0)
 
 
@@ -32,7 +36,9 @@ def test_the_page_lists_the_races_and_reads_what_was_packed(browser, page, tourn
     browser.open(page)
     played(browser)
     races = read_results(tournament_folder[0] / "results.csv")
-    displayed = browser.run("[...document.querySelectorAll('#pane .line:not([hidden])')].map((line) => line.innerText)")
+    displayed = browser.run(
+        "[...document.querySelectorAll('#pane .line:not([hidden])')].map((line) => line.innerText)"
+    )
     assert len(displayed) >= 10
     first = browser.run("Number(document.querySelector('#pane .line').dataset.race)")
     for text in (races[first].ego, races[first].opponent, f"{abs(races[first].lead):.1f}"):
@@ -40,7 +46,9 @@ def test_the_page_lists_the_races_and_reads_what_was_packed(browser, page, tourn
     assert browser.run("document.querySelectorAll('link, script[src], img').length") == 0
     browser.open(f"{page.as_uri()}#show=list")
     for name, packed in packed_races(races)["columns"].items():
-        assert browser.run(f"Array.from(columns.{name})") == pytest.approx(unpack(packed).tolist(), abs=1e-9), name
+        assert browser.run(f"Array.from(columns.{name})") == pytest.approx(
+            unpack(packed).tolist(), abs=1e-9
+        ), name
     assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(races, 5)]
 
 
@@ -48,7 +56,11 @@ def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder
     rows = list(read_results(tournament_folder[0] / "results.csv"))
     of_random = [row for row in rows if "random-moves" in (row.ego, row.opponent)]
     lead = [row.lead if row.ego == "random-moves" else -row.lead for row in of_random]
-    lost = [row for row in of_random if row.winner == ("opponent" if row.ego == "random-moves" else "ego")]
+    lost = [
+        row
+        for row in of_random
+        if row.winner == ("opponent" if row.ego == "random-moves" else "ego")
+    ]
     expected = {
         "": len(rows),
         "agent=random-moves": len(of_random),
@@ -74,7 +86,10 @@ def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder
         return Number(document.body.dataset.shown);
     })()""") == len(of_random)
     assert {
-        *browser.run("[...document.querySelectorAll('#pane .line:not([hidden]) .first')].map((e) => e.innerText)")
+        *browser.run(
+            "[...document.querySelectorAll('#pane .line:not([hidden]) .first')].map((e) =>"
+            " e.innerText)"
+        )
     } == {"random-moves"}
     browser.run("document.getElementById('reset').click()")
     assert browser.run("Number(document.body.dataset.shown)") == len(rows)
@@ -88,7 +103,10 @@ def test_a_race_plays_with_its_moves_beside_it(browser, page, theme):
 
     def drawn(pixels):
         width = pixels.shape[1]
-        track, space = pixels[140:480, 520 : int(0.74 * width)], pixels[140:480, int(0.76 * width) :]
+        track, space = (
+            pixels[140:480, 520 : int(0.74 * width)],
+            pixels[140:480, int(0.76 * width) :],
+        )
         both = all(coloured(track, colour) > 40 for colour in colours)
         return both and sum(coloured(space, colour) for colour in colours) > 40
 
@@ -122,18 +140,27 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     place, _ = tournament_folder
     results = open_results(place)
     rows = [
-        row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>") for row in results.races
+        row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>")
+        for row in results.races
     ]
     races = race_table(rows)
     driver = RaceRepeater(results)
     race = driver.drive(0)
     texts = dict.fromkeys(("title", "track_name", "outcome"), NASTY) | {"car_names": [NASTY, NASTY]}
-    hostile = {**race.values, **texts, "events": [[*event[:3], NASTY] for event in race.values["events"]]}
+    hostile = {
+        **race.values,
+        **texts,
+        "events": [[*event[:3], NASTY] for event in race.values["events"]],
+    }
     content = ViewContent(
-        NASTY, races, results="$(touch /tmp/never) <b>", picks=[SelectedRace(0, NASTY)],
-        driven=[race._replace(values=hostile)], circuits={NASTY: driver.circuits[race.circuit]},
+        NASTY,
+        races,
+        results="$(touch /tmp/never) <b>",
+        picks=[SelectedRace(0, NASTY)],
+        driven=[race._replace(values=hostile)],
+        circuits={NASTY: driver.circuits[race.circuit]},
         space={**driver.space, "archive": NASTY, "moves": [NASTY] * len(driver.space["moves"])},
-    )  # fmt: skip
+    )
     path = tmp_path / "hostile.html"
     path.write_text(view_page(content), encoding="utf-8")
     browser.open(path)
@@ -144,12 +171,16 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     assert NASTY in browser.run("document.querySelector('#pane .line .first').textContent")
     browser.run("choose(1, false)")
     assert NASTY in browser.run("document.getElementById('instead').textContent")
-    assert "'$(touch /tmp/never) <b>'" in browser.run("document.getElementById('instead').textContent")
+    assert "'$(touch /tmp/never) <b>'" in browser.run(
+        "document.getElementById('instead').textContent"
+    )
     assert browser.complaints == []
 
 
 def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
-    """No time is asserted; that all of them are there, sorted, and that only what is seen is in the page."""
+    """No time is asserted; that all of them are there, sorted, and that only what is seen is in the
+    page.
+    """
     races = toy_races(("t",), ("a", "b"), egos=50, variants=50)
     races = replace(races, overtakes=np.random.default_rng(0).integers(0, 3, (200_000, 2)))
     path = tmp_path / "many.html"
@@ -161,16 +192,23 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     assert browser.run("Number(document.querySelector('#pane .line').dataset.race)") == order[0]
     browser.press("End")
     assert browser.run("chosen") == order[-1]
-    assert browser.run("[...document.querySelectorAll('#pane .line[aria-selected=true]')].length") == 1
+    assert (
+        browser.run("[...document.querySelectorAll('#pane .line[aria-selected=true]')].length") == 1
+    )
     browser.run("list.scrollTop = 0; drawList()")
-    assert browser.run("[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)")
+    assert browser.run(
+        "[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)"
+    )
     # Orders are stable, both ways: races that are alike stay in the order of the file.
     mine = np.flatnonzero((races.agents.codes == 3).any(axis=1))
     lead = np.where(races.agents.codes[:, 0] == 3, races.lead, -races.lead)[mine]
     passes = races.overtakes.sum(axis=1)[mine]
     for key, values in (("lead", np.rint(lead * 1000)), ("overtakes", passes)):
         for down, sign in (("false", 1), ("true", -1)):
-            browser.run(f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }}); refilter()")
+            browser.run(
+                f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }});"
+                " refilter()"
+            )
             expected = mine[np.argsort(sign * values, kind="stable")]
             assert browser.run("Array.from(shown)") == expected.tolist(), (key, down)
     browser.run("filters.crash = 'own'; refilter()")
@@ -179,7 +217,9 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     assert browser.complaints == []
 
 
-def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(browser, page, tournament_folder):
+def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(
+    browser, page, tournament_folder
+):
     browser.open(page, width=390, height=844)
     assert browser.run("getComputedStyle(document.querySelector('.watch')).display") == "none"
     browser.run("document.querySelector('#pane .line').click()")

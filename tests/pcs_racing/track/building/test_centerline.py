@@ -33,7 +33,9 @@ def test_the_line_of_a_ring_is_found_with_its_widths_and_of_two_rings_at_the_see
     one, _ = walls_to_grid(line, 2.2, resolution)
     grid = np.hstack([one, one])
     refused("2 regions", centerline_from_grid, grid, resolution, (0.0, 0.0), error=MapError)
-    right = centerline_from_grid(grid, resolution, (0.0, 0.0), seed_point=(0.75 * grid.shape[1] * resolution, 1.8))
+    right = centerline_from_grid(
+        grid, resolution, (0.0, 0.0), seed_point=(0.75 * grid.shape[1] * resolution, 1.8)
+    )
     assert right[:, 0].min() > 0.5 * grid.shape[1] * resolution
 
 
@@ -79,8 +81,13 @@ def test_dirt_on_the_track_does_no_harm_and_a_gap_in_a_wall_leaves_no_loop(box):
     i, j = cell((0.0, 8.1), resolution, origin)
     leaking[i - 5 : i + 6, j - 2 : j + 3] = False
     for seed in (None, (3.0, 6.6)):
-        gap = r"no closed loop found: the wall has a gap .* near \(-?0\.\d\d, [78]\.\d\d\) m, pixel \(\d+, \d+\); close"
-        refused(gap, centerline_from_grid, leaking, resolution, origin, seed_point=seed, error=MapError)
+        gap = (
+            r"no closed loop found: the wall has a gap .* near \(-?0\.\d\d, [78]\.\d\d\) m, pixel"
+            r" \(\d+, \d+\); close"
+        )
+        refused(
+            gap, centerline_from_grid, leaking, resolution, origin, seed_point=seed, error=MapError
+        )
 
 
 def test_lines_that_cross_are_named_with_their_crossing():
@@ -88,7 +95,9 @@ def test_lines_that_cross_are_named_with_their_crossing():
     line = np.column_stack([9.0 * np.sin(t), 4.5 * np.sin(2.0 * t)])
     x, y = np.meshgrid(np.arange(-11.0, 11.0, 0.05) + 0.025, np.arange(-7.0, 7.0, 0.05) + 0.025)
     free = (cKDTree(line).query(np.column_stack([x.ravel(), y.ravel()]))[0] < 1.0).reshape(x.shape)
-    crossing = r"2 islands, .* branches near \(-?0\.[01]\d, -?0\.[01]\d\) m, pixel \(2[12]\d, 1[34]\d\)"
+    crossing = (
+        r"2 islands, .* branches near \(-?0\.[01]\d, -?0\.[01]\d\) m, pixel \(2[12]\d, 1[34]\d\)"
+    )
     refused(crossing, centerline_from_grid, ~free, 0.05, (-11.0, -7.0), error=MapError)
 
 
@@ -105,7 +114,14 @@ def test_impossible_wishes_and_maps_without_a_loop_are_refused(box):
         _, grid, resolution, origin = box
         refused(words, centerline_from_grid, grid, resolution, origin, error=MapError, **arguments)
     for value in [False, True]:
-        refused("no closed loop", centerline_from_grid, np.full((60, 60), value), 0.05, (0.0, 0.0), error=MapError)
+        refused(
+            "no closed loop",
+            centerline_from_grid,
+            np.full((60, 60), value),
+            0.05,
+            (0.0, 0.0),
+            error=MapError,
+        )
 
 
 @pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])

@@ -17,15 +17,22 @@ def test_clearance_is_the_distance_to_the_nearest_square(seed, reach):
     size = np.array([1.7, 1.2])
     points = origin + rng.uniform(0.0, 1.0, size=(20, 2)) * size
     corners = origin + resolution * np.argwhere(occupied)[:, ::-1]
-    gap = np.maximum(np.maximum(corners - points[:, None], points[:, None] - corners - resolution), 0.0)
+    gap = np.maximum(
+        np.maximum(corners - points[:, None], points[:, None] - corners - resolution), 0.0
+    )
     walls = np.hypot(gap[..., 0], gap[..., 1]).min(axis=1, initial=np.inf)
     border = np.minimum(points - origin, origin + size - points).min(axis=1)
     expected = np.minimum(np.minimum(walls, border), reach)
-    np.testing.assert_allclose(wall_clearance(points, occupied, resolution, origin, reach), expected, atol=1e-12)
+    np.testing.assert_allclose(
+        wall_clearance(points, occupied, resolution, origin, reach), expected, atol=1e-12
+    )
 
 
 def test_a_point_off_the_map_has_no_clearance_and_impossible_grids_are_refused():
-    assert wall_clearance(np.array([[9.0, 0.5]]), np.zeros((10, 10), bool), 0.1, np.zeros(2), 1.0)[0] == 0.0
+    assert (
+        wall_clearance(np.array([[9.0, 0.5]]), np.zeros((10, 10), bool), 0.1, np.zeros(2), 1.0)[0]
+        == 0.0
+    )
     for grid, resolution, origin, words in [
         (np.zeros((9, 9)), 0.05, (0, 0), "float64 of shape"),
         (np.zeros(9, bool), 0.05, (0, 0), r"shape \(9,\)"),

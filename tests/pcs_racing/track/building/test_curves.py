@@ -64,7 +64,9 @@ def test_the_transform_is_numpys(count):
     rng = np.random.default_rng(count)
     x = rng.normal(size=count) + 1j * rng.normal(size=count)
     real, imaginary = curves.transform(x.real.copy(), x.imag.copy())
-    np.testing.assert_allclose(real + 1j * imaginary, np.fft.fft(x), rtol=0, atol=1e-15 * count * np.abs(x).max())
+    np.testing.assert_allclose(
+        real + 1j * imaginary, np.fft.fft(x), rtol=0, atol=1e-15 * count * np.abs(x).max()
+    )
 
 
 @given(n=st.integers(3, 30), seed=st.integers(0, 2**32 - 1))
@@ -81,11 +83,18 @@ def test_cyclic_systems_are_solved(n, seed):
     np.testing.assert_allclose(solved, np.linalg.solve(matrix, right), atol=1e-9)
 
 
-@given(radius=st.floats(0.5, 50.0), count=st.integers(30, 300), clockwise=st.booleans(), start=st.floats(0.0, 6.0))
+@given(
+    radius=st.floats(0.5, 50.0),
+    count=st.integers(30, 300),
+    clockwise=st.booleans(),
+    start=st.floats(0.0, 6.0),
+)
 def test_a_circle_stays_a_circle(radius, count, clockwise, start):
     sign = -1.0 if clockwise else 1.0
     angle = start + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False) * sign
-    samples = curves.sample_closed(radius * np.column_stack([np.cos(angle), np.sin(angle)]), radius / 20.0)
+    samples = curves.sample_closed(
+        radius * np.column_stack([np.cos(angle), np.sin(angle)]), radius / 20.0
+    )
     np.testing.assert_allclose(samples.length, 2.0 * np.pi * radius, rtol=1e-4)
     np.testing.assert_allclose(np.hypot(*samples.xy.T), radius, rtol=1e-4)
     np.testing.assert_allclose(samples.kappa, sign / radius, rtol=0.01)
@@ -95,7 +104,9 @@ def test_a_circle_stays_a_circle(radius, count, clockwise, start):
 
 
 def test_samples_are_evenly_spaced_whatever_the_points_and_repeated_ones_do_no_harm():
-    """An ellipse with unevenly spaced points: the arc between samples, finely measured, is the same everywhere."""
+    """An ellipse with unevenly spaced points: the arc between samples, finely measured, is the same
+    everywhere.
+    """
     t = np.linspace(0.0, 2.0 * np.pi, 200, endpoint=False)
     t = t + 0.3 * np.sin(3.0 * t)
     points = np.column_stack([10.0 * np.cos(t), 4.0 * np.sin(t)])
@@ -104,7 +115,15 @@ def test_samples_are_evenly_spaced_whatever_the_points_and_repeated_ones_do_no_h
     ds = samples.length / len(samples.xy)
     np.testing.assert_allclose(chord * (1.0 + samples.kappa**2 * ds**2 / 24.0), ds, rtol=1e-5)
     np.testing.assert_allclose(samples.xy[0], points[0], atol=1e-12)
-    np.testing.assert_allclose((samples.xy[:, 0] / 10.0) ** 2 + (samples.xy[:, 1] / 4.0) ** 2, 1.0, atol=1e-4)
+    np.testing.assert_allclose(
+        (samples.xy[:, 0] / 10.0) ** 2 + (samples.xy[:, 1] / 4.0) ** 2, 1.0, atol=1e-4
+    )
     square = [[0, 0], [1, 0], [1, 0], [1, 1], [0, 1], [0, 0]]
     assert curves.clean_closed(square).tolist() == [[0, 0], [1, 0], [1, 1], [0, 1]]
-    refused("points, got 3", curves.sample_closed, [[0, 0], [1, 0], [1, 0], [1, 1], [0, 0]], 0.1, error=ValueError)
+    refused(
+        "points, got 3",
+        curves.sample_closed,
+        [[0, 0], [1, 0], [1, 0], [1, 1], [0, 0]],
+        0.1,
+        error=ValueError,
+    )

@@ -1,4 +1,6 @@
-"""Race lines keep clear of the walls, are smooth, simple and faster than the centre line; speeds keep every limit."""
+"""Race lines keep clear of the walls, are smooth, simple and faster than the centre line; speeds
+keep every limit.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,12 @@ from pcs_racing.base.errors import InputError, MapError
 from pcs_racing.track.building import raceline
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample, signed_area
-from pcs_racing.track.building.raceline import lap_time, minimum_curvature_raceline, raceline_rows, speed_profile
+from pcs_racing.track.building.raceline import (
+    lap_time,
+    minimum_curvature_raceline,
+    raceline_rows,
+    speed_profile,
+)
 from pcs_racing.track.mapping.circuits import walls_to_grid
 from pcs_racing.track.maps import read_map
 
@@ -49,7 +56,9 @@ def test_the_direction_of_the_centre_line_is_kept(box):
     line, grid, resolution, origin = box
     race = minimum_curvature_raceline(line[::-1], grid, resolution, origin)
     assert signed_area(race) < 0.0
-    assert lap(race) == pytest.approx(lap(minimum_curvature_raceline(line, grid, resolution, origin)), rel=0.002)
+    assert lap(race) == pytest.approx(
+        lap(minimum_curvature_raceline(line, grid, resolution, origin)), rel=0.002
+    )
 
 
 def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named(monkeypatch):
@@ -93,11 +102,20 @@ def test_impossible_values_are_refused(box):
         ({"clearance": -0.1}, InputError, "clearance is -0.1"),
         ({"centerline": np.zeros((3, 2))}, MapError, "0 different points"),
         ({"centerline": 100.0 * np.eye(4)[:, :2]}, MapError, "different points|leaves the map"),
-        ({"centerline": [[-500.0, 0.0], [0.0, 500.0], [500.0, 0.0], [0.0, -500.0]]}, MapError, "leaves the map at"),
+        (
+            {"centerline": [[-500.0, 0.0], [0.0, 500.0], [500.0, 0.0], [0.0, -500.0]]},
+            MapError,
+            "leaves the map at",
+        ),
         ({"resolution": -0.05}, MapError, "resolution is -0.05"),
     ]:
         line, grid, resolution, origin = box
-        arguments = {"centerline": line, "occupied": grid, "resolution": resolution, "origin": origin} | change
+        arguments = {
+            "centerline": line,
+            "occupied": grid,
+            "resolution": resolution,
+            "origin": origin,
+        } | change
         with pytest.raises(error, match=words):
             minimum_curvature_raceline(**arguments)
 
@@ -109,7 +127,9 @@ def test_rows_follow_the_file_format_and_give_the_lap_time(box):
     np.testing.assert_allclose(np.diff(s), s[1])
     np.testing.assert_array_equal(rows[-1, 1:], rows[0, 1:])
     ahead = np.diff(np.column_stack([x, y]), axis=0)
-    assert np.abs(np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - psi[:-1])))).max() < 0.1
+    assert (
+        np.abs(np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - psi[:-1])))).max() < 0.1
+    )
     # Heading turns by the integral of the curvature: one full turn.
     assert np.sum(kappa[:-1]) * s[1] == pytest.approx(2.0 * np.pi, rel=1e-3)
     np.testing.assert_allclose(v[:-1] ** 2 + 2.0 * ax[:-1] * s[1], v[1:] ** 2)
@@ -121,7 +141,9 @@ def test_rows_follow_the_file_format_and_give_the_lap_time(box):
 @pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])
 def test_real_circuits(real_maps, name):
     found = read_map(real_maps / name)
-    race = minimum_curvature_raceline(found.centerline, found.occupied, found.resolution, found.origin)
+    race = minimum_curvature_raceline(
+        found.centerline, found.occupied, found.resolution, found.origin
+    )
     assert_sound(race, found.occupied, found.resolution, found.origin)
     # The shipped lines go as near as 0.11 m to a wall, ours keeps 0.305 m.
     assert lap(race) < 1.03 * lap(found.raceline[:, 1:3])
@@ -129,7 +151,9 @@ def test_real_circuits(real_maps, name):
 
 @given(kappa=CURVATURES, ds=st.floats(0.05, 3.0))
 def test_every_sample_is_held_back_by_some_limit_and_none_is_exceeded(kappa, ds):
-    """5 m/s^2 across, 3.5 forwards, 4.5 backwards, 8 m/s: the least of what these allow is the speed."""
+    """5 m/s^2 across, 3.5 forwards, 4.5 backwards, 8 m/s: the least of what these allow is the
+    speed.
+    """
     w = speed_profile(kappa, ds) ** 2
     cap = np.minimum(5.0 / np.maximum(np.abs(kappa), 1e-12), 8.0**2)
     forwards = np.roll(w, 1) + 2.0 * 3.5 * ds

@@ -1,4 +1,6 @@
-"""Walls as polylines: true to the cells, the track on their left, and listed wherever they can be seen."""
+"""Walls as polylines: true to the cells, the track on their left, and listed wherever they can be
+seen.
+"""
 
 import itertools
 
@@ -15,7 +17,9 @@ from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.obstacles import with_obstacles
 
-grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(lambda grid: np.pad(grid, 1))
+grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(
+    lambda grid: np.pad(grid, 1)
+)
 
 
 def _faces(outlines):
@@ -34,14 +38,18 @@ def test_outlines_hold_every_wall_face_once_in_closed_loops(drivable):
         for i, j in np.argwhere(drivable):
             if not drivable[i + di, j + dj]:
                 expected.add((i, j, side))
-    found = list(zip(outlines.row.tolist(), outlines.col.tolist(), outlines.side.tolist(), strict=True))
+    found = list(
+        zip(outlines.row.tolist(), outlines.col.tolist(), outlines.side.tolist(), strict=True)
+    )
     assert len(found) == len(set(found)) == len(expected)
     assert set(found) == expected
     start, end = _faces(outlines)
     for first, last in zip(outlines.start[:-1], outlines.start[1:], strict=True):
         np.testing.assert_array_equal(end[first:last], np.roll(start[first:last], -1, axis=0))
     # Green's theorem: loops with the region on their left enclose its area.
-    assert np.sum(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) == 2 * np.count_nonzero(drivable)
+    assert np.sum(start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]) == 2 * np.count_nonzero(
+        drivable
+    )
 
 
 @given(drivable=grids, tolerance=st.floats(0.3, 1.5))
@@ -51,11 +59,15 @@ def test_segments_stay_within_the_tolerance_of_the_faces_they_stand_for(drivable
     middle = 0.5 * sum(_faces(outlines))
     x0, y0, x1, y1 = segments[owner].T
     along = np.column_stack([x1 - x0, y1 - y0])
-    t = np.sum((middle - np.column_stack([x0, y0])) * along, axis=1) / np.maximum(np.sum(along**2, axis=1), 1e-12)
+    t = np.sum((middle - np.column_stack([x0, y0])) * along, axis=1) / np.maximum(
+        np.sum(along**2, axis=1), 1e-12
+    )
     foot = np.column_stack([x0, y0]) + np.clip(t, 0.0, 1.0)[:, None] * along
     assert np.linalg.norm(middle - foot, axis=1).max(initial=0.0) <= tolerance + 1e-9
     for first, last in itertools.pairwise(start):
-        np.testing.assert_array_equal(segments[first:last, 2:], np.roll(segments[first:last, :2], -1, axis=0))
+        np.testing.assert_array_equal(
+            segments[first:last, 2:], np.roll(segments[first:last, :2], -1, axis=0)
+        )
 
 
 def test_straight_walls_are_exact_and_specks_keep_their_shape():
@@ -108,13 +120,17 @@ def _missed(track, views, beams, rng):
         x, y, _ = frenet.to_cartesian(arrays, s, rng.uniform(-row[RIGHT] + 0.1, row[LEFT] - 0.1))
         m = int(s / arrays.seen_stretch)
         listed = arrays.seen[arrays.seen_start[m] : arrays.seen_start[m + 1]]
-        found, expected = (_scan(arrays.walls, which, x, y, angles, 60.0) for which in (listed, everything))
+        found, expected = (
+            _scan(arrays.walls, which, x, y, angles, 60.0) for which in (listed, everything)
+        )
         missed += np.count_nonzero(found > expected)
     return missed / (views * beams)
 
 
 def test_lists_hold_all_that_is_seen_in_the_order_of_the_distance(oval):
-    """Rounded down, by less than a millimetre, and rising along each list, in which no segment stands twice."""
+    """Rounded down, by less than a millimetre, and rising along each list, in which no segment
+    stands twice.
+    """
     arrays = oval.arrays
     assert (arrays.seen_start[0], arrays.seen_start[-1]) == (0, len(arrays.seen))
     assert len(arrays.seen_start) == round(oval.length / arrays.seen_stretch) + 1
@@ -159,12 +175,18 @@ def test_each_list_holds_the_segments_of_its_stretch_and_those_that_meet_share_a
         for m in range(len(t.seen_middle)):
             listed = t.walls[t.seen[t.seen_start[m] : t.seen_start[m + 1]]]
             corners = t.corners[:, t.corners_start[m] : t.corners_start[m + 1]]
-            assert segments_between(corners) | segments_between(everywhere) == {tuple(wall) for wall in listed.tolist()}
+            assert segments_between(corners) | segments_between(everywhere) == {
+                tuple(wall) for wall in listed.tolist()
+            }
     # Three sides of a square, of which the last is listed first, and a wall far away.
     walls = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [9, 9, 8, 9]], float)
-    start, corners = corner_lists(walls, np.array([0, 4, 6]), np.array([2, 0, 3, 1, 3, 0], np.int32))
+    start, corners = corner_lists(
+        walls, np.array([0, 4, 6]), np.array([2, 0, 3, 1, 3, 0], np.int32)
+    )
     assert start.tolist() == [0, 16, 32]
     nan = [np.nan, np.nan]
     expected = [[0, 0], [1, 0], [1, 1], [0, 1], nan, [9, 9], [8, 9], *[nan] * 9]
     np.testing.assert_array_equal(corners[:, :16].T, expected)
-    np.testing.assert_array_equal(corners[:, 16:].T, [[0, 0], [1, 0], nan, [9, 9], [8, 9], *[nan] * 11])
+    np.testing.assert_array_equal(
+        corners[:, 16:].T, [[0, 0], [1, 0], nan, [9, 9], [8, 9], *[nan] * 11]
+    )

@@ -9,7 +9,12 @@ from pcs_racing.base.errors import InputError, MapError, UnknownNameError
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample, sample_closed, signed_area
 from pcs_racing.track.building.raceline import raceline_rows
-from pcs_racing.track.mapping.circuits import braking_zones, generate_circuit, straights, walls_to_grid
+from pcs_racing.track.mapping.circuits import (
+    braking_zones,
+    generate_circuit,
+    straights,
+    walls_to_grid,
+)
 from pcs_racing.track.mapping.shapes import STYLES, rounded
 
 
@@ -24,7 +29,8 @@ def test_circuits_are_what_they_promise(seed, style, clockwise):
     assert (signed_area(line) < 0.0) == clockwise
     assert np.abs(sample_closed(line, 0.07).kappa).max() <= 1.01 / (1.2 * 1.1)
     np.testing.assert_allclose(line[0], 0.0, atol=1e-12)
-    # The track is as wide as it says: its walls neither fold nor come from another stretch of track.
+    # The track is as wide as it says: its walls neither fold nor come from another stretch of
+    # track.
     free = wall_clearance(resample(line, 0.05), circuit.occupied, 0.05, circuit.origin, 2.0)
     assert free.min() > 1.1 - 0.08
     assert free.max() < 1.1 + 0.08
@@ -41,7 +47,11 @@ def test_circuits_are_what_they_promise(seed, style, clockwise):
 
 @pytest.mark.parametrize("style", sorted(STYLES))
 def test_the_same_seed_gives_the_same_circuit_and_another_seed_another(style):
-    one, two, other = generate_circuit(4, style), generate_circuit(4, style), generate_circuit(8, style)
+    one, two, other = (
+        generate_circuit(4, style),
+        generate_circuit(4, style),
+        generate_circuit(8, style),
+    )
     np.testing.assert_array_equal(one.centerline, two.centerline)
     np.testing.assert_array_equal(one.raceline, two.raceline)
     np.testing.assert_array_equal(one.occupied, two.occupied)
@@ -79,7 +89,9 @@ def test_braking_zones_straights_and_rounded_corners_by_hand():
     line = rounded(square, np.full(4, 2.0), 0.05)
     assert signed_area(line) == pytest.approx(100.0 - (4.0 - np.pi) * 4.0, rel=1e-3)
     # A radius that doesn't fit shrinks to what does.
-    assert signed_area(rounded(square, np.full(4, 50.0), 0.05)) == pytest.approx(np.pi * 25.0, rel=0.02)
+    assert signed_area(rounded(square, np.full(4, 50.0), 0.05)) == pytest.approx(
+        np.pi * 25.0, rel=0.02
+    )
 
 
 def test_walls_are_thin_and_as_far_apart_as_the_track_is_wide():
@@ -97,5 +109,7 @@ def test_walls_are_thin_and_as_far_apart_as_the_track_is_wide():
     circuit = generate_circuit(1, "hull", width=3.0, length_range=(90.0, 100.0), resolution=0.1)
     assert 90.0 <= circuit.length <= 100.0
     np.testing.assert_array_equal(circuit.centerline[:, 2:], 1.5)
-    free = wall_clearance(circuit.centerline[:, :2].copy(), circuit.occupied, 0.1, circuit.origin, 3.0)
+    free = wall_clearance(
+        circuit.centerline[:, :2].copy(), circuit.occupied, 0.1, circuit.origin, 3.0
+    )
     np.testing.assert_allclose(free, 1.5, atol=0.15)

@@ -33,12 +33,16 @@ def test_a_generated_folder_holds_the_circuit(tmp_path):
     folder = tmp_path / "Round the Houses"
     made = generate_map(folder, 2, "hull", description="A test")
     names = ("_map.yaml", "_map.png", "_centerline.csv", "_raceline.csv", "_track.yaml")
-    assert sorted(path.name for path in folder.iterdir()) == sorted(f"Round the Houses{name}" for name in names)
+    assert sorted(path.name for path in folder.iterdir()) == sorted(
+        f"Round the Houses{name}" for name in names
+    )
     circuit, found = generate_circuit(2, "hull"), read_map(folder)
     np.testing.assert_array_equal(found.occupied, circuit.occupied)
     np.testing.assert_allclose(found.origin, circuit.origin)
     np.testing.assert_allclose(found.centerline, circuit.centerline, atol=1e-5)
-    np.testing.assert_allclose(found.raceline[:, 1:3], raceline_rows(circuit.raceline)[:, 1:3], atol=1e-5)
+    np.testing.assert_allclose(
+        found.raceline[:, 1:3], raceline_rows(circuit.raceline)[:, 1:3], atol=1e-5
+    )
     assert found.info["seed"] == 2
     assert found.info["description"] == "A test"
     loaded = load_track(folder)
@@ -51,7 +55,9 @@ def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path)
     track = import_map(clockwise, tmp_path / "Again")
     shipped = read_map(clockwise).centerline
     np.testing.assert_allclose(track.centerline[0, :2], shipped[0, :2], atol=0.2)
-    assert (track.centerline[1, :2] - track.centerline[0, :2]) @ (shipped[1, :2] - shipped[0, :2]) > 0.0
+    assert (track.centerline[1, :2] - track.centerline[0, :2]) @ (
+        shipped[1, :2] - shipped[0, :2]
+    ) > 0.0
     elsewhere = shipped[len(shipped) // 3, :2]
     moved = import_map(clockwise, tmp_path / "Moved", seed_point=elsewhere).centerline
     np.testing.assert_allclose(moved[0, :2], elsewhere, atol=0.2)
@@ -64,14 +70,24 @@ def test_an_import_follows_the_direction_and_start_of_the_shipped_line(tmp_path)
 
 def test_a_bare_map_is_completed_and_nothing_is_written_when_it_fails(tmp_path):
     refused("width is -1", generate_map, tmp_path / "Never", 0, width=-1.0)
-    refused("seed point", import_map, SHIPPED[0], tmp_path / "Never", seed_point=(1e4, 0.0), error=MapError)
+    refused(
+        "seed point",
+        import_map,
+        SHIPPED[0],
+        tmp_path / "Never",
+        seed_point=(1e4, 0.0),
+        error=MapError,
+    )
     refused("the source itself", import_map, SHIPPED[0], SHIPPED[0], error=MapError)
     assert list(tmp_path.iterdir()) == []
     source = bare(tmp_path / "Bare Map", SHIPPED[0])
     track = import_map(source, tmp_path / "Full")
     found = read_map(tmp_path / "Full")
     assert found.name == track.name == "Full"
-    assert sorted(path.name for path in source.iterdir()) == ["Bare Map_map.png", "Bare Map_map.yaml"]
+    assert sorted(path.name for path in source.iterdir()) == [
+        "Bare Map_map.png",
+        "Bare Map_map.yaml",
+    ]
     race = resample(found.raceline[:-1, 1:3], 0.02)
     free = wall_clearance(race, found.occupied, found.resolution, np.array(found.origin), 1.0)
     assert free.min() >= 0.305 - 1e-4
@@ -85,7 +101,9 @@ def test_shipped_circuits_come_from_their_seeds_and_keep_their_clearance(folder)
     np.testing.assert_allclose(found.centerline, circuit.centerline, atol=1e-4)
     # Another processor may round a cell of the grid differently.
     assert np.count_nonzero(found.occupied != circuit.occupied) <= 5
-    np.testing.assert_allclose(found.raceline[:-1, 1:3], raceline_rows(circuit.raceline)[:-1, 1:3], atol=0.05)
+    np.testing.assert_allclose(
+        found.raceline[:-1, 1:3], raceline_rows(circuit.raceline)[:-1, 1:3], atol=0.05
+    )
     race = resample(found.raceline[:-1, 1:3], 0.02)
     free = wall_clearance(race, found.occupied, found.resolution, np.array(found.origin), 1.0)
     assert free.min() >= 0.305 - 1e-4

@@ -22,7 +22,13 @@ from pcs_racing_agents.learning.ppo.evaluation import (
     score_races,
     score_table,
 )
-from pcs_racing_agents.learning.ppo.learner import actor_layers, group_seeds, make_model, own_randomness, split_envs
+from pcs_racing_agents.learning.ppo.learner import (
+    actor_layers,
+    group_seeds,
+    make_model,
+    own_randomness,
+    split_envs,
+)
 from pcs_racing_agents.learning.ppo.train import make_task
 
 
@@ -33,15 +39,21 @@ def track():
 
 def drives(track, races=6, hold=2, **changes):
     return LearnerEnv(
-        races, track=track, race=load_race_config("contest", duration=2.0),
-        opponent=[parse_policy("lattice:pace=0"), parse_policy("lattice")], time_step=0.01 * hold,
-        autoreset_mode="SameStep", **changes,
-    )  # fmt: skip
+        races,
+        track=track,
+        race=load_race_config("contest", duration=2.0),
+        opponent=[parse_policy("lattice:pace=0"), parse_policy("lattice")],
+        time_step=0.01 * hold,
+        autoreset_mode="SameStep",
+        **changes,
+    )
 
 
 @pytest.mark.parametrize("hold", [2, 4, 10])
 def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, drive_settings, hold):
-    """The same races, once driven by SB3's predict step by step, once by the planner in the compiled loop."""
+    """The same races, once driven by SB3's predict step by step, once by the planner in the
+    compiled loop.
+    """
     settings = replace(drive_settings, hold=hold, noise=0.1)
     with own_randomness():
         model = make_model(settings, [drives(track, hold=hold)], 5, "tanh")
@@ -50,20 +62,26 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
     batch = envs.batch
     seeds, rivals = batch.state.seed.copy(), batch.theta[:, 1].copy()
     grid = batch.circuit(0).grid
-    places = [int(np.flatnonzero((grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars]
+    places = [
+        int(np.flatnonzero((grid.cars == car).all(axis=(1, 2)))[0]) for car in batch.state.cars
+    ]
     weights = actor_layers(model)
     for planner, theta in (
         (network_planner("learner", (8,), hold=hold), weights.flat()),
         (trained_planner("driver", weights, hold), np.zeros(0)),
     ):
         setup = replace(batch.setup, planners=(planner, batch.setup.planners[1]))
-        state = take(grid, places)._replace(seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size)))
+        state = take(grid, places)._replace(
+            seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size))
+        )
         both = np.zeros((6, 2, setup.theta_size))
         both[:, 0, : len(theta)] = theta
         both[:, 1, : rivals.shape[1]] = rivals
         seen, _ = envs.reset(seed=5)
         for _ in range(100 // hold):
-            seen, _, terminated, truncated, _ = envs.step(model.predict(seen, deterministic=True)[0])
+            seen, _, terminated, truncated, _ = envs.step(
+                model.predict(seen, deterministic=True)[0]
+            )
             advance(setup, state, both, hold)
             running = ~(terminated | truncated | state.crashed)
             np.testing.assert_allclose(batch.state.cars[running], state.cars[running], atol=2e-4)
@@ -93,13 +111,18 @@ def test_rewards_are_progress_less_a_share_of_the_opponents(track):
     assert crashes > 0
 
 
-def test_slow_opponents_are_only_met_in_learning_and_judging_is_racing_under_the_rules(drive_settings):
+def test_slow_opponents_are_only_met_in_learning_and_judging_is_racing_under_the_rules(
+    drive_settings,
+):
     level = make_task(replace(drive_settings, races=("contest",)))
     (track,), (rules,) = level.tracks, level.rules
     learning = level.learning_rules(track, rules)
     assert learning.duration == 1.0
     assert learning.speed_range == (0.3, track.calibration["contest"].speed_range[1])
-    assert make_task(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range is None
+    assert (
+        make_task(replace(drive_settings, slowest=0.0)).learning_rules(track, rules).speed_range
+        is None
+    )
     level = make_task(replace(drive_settings, evaluation_races=11))
     layers = random_layers(len(INPUTS), 8, 2)
     scores, (rules,) = level.evaluate(layers), level.rules
@@ -108,9 +131,15 @@ def test_slow_opponents_are_only_met_in_learning_and_judging_is_racing_under_the
     raced = run_races(track, policy, rivals, rules, seed=1_000_003)
     for k, name in enumerate(drive_settings.opponents):
         rows = slice(4 * k, 4 * k + 4)
-        won, lost, blamed = raced.winner[rows] == 0, raced.winner[rows] == 1, raced.own_crash[rows, 0]
+        won, lost, blamed = (
+            raced.winner[rows] == 0,
+            raced.winner[rows] == 1,
+            raced.own_crash[rows, 0],
+        )
         race = SimpleNamespace(
-            crashed=raced.state.crashed[rows], fault=raced.state.fault[rows], lead=raced.state.lead[rows]
+            crashed=raced.state.crashed[rows],
+            fault=raced.state.fault[rows],
+            lead=raced.state.lead[rows],
         )
         expected = score_races(won - 1.0 * (lost | blamed), raced.winner[rows], race)
         assert scores[Matchup("Pipkin", "short", name)] == expected
@@ -121,9 +150,10 @@ def test_slow_opponents_are_only_met_in_learning_and_judging_is_racing_under_the
 def test_scores_and_their_means_are_those_of_the_races():
     """By hand: four races of one matchup; two matchups, of which the second counts three times."""
     race = SimpleNamespace(
-        crashed=np.array([True, False, True, False]), lead=np.array([1.0, -2.0, 3.0, 6.0]),
+        crashed=np.array([True, False, True, False]),
+        lead=np.array([1.0, -2.0, 3.0, 6.0]),
         fault=np.array([[1, 0], [0, 0], [0, 1], [0, 0]]),
-    )  # fmt: skip
+    )
     winner = np.array([-1, 1, 0, 0], np.int8)
     one = score_races(np.array([-1.0, -1.0, 1.0, 2.0]), winner, race)
     assert one == (4, 0.25, pytest.approx(0.75), 0.5, 0.25, 0.5, 0.25, 2.0)
@@ -143,11 +173,19 @@ def test_scores_and_their_means_are_those_of_the_races():
     ]
     curves = [EvaluationCurve(seed, (0, 500_000), (scores, {**scores})) for seed in (3, 4)]
     panels = evaluation_curves(curves, weights)
-    values = {"payoff of a race": mean.worth, "races won": mean.won, "crashes by own fault": mean.fault}
+    values = {
+        "payoff of a race": mean.worth,
+        "races won": mean.won,
+        "crashes by own fault": mean.fault,
+    }
     assert list(panels) == list(values)
     for title, lines in panels.items():
         for line, seed in zip(lines, (3, 4), strict=True):
-            assert (line.label, line.x.tolist(), line.y.tolist()) == (f"seed {seed}", [0.0, 0.5], [values[title]] * 2)
+            assert (line.label, line.x.tolist(), line.y.tolist()) == (
+                f"seed {seed}",
+                [0.0, 0.5],
+                [values[title]] * 2,
+            )
             assert (line.error is None) == (title != "payoff of a race")
     assert panels["payoff of a race"][0].error.tolist() == [mean.error] * 2
 
@@ -155,27 +193,49 @@ def test_scores_and_their_means_are_those_of_the_races():
 def test_learners_race_in_groups_of_a_circuit_rules_and_planner(drive_settings):
     opponents = {"lattice:pace=0": 1, "pure-pursuit": 1, "lattice": 2}
     task = make_task(
-        replace(drive_settings, opponents=opponents, tracks=("Pipkin", "Tarnfjord"), rivalry=0.3, leading=5.0)
+        replace(
+            drive_settings,
+            opponents=opponents,
+            tracks=("Pipkin", "Tarnfjord"),
+            rivalry=0.3,
+            leading=5.0,
+        )
     )
     groups = task.env_groups()
     assert [(env.num_envs, env.batch.track.name) for env in groups] == [
-        (6, "Pipkin"), (2, "Pipkin"), (6, "Tarnfjord"), (2, "Tarnfjord")
-    ]  # fmt: skip
+        (6, "Pipkin"),
+        (2, "Pipkin"),
+        (6, "Tarnfjord"),
+        (2, "Tarnfjord"),
+    ]
     first, second = (env.batch for env in groups[:2])
-    names = [[policy.name for one in batch.opponents for policy in one.policies] for batch in (first, second)]
+    names = [
+        [policy.name for one in batch.opponents for policy in one.policies]
+        for batch in (first, second)
+    ]
     assert names == [["lattice:pace=0", "lattice", "lattice"], ["pure-pursuit"]]
     options = first.options
-    assert (options.time_step, options.rivalry, first._leading, options.crash_penalty) == (0.04, 0.3, 0.2, 10.0)
+    assert (options.time_step, options.rivalry, first._leading, options.crash_penalty) == (
+        0.04,
+        0.3,
+        0.2,
+        10.0,
+    )
     rules = task.learning_rules(task.tracks[0], task.rules[0])
     assert replace(first.setup.config, start_lines=rules.start_lines) == rules
     assert groups[0].metadata["autoreset_mode"].value == "SameStep"
-    assert (groups[0].single_action_space.high.tolist(), groups[0].single_action_space.low.tolist()) == (
+    assert (
+        groups[0].single_action_space.high.tolist(),
+        groups[0].single_action_space.low.tolist(),
+    ) == (
         [10.0] * 2,
         [-10.0] * 2,
     )
     seen = groups[0].single_observation_space
     assert (seen.shape, seen.low.max(), seen.high.min()) == ((len(INPUTS),), -np.inf, np.inf)
-    assert task.identity == {"tracks_sha256": {track.name: track.content_hash for track in task.tracks}}
+    assert task.identity == {
+        "tracks_sha256": {track.name: track.content_hash for track in task.tracks}
+    }
 
 
 def test_duels_are_played_as_in_the_environment(duel_settings):
@@ -189,7 +249,12 @@ def test_duels_are_played_as_in_the_environment(duel_settings):
     for (matchup, score), seed in zip(scores.items(), group_seeds(0, 3, 1), strict=True):
         payoffs = []
         for game in range(3):
-            env = DuelEnv(track="Pipkin", archive=task.archive, race=task.game.config, opponent=matchup.opponent)
+            env = DuelEnv(
+                track="Pipkin",
+                archive=task.archive,
+                race=task.game.config,
+                opponent=matchup.opponent,
+            )
             seen, _ = env.reset(seed=seed + game)
             over = False
             while not over:
@@ -204,13 +269,39 @@ def test_duels_are_played_as_in_the_environment(duel_settings):
 
 
 def test_a_model_has_the_numbers_of_its_settings(track, drive_settings, duel_settings):
-    changes = {"batch_size": 50, "epochs": 3, "discount": 0.9, "gae_lambda": 0.8, "clip_range": 0.3, "entropy": 0.01}
-    changes |= {"value_weight": 0.7, "max_gradient": 0.4, "learning_rate": 0.002, "noise": 0.3, "value_hidden": (5, 6)}
+    changes = {
+        "batch_size": 50,
+        "epochs": 3,
+        "discount": 0.9,
+        "gae_lambda": 0.8,
+        "clip_range": 0.3,
+        "entropy": 0.01,
+    }
+    changes |= {
+        "value_weight": 0.7,
+        "max_gradient": 0.4,
+        "learning_rate": 0.002,
+        "noise": 0.3,
+        "value_hidden": (5, 6),
+    }
     settings = replace(drive_settings, **changes)
     with own_randomness():
         model = make_model(settings, [drives(track, races=8)], 5, "tanh")
-    found = [model.n_steps, model.batch_size, model.n_epochs, model.seed, model.gamma, model.gae_lambda]
-    found += [model.clip_range(1.0), model.ent_coef, model.vf_coef, model.max_grad_norm, model.learning_rate]
+    found = [
+        model.n_steps,
+        model.batch_size,
+        model.n_epochs,
+        model.seed,
+        model.gamma,
+        model.gae_lambda,
+    ]
+    found += [
+        model.clip_range(1.0),
+        model.ent_coef,
+        model.vf_coef,
+        model.max_grad_norm,
+        model.learning_rate,
+    ]
     found += [model.env._scale, model.use_sde]
     # Four batches of 40, none of 10.
     assert found == [20, 40, 3, 5, 0.9, 0.8, 0.3, 0.01, 0.7, 0.4, 0.002, 0.1, False]

@@ -51,7 +51,11 @@ def test_what_settings_name_must_exist_once(duel_settings, drive_settings, tmp_p
         refused(message, make_task, replace(duel_settings, **changes))
     file = tmp_path / "other.yaml"
     file.write_text("name: short\n")
-    refused("the same name", make_task, replace(drive_settings, races=(*drive_settings.races, str(file))))
+    refused(
+        "the same name",
+        make_task,
+        replace(drive_settings, races=(*drive_settings.races, str(file))),
+    )
     with pytest.raises(UnknownNameError, match="planner 'tortoise' is unknown"):
         make_task(replace(drive_settings, opponents={"tortoise": 1}))
 
@@ -65,7 +69,17 @@ def config(drive_settings, tmp_path):
 
 
 def test_training_from_the_command_line(config, tmp_path, run):
-    arguments = ["ppo", "--config", config, "--out", tmp_path / "out", "--seeds", 3, "--name", "mine"]
+    arguments = [
+        "ppo",
+        "--config",
+        config,
+        "--out",
+        tmp_path / "out",
+        "--seeds",
+        3,
+        "--name",
+        "mine",
+    ]
     code, out, err = run(*arguments)
     assert code == 0
     assert "320 with seed 3: " in out
@@ -73,5 +87,8 @@ def test_training_from_the_command_line(config, tmp_path, run):
     assert "320/320 steps" in err
     created = {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")}
     assert created == {"job.yaml", "chunks", "updates.csv", "curve.png", "policy"}
-    assert yaml.safe_load((tmp_path / "out" / "policy" / "manifest.yaml").read_text())["name"] == "mine"
+    assert (
+        yaml.safe_load((tmp_path / "out" / "policy" / "manifest.yaml").read_text())["name"]
+        == "mine"
+    )
     assert run(*arguments)[:2] == (0, out)  # finished: it is only read

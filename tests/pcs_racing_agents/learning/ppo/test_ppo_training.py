@@ -22,7 +22,12 @@ from pcs_racing_agents.learning.ppo.evaluation import (
     read_evaluations,
     write_evaluations,
 )
-from pcs_racing_agents.learning.ppo.learner import actor_layers, learn_once, make_model, own_randomness
+from pcs_racing_agents.learning.ppo.learner import (
+    actor_layers,
+    learn_once,
+    make_model,
+    own_randomness,
+)
 from pcs_racing_agents.learning.ppo.train import SeedRecord, make_task, train_ppo
 from pcs_racing_agents.networks import load_network
 
@@ -70,13 +75,17 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
     with pytest.raises(StopError):
         train_ppo(settings[level], tmp_path, progress=stop_after(updates + 3), seeds=(0, 1))
     done = []
-    again = train_ppo(settings[level], tmp_path, seeds=(0, 1), progress=lambda *news: done.append(news[0]))
+    again = train_ppo(
+        settings[level], tmp_path, seeds=(0, 1), progress=lambda *news: done.append(news[0])
+    )
     assert done[0] == settings[level].steps
     assert_same(chunk_of(tmp_path), chunk_of(trained[level].folder.parent))
     assert again.curves[0] == trained[level].curves[0]
 
 
-def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(settings, tmp_path, trained, monkeypatch):
+def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(
+    settings, tmp_path, trained, monkeypatch
+):
     """An archive that was exchanged for another under the same name is noticed."""
     own = save_archive(load_archive("default"), tmp_path / "mine")
     few = {"archive": str(own), "opponents": {"random-moves": 1}, "steps": 16}
@@ -101,17 +110,26 @@ def test_two_trainings_in_one_process_do_not_disturb_each_other(settings, traine
         assert list(pool.map(train, settings)) == [None, None]
 
 
-def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(settings, trained, tmp_path):
+def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(
+    settings, trained, tmp_path
+):
     """Two seeds in turn; other processes are in tests/pcs_racing_agents/base/test_cluster.py."""
     reports = []
     with make_executor("threads", 2) as executor:
         both = train_ppo(
-            settings["drive"], tmp_path, seeds=(0, 1), executor=executor, progress=lambda *news: reports.append(news)
+            settings["drive"],
+            tmp_path,
+            seeds=(0, 1),
+            executor=executor,
+            progress=lambda *news: reports.append(news),
         )
     assert both.curves[0] == trained["drive"].curves[0]
     assert_same(chunk_of(tmp_path), chunk_of(trained["drive"].folder.parent))
     assert both.curves[1].scores != both.curves[0].scores
-    payoffs = [max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores) for curve in both.curves]
+    payoffs = [
+        max(mean_score(s, settings["drive"].opponents).worth for s in curve.scores)
+        for curve in both.curves
+    ]
     assert both.seed == int(np.argmax(payoffs))
     assert mean_score(both.scores, settings["drive"].opponents).worth == max(payoffs)
     assert reports[-1][:2] == (1280, 1280)
@@ -120,19 +138,24 @@ def test_seeds_differ_the_best_is_kept_and_an_executor_changes_no_weight(setting
 
 
 def test_training_ends_at_a_plateau_and_leaves_random_generators_alone(settings, tmp_path):
-    level = replace(settings["drive"], learning_rate=1e-8, final_learning_rate=0.0, patience=2, steps=10**6)
+    level = replace(
+        settings["drive"], learning_rate=1e-8, final_learning_rate=0.0, patience=2, steps=10**6
+    )
     assert train_ppo(level, tmp_path / "plateau").curves[0].steps == (0, 320, 640)
     np.random.seed(5)  # noqa: NPY002
     torch.manual_seed(5)
     expected = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()  # noqa: NPY002
     short = train_ppo(settings["drive"], tmp_path / "short", steps=480, evaluate_every=250)
-    assert short.curves[0].steps == (0, 320, 480)  # after the update that passes a multiple, and at the end
+    # after the update that passes a multiple, and at the end
+    assert short.curves[0].steps == (0, 320, 480)
     np.testing.assert_array_equal(np.random.get_state()[1], expected[0])  # noqa: NPY002
     assert torch.equal(torch.get_rng_state(), expected[1])
     assert torch.get_num_threads() == expected[2]
 
 
-def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run_away_are_told(settings, trained):
+def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run_away_are_told(
+    settings, trained
+):
     """The rate falls linearly from the first step to the last of the settings."""
     drive = replace(settings["drive"], learning_rate=0.01, final_learning_rate=0.002)
     with own_randomness():
@@ -141,7 +164,9 @@ def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run
         for _ in range(3):
             learn_once(model, drive, 0.05)
             rates.append(model.policy.optimizer.param_groups[0]["lr"])
-        assert max(np.abs(weight).max() for weight in actor_layers(model).weights) == np.float32(0.05)
+        assert max(np.abs(weight).max() for weight in actor_layers(model).weights) == np.float32(
+            0.05
+        )
     np.testing.assert_allclose(rates, [0.01, 0.008, 0.006])
     with own_randomness():
         model = make_model(settings["drive"], trained["drive"].task.env_groups(), 0, "tanh")
@@ -153,12 +178,16 @@ def test_weights_and_the_learning_rate_keep_to_the_settings_and_weights_that_run
 
 @pytest.mark.parametrize("hidden", [(8,), ()])
 def test_noise_may_last_for_some_steps(settings, trained, hidden):
-    """With ``noise_steps`` it is drawn anew for a rollout's steps together, and about as large as without."""
+    """With ``noise_steps`` it is drawn anew for a rollout's steps together, and about as large as
+    without.
+    """
     level = replace(settings["drive"], noise=0.1, noise_steps=5, hidden=hidden)
     with own_randomness():
         policy = make_model(level, trained["drive"].task.env_groups(), 3, "tanh").policy
         # Outputs of the layer before the last are about a half in size.
-        seen = torch.as_tensor(np.random.default_rng(0).choice([-0.55, 0.55], (4, len(INPUTS))).astype(np.float32))
+        seen = torch.as_tensor(
+            np.random.default_rng(0).choice([-0.55, 0.55], (4, len(INPUTS))).astype(np.float32)
+        )
         mean = policy.forward(seen, deterministic=True)[0]
         tried = []
         for _ in range(200):
@@ -179,13 +208,17 @@ def test_the_network_decides_as_stable_baselines_does(settings, trained):
         network = task.network(actor_layers(model), "net")
         decided, expected = network.choose(seen), model.predict(seen, deterministic=True)[0]
         with torch.no_grad():
-            logits = model.policy.get_distribution(torch.from_numpy(seen)).distribution.logits.numpy()
+            logits = model.policy.get_distribution(
+                torch.from_numpy(seen)
+            ).distribution.logits.numpy()
     first, second = np.sort(logits, axis=1)[:, -1], np.sort(logits, axis=1)[:, -2]
     clear = first - second > 1e-4  # the last bits decide between two that are as good
     assert clear.mean() > 0.9
     np.testing.assert_array_equal(decided[clear], expected[clear])
     values = network(seen)
-    np.testing.assert_allclose(values - np.logaddexp.reduce(values, axis=1, keepdims=True), logits, atol=1e-5)
+    np.testing.assert_allclose(
+        values - np.logaddexp.reduce(values, axis=1, keepdims=True), logits, atol=1e-5
+    )
 
 
 def test_a_duel_policy_is_an_agent_of_the_zoo_and_a_drive_policy_a_driver(trained):
@@ -203,12 +236,22 @@ def test_a_duel_policy_is_an_agent_of_the_zoo_and_a_drive_policy_a_driver(traine
         np.testing.assert_array_equal(one, two)
     run, about = trained["drive"], manifest["training"]
     score = mean_score(run.scores, run.settings.opponents)
-    figures = {key: float(f"{value:.4g}") for key, value in score._asdict().items() if key != "races"}
+    figures = {
+        key: float(f"{value:.4g}") for key, value in score._asdict().items() if key != "races"
+    }
     stated = {
-        "algorithm": "PPO", "seed": 0, "steps": run.steps, "steps_of_all_seeds": 640, "evaluations": 3, **figures,
-        "setting_tracks": "Pipkin", "setting_hidden": "8", "setting_steps": 640, "setting_noise": 0.5,
+        "algorithm": "PPO",
+        "seed": 0,
+        "steps": run.steps,
+        "steps_of_all_seeds": 640,
+        "evaluations": 3,
+        **figures,
+        "setting_tracks": "Pipkin",
+        "setting_hidden": "8",
+        "setting_steps": 640,
+        "setting_noise": 0.5,
         "setting_opponents": "1 lattice:pace=0, 1 pure-pursuit",
-    }  # fmt: skip
+    }
     assert {key: about[key] for key in stated} == stated
 
 
@@ -224,9 +267,18 @@ def test_a_record_keeps_the_first_of_the_best_and_survives_as_arrays(trained):
     assert (record.best_at, record.best, record.curve.steps) == (1, layers[1], (0, 100, 200, 300))
     record.updates, record.seconds = [(160.0, 1.0, 2.0)], 7.0
     again = SeedRecord.from_arrays(3, task, record.arrays())
-    assert (again.curve, again.updates, again.seconds) == (record.curve, record.updates, record.seconds)
+    assert (again.curve, again.updates, again.seconds) == (
+        record.curve,
+        record.updates,
+        record.seconds,
+    )
     np.testing.assert_array_equal(again.best.flat(), layers[1].flat())
-    refused("know no archive and no game", make_task, trained["drive"].settings, archive=load_archive("default"))
+    refused(
+        "know no archive and no game",
+        make_task,
+        trained["drive"].settings,
+        archive=load_archive("default"),
+    )
 
 
 def test_curves_are_kept_and_other_files_are_none(settings, trained, tmp_path):
@@ -241,9 +293,15 @@ def test_curves_are_kept_and_other_files_are_none(settings, trained, tmp_path):
     lines = (run.folder.parent / "updates.csv").read_text().splitlines()
     assert [line.split(",")[1] for line in lines[1:]] == ["160", "320", "480", "640"]
     arrays = chunk_of(run.folder.parent)
-    rows = [f"0,{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}" for row in arrays["updates"]]
+    rows = [
+        f"0,{int(row[0])},{','.join(f'{value:.6g}' for value in row[1:])}"
+        for row in arrays["updates"]
+    ]
     assert lines[1:] == rows
-    assert lines[0] == "seed,steps,approx_kl,clip_fraction,entropy_loss,explained_variance,value_loss,reward"
+    assert (
+        lines[0]
+        == "seed,steps,approx_kl,clip_fraction,entropy_loss,explained_variance,value_loss,reward"
+    )
     worse = (run.folder / "curve.csv").read_text().replace("\n0,320,", "\n0,soon,", 1)
     (tmp_path / "curve.csv").write_text(worse)
     refused("line 4 is none of a learning curve", read_evaluations, tmp_path / "curve.csv")

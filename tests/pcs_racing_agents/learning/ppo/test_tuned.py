@@ -30,7 +30,9 @@ def test_models_are_made_and_act(name):
     model = replace(tuned, num_envs=2, settings=small).make_model(seed=3)
     assert model.n_envs == 2
     assert (model.get_vec_normalize_env() is not None) == tuned.normalize
-    assert model.lr_schedule(1.0) == pytest.approx(float(tuned.settings["learning_rate"].removeprefix("lin_")))
+    assert model.lr_schedule(1.0) == pytest.approx(
+        float(tuned.settings["learning_rate"].removeprefix("lin_"))
+    )
     seen = model.get_env().reset()
     assert np.isfinite(seen).all()
     seen, rewards, _, _ = model.get_env().step(model.predict(seen)[0])

@@ -1,4 +1,6 @@
-"""Self-play between unequal cars: in each race one car is slower, and in half of them it does not see the other."""
+"""Self-play between unequal cars: in each race one car is slower, and in half of them it does not
+see the other.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +13,9 @@ from pcs_racing_agents.learning.ppo.unequal_cars import UnequalCars
 
 
 def races(count, **arguments):
-    return make_sb3_vec_env("drive-self-play", 2 * count, track="Pipkin", time_step=0.1, **arguments)
+    return make_sb3_vec_env(
+        "drive-self-play", 2 * count, track="Pipkin", time_step=0.1, **arguments
+    )
 
 
 def test_one_car_of_each_race_is_slower_by_a_possible_share_and_half_of_those_are_blind():

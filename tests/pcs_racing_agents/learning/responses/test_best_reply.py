@@ -30,7 +30,16 @@ SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epo
 
 
 def test_networks_of_other_seeds_and_members_begin_with_other_seeds():
-    assert len({one.train_settings(i).seed for one in (SMALL, replace(SMALL, seed=1)) for i in range(32)}) == 64
+    assert (
+        len(
+            {
+                one.train_settings(i).seed
+                for one in (SMALL, replace(SMALL, seed=1))
+                for i in range(32)
+            }
+        )
+        == 64
+    )
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +77,9 @@ def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_los
     refused("no races", excess_estimate, even.take([]))
 
 
-def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(slow, games, spec, monkeypatch):
+def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
+    slow, games, spec, monkeypatch
+):
     folder, first = slow
     for file in sorted((folder / "chunks").glob("*.npz"))[::2]:
         file.unlink()
@@ -88,7 +99,9 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(sl
 
 def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path):
     pytest.importorskip("torch", reason="torch is not installed")
-    reply = reply_to(planner_driver(spec, name="pure-pursuit"), games, spec, tmp_path / "driver", races=40)
+    reply = reply_to(
+        planner_driver(spec, name="pure-pursuit"), games, spec, tmp_path / "driver", races=40
+    )
     assert set(reply.races.variants[:, 1]) == {0}
     assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
     refused("races is 39", reply_to, never_switch(spec), games, spec, tmp_path / "few", races=39)
@@ -96,22 +109,42 @@ def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, spec,
 
 
 def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
-    """Races of made-up ends: on s the reply wins 2 of 4 and the agent 1, on t the agent wins all and crashes once."""
-    ends = [("s", "ego", "none"), ("s", "ego", "none"), ("s", "opponent", "ego"), ("s", "none", "none")]
+    """Races of made-up ends: on s the reply wins 2 of 4 and the agent 1, on t the agent wins all
+    and crashes once.
+    """
+    ends = [
+        ("s", "ego", "none"),
+        ("s", "ego", "none"),
+        ("s", "opponent", "ego"),
+        ("s", "none", "none"),
+    ]
     ends += [("t", "opponent", "both"), ("t", "opponent", "none")]
     rows = [
         RaceRow(
-            ego="best-reply", opponent="a", track=track, race=k, start_s=float(k), winner=winner, fault=fault,
-            crash="none" if fault == "none" else "car", ego_variant=k % 2, opponent_variant=k % 2, duration=9.0,
-            ego_path=(k % 2,), opponent_path=(),
+            ego="best-reply",
+            opponent="a",
+            track=track,
+            race=k,
+            start_s=float(k),
+            winner=winner,
+            fault=fault,
+            crash="none" if fault == "none" else "car",
+            ego_variant=k % 2,
+            opponent_variant=k % 2,
+            duration=9.0,
+            ego_path=(k % 2,),
+            opponent_path=(),
         )
         for k, (track, winner, fault) in enumerate(ends)
-    ]  # fmt: skip
+    ]
     table = race_table(rows)
     tracks = np.array([track for track, *_ in ends])
     parts = [("s", table.take(tracks == "s")), ("t", table.take(tracks == "t")), ("all", table)]
     shares = ((0.5, 0.25, 0.0), (0.0, 1.0, 0.5), (2 / 6, 0.5, 1 / 6))
-    replies, losses = {"a": BestReply(None, table, None)}, [excess_estimate(part) for _, part in parts]
+    replies, losses = (
+        {"a": BestReply(None, table, None)},
+        [excess_estimate(part) for _, part in parts],
+    )
     assert [loss.mean for loss in losses] == pytest.approx([0.125, -0.5, -0.5 / 6])
     assert reply_rows(replies) == [
         (
@@ -128,10 +161,25 @@ def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
     ]
     text = reply_text(replies, SMALL).splitlines()
     assert text[0].split("  ")[0] == "agent"
-    assert text[-1] == "learner: 192 games branched at every step and on each circuit, 1 rounds, 1 networks"
+    assert (
+        text[-1]
+        == "learner: 192 games branched at every step and on each circuit, 1 rounds, 1 networks"
+    )
     written = csv.reader(write_replies(replies, tmp_path / "replies.csv").read_text().splitlines())
     assert list(written) == [
-        ["agent", "track", "loss", "low", "high", "se", "df", "races", "reply_won", "agent_won", "agent_own_crash"],
+        [
+            "agent",
+            "track",
+            "loss",
+            "low",
+            "high",
+            "se",
+            "df",
+            "races",
+            "reply_won",
+            "agent_won",
+            "agent_own_crash",
+        ],
         *(
             [
                 "a",
@@ -144,11 +192,15 @@ def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
             for (track, part), loss, all_shares in zip(parts, losses, shares, strict=True)
         ),
     ]
-    assert [row[1] for row in reply_rows({"a": BestReply(None, race_table(rows[:4]), None)})] == ["s"]
+    assert [row[1] for row in reply_rows({"a": BestReply(None, race_table(rows[:4]), None)})] == [
+        "s"
+    ]
 
 
 def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_bring(slow):
-    """By definition: where policies met in both roles, half of the difference of the two means is taken off."""
+    """By definition: where policies met in both roles, half of the difference of the two means is
+    taken off.
+    """
 
     def same(races, expected):
         found = excess_estimate(races)
@@ -161,7 +213,8 @@ def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_brin
     even = excess.copy()
     for k in range(len(races)):
         there, back = (
-            (ego == one) & (opponent == other) for one, other in ((ego[k], opponent[k]), (opponent[k], ego[k]))
+            (ego == one) & (opponent == other)
+            for one, other in ((ego[k], opponent[k]), (opponent[k], ego[k]))
         )
         assert there.sum() == back.sum() == 10
         even[k] -= 0.5 * (excess[there].mean() - excess[back].mean())
@@ -171,7 +224,9 @@ def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_brin
     single = replace(races, variants=races.variants * [1, 0])
     same(single, clustered_mean(excess, ego, line))
     uneven = races.take(np.arange(len(races)) > 0)
-    first = (ego == ego[0]) & (opponent == opponent[0]) | (ego == opponent[0]) & (opponent == ego[0])
+    first = (ego == ego[0]) & (opponent == opponent[0]) | (ego == opponent[0]) & (
+        opponent == ego[0]
+    )
     even[first] = excess[first]  # one race less in one of the directions
     parts = [part[1:] for part in (ego, opponent, line)]
     same(uneven, clustered_mean(even[1:], *parts, same_pool=True))
@@ -182,7 +237,17 @@ def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):
     config = tmp_path / "small.yaml"
     config.write_text("rounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n", encoding="utf-8")
     out = tmp_path / "reply"
-    command = ["best-reply", "never-switch", "--track", "Tarnfjord", "Pipkin", "--duration", 2.5, "--starts", 8]
+    command = [
+        "best-reply",
+        "never-switch",
+        "--track",
+        "Tarnfjord",
+        "Pipkin",
+        "--duration",
+        2.5,
+        "--starts",
+        8,
+    ]
     command += ["--config", config, "--out", out, "--races"]
     text = printed(*command, 80)
     assert "learner: 8 games branched at every step" in text

@@ -10,7 +10,13 @@ from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.learning.responses import ResponseSettings, branch_games, learn_response, learner, merge_networks
+from pcs_racing_agents.learning.responses import (
+    ResponseSettings,
+    branch_games,
+    learn_response,
+    learner,
+    merge_networks,
+)
 from pcs_racing_agents.learning.responses.branches import block_rows, game_blocks, outcome
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
@@ -52,7 +58,9 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, spec):
 
     keys, stay = race_seeds(3, 60), never_switch(spec)
     result = branch_games(game, stay, keys, 0, [stay], Stays(), payoff="utility")
-    after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[result.game]
+    after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[
+        result.game
+    ]
     assert asked[0] <= sum(len(np.unique(policies)) for policies in after) < after.size
     for policies, outcomes in zip(after, result.outcomes, strict=True):
         for policy in np.unique(policies):
@@ -65,11 +73,17 @@ def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(ga
     rival = random_moves(spec, seed=2)
     whole = branch_games(game, rival, keys, 1, *rest)
     parts = [branch_games(game, rival, keys[k : k + 2], 1, *rest) for k in (0, 2, 4)]
-    np.testing.assert_array_equal(whole.outcomes, np.concatenate([piece.outcomes for piece in parts]))
-    np.testing.assert_array_equal(whole.observations, np.concatenate([piece.observations for piece in parts]))
+    np.testing.assert_array_equal(
+        whole.outcomes, np.concatenate([piece.outcomes for piece in parts])
+    )
+    np.testing.assert_array_equal(
+        whole.observations, np.concatenate([piece.observations for piece in parts])
+    )
     rival = planner_driver(spec, name="lane-switcher")
     game = game_between(game, never_switch(spec), rival)
-    result = branch_games(game, rival, race_seeds(0, 3), 0, [never_switch(spec)], never_switch(spec))
+    result = branch_games(
+        game, rival, race_seeds(0, 3), 0, [never_switch(spec)], never_switch(spec)
+    )
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
     # By hand: each key chooses the driver's policy.
     chosen = [rival.policies[int(key) % 20] for key in race_seeds(0, 3)]
@@ -89,24 +103,43 @@ def test_blocks_divide_games_that_depend_on_their_place_and_number_alone():
     np.testing.assert_array_equal(keys, race_seeds(blocks[0].root, 600))
     others = (game_blocks(4, (1, 2), 1), game_blocks(3, (2, 1), 1), game_blocks(3, (1,), 1), blocks)
     assert len({one[0].root for one in others}) == 4
-    arrays = {"observations": np.ones((2, 3)), "advantages": np.array([[0.5, 0.0]] * 2), "game": np.array([4, 7])}
+    arrays = {
+        "observations": np.ones((2, 3)),
+        "advantages": np.array([[0.5, 0.0]] * 2),
+        "game": np.array([4, 7]),
+    }
     rows = block_rows(arrays, blocks[1], 12, 5, 0.25)
     assert (rows.pair.tolist(), rows.step.tolist(), rows.weights.tolist()) == (
         [12_000_260, 12_000_263],
         [5] * 2,
         [0.25] * 2,
     )
-    assert (rows.targets.dtype, rows.targets.tolist()) == (np.float32, arrays["advantages"].tolist())
+    assert (rows.targets.dtype, rows.targets.tolist()) == (
+        np.float32,
+        arrays["advantages"].tolist(),
+    )
     assert block_rows(arrays, blocks[0], 0, 0).weights.tolist() == [1.0, 1.0]
 
 
-def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(lesson, tmp_path, monkeypatch):
-    """Two rounds of two steps: who moves before and after each branch, what is learned, and by how many networks."""
+def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(
+    lesson, tmp_path, monkeypatch
+):
+    """Two rounds of two steps: who moves before and after each branch, what is learned, and by how
+    many networks.
+    """
     branched, fitted = [], []
 
     def branch(game, opponent, keys, step, behaviours, continuation, payoff, count):
         branched.append(
-            (opponent.name, len(keys), step, [one.name for one in behaviours], continuation.name, payoff, count)
+            (
+                opponent.name,
+                len(keys),
+                step,
+                [one.name for one in behaviours],
+                continuation.name,
+                payoff,
+                count,
+            )
         )
         return branch_games(game, opponent, keys, step, behaviours, continuation, payoff, count)
 
@@ -115,15 +148,21 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(le
         layers = random_layers(len(identity.elements), 4, len(identity.moves), seed=len(fitted))
         size = len(identity.elements)
         facts = {"rows": 3, "loss": 0.5}
-        one = RegretNetwork(name, identity, "advantage", False, layers, np.zeros(size), np.ones(size), facts)
+        one = RegretNetwork(
+            name, identity, "advantage", False, layers, np.zeros(size), np.ones(size), facts
+        )
         return [one] * len(members)
 
     monkeypatch.setattr(learner, "branch_games", branch)
     monkeypatch.setattr(learner, "train_kept", train)
     games, pool, spec = lesson
-    settings = ResponseSettings(starts=10, rounds=2, members=3, seed=5, worth="utility", epochs=7, patience=4)
+    settings = ResponseSettings(
+        starts=10, rounds=2, members=3, seed=5, worth="utility", epochs=7, patience=4
+    )
     with open_job(tmp_path / "job", "response", {}) as job:
-        network = learn_response(games, pool, spec, settings, job, shares=[2, 1], name="mine", part="a-")
+        network = learn_response(
+            games, pool, spec, settings, job, shares=[2, 1], name="mine", part="a-"
+        )
     names, both = [opponent.name for opponent in pool], (["random-moves"], ["random-moves", "mine"])
     expected = []
     for k, (round_, step) in enumerate([(0, 1), (0, 0), (1, 1), (1, 0)]):
@@ -139,13 +178,24 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(le
         assert len(set(rows.pair.tolist())) == len(rows) > len(fitted[k - 1][2]) * (k > 0)
         np.testing.assert_allclose(rows.targets.mean(axis=1), 0.0, atol=1e-5)
     assert branched == expected
-    assert network.training == {"rows": len(fitted[3][2]), "worth": "utility", "loss": 0.5, "members": 3}
+    assert network.training == {
+        "rows": len(fitted[3][2]),
+        "worth": "utility",
+        "loss": 0.5,
+        "members": 3,
+    }
     last = fitted[3][2]
     games_of = [last.pair // 1_000_000 == place for place in (100_000, 100_001)]
     assert [int(one.sum()) for one in games_of] == [7, 3]
     assert set(last.step[games_of[0]].tolist()) == {0}
     fit = settings.fit_settings(9)
-    assert (fit.seed, fit.epochs, fit.patience, fit.hidden, fit.batch_size) == (9, 7, 4, (64, 64), 512)
+    assert (fit.seed, fit.epochs, fit.patience, fit.hidden, fit.batch_size) == (
+        9,
+        7,
+        4,
+        (64, 64),
+        512,
+    )
     assert (fit.learning_rate, fit.weight_decay, fit.rows_per_epoch) == (0.003, 0.001, 50_000)
 
 
@@ -191,4 +241,9 @@ def test_the_merged_network_puts_out_the_mean_of_members_of_one_kind():
     with pytest.raises(InputError, match="networks 'net-0' and 'net-1' differ in clipped"):
         merge_networks([network(0), network(1, clipped=True)], "merged")
     refused("give at least one", merge_networks, [], "merged")
-    refused("mean of clipped networks", merge_networks, [network(0, clipped=True), network(1, clipped=True)], "merged")
+    refused(
+        "mean of clipped networks",
+        merge_networks,
+        [network(0, clipped=True), network(1, clipped=True)],
+        "merged",
+    )
