@@ -35,7 +35,8 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
     """Choose pairs of starting policies, shape (count, 2).
 
     The policies are a diverse choice of about ``2 sqrt(count)`` policies of the archive
-    (:func:`select_diverse`). No pair repeats, in either order, before all pairs have occurred once.
+    (:func:`select_diverse`), and both policies of a pair differ. No pair repeats, in either order,
+    before all pairs have occurred once.
 
     Parameters
     ----------
@@ -51,7 +52,7 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     size = min(len(archive), int(np.ceil(2.0 * np.sqrt(count))))
     pool = select_diverse(archive, size, rng=rng)
-    every = np.stack(np.triu_indices(size), axis=1)
+    every = np.stack(np.triu_indices(size, min(size - 1, 1)), axis=1)
     rounds = [rng.permutation(every) for _ in range(-(-count // len(every)))]
     return pool[rng.permuted(np.concatenate(rounds)[:count], axis=1)]
 

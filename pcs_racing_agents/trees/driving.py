@@ -38,7 +38,8 @@ CHUNK = 64
 MARGIN = 2.0
 """Distance beyond the sight, m: more than the gap can change in the 0.1 s between two checks."""
 
-UNKNOWN, KNOWN, CRASHES = range(3)
+UNKNOWN, CRASHES = -1, -2
+"""Marks of a drive in place of the row where it is known."""
 
 
 class RaceEnds(NamedTuple):
@@ -140,115 +141,101 @@ def finish(
     :func:`pcs_racing_agents.trees.driving.drive_children`. ``share``: whether to combine races from
     single drives where that is possible; it does not change the result.
     """
-    sight = max(planner.sight for planner in game.setup.planners) + MARGIN
     ends = RaceEnds.empty(len(rows))
-    length = game.track.length
-    apart = _apart(parents.lead, length) > sight if share else np.zeros(parents.races, np.bool_)
-    far = np.flatnonzero(apart[rows])
-    drives = _different_drives(parents, rows[far], policies[far])
-    status = np.full((2, int(drives.max(initial=-1)) + 1), UNKNOWN)
-    source = np.zeros_like(status)  # row of a known drive in ``known`` and ``traces``
-    known = np.zeros((0, 2))  # progress at the end of driven races
-    traces = np.zeros((0, 1, 2), np.float32)
-    waiting = np.arange(len(far))  # races whose end is not known yet
-    count = 0
-    not_shared = [np.flatnonzero(~apart[rows])]  # races that must be driven themselves
-    # A few races show every drive at least once. If a crash hides the drive of the other car,
-    # another race is driven for it.
-    while len(waiting):
-        batch = waiting[_cover(drives[:, waiting], status)]
-        if len(batch) == 0:
-            break
-        batch_ends, batch_trace = drive_to_the_end(
-            game, parents, rows[far[batch]], policies[far[batch]], trace=True
-        )
-        ends.write(far[batch], batch_ends)
-        apart_throughout = _stay_apart(batch_trace[:, :, 0], batch_trace[:, :, 1], length, sight)
-        for car in range(2):
-            # A race stands still after a crash: the rest of the other car's drive is unknown then.
-            # If the cars came near each other, both drives are unknown, and another race may show
-            # them.
-            shown = drives[car, batch]
-            complete = apart_throughout & ~batch_ends.crash.any(axis=1)
-            status[car, shown[apart_throughout & (batch_ends.crash[:, car] != 0)]] = CRASHES
-            status[car, shown[complete]] = KNOWN
-            source[car, shown[complete]] = len(traces) + np.flatnonzero(complete)
-        known = np.concatenate([known, batch_ends.progress])
-        traces = batch_trace if len(traces) == 0 else np.concatenate([traces, batch_trace])
-        count += len(batch)
-        waiting = np.setdiff1d(waiting, batch, assume_unique=True)
-        crashing = (status[0, drives[0, waiting]] == CRASHES) | (
-            status[1, drives[1, waiting]] == CRASHES
-        )
-        not_shared.append(far[waiting[crashing]])
-        waiting = waiting[~crashing]
-    for first in range(0, len(waiting), 4096):  # bounded memory
-        block = waiting[first : first + 4096]
-        from0, from1 = (source[car, drives[car, block]] for car in range(2))
-        apart_in_block = _stay_apart(traces[from0, :, 0], traces[from1, :, 1], length, sight)
-        # Neither car crashes in its known drive: together they would not crash, either, unless they
-        # come near each other.
-        ends.progress[far[block]] = np.stack([known[from0, 0], known[from1, 1]], axis=1)
-        not_shared.append(far[block[~apart_in_block]])
-    rest = np.concatenate(not_shared)
+    apart = _out_of_sight(game, parents.lead) if share else np.zeros(parents.races, np.bool_)
+    rest, count = np.flatnonzero(~apart[rows]), 0
+    if apart.any():
+        far = np.flatnonzero(apart[rows])
+        remaining, count = _combine(game, parents, rows, policies, far, ends)
+        rest = np.concatenate([rest, remaining])
     ends.write(rest, drive_to_the_end(game, parents, rows[rest], policies[rest])[0])
     return ends, count + len(rest)
 
 
-def _apart(lead: NDArray[np.floating], length: float) -> NDArray[np.floating]:
-    """Return the distance between cars along the track, the shorter way round, m."""
-    round_ = np.mod(lead, length)
-    return np.asarray(np.minimum(round_, length - round_))
+def _combine(
+    game: RaceGame,
+    parents: RaceState,
+    rows: Indices,
+    policies: Indices,
+    far: Indices,
+    ends: RaceEnds,
+) -> tuple[Indices, int]:
+    """Write the ends of the races ``far``, whose cars start out of sight, as far as possible.
+
+    Returns the races that must be driven themselves, and the number of races driven here.
+    """
+    drives = _different_drives(parents, rows[far], policies[far])
+    # Row of each drive in ``progress`` and ``traces``, if it is known.
+    source = np.full((2, drives.max(initial=-1) + 1), UNKNOWN)
+    progress = np.zeros((0, 2))
+    traces = np.zeros((0, int(np.diff(game.config.end_ticks)[-1]) // PLAN_EVERY + 1, 2), np.float32)
+    waiting = np.arange(len(far))
+    rest = [far[:0]]
+    # If a crash hides the drive of the other car, or the cars came near each other, another race
+    # is driven for the unknown drives.
+    while len(batch := waiting[cover_drives(drives[:, waiting], source == UNKNOWN)]):
+        driven, trace = drive_to_the_end(
+            game, parents, rows[far[batch]], policies[far[batch]], trace=True
+        )
+        ends.write(far[batch], driven)
+        apart = _out_of_sight(game, trace[:, :, 0] - trace[:, :, 1]).all(axis=1)
+        complete = apart & ~driven.crash.any(axis=1)
+        for car in range(2):
+            source[car, drives[car, batch[apart & (driven.crash[:, car] != 0)]]] = CRASHES
+            source[car, drives[car, batch[complete]]] = len(traces) + np.flatnonzero(complete)
+        progress = np.concatenate([progress, driven.progress])
+        traces = np.concatenate([traces, trace])
+        waiting = np.setdiff1d(waiting, batch, assume_unique=True)
+        crashing = (source[[[0], [1]], drives[:, waiting]] == CRASHES).any(axis=0)
+        rest.append(far[waiting[crashing]])
+        waiting = waiting[~crashing]
+    for first in range(0, len(waiting), 4096):  # bounded memory
+        block = waiting[first : first + 4096]
+        from0, from1 = (source[car, drives[car, block]] for car in range(2))
+        ends.progress[far[block]] = np.stack([progress[from0, 0], progress[from1, 1]], axis=1)
+        # Neither car crashes in its known drive: together they would not crash, either, unless they
+        # come near each other.
+        apart = _out_of_sight(game, traces[from0, :, 0] - traces[from1, :, 1]).all(axis=1)
+        rest.append(far[block[~apart]])
+    return np.concatenate(rest), len(traces)
 
 
-def _stay_apart(
-    first: NDArray[np.float32], second: NDArray[np.float32], length: float, sight: float
-) -> NDArray[np.bool_]:
-    """Return whether two cars never come within sight, from their progress over time, (B, T)."""
-    return np.asarray((_apart(first - second, length) > sight).all(axis=1))
+def _out_of_sight(game: RaceGame, lead: NDArray[np.floating]) -> NDArray[np.bool_]:
+    """Return whether cars are out of each other's sight: the shorter way round the track counts."""
+    sight = max(planner.sight for planner in game.setup.planners) + MARGIN
+    ahead = np.mod(lead, game.track.length)
+    return np.asarray(np.minimum(ahead, game.track.length - ahead) > sight)
 
 
 def _different_drives(parents: RaceState, rows: Indices, policies: Indices) -> Indices:
     """Number each car's drives, shape (2, B); equal numbers: same car, state and policy."""
     numbers = np.zeros((2, len(rows)), np.int64)
-    if len(rows) == 0:
-        return numbers
     used, which = np.unique(rows, return_inverse=True)
     for car in range(2):
-        columns = [
-            array[used, car].reshape(len(used), -1)
-            for array in (
-                parents.cars,
-                parents.frenet,
-                parents.progress,
-                parents.command,
-                parents.disturbance,
-            )
-        ]
-        columns += [
-            array[used, car].reshape(len(used), -1) for array in (parents.path, parents.memory)
-        ]
-        shared = [
-            parents.tick[used, None].view(np.float64),
-            parents.seed[used, None].view(np.float64),
-        ]
-        table = np.ascontiguousarray(np.concatenate([*columns, *shared], axis=1))
-        state: dict[bytes, int] = {}
-        same = np.array([state.setdefault(row.tobytes(), len(state)) for row in table], np.int64)
-        keys = same[which] * (policies.max(initial=0) + 1) + policies[:, car]
-        numbers[car] = np.unique(keys, return_inverse=True)[1]
+        own = (
+            *(parents.cars, parents.frenet, parents.progress, parents.command),
+            *(parents.disturbance, parents.path, parents.memory),
+        )
+        columns = [array[used, car].reshape(len(used), -1).view(np.int64) for array in own]
+        shared = [parents.tick[used, None], parents.seed[used, None].view(np.int64)]
+        table = np.concatenate([*columns, *shared], axis=1)
+        same = np.unique(table, axis=0, return_inverse=True)[1].reshape(-1)
+        keys = np.stack([same[which], policies[:, car]], axis=1)
+        numbers[car] = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
     return numbers
 
 
-def _cover(drives: Indices, status: Indices) -> Indices:
-    """Select a few races with every unknown drive: first races with two of them, then with one."""
-    unknown = [(status[car] == UNKNOWN).tolist() for car in range(2)]
-    pairs = list(zip(*drives.tolist(), strict=True))
+def cover_drives(drives: Indices, unknown: NDArray[np.bool_]) -> Indices:
+    """Select a few races that show every unknown drive: first races with two of them, then one.
+
+    ``drives``, shape (2, B), are the drives of each race; ``unknown``, shape (2, D), is true for
+    drives to show.
+    """
+    missing = unknown.tolist()
     selected = []
-    for both in (True, False):
-        for i, (first, second) in enumerate(pairs):
-            new0, new1 = unknown[0][first], unknown[1][second]
-            if (new0 and new1) if both else (new0 or new1):
-                unknown[0][first] = unknown[1][second] = False
-                selected.append(i)
+    for needed in (2, 1):
+        for race, pair in enumerate(drives.T.tolist()):
+            if missing[0][pair[0]] + missing[1][pair[1]] >= needed:
+                missing[0][pair[0]] = missing[1][pair[1]] = False
+                selected.append(race)
     return np.array(sorted(selected), np.int64)

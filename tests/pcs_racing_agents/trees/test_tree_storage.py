@@ -135,12 +135,12 @@ def test_impossible_settings_are_refused_before_anything_is_written(paper, tmp_p
 
 
 def test_pairs_are_different_and_nobody_crashes_before_the_first_move(paper, noisy):
-    for count in (1, 7, 40, 45):
+    for count in (1, 7, 30, 36):
         pairs = choose_pairs(paper.archive, count, seed=2)
         assert pairs.shape == (count, 2)
-        assert len({tuple(sorted(pair)) for pair in pairs.tolist()}) == count
+        assert len({frozenset(pair) for pair in pairs.tolist() if len(set(pair)) == 2}) == count
         np.testing.assert_array_equal(choose_pairs(paper.archive, count, seed=2), pairs)
-    assert not np.array_equal(choose_pairs(paper.archive, 45, seed=3), pairs)
+    assert not np.array_equal(choose_pairs(paper.archive, 36, seed=3), pairs)
     assert len(choose_pairs(paper.archive, 100)) == 100  # more than there are: some come twice
     assert default_seeds(noisy) == 4
     rng = np.random.default_rng(0)
