@@ -5,7 +5,7 @@ decides.
     python examples/custom_agent.py --track Saltmere --races 200
 
 Three ways to bring one: a function from observations to chances of the moves, any object with
-``predict`` as models of Stable-Baselines3 have it, and an agent registered under a name.
+``act``, and an agent registered under a name.
 """
 
 import argparse
@@ -44,18 +44,18 @@ def catch_up(spec: GameSpec, *, name: str = "catch-up", seed: int = 0) -> Agent:
     return Agent(name, CatchUp(spec.moves), spec, seed)
 
 
-# 2. Any object with predict, as a model of Stable-Baselines3 has it. It may remember: it is handed
-# its own state again.
+# 2. Any object with act. It may remember: the turn has a value of its own for each game.
 class Stubborn:
     """Repeats the move that it made first, which depends on the lead after the first step."""
 
     name = "stubborn"
 
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        """Return the moves, and what to be handed the next time."""
-        if state is None:
-            state = np.where(observation[:, 4] < 0.0, 0, 2)
-        return state, state
+    def act(self, observations, turn):
+        """Return the moves, and keep them for the next turn."""
+        for i, first_move in enumerate(turn.memories):
+            if first_move is None:
+                turn.memories[i] = 0 if observations[i, 4] < 0.0 else 2
+        return turn.memories
 
 
 def main() -> None:

@@ -49,19 +49,13 @@ class MaskedAgent:
     spec: GameSpec
     name: str = "maskable-ppo"
 
-    def predict(
-        self,
-        observation: np.ndarray,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic=True,
-    ):
-        """The most probable move of those that are not masked."""
+    def act(self, observations: np.ndarray, turn: Any = None) -> np.ndarray:
+        """Return the most probable move of the moves that are not masked."""
         archive = self.spec.archive
         # the own policy, exactly
-        driven = archive.nearest(own(observation, len(archive.characteristics)))
+        driven = archive.nearest(own(observations, len(archive.characteristics)))
         masks = ~duplicate_moves(self.spec.table[:, : self.spec.offered])[driven]
-        return self.policy.predict(observation, deterministic=True, action_masks=masks)[0], None
+        return self.policy.predict(observations, deterministic=True, action_masks=masks)[0]
 
 
 def make_agent(spec: GameSpec, weights: Path) -> MaskedAgent:

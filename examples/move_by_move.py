@@ -72,7 +72,7 @@ def main() -> None:
             f"{name} {value:.2f}"
             for name, value in zip(game.archive.characteristics, point, strict=True)
         )
-        moves = [int(car.predict(seen[0, i])[0]) for i, car in enumerate(cars)]
+        moves = [int(car.act(seen[:, i])[0]) for i, car in enumerate(cars)]
         chances = cars[0].probabilities(seen[:, 0])[0]
         before = state.leads[0, state.step[0]]
         state = game.step(state, np.array([moves]))

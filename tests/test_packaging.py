@@ -71,7 +71,7 @@ assert main(["track", "show", "Pipkin", "--out", "circuit.png"]) == 0
 agent = pcs_racing_agents.make("cfr-argmax")
 duel = gym.make("pcs_racing/Duel-v1", opponent=pcs_racing_agents.make("response"), stay=True)
 seen, _ = duel.reset(seed=1)
-move, _ = agent.predict(seen)
+(move,) = agent.act(seen[None])
 duel.step(int(move))
 print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".")[0] for name in sys.modules})
 """

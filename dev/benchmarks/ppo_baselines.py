@@ -21,7 +21,7 @@ from pcs_racing import load_track, make_game
 from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.planners.trained import DRIVER_FORMAT, load_driver, read_driver
 from pcs_racing_agents import make
-from pcs_racing_agents.agents import as_competitor
+from pcs_racing_agents.agents import as_agent
 from pcs_racing_agents.base.tables import with_interval
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
@@ -117,7 +117,7 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
     """A driver, and the archive's policies that never change, against drivers under each set of
     rules.
     """
-    driver = as_competitor(load_driver(baseline.folder).policy())
+    driver = as_agent(load_driver(baseline.folder).policy())
     columns = (
         "circuit",
         "rules",

@@ -23,6 +23,7 @@ import numpy as np
 
 from pcs_racing import load_track, make_game, run_races
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.state import take_games
 from pcs_racing_agents.agents import Agent, Driver, make_game_spec, names
 from pcs_racing_agents.agents.agent import competitor_hash
@@ -128,12 +129,12 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     rows = game.observation(state).reshape(1000, -1)
     if isinstance(agent, Agent):
         one, many = (
-            _seconds(lambda seen=seen: agent.predict(seen)) / len(seen) for seen in (rows[:1], rows)
+            _seconds(lambda seen=seen: agent.act(seen)) / len(seen) for seen in (rows[:1], rows)
         )
         return 1e6 * one, 1e6 * many
     # Agents that simulate take milliseconds for a decision: a thousand games would take minutes.
     few = take_games(state, np.arange(10))
-    return 1e6 * _seconds(lambda: agent.decide(game, few, 0)) / len(few.step), np.nan
+    return 1e6 * _seconds(lambda: ask_moves(agent, game, few, 0)) / len(few.step), np.nan
 
 
 def _seconds(work: Callable[[], Any], enough: float = 0.05) -> float:

@@ -57,7 +57,7 @@ duel = gym.make("pcs_racing/Duel-v1", opponent="best-fixed", stay=True)
 seen, info = duel.reset(seed=1)
 over = False
 while not over:
-    move, _ = agent.predict(seen)
+    (move,) = agent.act(seen[None])
     seen, reward, over, _, info = duel.step(int(move))
 print("cfr-argmax against best-fixed:", duel.unwrapped.outcome()["result"], round(float(reward), 2))
 """

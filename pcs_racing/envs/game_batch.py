@@ -84,10 +84,10 @@ class GameOptions(EpisodeOptions):
         'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode'
         ' and kept); "always-<move>", for instance "always-aggressiveness +"; a driver such as'
         ' "lane-switcher:3", which makes no moves; or any agent of :mod:`pcs_racing_agents`, such'
-        ' as "cfr-argmax". As an object: an agent, a driver or a policy; a model of'
-        " Stable-Baselines3 or any object with its ``predict(observation, state, episode_start,"
-        " deterministic)``; an object with ``decide(game, state, car)``; or a function"
-        " ``f(observation, generator) -> move``. Of a list, in which entries may be (weight,"
+        ' as "cfr-argmax". As an object: any agent with ``act(observations, turn)``; a policy; a'
+        " model of Stable-Baselines3 or any object with its ``predict(observation, state,"
+        " episode_start, deterministic)``; or a function ``f(observation, generator) -> move``. Of"
+        " a list, in which entries may be (weight,"
         " opponent), one is drawn for each episode. The opponent observes what car 1 observes, and"
         " may also stay, whatever moves the rules offer. With None a second agent drives car 1,"
         " where the environment has one.",

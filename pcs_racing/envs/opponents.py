@@ -15,10 +15,11 @@ from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.models import layers, model_policy, policy_of
 from pcs_racing.game.competitor import (
     Competitor,
+    PolicySet,
+    as_agent,
     ask_moves,
     check_competitor,
     competitor_name,
-    driver_policies,
     is_model,
     make_competitor,
 )
@@ -79,13 +80,17 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
 
 
 def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
-    competitor = make_competitor(given, game) if isinstance(given, str) else given
+    if isinstance(given, str):
+        competitor = as_agent(make_competitor(given, game))
+    else:
+        competitor = as_agent(given)
     check_competitor(game, competitor)
-    trained_in = getattr(competitor, "get_env", None)
+    trained_in = getattr(given, "get_env", None)
     if callable(trained_in):
         list(layers(trained_in()))  # refuses a wrapper that the model would lose
-    name = given.strip() if isinstance(given, str) else competitor_name(competitor)
-    return Opponent(name, weight, competitor, driver_policies(competitor))
+    name = given.strip() if isinstance(given, str) else competitor.name
+    policies = competitor.policies if isinstance(competitor, PolicySet) else ()
+    return Opponent(name, weight, competitor, policies)
 
 
 def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:

@@ -1,24 +1,25 @@
-"""Competitors: the players of a game, and the only function that asks for their moves.
+"""Agents: the protocol of the players of a game, the conversion to it, and the request for moves.
 
-A competitor has one of these kinds:
+An agent has a ``name`` and a method ``act(observations, turn)``, which returns the moves of one car
+in a batch of games (:class:`SupportsAct`). A :class:`PolicySet` also takes part in games, without
+moves. :func:`as_agent` converts other objects to one of the two:
 
-- a **predictor**: ``predict(observation, state, episode_start, deterministic)``, as in models of
+- a :class:`~pcs_racing.planners.planner.Policy`, which makes no moves;
+- a model with ``predict(observation, state, episode_start, deterministic)``, as in
   Stable-Baselines3;
-- a **decider**: ``decide(game, state, car)``, for a search with the simulator;
-- a **function** ``f(observation, generator) -> move``;
-- a **fixed policy**, which makes no moves: a :class:`PolicySet` or a single
-  :class:`~pcs_racing.planners.planner.Policy`;
-- a **chooser**: ``choose(observation)``, which chooses a policy before each race of a match
-  (:mod:`pcs_racing.game.match`). It keeps that policy in the races of a match. In a single game, a
-  competitor that is only a chooser also keeps its policy.
+- a function ``f(observation, generator) -> move``;
+- a :class:`Chooser`, which chooses a policy before each race of a match
+  (:mod:`pcs_racing.game.match`). It keeps that policy in the races of a match, and in a single
+  game.
 
-Competitors may always stay, whatever moves the rules offer:
+Agents may always stay, whatever moves the rules offer:
 :attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
 """
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from copy import copy
+from dataclasses import dataclass, is_dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -36,31 +37,46 @@ from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
 
 Observation = NDArray[np.float32]
-Function = Callable[[Observation, np.random.Generator], Any]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class Turn:
+    """Games at a move of one car, for agents that need more than their observations."""
+
+    game: RaceGame
+    games: GameState  #: Batch that contains the games.
+    rows: Indices  #: shape (n,): Indices of the n games in ``games`` and ``generators``.
+    car: int  #: Car of the agent, 0 or 1.
+    #: Value of the agent for each of the n games, None before its first move; ``act`` may replace
+    #: the entries, and the next turn has the new values.
+    memories: list[Any]
+    generators: Sequence[np.random.Generator]  #: Random generators of the batch.
+    deterministic: bool  #: False if a model may draw its moves, by a generator of its own.
+
+    @property
+    def state(self) -> GameState:
+        """Copy of the states of the n games."""
+        return take_games(self.games, self.rows)
+
+    @property
+    def stay(self) -> int:
+        """Move that keeps the policy."""
+        return len(self.game.competitor_moves) - 1
 
 
 @runtime_checkable
-class Predictor(Protocol):
-    """A model that predicts moves in a batch of games, with the interface of Stable-Baselines3."""
-
-    def predict(
-        self,
-        observation: Observation,
-        state: Any = None,
-        episode_start: NDArray[np.bool_] | None = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:
-        """Return moves for observations, shape (n, D), and the state for the next call, or None."""
-
-
-@runtime_checkable
-class Decider(Protocol):
-    """A competitor that decides by the whole state of a game, such as a search."""
+class SupportsAct(Protocol):
+    """An agent: a player of the game with a name."""
 
     name: str
 
-    def decide(self, game: RaceGame, state: GameState, car: int) -> ArrayLike:
-        """Return the moves of one car in B games, shape (B,); games are decided independently."""
+    def act(self, observations: Observation, turn: Turn) -> ArrayLike:
+        """Return the moves in n games, shape (n,), from observations of shape (n, D).
+
+        Moves are indices of :attr:`RaceGame.competitor_moves`. Each game is decided independently,
+        so that batches of all sizes give the same moves.
+        """
 
 
 @runtime_checkable
@@ -75,31 +91,6 @@ class Chooser(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class RandomMoves:
-    """A competitor with moves drawn uniformly from the allowed moves, by the game's generator."""
-
-    name: str = "random-moves"
-
-
-@dataclass(frozen=True)
-class SameMove:
-    """A competitor that always makes the same move."""
-
-    name: str
-    move: int
-
-    def predict(
-        self,
-        observation: Observation,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], None]:
-        """Return the move for each observation."""
-        return np.full(len(observation), self.move), None
-
-
-@dataclass(frozen=True, eq=False)
 class PolicySet:
     """A competitor without moves: one of its policies, drawn for each game, drives to the end."""
 
@@ -107,21 +98,162 @@ class PolicySet:
     policies: tuple[Policy, ...]  #: Policies of one planner, at least one.
 
 
-Competitor = Predictor | Decider | PolicySet | RandomMoves | Policy | Chooser | Function
-"""Competitors of all kinds."""
+Competitor = SupportsAct | PolicySet
+"""An agent, or policies without moves."""
+
+
+@dataclass(frozen=True, eq=False)
+class RandomMoves:
+    """An agent with moves drawn uniformly from the allowed moves, by the game's generator."""
+
+    name: str = "random-moves"
+
+    def act(self, observations: Observation, turn: Turn) -> list[Any]:
+        """Return an allowed move for each game."""
+        masks = turn.game.action_mask(turn.games)[turn.rows, turn.car]
+        allowed = [np.flatnonzero(mask) for mask in masks]
+        return [
+            moves[turn.generators[row].integers(len(moves))]
+            for row, moves in zip(turn.rows, allowed, strict=True)
+        ]
+
+
+@dataclass(frozen=True)
+class SameMove:
+    """An agent that always makes the same move."""
+
+    name: str
+    move: int
+
+    def act(self, observations: Observation, turn: Turn | None = None) -> Indices:
+        """Return the move for each game."""
+        return np.full(len(observations), self.move)
+
+
+@dataclass(frozen=True, eq=False)
+class FunctionAgent:
+    """An agent of a function of one observation and the game's generator."""
+
+    name: str
+    function: Callable[[Observation, np.random.Generator], Any]
+
+    def act(self, observations: Observation, turn: Turn) -> list[Any]:
+        """Return the function's move for each game."""
+        return [
+            self.function(one, turn.generators[row])
+            for row, one in zip(turn.rows, observations, strict=True)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class ChoosingAgent:
+    """An agent of a chooser, with the moves of another agent or none."""
+
+    name: str
+    chooser: Chooser
+    mover: SupportsAct | None
+
+    def choose(self, observation: Observation) -> ArrayLike:
+        """Return the policies that the chooser chooses."""
+        return self.chooser.choose(observation)
+
+    def act(self, observations: Observation, turn: Turn) -> ArrayLike:
+        """Return the moves of the other agent; without one, keep the policies."""
+        if self.mover is None:
+            return np.full(len(observations), turn.stay)
+        return self.mover.act(observations, turn)
+
+
+@dataclass(frozen=True, eq=False)
+class ModelAgent:
+    """An agent of a model with the method ``predict`` of Stable-Baselines3."""
+
+    name: str
+    model: Any
+
+    def act(self, observations: Observation, turn: Turn) -> Any:
+        """Return the moves that the model predicts.
+
+        A model with a state is asked game by game, because games begin at different times.
+        """
+        # One call for all games, unless the answer shows that the model has a state.
+        if all(memory is None for memory in turn.memories):
+            first = np.ones(len(observations), np.bool_)
+            moves, memory = self._predict(observations, None, first, turn)
+            if memory is None:
+                return moves
+        asked = []
+        for i, memory in enumerate(turn.memories):
+            first = np.array([memory is None])
+            move, turn.memories[i] = self._predict(observations[i : i + 1], memory, first, turn)
+            asked.append(move[0])
+        return asked
+
+    def _predict(
+        self, observations: Observation, memory: Any, first: NDArray[np.bool_], turn: Turn
+    ) -> tuple[NDArray[Any], Any]:
+        answer = self.model.predict(observations, memory, first, turn.deterministic)
+        try:
+            moves, after = answer
+            return np.asarray(moves).reshape(len(observations)), after
+        except (TypeError, ValueError):
+            raise InputError(
+                f"competitor {self.name!r}: predict returned {answer!r:.80}; it must return a"
+                f" pair: {len(observations)} moves, and a state or None"
+            ) from None
+
+
+def as_agent(given: Any, name: str | None = None) -> Competitor:
+    """Convert an object to an agent, or to policies without moves; agents are returned unchanged.
+
+    ``name`` replaces the object's own name. The module lists the objects.
+    """
+    own = name or competitor_name(given)
+    # arrays have a method `choose`, too
+    if isinstance(given, type | np.ndarray | np.generic):
+        raise _no_agent(given)
+    if hasattr(given, "act") or isinstance(given, PolicySet):
+        return _renamed(given, own)
+    if isinstance(given, Policy):
+        return PolicySet(own, (given,))
+    mover = ModelAgent(own, given) if hasattr(given, "predict") else None
+    if isinstance(given, Chooser):
+        return ChoosingAgent(own, given, mover)
+    if mover is not None:
+        return mover
+    if not callable(given):
+        raise _no_agent(given)
+    return FunctionAgent(own, given)
+
+
+def _no_agent(given: Any) -> InputError:
+    return InputError(
+        f"{given!r} is not a competitor; it must be a policy, a PolicySet, a function of"
+        " (observation, generator), or have act(observations, turn), predict(observation, state,"
+        " episode_start, deterministic) or choose(observation)"
+    )
+
+
+def _renamed(agent: Any, name: str) -> Any:
+    """Return an agent with a name; the agent itself, if it has this name."""
+    if getattr(agent, "name", None) == name:
+        return agent
+    if is_dataclass(agent) and hasattr(agent, "name"):
+        return replace(agent, name=name)
+    named = copy(agent)
+    try:
+        named.name = name
+    except AttributeError:
+        raise InputError(
+            f"{agent!r} has a name of its own, {agent.name!r}; it can't be called {name!r}"
+        ) from None
+    return named
 
 
 def competitor_name(competitor: Any) -> str:
     """Return a competitor's name: its own, or the name of its function or class."""
     name = getattr(competitor, "name", None) or getattr(competitor, "__name__", None)
     return name if isinstance(name, str) else type(competitor).__name__
-
-
-def driver_policies(competitor: Any) -> tuple[Policy, ...]:
-    """Return the policies of a competitor that makes no moves; none for other competitors."""
-    if isinstance(competitor, Policy):
-        return (competitor,)
-    return competitor.policies if isinstance(competitor, PolicySet) else ()
 
 
 def is_model(candidate: Any) -> bool:
@@ -141,26 +273,17 @@ def is_model(candidate: Any) -> bool:
     return plain or (hasattr(candidate, "predict") and getattr(space, "shape", None) == (2,))
 
 
-def check_competitor(game: RaceGame, competitor: Any) -> None:
+def check_competitor(game: RaceGame, competitor: Competitor) -> None:
     """Check, before any race, that a competitor can take part in a game.
 
     The check calls the competitor's method ``check_fits(game)``, if there is one, and compares
     ``observation_space`` and ``action_space`` of a model.
     """
-    # arrays have a method `choose`, too
-    if isinstance(competitor, type | np.ndarray | np.generic) or not (
-        isinstance(competitor, RandomMoves | Predictor | Decider | PolicySet | Policy | Chooser)
-        or callable(competitor)
-    ):
-        raise InputError(
-            f"{competitor!r} is not a competitor; it must be a policy, have predict(observation,"
-            " state, episode_start, deterministic), decide(game, state, car) or"
-            " choose(observation), or be a PolicySet or a function of (observation, generator)"
-        )
-    if hasattr(competitor, "check_fits"):
-        competitor.check_fits(game)
-    # An agent around a model of Stable-Baselines3 has no spaces of its own.
+    # An agent around a model has no check and no spaces of its own.
     model = getattr(competitor, "model", competitor)
+    if hasattr(model, "check_fits"):
+        model.check_fits(game)
+    model = getattr(model, "model", model)
     size, moves = len(game.observation_elements), game.competitor_moves
     shape = getattr(getattr(model, "observation_space", None), "shape", None)
     if shape is not None and tuple(shape) != (size,):
@@ -177,106 +300,45 @@ def check_competitor(game: RaceGame, competitor: Any) -> None:
 
 
 def ask_moves(
-    competitor: Any,
+    competitor: Competitor,
     game: RaceGame,
     state: GameState,
     car: int,
     *,
-    rows: NDArray[np.int64] | None = None,
+    rows: Indices | None = None,
     observation: Observation | None = None,
     memories: list[Any] | None = None,
-    generators: Sequence[np.random.Generator] | None = None,
+    generators: Sequence[np.random.Generator] = (),
     deterministic: bool = True,
-) -> NDArray[np.int64]:
+) -> Indices:
     """Ask a competitor for the moves of one car in a batch of B games.
 
-    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for a fixed policy and in
-    games without a request.
+    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for policies without moves
+    and in games without a request.
 
     The request covers the games ``rows``, by default all, except finished games. ``observation``,
     shape (B, D), is the car's observation, if it is known already. ``memories``, of length B, are
-    overwritten: the state that a predictor returned for its next call in each game, None at a
-    game's beginning; without them each call is a predictor's first. Functions and
-    :class:`RandomMoves` draw from the ``generators`` of the games. A predictor that is not
-    ``deterministic`` draws its move, by a generator of its own, instead of taking the best move.
+    overwritten (:attr:`Turn.memories`); without them each turn is an agent's first.
     """
-    names = game.competitor_moves
     moves = np.zeros(state.games, np.int64)
-    if driver_policies(competitor):
+    if isinstance(competitor, PolicySet):
         return moves
     going = ~game.done(state)
     rows = np.flatnonzero(going) if rows is None else rows[going[rows]]
     if len(rows) == 0:
         return moves
-    answer: Any
-    player = f"competitor {competitor_name(competitor)!r}"
+    seen = game.observation(state)[:, car] if observation is None else observation
+    kept = [None if memories is None else memories[row] for row in rows]
+    turn = Turn(game, state, rows, car, kept, generators, deterministic)
+    player = f"competitor {competitor.name!r}"
     with one_line(player):  # any error of their code
-        if isinstance(competitor, RandomMoves):
-            allowed = [np.flatnonzero(mask) for mask in game.action_mask(state)[rows, car]]
-            drawn = [
-                each[generators[row].integers(len(each))]
-                for row, each in zip(rows, allowed, strict=True)
-            ]  # type: ignore[index]
-            answer = np.array(drawn)
-        elif isinstance(competitor, Decider):
-            answer = competitor.decide(game, take_games(state, rows), car)
-        # A mere chooser keeps its policy; a chooser that can also predict is asked below.
-        elif isinstance(competitor, Chooser) and not isinstance(competitor, Predictor):
-            answer = np.full(len(rows), len(names) - 1)  # stay
-        else:
-            seen = (game.observation(state)[:, car] if observation is None else observation)[rows]
-            if isinstance(competitor, Predictor):
-                answer = _predicted(competitor, seen, rows, memories, deterministic)
-            else:
-                answer = [
-                    competitor(one, generators[row]) for row, one in zip(rows, seen, strict=True)
-                ]  # type: ignore[index]
+        answer = competitor.act(seen[rows], turn)
+    for row, memory in zip(rows, kept, strict=True):
+        if memories is not None:
+            memories[row] = memory
+    names = game.competitor_moves
     moves[rows] = check_moves(answer, names, rows.shape, ("game",), rows=rows, player=player)
     return moves
-
-
-def _predicted(
-    competitor: Predictor,
-    seen: Observation,
-    rows: NDArray[np.int64],
-    memories: list[Any] | None,
-    deterministic: bool,
-) -> Any:
-    """Return the moves of a predictor.
-
-    A predictor with a state is asked game by game, because games begin at different times.
-    """
-    kept = [None] * len(rows) if memories is None else [memories[row] for row in rows]
-    # One call for all games, unless the answer shows that the predictor has a state.
-    if all(memory is None for memory in kept):
-        moves, memory = _answer(competitor, seen, None, np.ones(len(rows), np.bool_), deterministic)
-        if memory is None or memories is None:
-            return moves
-    asked: list[Any] = []
-    for row, one, memory in zip(rows, seen, kept, strict=True):
-        move, memories[row] = _answer(
-            competitor, one[None], memory, np.array([memory is None]), deterministic
-        )  # type: ignore[index]
-        asked.append(move[0])
-    return asked
-
-
-def _answer(
-    competitor: Predictor,
-    seen: Observation,
-    memory: Any,
-    first: NDArray[np.bool_],
-    deterministic: bool,
-) -> tuple[NDArray[Any], Any]:
-    answer = competitor.predict(seen, memory, first, deterministic)
-    try:
-        moves, after = answer
-        return np.asarray(moves).reshape(len(seen)), after
-    except (TypeError, ValueError):
-        raise InputError(
-            f"competitor {competitor_name(competitor)!r}: predict returned {answer!r:.80}; it must"
-            f" return a pair: {len(seen)} moves, and a state or None"
-        ) from None
 
 
 NEVER_SWITCH = "never-switch"

@@ -1,10 +1,10 @@
-"""Zoo: agents with ``predict(observation)``, and fixed policies, which make no moves."""
+"""Zoo: agents, and fixed policies, which make no moves."""
 
 from importlib import import_module
 from typing import Any
 
 _PLACES = {
-    "agent": "Agent Competitor Decider Driver Strategy as_competitor",
+    "agent": "Agent Competitor Driver Strategy as_agent",
     "game_spec": "GameSpec make_game_spec",
     "zoo": "Entry make names parse_agent register_agent",
 }

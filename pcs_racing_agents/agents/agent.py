@@ -1,16 +1,14 @@
 """Competitors: agents, which switch between the policies of an archive, and fixed policies.
 
-An :class:`Agent` has the method ``predict(observation)`` of a Stable-Baselines3 model, and such a
-model can replace an agent everywhere. An agent is a value: a seed and a function from observations
-to the probabilities of the moves. Draws from a mixed strategy use no generator: a draw is a hash of
+An :class:`Agent` is a value: a seed and a function from observations to the probabilities of the
+moves. Any other object with ``act`` can replace it (:class:`pcs_racing.game.competitor.SupportsAct`). Draws from a mixed strategy use no generator: a draw is a hash of
 the observation and the seed. The same agent makes the same move for the same observation, in a
 batch of any size and in any order, so a race can be simulated again to the last bit. To an opponent
 that does not know the seed, the moves are as good as random.
 """
 
 from collections.abc import Callable, Mapping
-from copy import copy
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +19,8 @@ from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import GOLDEN, scramble_one
-from pcs_racing.game.competitor import Competitor, Decider, PolicySet, Predictor, is_model
+from pcs_racing.game import competitor as players
+from pcs_racing.game.competitor import Competitor, PolicySet, Turn, competitor_name, is_model
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing_agents.agents.game_spec import GameSpec
@@ -104,8 +103,8 @@ class Agent:
         size = len(self.spec.elements)
         if rows.ndim != 2 or rows.shape[1] != size:
             raise InputError(
-                f"agent {self.name!r} got an observation of shape {np.shape(observation)}; it takes"
-                f" ({size},) or (B, {size})"
+                f"agent {self.name!r} got observations of shape {np.shape(observation)}; it takes"
+                f" (B, {size})"
             )
         if not np.isfinite(rows).all():
             raise InputError(f"agent {self.name!r} got an observation that holds NaN or infinity")
@@ -113,28 +112,14 @@ class Agent:
             return np.zeros((0, len(self.spec.moves)))
         return self.strategy(rows)
 
-    def predict(
-        self,
-        observation: ArrayLike,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, None]:
-        """Return moves, indices in :attr:`GameSpec.moves`, as a Stable-Baselines3 model does.
+    def act(self, observations: ArrayLike, turn: Turn | None = None) -> NDArray[np.int64]:
+        """Return moves, indices in :attr:`GameSpec.moves`, shape (B,), for observations (B, D).
 
-        Parameters
-        ----------
-        observation : array_like, shape (D,) or (B, D)
-        state, episode_start
-            Not used: an observation holds all earlier observations of the game.
-        deterministic : bool
-            Not used: the same observation always gives the same move. A mixed strategy draws the
-            move by a hash of the observation and the agent's seed.
+        The same observation always gives the same move, since it holds all earlier observations of
+        the game: a mixed strategy draws the move by a hash of the observation and the agent's seed.
         """
-        observed = np.asarray(observation, np.float32)
-        rows = observed[None] if observed.ndim == 1 else observed
-        actions = draw(self.probabilities(rows), rows, self.seed)
-        return (actions.reshape(()) if observed.ndim == 1 else actions), None
+        rows = np.asarray(observations, np.float32)
+        return draw(self.probabilities(rows), rows, self.seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,82 +168,41 @@ class Driver(PolicySet):
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Named:
-    """A model with a name for tables."""
-
-    name: str
-    model: Predictor
-
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, Any]:
-        """Return the result of the model's ``predict``."""
-        return self.model.predict(observation, state, episode_start, deterministic)
-
-
-def driver_of_model(model: Any, name: str | None = None) -> Driver:
-    """Return the fixed policy of a model for steering and speed, or of its file."""
-    from pcs_racing.envs.models import model_policy
-    from pcs_racing_agents.agents.sb3_files import load_model, plain_model
-
-    if isinstance(model, str | Path):
-        policy = load_model(model)
-    else:
-        name = name or getattr(model, "name", None) or type(model).__name__
-        like = model.get_env() if callable(getattr(model, "get_env", None)) else None
-        policy = model_policy(plain_model(model, name), name=name, like=like)
-    return Driver(policy.name, (policy,))
-
-
-def as_competitor(candidate: Any, name: str | None = None) -> Competitor:
-    """Return a competitor for a policy, a model or a competitor.
-
-    A policy becomes a :class:`Driver`, and a model gets a name.
+def as_agent(candidate: Any, name: str | None = None) -> Competitor:
+    """Convert an object to an agent, or to a :class:`Driver` without moves.
 
     Parameters
     ----------
-    candidate : Agent, Driver, Policy, object with ``predict`` or with ``decide``
-        A model whose actions are steering and speed becomes a :class:`Driver`
-        (:func:`pcs_racing.envs.models.model_policy`).
+    candidate : Agent, Driver, Policy, or object with ``act`` or with ``predict``
+        A model whose actions are steering and speed, also its file, becomes a :class:`Driver`
+        (:func:`pcs_racing.envs.models.model_policy`). Other objects are converted by
+        :func:`pcs_racing.game.competitor.as_agent`.
     name : str, optional
         New name, in place of the candidate's name.
     """
-    if is_model(candidate) and not isinstance(candidate, str):
-        return driver_of_model(candidate, name)
-    if isinstance(candidate, Policy):
-        return Driver(name or candidate.name, (candidate,))
-    if isinstance(candidate, type) or not isinstance(
-        candidate, Agent | Driver | Predictor | Decider
-    ):
+    if is_model(candidate):
+        candidate = model_policy(candidate, name)
+    agent = players.as_agent(candidate, name)
+    if isinstance(agent, players.FunctionAgent | players.RandomMoves):
         raise InputError(
-            f"{candidate!r} can't race; it must be an agent, a driver, a policy, or an object with "
-            "predict(observation, state, episode_start, deterministic)"
+            f"{candidate!r} can't race here; it draws with the generators of an environment, so"
+            " give an agent, a policy, or an object with act or predict"
         )
-    if name is None and not isinstance(getattr(candidate, "name", None), str):
-        name = type(candidate).__name__
-    if name is None or name == getattr(candidate, "name", None):
-        return candidate
-    if isinstance(candidate, Agent):
-        return Agent(name, candidate.strategy, candidate.spec, candidate.seed, candidate.facts)
-    if isinstance(candidate, Driver):
-        return Driver(name, candidate.policies, candidate.facts)
-    if isinstance(candidate, Predictor) and not isinstance(candidate, Decider):
-        return Named(name, candidate)
-    if is_dataclass(candidate) and any(field.name == "name" for field in fields(candidate)):
-        return replace(candidate, name=name)
-    named = copy(candidate)
-    try:
-        named.name = name
-    except AttributeError:
-        raise InputError(
-            f"{candidate!r} has a name of its own, {candidate.name!r}; it can't be called {name!r}"
-        ) from None
-    return named
+    if isinstance(agent, PolicySet) and not isinstance(agent, Driver):
+        return Driver(agent.name, agent.policies)
+    return agent
+
+
+def model_policy(model: Any, name: str | None = None) -> Policy:
+    """Return the policy of a model for steering and speed, or of its file."""
+    from pcs_racing.envs import models
+    from pcs_racing_agents.agents.sb3_files import load_model, plain_model
+
+    if isinstance(model, str | Path):
+        return load_model(model)
+    name = name or competitor_name(model)
+    like = model.get_env() if callable(getattr(model, "get_env", None)) else None
+    return models.model_policy(plain_model(model, name), name=name, like=like)
 
 
 def competitor_hash(competitor: Competitor) -> str:
@@ -266,13 +210,12 @@ def competitor_hash(competitor: Competitor) -> str:
 
     It identifies the competitor in folders of results.
     """
-    model = competitor.model if isinstance(competitor, Named) else competitor
+    model = getattr(competitor, "model", competitor)
     state = getattr(getattr(model, "policy", None), "state_dict", None)
     if callable(state):
         return fingerprint({key: tensor.detach().cpu().numpy() for key, tensor in state().items()})
     behaviour = model.strategy if isinstance(model, Agent) else model
-    has_hash = isinstance(getattr(behaviour, "content_hash", None), str)
-    if isinstance(behaviour, Driver) or is_dataclass(behaviour) or has_hash:
+    if is_dataclass(behaviour) or isinstance(getattr(behaviour, "content_hash", None), str):
         return model.content_hash if isinstance(model, Agent) else fingerprint(behaviour)
     raise InputError(
         f"results of agent {getattr(competitor, 'name', '')!r} cannot be cached: "

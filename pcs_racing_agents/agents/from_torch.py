@@ -51,18 +51,11 @@ class TorchPolicy:
         }
         return fingerprint(str(self.module), weights)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], None]:
-        """Return the move with the max output for each observation; ignore ``deterministic``."""
+    def act(self, observations: NDArray[np.float32], turn: Any = None) -> NDArray[np.int64]:
+        """Return the move with the max output for each observation."""
         import torch
 
-        seen = np.asarray(observation, np.float32)
-        rows = seen.reshape(-1, seen.shape[-1])
+        rows = np.asarray(observations, np.float32)
         with torch.no_grad():
             values = self.module(torch.from_numpy(np.ascontiguousarray(rows)))
         if not isinstance(values, torch.Tensor) or values.ndim != 2 or len(values) != len(rows):
@@ -75,7 +68,7 @@ class TorchPolicy:
             )
         if not torch.isfinite(values).all():
             raise InputError("the module returned NaN or infinity")
-        return values.argmax(dim=1).numpy().reshape(seen.shape[:-1]), None
+        return np.asarray(values.argmax(dim=1).numpy())
 
 
 def network_from_sb3(

@@ -3,7 +3,7 @@
 :data:`SHIPPED` lists the agents of this package. A distribution adds agents in the entry point
 group ``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
 :class:`pcs_racing_agents.agents.GameSpec`, the keywords ``name`` and ``seed``, and options of its
-own; it returns an agent, a fixed policy, or any object with ``predict``. A program calls
+own; it returns an agent, a fixed policy, or any object with ``act``. A program calls
 :func:`register_agent`. A module is imported when its agent is built.
 """
 
@@ -27,7 +27,7 @@ from pcs_racing.planners.own_files import one_line
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor, driver_of_model
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_agent
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.own_code import is_code, own_code
 from pcs_racing_agents.agents.shipped import SHIPPED
@@ -64,7 +64,7 @@ def register_agent(
     ----------
     build : callable
         Function ``build(spec, name=..., seed=..., **options)``; it returns an agent, a fixed
-        policy, or any object with ``predict``.
+        policy, or any object with ``act``.
     summary, source : str
         Texts for reports; by default the summary is the first line of the function's docstring.
     """
@@ -121,7 +121,7 @@ def make(
 ) -> Any:
     """Make an agent or a fixed policy by name.
 
-    A third-party agent may be any object with ``predict``.
+    A third-party agent may be any object with ``act``.
 
     Parameters
     ----------
@@ -155,12 +155,12 @@ def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
             spec, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed
         )
     if is_model(name):
-        return driver_of_model(name)
+        return as_agent(name)
     # An agent may have the name of a planner. Any other text that begins with a planner's name is
     # a policy.
     if name not in available:
         if split_name(name)[0] in planner_names() and not options:
-            return as_competitor(parse_policy(name))
+            return as_agent(parse_policy(name))
         near = difflib.get_close_matches(name, available, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         every = f"{', '.join(sorted(available))}, {ALWAYS}MOVE"
@@ -170,7 +170,7 @@ def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
         _check_options(name, entry.build, options)
     agent = entry.build(spec, name=name, seed=seed, **{**entry.defaults, **options})
     if not isinstance(agent, Agent | Driver):
-        return as_competitor(agent, name)
+        return as_agent(agent, name)
     facts = {"does": entry.summary, "source": entry.source, **agent.facts}
     return replace(agent, facts={key: value for key, value in facts.items() if value})
 
@@ -197,7 +197,7 @@ def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False)
         own = own_code(text, spec) if code else None
         if own is not None:
             with one_line(text):
-                return as_competitor(own, text)
+                return as_agent(own, text)
         if is_code(text) and name not in planner_names() and not code:
             raise UnknownNameError(
                 f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or"
@@ -218,7 +218,7 @@ def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False)
                 f"agent {text!r}: {value!r} is no value; it must be a number or plain text"
             ) from None
     agent = build(name, spec, seed=seed, **options)
-    return as_competitor(agent, text)
+    return as_agent(agent, text)
 
 
 @dataclass(frozen=True)
@@ -310,12 +310,12 @@ def load_entrant(
 
     if drive:
         planner = load_driver(Path(text) if Path(text).is_dir() else text)
-        return as_competitor(planner.policy({}), name or planner.name)
+        return as_agent(planner.policy({}), name or planner.name)
     # A control policy has the arguments of its environment next to the zip, and is read below.
     if is_model(text) and not Path(text).with_suffix(".yaml").is_file():
-        return as_competitor(load_sb3_policy(Path(text)), name or Path(text).stem)
+        return as_agent(load_sb3_policy(Path(text)), name or Path(text).stem)
     if weights is None:
-        return as_competitor(parse_agent(text, spec, code=True), name)
+        return as_agent(parse_agent(text, spec, code=True), name)
     if not weights.is_file():
         raise InputError(f"there is no file of weights {weights}")
     made = own_code(text, spec, weights)
@@ -323,4 +323,4 @@ def load_entrant(
         raise InputError(
             f"can't find {text}; give module:function, where the module can be imported"
         )
-    return as_competitor(made, name or text.partition(":")[2])
+    return as_agent(made, name or text.partition(":")[2])

@@ -20,7 +20,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
+from pcs_racing_agents.agents.agent import Competitor, as_agent, competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.configurations import load_config
@@ -149,7 +149,7 @@ def load_protocol(source: str | ProtocolConfig = "bench_v2", **changes: Any) -> 
         config,
         spec,
         {name: load_track(name) for name in circuits},
-        {name: as_competitor(parse_agent(name, spec), name) for name in rivals},
+        {name: as_agent(parse_agent(name, spec), name) for name in rivals},
     )
     # A protocol with changed fields is a custom protocol without listed hashes.
     if not changes:

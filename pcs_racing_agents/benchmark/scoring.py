@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.competitor import Turn, competitor_name
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_agent
 from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain
@@ -52,7 +52,7 @@ def play_protocol(
     dict of str to list of CellRaces
         Races by name: the agents first, then the baselines.
     """
-    arms = {competitor_name(agent): as_competitor(agent) for agent in agents}
+    arms = {competitor_name(agent): as_agent(agent) for agent in agents}
     if len(arms) < len(agents):
         raise InputError(
             "two of the agents have the same name; they are"
@@ -194,16 +194,17 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
 
 def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> float | None:
     """Return an agent's median time per decision for one game, us; None for a planner."""
-    predict = getattr(agent, "predict", None)
-    if isinstance(agent, Driver) or predict is None:
+    if isinstance(agent, Driver):
         return None
     game = protocol.game(next(iter(protocol.tracks)))
-    observation = game.observation(game.reset(games=1, seed=protocol.config.seed))[0, :1]
+    state = game.reset(games=1, seed=protocol.config.seed)
+    observations = game.observation(state)[:, 0]
+    turn = Turn(game, state, np.zeros(1, np.int64), 0, [None], (), True)
     # The median: other load on the machine only lengthens some of the times.
     times = []
     for _ in range(repeats):
         begun = time.perf_counter()
-        predict(observation, None, np.ones(1, np.bool_), True)
+        agent.act(observations, turn)
         times.append(time.perf_counter() - begun)
     return 1e6 * float(np.median(times))
 

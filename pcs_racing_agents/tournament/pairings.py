@@ -28,7 +28,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Competitor, as_competitor
+from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.tournament.games import game_between, race_columns, variant_count
 
@@ -173,7 +173,7 @@ def cross_pairing(
 
     Parameters
     ----------
-    ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
+    ego, opponent : Agent, Driver, Policy, or object with ``act`` or ``predict``
         Competitors in car 0 and car 1. In the paper "never-switch" is the non-GT agent,
         "random-policy" the random agent, "lane-switcher" the unseen agent. The draws depend only on
         the numbers of variants: all agents drive the same races.
@@ -184,7 +184,7 @@ def cross_pairing(
     seed : int
         Seed of the draws; it must be equal for compared pairings.
     """
-    cars = (as_competitor(ego), as_competitor(opponent))
+    cars = (as_agent(ego), as_agent(opponent))
     meeting = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
     # Check the seed before any draw, with the error message of the function that uses it.

@@ -18,7 +18,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Competitor, as_competitor, competitor_hash
+from pcs_racing_agents.agents.agent import Competitor, as_agent, competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.jobs import Run
@@ -135,10 +135,10 @@ def plan_tournament(
     spec = make_game_spec(archive, game_rules(race))
     if isinstance(entrants, Mapping):
         competitors = [
-            as_competitor(_resolve(one, spec, seed, code), name) for name, one in entrants.items()
+            as_agent(_resolve(one, spec, seed, code), name) for name, one in entrants.items()
         ]
     else:
-        competitors = [as_competitor(_resolve(one, spec, seed, code)) for one in entrants]
+        competitors = [as_agent(_resolve(one, spec, seed, code)) for one in entrants]
     _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
     rules = spec.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
@@ -175,7 +175,7 @@ def play_tournament(
     ----------
     entrants : sequence, or mapping by name
         At least two agents, planners, policies, names (:func:`pcs_racing_agents.agents.make`), or
-        models with ``predict``; with different names.
+        objects with ``act`` or ``predict``; with different names.
     race : GameConfig, RaceConfig, str or path
         Rules. Race rules give a game of the same duration (:func:`game_rules`); their
         ``start_lines`` is not used, since every two races draw their own line.

@@ -22,7 +22,7 @@ from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.agents.agent import Competitor, Driver, as_competitor, competitor_hash
+from pcs_racing_agents.agents.agent import Competitor, Driver, as_agent, competitor_hash
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Job, Run, run_with_or_without
 from pcs_racing_agents.base.progress import Progress
@@ -48,7 +48,7 @@ def play_games(
     ----------
     game : RaceGame
         Track, archive and rules. The move "stay" is added if the rules lack it.
-    ego, opponent : Agent, Driver, Policy, or object with ``predict`` or ``decide``
+    ego, opponent : Agent, Driver, Policy, or object with ``act`` or ``predict``
         Competitors in car 0 and car 1.
     policies : array_like of int, shape (B, 2)
         Variant of each car: index of the start policy in the archive, or of a planner's policy.
@@ -57,7 +57,7 @@ def play_games(
     seeds : array_like of int, shape (B,)
         Keys of the games' noise.
     """
-    cars = (as_competitor(ego), as_competitor(opponent))
+    cars = (as_agent(ego), as_agent(opponent))
     pairing = Pairing(game, *cars, np.asarray(policies), starts, np.asarray(seeds), 0)
     (columns,) = pairing.race([pairing.ego])
     return race_table(pairing, columns)
@@ -96,7 +96,7 @@ def record_game(
     variants = np.asarray(policies)
     if variants.shape != (2,):
         raise InputError(f"policies have shape {variants.shape}; one game has two")
-    cars = (as_competitor(ego), as_competitor(opponent))
+    cars = (as_agent(ego), as_agent(opponent))
     pairing = Pairing(game, *cars, variants[None], start, np.array([seed], np.uint64), 0)
     (columns,) = pairing.race([cars[0]])
     path = columns["path"][0]

@@ -16,7 +16,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_competitor
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_agent
 from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
@@ -104,7 +104,7 @@ def explain_game(
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
-    cars = (as_competitor(ego), as_competitor(opponent))
+    cars = (as_agent(ego), as_agent(opponent))
     competitor = cars[car]
     if isinstance(competitor, Driver):
         other = (
@@ -158,7 +158,7 @@ def _steps(
         observation = earlier(played.observations[:, car], axes, k)
         default_move = None
         if isinstance(strategy, AdaptiveStrategy):
-            default_move = int(strategy.blind.predict(observation[0])[0])
+            default_move = int(strategy.blind.act(observation)[0])
         steps.append(
             ExplainedDecision(
                 time=game.config.ends[k],

@@ -38,18 +38,12 @@ class _GivenMoves:
     axes: int
     name: str = "you"
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.int64], None]:
+    def act(self, observations: NDArray[np.float32], turn: Any = None) -> NDArray[np.int64]:
         """Return the move for each observation."""
         # Stateless (from the observation): the same object serves any race, in any order.
-        made = moves_made(observation, self.axes)
+        made = moves_made(observations, self.axes)
         padded = np.array([*self.moves, self.stay])
-        return padded[np.minimum(made, len(self.moves))], None
+        return padded[np.minimum(made, len(self.moves))]
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.game.competitor import Chooser, ask_moves
+from pcs_racing.game.competitor import Chooser, as_agent, ask_moves
 from pcs_racing.game.match import KEEP, MatchGame, MatchState, ask_choices
 
 Floats = NDArray[np.float64]
@@ -68,6 +68,7 @@ def play_matches(
     lines, sides : array_like, optional
         As for :meth:`pcs_racing.game.match.MatchGame.begin`.
     """
+    ego, opponent = (one if one is None else as_agent(one) for one in (ego, opponent))
     state = match.begin(keys, policies=policies, lines=lines, sides=sides)
     chosen = np.full((len(keys), 2, match.races), -1, np.int64)
     for race in range(match.races):

@@ -88,7 +88,7 @@ def test_a_batch_is_many_matches(agent, spec):
 def test_in_a_game_of_its_own_it_moves_to_the_best_fixed_policy(agent, game):
     state = game.reset(games=6, seed=2)
     for _ in range(game.config.moves):
-        moves = agent.predict(game.observation(state)[:, 0])[0]
+        moves = agent.act(game.observation(state)[:, 0])
         state = game.apply(state, np.column_stack([moves, moves]))
     assert (state.policy[~state.race.crashed, 0] == POLICIES).any()
 

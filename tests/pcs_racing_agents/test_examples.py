@@ -104,7 +104,7 @@ def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, lib
     agent = load_entrant(entrant, spec, weights=tmp_path / "made" / file)
     game = RaceGame(load_track("Pipkin"), spec.archive, spec.config)
     seen = game.observation(game.reset(games=6, seed=1))[0]
-    moves, _ = agent.predict(seen, None, np.ones(6, bool), True)
+    moves = agent.act(seen)
     assert set(moves.tolist()) <= set(range(spec.offered))
     if script == "maskable_ppo.py":
         from pcs_racing.game.moves import duplicate_moves

@@ -9,17 +9,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from refusal import refused
+from same_move import Model
 
 from pcs_racing import InputError, UnknownNameError, make_game, parse_policy
 from pcs_racing.game import competitor as competitors
 from pcs_racing.game import competitor_collections
 from pcs_racing.game.competitor import (
-    PolicySet,
+    Chooser,
     RandomMoves,
     SameMove,
+    as_agent,
     ask_moves,
     check_competitor,
-    competitor_name,
     competitor_names,
     is_model,
     make_competitor,
@@ -44,7 +45,7 @@ def generators():
 
 
 class Counter:
-    """A predictor that remembers how often it was asked in a game: its move is that number."""
+    """A model that remembers how often it was asked in a game: its move is that number."""
 
     def predict(self, observation, state=None, episode_start=None, deterministic=False):
         asked = 0 if state is None else state
@@ -59,43 +60,44 @@ class Chooses:
         return np.zeros(len(observation))
 
 
-class ChoosesAndMoves(Chooses, SameMove):
+class ChoosesAndPredicts(Chooses, Model):
     """It does both."""
 
 
-def test_a_predictor_sees_what_its_car_observes_and_keeps_a_state_for_each_game(game, state):
-    seen = []
+def test_an_agent_sees_what_its_car_observes_and_the_games_behind(game, state):
+    turns = []
 
     class Looks:
-        def predict(self, observation, state=None, episode_start=None, deterministic=False):
-            seen.append((observation, deterministic))
-            return np.arange(len(observation)), None
-
-    assert ask_moves(Looks(), game, state, 1).tolist() == [0, 1, 2, 3]
-    np.testing.assert_array_equal(seen[0][0], game.observation(state)[:, 1])
-    assert seen[0][1]  # its best move, unless a draw is asked for
-    memories = [None] * GAMES
-    for asked in range(2):
-        assert ask_moves(Counter(), game, state, 0, memories=memories).tolist() == [asked] * GAMES
-    memories[2] = None  # this game begins anew
-    assert ask_moves(Counter(), game, state, 0, memories=memories).tolist() == [2, 2, 0, 2]
-
-
-def test_a_decider_gets_the_games_it_is_asked_about_and_who_only_chooses_stays(game, state):
-    class Decides:
-        name = "decides"
-
-        def decide(self, game, state, car):
-            return state.policy[:, car] % 2
+        def act(self, observations, turn):
+            turns.append((observations, turn))
+            return turn.state.policy[:, turn.car] % 2
 
     rows = np.array([1, 3])
     expected = np.zeros(GAMES, int)
     expected[rows] = state.policy[rows, 1] % 2
-    np.testing.assert_array_equal(ask_moves(Decides(), game, state, 1, rows=rows), expected)
+    np.testing.assert_array_equal(ask_moves(as_agent(Looks()), game, state, 1, rows=rows), expected)
+    np.testing.assert_array_equal(turns[0][0], game.observation(state)[rows, 1])
+    assert (turns[0][1].memories, turns[0][1].deterministic) == ([None, None], True)
+
+
+def test_a_model_keeps_a_state_for_each_game(game, state):
+    memories = [None] * GAMES
+    for asked in range(2):
+        moves = ask_moves(as_agent(Counter()), game, state, 0, memories=memories)
+        assert moves.tolist() == [asked] * GAMES
+    memories[2] = None  # this game begins again
+    moves = ask_moves(as_agent(Counter()), game, state, 0, memories=memories)
+    assert moves.tolist() == [2, 2, 0, 2]
+
+
+def test_a_chooser_stays_unless_it_also_moves(game, state):
     stay = len(game.competitor_moves) - 1
     assert game.competitor_moves[stay] == "stay"
-    assert ask_moves(Chooses(), game, state, 0).tolist() == [stay] * GAMES
-    assert ask_moves(ChoosesAndMoves("both", 1), game, state, 0).tolist() == [1] * GAMES
+    for chooser, move in ((Chooses(), stay), (ChoosesAndPredicts(1), 1)):
+        agent = as_agent(chooser)
+        assert ask_moves(agent, game, state, 0).tolist() == [move] * GAMES
+        assert isinstance(agent, Chooser)
+        assert agent.choose(np.zeros((2, 3))).tolist() == [0, 0]
 
 
 def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is_not_over(
@@ -105,11 +107,9 @@ def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is
         return generator.integers(4)
 
     expected = [np.random.default_rng(i).integers(4) for i in range(GAMES)]
-    assert ask_moves(draws, game, state, 0, generators=generators()).tolist() == expected
-    assert ask_moves(RandomMoves(), game, state, 0, generators=generators()).tolist() == expected
-    policy = parse_policy("pure-pursuit")
-    for driver in (policy, PolicySet("driver", (policy,))):
-        assert not ask_moves(driver, game, state, 0).any()
+    for agent in (as_agent(draws), RandomMoves()):
+        assert ask_moves(agent, game, state, 0, generators=generators()).tolist() == expected
+    assert not ask_moves(as_agent(parse_policy("pure-pursuit")), game, state, 0).any()
     over = state.copy()
     over.race.crash[1] = 2
     assert ask_moves(SameMove("first", 3), game, over, 0).tolist() == [3, 0, 3, 3]
@@ -128,7 +128,7 @@ def test_whatever_a_competitor_raises_is_one_line(game, state, error):
     refused(
         f"competitor 'fails': {type(error).__name__}",
         ask_moves,
-        fails,
+        as_agent(fails),
         game,
         state,
         0,
@@ -190,18 +190,10 @@ def test_who_can_not_take_part_is_refused_before_a_race(game):
     def refuse(game):
         raise InputError(f"asked about {game.track.name}")
 
-    for fits in (
-        model(),
-        model(n=1),
-        model((size,), None),
-        SimpleNamespace(predict=print, model=model()),
-        len,
-    ):
-        check_competitor(game, fits)
+    fits = model(), model(n=1), model((size,), None), SimpleNamespace(predict=print, model=model())
+    for one in (*fits, len):
+        check_competitor(game, as_agent(one))
     for wrong, message in [
-        (3, "3 is not a competitor"),
-        (SameMove, "is not a competitor"),
-        (np.zeros(2), "is not a competitor"),
         (
             model((size + 1,)),
             rf"'net' takes observations of shape \({size + 1},\); .* have shape \({size},\)",
@@ -213,13 +205,14 @@ def test_who_can_not_take_part_is_refused_before_a_race(game):
         (SimpleNamespace(predict=print, model=model((1,))), r"shape \(1,\)"),
         (SimpleNamespace(predict=print, check_fits=refuse), "asked about Tarnfjord"),
     ]:
-        refused(message, check_competitor, game, wrong)
-    assert [competitor_name(one) for one in (model(), len, RandomMoves(), Counter())] == [
-        "net",
-        "len",
-        "random-moves",
-        "Counter",
-    ]
+        refused(message, check_competitor, game, as_agent(wrong))
+    for wrong in (3, SameMove, np.zeros(2)):
+        refused("is not a competitor", as_agent, wrong)
+    given = model(), len, RandomMoves(), Counter(), SameMove("same", 1)
+    names = [as_agent(one).name for one in given]
+    assert names == ["net", "len", "random-moves", "Counter", "same"]
+    assert [as_agent(as_agent(one), "other").name for one in given] == ["other"] * 5
+    assert as_agent(given[-1]) is given[-1]
     space = SimpleNamespace(shape=(2,))
     for candidate, whether in [
         ("a.zip", True),

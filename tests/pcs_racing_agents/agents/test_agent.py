@@ -6,31 +6,25 @@ from refusal import refused
 from same_move import Model
 
 from pcs_racing import get_planner
-from pcs_racing_agents.agents import Agent, Driver, as_competitor, make, observing
+from pcs_racing.game.competitor import RandomMoves
+from pcs_racing_agents.agents import Agent, Driver, as_agent, make, observing
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
 from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.zoo import build
 
 
-def test_an_agent_answers_like_a_model_of_sb3_and_draws_by_what_is_seen_and_its_seed(spec, seen):
+def test_an_agent_draws_by_the_observation_and_its_seed(spec, seen):
     agent = always(spec, "restraint +")
-    moves, state = agent.predict(seen[0])
-    assert moves.shape == (40,)
-    assert state is None
-    assert (moves == 2).all()
-    one, state = agent.predict(seen[0][3], None, np.array([True]), deterministic=False)
-    assert (one.shape, int(one), state) == ((), 2, None)
+    assert agent.act(seen[0]).tolist() == [2] * 40
     assert agent.probabilities(seen[0][:0]).shape == (0, 5)
     agent = random_moves(spec, seed=4)
     everything = np.concatenate(seen)
-    moves, _ = agent.predict(everything)
+    moves = agent.act(everything)
     assert len(set(moves.tolist())) == 4  # the paper's rules offer no "stay"
-    backwards, _ = agent.predict(everything[::-1])
-    np.testing.assert_array_equal(backwards[::-1], moves)
-    alone = [int(agent.predict(row)[0]) for row in everything]
+    np.testing.assert_array_equal(agent.act(everything[::-1])[::-1], moves)
+    alone = [int(agent.act(row[None])[0]) for row in everything]
     np.testing.assert_array_equal(alone, moves)
-    other, _ = replace(agent, seed=5).predict(everything)
-    assert 0.1 < np.mean(other == moves) < 0.4
+    assert 0.1 < np.mean(replace(agent, seed=5).act(everything) == moves) < 0.4
 
 
 def splitmix(number):
@@ -76,9 +70,7 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
 
 def test_agents_and_drivers_travel_to_other_processes(spec, seen):
     agent = pickle.loads(pickle.dumps(random_moves(spec, seed=7)))
-    np.testing.assert_array_equal(
-        agent.predict(seen[1])[0], random_moves(spec, seed=7).predict(seen[1])[0]
-    )
+    np.testing.assert_array_equal(agent.act(seen[1]), random_moves(spec, seed=7).act(seen[1]))
     assert agent.content_hash == random_moves(spec, seed=7).content_hash
     driver = pickle.loads(pickle.dumps(make("lane-switcher")))
     assert driver.planner is get_planner("lane-switcher")
@@ -101,33 +93,30 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     assert [competitor_hash(agent) for agent in others] == [agent.content_hash for agent in others]
     assert competitor_hash(make("lattice:pace=0.3")) != competitor_hash(make("lattice:pace=0.4"))
     function = Agent("function", lambda seen: np.full((len(seen), 5), 0.2), spec)
-    for unknown in (Model(), as_competitor(Model(), "named"), function):
-        refused("it has no content hash", competitor_hash, as_competitor(unknown))
+    for unknown in (Model(), as_agent(Model(), "named"), function):
+        refused("it has no content hash", competitor_hash, as_agent(unknown))
     known = Model()
     known.content_hash = "abc"
-    assert competitor_hash(as_competitor(known, "x")) == competitor_hash(as_competitor(known, "y"))
+    assert competitor_hash(as_agent(known, "x")) == competitor_hash(as_agent(known, "y"))
 
 
 def test_bad_agents_drivers_and_observations_are_refused(spec):
-    assert as_competitor(Model()).name == "Model"
-    assert as_competitor(Model(), "mine").name == "mine"
-    driver = as_competitor(get_planner("lattice").policy(), "L")
+    assert as_agent(Model()).name == "Model"
+    assert as_agent(Model(), "mine").name == "mine"
+    driver = as_agent(get_planner("lattice").policy(), "L")
     assert isinstance(driver, Driver)
     assert (driver.name, len(driver.policies)) == ("L", 1)
     agent = random_moves(spec)
-    assert as_competitor(agent) is as_competitor(agent, "random-moves") is agent
-    assert isinstance(as_competitor(agent, "other"), Agent)
-    renamed = as_competitor(driver, "M")
+    assert as_agent(agent) is as_agent(agent, "random-moves") is agent
+    assert isinstance(as_agent(agent, "other"), Agent)
+    renamed = as_agent(driver, "M")
     assert (renamed.name, renamed.policies) == ("M", driver.policies)
     assert repr(agent) == "<Agent 'random-moves': archive 'toy', paper rules>"
     assert repr(driver) == "<Driver 'L': 1 policies of planner 'lattice'>"
-    named = as_competitor(Model(3), "three")
-    assert (named.predict(np.zeros((2, 5)))[0].tolist(), as_competitor(named, "four").name) == (
-        [3, 3],
-        "four",
-    )
     for wrong in ("never-switch", 3, Model):
-        refused("can't race", as_competitor, wrong)
+        refused("is not a competitor", as_agent, wrong)
+    for wrong in (len, RandomMoves()):
+        refused("can't race here", as_agent, wrong)
     refused("an agent's name is ''", random_moves, spec, name="")
     refused("seed of agent 'random-moves' is -1", random_moves, spec, seed=-1)
     refused("'jump' is no move", always, spec, "jump")
@@ -136,11 +125,11 @@ def test_bad_agents_drivers_and_observations_are_refused(spec):
     refused("one planner", Driver, "d", (lattice, pursuit))
     assert Driver("d", [lattice]).policies == (lattice,)  # no list that somebody may change
     for observation, message in [
-        (np.zeros(30), r"got an observation of shape \(1, 30\)"),
+        (np.zeros((1, 30)), r"got observations of shape \(1, 30\)"),
         (np.zeros((2, 3, 31)), r"shape \(2, 3, 31\)"),
-        (np.full(31, np.nan), "holds NaN or infinity"),
+        (np.full((1, 31), np.nan), "holds NaN or infinity"),
     ]:
-        refused(message, random_moves(spec).predict, observation)
+        refused(message, random_moves(spec).act, observation)
 
 
 def test_observations_are_read_as_the_game_writes_them_and_tell_what_was_earlier(game, seen, spec):

@@ -18,10 +18,10 @@ def test_a_schedule_follows_the_steps_and_never_switching_is_staying(spec, game,
     agent = best_schedule(spec, moves=plan)
     state = game.reset(games=3, seed=5)
     for expected in (2, 4, 1, 2):
-        moves, _ = agent.predict(game.observation(state)[:, 0])
+        moves = agent.act(game.observation(state)[:, 0])
         np.testing.assert_array_equal(moves, expected)
         state = game.step(state, np.full((3, 2), 4))
-    assert (agent.predict(game.observation(state)[:, 0])[0] == 2).all()  # after the last step, too
+    assert (agent.act(game.observation(state)[:, 0]) == 2).all()  # after the last step, too
     assert agent.facts["plan"] == "restraint +, stay, aggressiveness -, restraint +"
     refused("has 4 moves", best_schedule, spec, moves=plan[:3])
     refused("and a fit", best_schedule, spec, moves=plan, fit="somewhere.yaml")
@@ -39,14 +39,14 @@ def test_a_walk_arrives_and_stays(spec, game, target):
         seen = np.zeros((len(policy), 31), np.float32)
         seen[:, :2] = place[policy]
         seen[:, 5] = 1.0
-        policy = table[policy, agent.predict(seen)[0]]
+        policy = table[policy, agent.act(seen)]
     reached = _reachable(table)
     for start, end in enumerate(policy):
         away = np.linalg.norm(place[reached[start]] - place[target], axis=1)
         assert np.linalg.norm(place[end] - place[target]) == pytest.approx(away.min())
     seen = np.zeros((1, 31), np.float32)
     seen[0, :2], seen[0, 5] = place[target], 1.0
-    assert int(agent.predict(seen)[0][0]) == 4  # stay
+    assert int(agent.act(seen)[0]) == 4  # stay
 
 
 def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(spec, game, seen):
@@ -58,13 +58,13 @@ def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(spec, game, seen):
     for made, observation in enumerate(seen):
         leads = observation[:, 6 * made + 4] >= 0.0
         assert 0 < leads.sum() < len(leads)
-        expected = np.where(leads, *(walk.predict(observation)[0] for walk in reversed(walks)))
-        np.testing.assert_array_equal(plan.predict(observation)[0], expected)
+        expected = np.where(leads, *(walk.act(observation) for walk in reversed(walks)))
+        np.testing.assert_array_equal(plan.act(observation), expected)
         hidden = observation.copy()
         for step in range(made + 1):
             hidden[:, 6 * step + 2 : 6 * step + 4] = 0.5  # the opponent's coordinates
             hidden[:, 6 * step + 4] = np.sign(hidden[:, 6 * step + 4])
-        np.testing.assert_array_equal(plan.predict(hidden)[0], expected)
+        np.testing.assert_array_equal(plan.act(hidden), expected)
     one, other = spec.archive.normalised[1]
     assert plan.facts["ahead"] == f"policy 1 (aggressiveness {one:.2f}, restraint {other:.2f})"
     assert best_fixed(spec, target=1).facts["target"] == plan.facts["ahead"]

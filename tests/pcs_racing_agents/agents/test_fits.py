@@ -23,7 +23,7 @@ def test_a_fit_is_kept_and_followed(spec, tmp_path, kind, seen):
     agent = build(kind, spec, fit=str(path))
     assert agent.facts["trained on"] == "races 10, reached 0.5"
     same = build(kind, spec, **{OPTIONS[kind]: CHOICES[kind]})
-    assert (agent.predict(seen[0])[0] == same.predict(seen[0])[0]).all()
+    assert (agent.act(seen[0]) == same.act(seen[0])).all()
     assert [entry.name for entry in tmp_path.iterdir()] == ["fit.yaml"]
 
 

@@ -21,9 +21,9 @@ def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in
 ):
     agent = build("cfr-argmax", spec, network=network)
     rows = np.concatenate(seen)
-    np.testing.assert_array_equal(agent.predict(rows)[0], network.choose(rows))
+    np.testing.assert_array_equal(agent.act(rows), network.choose(rows))
     clipped = build("cfr-argmax", spec, network=replace(network, clipped=True))
-    np.testing.assert_array_equal(clipped.predict(rows)[0], network.choose(rows))
+    np.testing.assert_array_equal(clipped.act(rows), network.choose(rows))
     assert agent.facts["source"] == "the paper's GT agent, Equations 8 and 9"
     assert agent.facts["weights sha256"] == fingerprint(network.layers)
     facts = {
@@ -52,12 +52,12 @@ def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(spec, seen):
     short = untrained(spec, stay=False)
     agent = build("cfr-argmax", spec, network=short)
     assert (agent.probabilities(seen[0])[:, 4] == 0.0).all()
-    np.testing.assert_array_equal(agent.predict(seen[0])[0], short.choose(seen[0]))
+    np.testing.assert_array_equal(agent.act(seen[0]), short.choose(seen[0]))
     short = untrained(spec, "gain", stay=False)
     agent = adaptive(spec, network=short, open_loop="never-switch", margin=0.0)
     values = short.unclipped(seen[0])
     expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
-    np.testing.assert_array_equal(agent.predict(seen[0])[0], expected)
+    np.testing.assert_array_equal(agent.act(seen[0]), expected)
 
 
 def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(
@@ -72,14 +72,14 @@ def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_r
     for margin in (0.0, float(np.median(gain)), 1e9):
         agent = adaptive(spec, network=network, open_loop=habit, margin=margin)
         expected = np.where(gain > margin, values.argmax(axis=1), 3)
-        np.testing.assert_array_equal(agent.predict(rows)[0], expected)
+        np.testing.assert_array_equal(agent.act(rows), expected)
         leaves[margin] = np.mean(expected != 3)
     assert sorted(leaves.values(), reverse=True) == list(leaves.values())
     assert list(leaves.values())[-1] == 0.0
     trained = adaptive(
         spec, network=replace(network, training={"margin": 1e9}), open_loop="never-switch"
     )
-    assert (trained.predict(rows)[0] == 4).all()
+    assert (trained.act(rows) == 4).all()
     assert trained.facts["keeps to"] == "never-switch"
     refused(
         "margin of agent 'adaptive' is -1",

@@ -6,7 +6,7 @@ import pytest
 from refusal import refused
 
 from pcs_racing.game.identity import game_identity
-from pcs_racing_agents.agents import as_competitor
+from pcs_racing_agents.agents import as_agent
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.from_torch import TorchPolicy, network_from_sb3
 from pcs_racing_agents.agents.zoo import build
@@ -24,19 +24,15 @@ def test_the_move_with_the_largest_output_is_made_and_what_is_no_network_refused
     weight, bias = module[0].weight.detach().numpy(), module[0].bias.detach().numpy()
     seen = np.random.default_rng(0).normal(size=(20, 5)).astype(np.float32)
     policy = TorchPolicy(module, "mine")
-    moves, state = policy.predict(seen)
     # the dropout is off
-    np.testing.assert_array_equal(moves, (seen @ weight.T + bias).argmax(axis=1))
-    assert state is None
-    assert policy.predict(seen[3])[0].shape == ()
-    assert policy.predict(seen[3])[0] == moves[3]
+    np.testing.assert_array_equal(policy.act(seen), (seen @ weight.T + bias).argmax(axis=1))
     broken = linear(0)
     with torch.no_grad():
         broken[0].bias[1] = float("nan")
     refused("module is a str", TorchPolicy, "text")
     refused("'0.bias' .* NaN", TorchPolicy, broken)
     seen = np.zeros((4, 5), np.float32)
-    refused(r"\(1, 5\)", TorchPolicy(Summed()).predict, seen)
+    refused(r"\(1, 5\)", TorchPolicy(Summed()).act, seen)
 
 
 def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, game):
@@ -45,7 +41,7 @@ def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, g
     )
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
     digests = {
-        competitor_hash(as_competitor(model, name)) for model in models for name in ("a", "b")
+        competitor_hash(as_agent(model, name)) for model in models for name in ("a", "b")
     }
     assert len(digests) == 2
     refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
@@ -78,9 +74,7 @@ def test_a_model_decides_alike_as_our_own_network(models, game, spec, seen):
     assert (network.name, network.training) == ("ppo", {"steps": 0})
     assert (network.mean.tolist(), network.scale.tolist()) == ([0.0] * 31, [1.0] * 31)
     agent = build("ppo", spec, network=network)
-    np.testing.assert_array_equal(
-        agent.predict(rows)[0], model.predict(rows, deterministic=True)[0]
-    )
+    np.testing.assert_array_equal(agent.act(rows), model.predict(rows, deterministic=True)[0])
     with torch.no_grad():
         chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
     drawn = build("ppo", spec, network=network, decision="softmax")

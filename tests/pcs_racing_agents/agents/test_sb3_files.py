@@ -12,7 +12,7 @@ from refusal import refused
 from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.duel import DuelEnv
-from pcs_racing_agents.agents import as_competitor, make
+from pcs_racing_agents.agents import as_agent, make
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import (
     _read_scale,
@@ -242,7 +242,7 @@ def test_what_a_model_would_lose_is_refused_and_named(tmp_path, name, arguments)
     model = wrapped(**arguments)
     refused(f"was trained behind {name}; ", save_model, tmp_path / "model", model)
     assert not list(tmp_path.iterdir())
-    for race in (as_competitor, lambda model: DriveEnv("Pipkin", model)):
+    for race in (as_agent, lambda model: DriveEnv("Pipkin", model)):
         refused(r"was trained behind \w+; ", race, model)
 
 
@@ -299,7 +299,7 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     env = DriveEnv(track, RIVAL, beams=5, time_step=0.2, vehicle={"mu": 0.9})
     model = getattr(sb3, kind)("MlpPolicy", env, seed=1, device="cpu", **more)
     file = str(save_model(tmp_path / "model", model))
-    kept, named = load_model(file).planner.drive, as_competitor(model, "mine")
+    kept, named = load_model(file).planner.drive, as_agent(model, "mine")
     answer = np.clip(kept.model.predict(ROWS)[0], -1.0, 1.0)
     np.testing.assert_allclose(answer, model.predict(ROWS, deterministic=True)[0], atol=1e-5)
     assert (kept.hold, kept.options.beams, kept.options.vehicle[0].mu) == (20, 5, 0.9)
@@ -320,7 +320,7 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     )
     scaled.obs_rms.update(3.0 * ROWS[:, : env.observation_space.shape[0]] + 1.0)
     model.set_env(scaled)
-    refused("behind VecNormalize; only save_model", as_competitor, model, "mine")
+    refused("behind VecNormalize; only save_model", as_agent, model, "mine")
     seen, kept = (
         env.reset(seed=3)[0][None],
         load_model(save_model(tmp_path / "model", model)).planner.drive,

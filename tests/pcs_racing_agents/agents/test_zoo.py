@@ -66,7 +66,7 @@ def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
         for rows in seen[:-1]:
             chances = created.probabilities(rows)
             np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-9)
-            moves, _ = created.predict(rows)
+            moves = created.act(rows)
             assert (chances[np.arange(len(rows)), moves] > 0.0).all()
         if name in SHIPPED:
             assert created.facts["does"] == entries()[name].summary
@@ -207,7 +207,7 @@ def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
     created = build("bold", spec)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
     assert (
-        created.spec.moves[created.predict(np.zeros((1, len(spec.elements))))[0][0]]
+        created.spec.moves[created.act(np.zeros((1, len(spec.elements))))[0]]
         == "aggressiveness +"
     )
     text = describe.describe("bold", entries()["bold"])

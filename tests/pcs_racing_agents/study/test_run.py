@@ -114,7 +114,7 @@ def test_the_agents_learned_by_playing_the_game_that_is_studied(finished):
     assert len(read_evaluations(finished.network("ppo") / "curve.csv")[0].steps) == 3
     ppo = finished.agent("ppo")
     seen = np.random.default_rng(1).random((50, len(network.identity.elements)), np.float32)
-    np.testing.assert_array_equal(ppo.predict(seen)[0], network.choose(seen))
+    np.testing.assert_array_equal(ppo.act(seen), network.choose(seen))
 
 
 def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):

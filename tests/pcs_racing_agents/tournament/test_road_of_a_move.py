@@ -1,4 +1,4 @@
-"""The way of a move from an agent's ``predict`` to a row of ``results.csv``: few files, none twice,
+"""The way of a move from an agent's ``act`` to a row of ``results.csv``: few files, none twice,
 in few forms.
 """
 
@@ -21,7 +21,7 @@ from pcs_racing_agents.tournament.race_files import write_results
 RACES = 20
 PACKAGES = (REPOSITORY / "pcs_racing", REPOSITORY / "pcs_racing_agents")
 ENDS = {
-    "predict": "agents/agent.py",
+    "act": "agents/agent.py",
     "write_chunk": "base/chunks.py",
     "write_results": "tournament/race_files.py",
 }
@@ -81,7 +81,7 @@ class Watch:
                 *files[:1],
                 *(later for earlier, later in pairwise(files) if later != earlier),
             ]
-        elif event == "return" and self.moves is None and name == "predict":
+        elif event == "return" and self.moves is None and name == "act":
             self.moves = value[0]
         elif event == "return" and self.moves is not None and holds(value, self.moves):
             self.files.add(file)

@@ -230,7 +230,7 @@ def test_a_duel_policy_is_an_agent_of_the_zoo_and_a_drive_policy_a_driver(traine
     agent = make("ppo", network=trained["duel"].folder)
     game = make_game(load_track("Pipkin"), "default", stay=True)
     seen = game.observation(game.reset(games=3))[:, 0]
-    np.testing.assert_array_equal(agent.predict(seen)[0], network.choose(seen))
+    np.testing.assert_array_equal(agent.act(seen), network.choose(seen))
     layers, manifest = read_driver(trained["drive"].folder)
     for one, two in zip(layers.weights, trained["drive"].layers.weights, strict=True):
         np.testing.assert_array_equal(one, two)

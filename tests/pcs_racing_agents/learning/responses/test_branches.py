@@ -41,7 +41,7 @@ def test_a_branch_is_what_comes_of_playing_its_moves(game, spec):
     for move in range(len(game.move_names)):
         state = game.reset(keys)
         for own_move in (len(game.move_names) - 1, move):
-            reply, _ = rival.predict(game.observation(state)[:, 1])
+            reply = rival.act(game.observation(state)[:, 1])
             state = game.step(state, np.stack([np.full(4, own_move), reply], axis=1))
         np.testing.assert_array_equal(result.outcomes[:, move], game.reward(state)[result.game, 0])
 
@@ -52,9 +52,9 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, spec):
     class Stays:
         name = "stays"
 
-        def predict(self, observation, state=None, episode_start=None, deterministic=True):
-            asked.append(len(observation))
-            return np.full(len(observation), len(spec.moves) - 1), None
+        def act(self, observations, turn):
+            asked.append(len(observations))
+            return np.full(len(observations), turn.stay)
 
     keys, stay = race_seeds(3, 60), never_switch(spec)
     result = branch_games(game, stay, keys, 0, [stay], Stays(), payoff="utility")
