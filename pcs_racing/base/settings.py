@@ -18,6 +18,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
+from enum import Enum
 from functools import cached_property, lru_cache, reduce
 from inspect import cleandoc, get_annotations
 from operator import or_
@@ -176,11 +177,13 @@ class Option:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy,
-    sequences and mappings.
+    """Return a value with numbers of Python, tuples and dicts in place of numbers of numpy, members
+    of enumerations, sequences and mappings.
     """
     if isinstance(value, np.generic):
         return value.item()
+    if isinstance(value, Enum):
+        return value.value
     if isinstance(value, Sequence) and not isinstance(value, str | bytes):
         return tuple(map(_plain, value))
     return {key: _plain(one) for key, one in value.items()} if isinstance(value, Mapping) else value
@@ -249,11 +252,19 @@ class Settings:
     def __post_init__(self) -> None:
         for name, option in _options(type(self)).items():
             value = getattr(self, name)
-            # By their texts, since 1, 1.0 and True are equal.
-            same = isinstance(value, _PLAIN) and repr(value) == repr(option.default)
-            if not same and value is not option.default:
-                # A check may bring a value into another form, such as a list into a tuple.
-                object.__setattr__(self, name, option.checked(name, value))
+            try:
+                # By their texts, since 1, 1.0 and True are equal.
+                same = isinstance(value, _PLAIN) and repr(value) == repr(option.default)
+                if not same and value is not option.default:
+                    # A check may bring a value into another form, such as a list into a tuple.
+                    object.__setattr__(self, name, option.checked(name, value))
+            except InputError:
+                raise
+            except (RecursionError, ValueError):
+                raise ConfigError(
+                    f"{name} holds itself, or a number of more than 4300 digits; it must hold"
+                    " numbers, texts, lists and mappings"
+                ) from None
 
     @classmethod
     def known(cls, **values: Any) -> Self:

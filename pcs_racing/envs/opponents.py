@@ -28,6 +28,7 @@ from pcs_racing.game.state import GameState
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
+from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.state import RaceState, empty_state, take
 
 
@@ -98,6 +99,11 @@ def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np
     check_races(f"{name}.race", games.race, game.config.race, lengths)
     check_within(f"{name}.step", games.step, 0, game.config.moves)
     check_within(f"{name}.policy", games.policy, OUTSIDE, len(game.archive) - 1)
+    between = (games.race.tick % CONTROL_EVERY != 0) & ~games.race.crashed
+    if between.any():
+        raise InputError(
+            f"{name}.race.tick holds {games.race.tick[between][0]}; a game stops at an even number"
+        )
 
 
 def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) -> int:

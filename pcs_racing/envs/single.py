@@ -122,6 +122,8 @@ class SingleEnv(OverBatch):
         begun = state.steps is not None
         if begun:
             check_whole("the state's steps", state.steps, 0, MAX_STEPS)
+            if isinstance(state.batch, tuple) and state.batch and state.batch[0] is None:
+                raise InputError("the state has steps but no race; use what get_state returned")
         # A new generator: two environments restored from one state must not share a stream.
         unused = state.generator is None and not begun
         generator = None if unused else generator_of("the state's generator", state.generator)

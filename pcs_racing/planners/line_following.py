@@ -18,6 +18,7 @@ from pcs_racing.planners.field.pure_pursuit import (
     side_air,
     within_walls,
 )
+from pcs_racing.planners.lattice import GRIP, LOST
 from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.pursuit import BRAKING, steady_course
 from pcs_racing.planners.view import PATH_POINTS
@@ -68,7 +69,6 @@ KEPT_LANE = 3 + LANE_POINTS
 ANCHOR_STEP = 2.0  # m
 WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m; a wall pushes a nearer lane away, by 0.145 m at 0.305 m
 
-LOST = 0.4  # m from the last plan; beyond it a new plan begins at the car
 # Share and max of a deviation (m, or slope) that the path forgives: with a path that begins at the
 # car itself, the car would weave.
 FORGIVEN, MOST_FORGIVEN = 0.5, 0.1
@@ -76,7 +76,6 @@ OFF_LINE = 0.30  # m from the race line; walls do not push a lane beyond it
 ON_LINE = 0.15  # m from the race line; a lane within it is as good as the line itself
 BEND = 3  # points of the lane to either side that give its bend at a point
 EASE_LATERAL = 6.0  # m/s^2, lateral acceleration allowed on the way to the lane
-GRIP = 5.3  # m/s^2 allowed in the lane's bends up to speed scale 1; above, times the scale squared
 COMFORT = 4.5  # m/s^2, braking down to the speed of a bend
 
 

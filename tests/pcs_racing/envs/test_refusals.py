@@ -295,6 +295,14 @@ def begin(kind, **arguments):
             changed(4, lambda drawn: ((np.array([9]), *drawn[0][1:]), *drawn[1:])),
             "circuits holds 9; it must be from 0 to 0",
         ),
+        (
+            (DuelEnv,),
+            changed(
+                0, lambda games: games._replace(race=games.race._replace(tick=np.array([801])))
+            ),
+            "tick holds 801; a game stops at an even number",
+        ),
+        ((DuelEnv,), changed(0, lambda games: None), "the state has steps but no race"),
     ],
 )
 def test_an_impossible_state_is_one_error_and_changes_nothing(kinds, harm, message):

@@ -1,6 +1,7 @@
 """The rules of a game: what they are by default, what follows from them, and how far each may go."""
 
 import dataclasses
+from enum import Enum
 from types import SimpleNamespace
 
 import numpy as np
@@ -158,3 +159,20 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
         ),
     ]:
         refused(message, check_same_game, own, own._replace(**change), "it")
+
+
+ENDLESS: list = []
+ENDLESS.append(ENDLESS)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("moves", 10**5000), ("epsilon", 10**5000), ("first_steps", ENDLESS), ("race", ENDLESS)],
+)
+def test_values_without_a_text_or_an_end_are_refused(name, value):
+    refused(f"^{name} ", GameConfig, **{name: value}, error=ConfigError)
+
+
+def test_members_of_enumerations_are_stored_as_their_values():
+    config = GameConfig(utility=Enum("Utility", {"LEAD": "lead"}, type=str).LEAD)
+    assert type(config.utility) is str

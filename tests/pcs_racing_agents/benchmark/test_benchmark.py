@@ -119,7 +119,7 @@ def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(p
 
 def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
     asked = []
-    agent = SimpleNamespace(predict=lambda observation, *_: asked.append(len(observation)))
+    agent = SimpleNamespace(act=lambda observations, turn: asked.append(len(observations)))
     assert decision_cost(protocol, agent, repeats=3) > 0.0
     assert asked == [1, 1, 1]
     assert decision_cost(protocol, make("lattice:pace=0.4")) is None

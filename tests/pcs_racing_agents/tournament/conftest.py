@@ -11,7 +11,7 @@ from pcs_racing import (
     parse_policy,
 )
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents import make_game_spec
+from pcs_racing_agents.agents import as_agent, make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import Pairing, Tournament, play_tournament
 
@@ -46,6 +46,7 @@ def games_of(contest, starts):
     """Twelve games of two competitors from the same starts, as a pairing."""
 
     def pairing(ego, opponent) -> Pairing:
+        ego, opponent = as_agent(ego), as_agent(opponent)
         variants = np.random.default_rng(3).integers(0, 12, (GAMES, 2))
         for car, competitor in enumerate((ego, opponent)):
             # a driver may have a single one

@@ -10,7 +10,7 @@ from same_move import Model
 
 from pcs_racing import InputError, RaceGame
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents import make_game_spec
+from pcs_racing_agents.agents import as_agent, make_game_spec
 from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import play_games, record_game
@@ -104,9 +104,8 @@ def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, z
     races = played(replace(games_of(never_switch(spec), always(spec, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
-    for car, cars in enumerate(
-        [(Counter(), zoo["random-moves"]), (zoo["random-moves"], Counter())]
-    ):
+    counter = as_agent(Counter())
+    for car, cars in enumerate([(counter, zoo["random-moves"]), (zoo["random-moves"], counter)]):
         for columns in games_of(*cars).race(
             [cars[0]] if car == 0 else [cars[0], zoo["never-switch"]]
         ):
@@ -116,7 +115,7 @@ def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, z
 
 
 class Counter:
-    """A model that counts in its memory, in place, how often it was asked; its move is that number."""
+    """A model that counts in its memory, in place, how often it was asked: its move."""
 
     name = "counter"
 
@@ -132,9 +131,9 @@ class Leader:
 
     name: str = "leader"
 
-    def decide(self, game, state, car):
-        assert not game.done(state).any()
-        return np.where((state.race.lead > 0.0) == (car == 0), 1, 3)
+    def act(self, observations, turn):
+        assert not turn.game.done(turn.state).any()
+        return np.where((turn.state.race.lead > 0.0) == (turn.car == 0), 1, 3)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +144,7 @@ def egos(contest, zoo) -> list:
         random_moves(spec, seed=9),
         best_fixed(spec, target=3),
     ]
-    return [zoo["never-switch"], zoo["random-moves"], *others, Leader(), Counter()]
+    return [zoo["never-switch"], zoo["random-moves"], *others, Leader(), as_agent(Counter())]
 
 
 @pytest.mark.parametrize(
@@ -272,7 +271,7 @@ def test_impossible_egos_and_moves_are_refused(contest, zoo, games_of, starts):
         ([zoo["random-moves"], other], "never-switch"),
     ]:
         refused(value, pairing.race, egos)
-    with pytest.raises(InputError, match="'never-switch' can't race"):
+    with pytest.raises(InputError, match="'never-switch' is not a competitor"):
         play_games(
             contest,
             zoo["never-switch"],

@@ -82,7 +82,7 @@ class Watch:
                 *(later for earlier, later in pairwise(files) if later != earlier),
             ]
         elif event == "return" and self.moves is None and name == "act":
-            self.moves = value[0]
+            self.moves = value
         elif event == "return" and self.moves is not None and holds(value, self.moves):
             self.files.add(file)
             self.forms.add(type(value).__name__)
