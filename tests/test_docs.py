@@ -60,8 +60,8 @@ def test_the_code_runs(page, number, tmp_path, monkeypatch):
     code = python_blocks(TEXTS[page])[number]
     if "stable_baselines3" in code or ".ppo." in code:
         pytest.importorskip("stable_baselines3")
-    for words, library in (("learning", "torch"), ("synthesis", "cma"), ("openspiel", "pyspiel")):
-        if f"pcs_racing_agents.{words}" in code.replace("solvers.openspiel", "openspiel"):
+    for words, library in (("pcs_racing_agents.learning", "torch"), ("import pyspiel", "pyspiel")):
+        if words in code:
             pytest.importorskip(library, reason=f"{library} is not installed")
     for long, short in SHORTER.items():
         code = code.replace(long, short)

@@ -105,7 +105,7 @@ NEEDS = {
     "OpenSpiel": (
         (
             "from pcs_racing_agents.solvers import GameTree; from"
-            " pcs_racing_agents.solvers.openspiel import efg_game;"
+            " pcs_racing_agents.solvers.efg import efg_game;"
             " efg_game(GameTree.from_payoffs([[0.0, 1.0], [1.0, 0.0]]))"
         ),
         "games",

@@ -24,10 +24,9 @@ from pcs_racing_agents.solvers import (
     cfr,
     exploitability,
     solve_exact,
-    solve_sequence_form,
     uniform_profile,
 )
-from pcs_racing_agents.solvers.openspiel import efg_game
+from pcs_racing_agents.solvers.efg import efg_game
 from pcs_racing_agents.trees import load_trees
 
 ROUNDS = 9
@@ -95,10 +94,10 @@ def convergence(tree: GameTree) -> None:
     print("| variant | " + " | ".join(str(count) for count in ITERATIONS) + " |")
     print("|---" * (len(ITERATIONS) + 1) + "|")
     for variant in VARIANTS:
-        run, row = None, []
-        for count in ITERATIONS:
-            run = cfr(tree, count - (run.iterations if run else 0), variant, resume=run)
-            row.append(exploitability(tree, run.average).exploitability)
+        row = [
+            exploitability(tree, cfr(tree, count, variant).average).exploitability
+            for count in ITERATIONS
+        ]
         print(f"| `{variant}` | " + " | ".join(f"{value:.2g}" for value in row) + " |")
 
 
@@ -142,20 +141,6 @@ def main() -> None:
     even = uniform_profile(tree)
     took = median([seconds(lambda: exploitability(tree, even)) for _ in range(ROUNDS)])
     print(f"exploitability of a profile: {1e3 * took:.1f} ms")
-
-    # Nodes that look the same to a player are one information set: with nothing to see, one set a
-    # step.
-    nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(tree.depth)]
-    blind = tree.with_observations(nothing)
-    solved = solve_sequence_form(blind)
-    took = median([seconds(lambda: solve_sequence_form(blind)) for _ in range(3)])
-    left = exploitability(blind, solved.profile).exploitability
-    print(
-        f"blind to the other's moves: {1e3 * took:.0f} ms, value {solved.value:.6g}, exploitability"
-        f" {left:.1e}"
-    )
-    each = median([seconds(lambda: cfr(blind, OURS)) / OURS for _ in range(ROUNDS)])
-    print(f"blind, cfr alternating+: {1e3 * each:.3f} ms an iteration")
 
     if find_spec("pyspiel"):
         against_openspiel(tree)

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
-from pcs_racing_agents.solvers.openspiel import efg_game, efg_policy
+from pcs_racing_agents.solvers.efg import efg_game, efg_policy
 from pcs_racing_agents.trees import load_trees
 
 try:

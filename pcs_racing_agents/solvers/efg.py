@@ -1,17 +1,23 @@
-"""Trees as Gambit's extensive form files (.efg), which OpenSpiel and Gambit read."""
+"""Trees as Gambit's extensive form files (.efg), and as games of OpenSpiel.
+
+OpenSpiel and Gambit read such files. :func:`efg_game` passes a tree to OpenSpiel's C++ as a text of
+this form; algorithms in Python take that game, too.
+"""
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from decimal import ROUND_HALF_EVEN, Context, Decimal
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing_agents.solvers.evaluation import Profile, check_profile
 from pcs_racing_agents.solvers.game_tree import GameTree
 
-MOST_LEAVES = 2_000_000
+MAX_LEAVES = 2_000_000
 
 
 def write_efg(
@@ -38,7 +44,7 @@ def efg_text(
 ) -> str:
     """Return a tree in Gambit's format: at every node car 0 moves, then car 1 without observing it.
 
-    A player with a single move has no node there. Infosets are named by :func:`infoset_name`.
+    A player with a single move has no node there. An infoset has the name ``level:row``.
     Chance that no player observes is left out: the payoffs are then expected payoffs.
 
     Parameters
@@ -47,9 +53,9 @@ def efg_text(
         Names of the moves of each car at each level; ``0``, ``1``, ... by default.
     """
     tree = tree.averaged
-    if tree.payoffs.size > MOST_LEAVES:
+    if tree.payoffs.size > MAX_LEAVES:
         raise InputError(
-            f"the tree has {tree.payoffs.size} leaves; as text, {MOST_LEAVES} are the most"
+            f"the tree has {tree.payoffs.size} leaves; as text, {MAX_LEAVES} are the max"
         )
     names = move_names if move_names is not None else [(range(a), range(b)) for a, b in tree.moves]
     if [(len(first), len(second)) for first, second in names] != list(tree.moves):
@@ -62,11 +68,6 @@ def efg_text(
     head = f'EFG 2 R {_quoted(title)} {{ "car_0" "car_1" }}\n'
     actions = [f"{{ {' '.join(player)} }}" for player in quoted]
     return head + "\n".join(_lines(tree, actions)) + "\n"
-
-
-def infoset_name(level: int, row: int) -> str:
-    """Return the name of an infoset in the file: its level, and its row in a strategy."""
-    return f"{level}:{row}"
 
 
 def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
@@ -83,7 +84,7 @@ def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
     def decision(k: int, player: int, node: int) -> str:
         row = rows[k][player][node]
         number = int(numbers[k, player]) + row + 1
-        return f'p "" {player + 1} {number} "{infoset_name(k, row)}" {actions[2 * k + player]} 0'
+        return f'p "" {player + 1} {number} "{k}:{row}" {actions[2 * k + player]} 0'
 
     def below(k: int, node: int) -> Iterator[str]:
         if k == m:
@@ -130,3 +131,71 @@ def _quoted(text: str) -> str:
     if '"' in text or "\n" in text or "\\" in text:
         raise InputError(f"{text!r} can't be a name: it holds a quote, backslash or line break")
     return f'"{text}"'
+
+
+# OpenSpiel
+
+
+def efg_game(tree: GameTree) -> Any:
+    """Return a tree as a game of OpenSpiel's C++ (``pyspiel.load_efg_game``).
+
+    Car 0 moves first; car 1 does not observe its move.
+    """
+    try:
+        import pyspiel
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError('this needs OpenSpiel: pip install "pcs-racing[games]"') from None
+    return pyspiel.load_efg_game(efg_text(tree))
+
+
+def efg_policy(tree: GameTree, profile: Profile) -> dict[str, list[tuple[int, float]]]:
+    """Return a profile in the form of OpenSpiel's functions for :func:`efg_game`.
+
+    The form is information state to (move, share).
+    """
+    game = tree.averaged
+    keys = _efg_keys(game)
+    policy = {}
+    for k, pair in enumerate(check_profile(tree, profile)):
+        for player in (0, 1):
+            for row, shares in enumerate(pair[player].tolist()):
+                if (player, k, row) in keys:
+                    policy[keys[player, k, row]] = list(enumerate(shares))
+    return policy
+
+
+def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]]) -> Profile:
+    """Return a tabular policy of :func:`efg_game` (as ``policy.policy_table()``) as a profile."""
+    game = tree.averaged
+    keys = _efg_keys(game)
+    profile = []
+    for k, moves in enumerate(game.moves):
+        pair = []
+        for player in (0, 1):
+            strategy = np.zeros((game.rows(k, player), moves[player]))
+            for row in range(len(strategy)):
+                key = keys.get((player, k, row))
+                if key is None:
+                    strategy[row] = 1.0
+                    continue
+                if key not in policy:
+                    raise InputError(
+                        f"the policy lacks the information state {key!r} of car {player}, level {k}"
+                    )
+                for move, share in policy[key]:
+                    strategy[row, move] = share
+            pair.append(strategy)
+        profile.append((pair[0], pair[1]))
+    return profile
+
+
+def _efg_keys(game: GameTree) -> dict[tuple[int, int, int], str]:
+    """Return OpenSpiel's string for each (player, level, row) with a decision."""
+    keys, numbers = {}, [0, 0]
+    for k, moves in enumerate(game.moves):
+        for player in (0, 1):
+            if moves[player] > 1:
+                for row in range(game.rows(k, player)):
+                    numbers[player] += 1
+                    keys[player, k, row] = f"{player}-{player}-{numbers[player]}-{k}:{row}"
+    return keys

@@ -118,47 +118,6 @@ def play_value(tree: GameTree, profile: Profile) -> float:
     return float((tree.chance * node_values(tree, profile)[0]).sum())
 
 
-def q_values(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """Return Q-values: expected payoffs of moves to their player, with the profile afterwards.
-
-    Returns
-    -------
-    list of (ndarray, ndarray)
-        Shapes (rows, A_k) and (rows, B_k): expected over the nodes of an infoset, weighted by the
-        probability that chance and the other player lead there (equally if they never do), and over
-        the other player's move. For the value against a fixed opponent with best play afterwards,
-        see :func:`best_response`.
-    """
-    tree = tree.averaged
-    profile = check_profile(tree, profile)
-    sigma, values, reach = (
-        _at_nodes(tree, profile),
-        node_values(tree, profile),
-        reach_probabilities(tree, profile),
-    )
-    result = []
-    for k, (first, second) in enumerate(sigma):
-        children = _children(values[k + 1], first, second)
-        both = [
-            np.einsum("nab,nb->na", children, second),
-            -np.einsum("nab,na->nb", children, first),
-        ]
-        for player in (0, 1):
-            both[player] = _over_infosets(tree, k, player, both[player], reach[k][1 - player])
-        result.append((both[0], both[1]))
-    return result
-
-
-def advantages(tree: GameTree, profile: Profile) -> list[tuple[Floats, Floats]]:
-    """Return advantages: the Q-values of the moves minus their mean under the strategy."""
-    return [
-        (q0 - (q0 * s0).sum(axis=1, keepdims=True), q1 - (q1 * s1).sum(axis=1, keepdims=True))
-        for (q0, q1), (s0, s1) in zip(
-            q_values(tree, profile), check_profile(tree, profile), strict=True
-        )
-    ]
-
-
 def best_response(tree: GameTree, profile: Profile, player: int) -> BestResponse:
     """Compute a player's best response to the other player's strategy of a profile.
 

@@ -123,37 +123,6 @@ class GameTree:
             infosets.append((rows[0], rows[1]))
         return replace(self, infosets=tuple(infosets))
 
-    def with_observations(self, observations: Sequence[tuple[ArrayLike, ArrayLike]]) -> "GameTree":
-        """Return the tree with players that observe these numbers and have perfect recall.
-
-        They remember all observations and their own moves. ``observations``: for each level, the
-        observations of car 0 and car 1 at every node: shape (roots * N_k,) or (roots * N_k, d).
-        Nodes with equal numbers look the same: round measured numbers to the precision of the
-        player's sensors.
-        """
-        self._check_levels(observations, "observations")
-        infosets: list[tuple[Integers, Integers]] = []
-        for k, pair in enumerate(observations):
-            rows = []
-            for player in (0, 1):
-                observed = _real(pair[player], f"observations of level {k}, car {player}")
-                if (
-                    observed.ndim not in (1, 2)
-                    or len(observed) != self.nodes(k)
-                    or not np.isfinite(observed).all()
-                ):
-                    raise InputError(
-                        f"observations of level {k}, car {player} have shape {observed.shape}; they"
-                        f" must be finite numbers, {self.nodes(k)} rows of them"
-                    )
-                key = observed.reshape(len(observed), -1)
-                if k:
-                    # The earlier observations and the own last move are remembered: perfect recall.
-                    key = np.column_stack([self._past(k, player, infosets[k - 1][player]), key])
-                rows.append(_numbered(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1)))
-            infosets.append((rows[0], rows[1]))
-        return replace(self, infosets=tuple(infosets))
-
     def __copy__(self) -> "GameTree":
         """Return the tree itself: it never changes."""
         return self

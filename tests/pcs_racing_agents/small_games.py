@@ -47,7 +47,24 @@ def random_tree(seed: int, *shape: int, chance: int = 0, blur: int = 0) -> GameT
     seen = [
         tuple(rng.integers(0, blur, tree.nodes(k)) for _ in range(2)) for k in range(tree.depth)
     ]
-    return tree.with_observations(seen)
+    return tree.with_infosets(remembered(tree, seen))
+
+
+def remembered(tree: GameTree, seen: list) -> list:
+    """Labels of the nodes for players that remember what they saw and their own moves."""
+    labels = []
+    for k, pair in enumerate(seen):
+        both = []
+        for car in (0, 1):
+            key = np.asarray(pair[car])
+            if k:
+                moves = tree.moves[k - 1]
+                own, parent = np.arange(len(key)), np.arange(len(key)) // (moves[0] * moves[1])
+                own = own // moves[1] % moves[0] if car == 0 else own % moves[1]
+                key = np.stack([labels[k - 1][car][parent], own, key], axis=1)
+            both.append(np.unique(key, axis=0, return_inverse=True)[1].reshape(-1))
+        labels.append(tuple(both))
+    return labels
 
 
 def random_profile(tree: GameTree, seed: int = 0, sharp: float = 1.0):

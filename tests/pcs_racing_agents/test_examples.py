@@ -265,7 +265,7 @@ def test_the_ros_bridge_drives_by_commands_and_publishes_what_the_gym_does(monke
     frames = SimpleNamespace(transforms=None)
     new = lambda: SimpleNamespace(
         header=SimpleNamespace(stamp=SimpleNamespace()),
-        transform=SimpleNamespace(  # noqa: E731
+        transform=SimpleNamespace(
             translation=SimpleNamespace(), rotation=SimpleNamespace()
         ),
     )

@@ -40,9 +40,7 @@ def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, g
         TorchPolicy(linear(0), "other name")
     )
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
-    digests = {
-        competitor_hash(as_agent(model, name)) for model in models for name in ("a", "b")
-    }
+    digests = {competitor_hash(as_agent(model, name)) for model in models for name in ("a", "b")}
     assert len(digests) == 2
     refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
     refused("str has no actor", network_from_sb3, "model", game_identity(game))

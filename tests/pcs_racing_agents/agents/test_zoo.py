@@ -207,8 +207,7 @@ def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
     created = build("bold", spec)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
     assert (
-        created.spec.moves[created.act(np.zeros((1, len(spec.elements))))[0]]
-        == "aggressiveness +"
+        created.spec.moves[created.act(np.zeros((1, len(spec.elements))))[0]] == "aggressiveness +"
     )
     text = describe.describe("bold", entries()["bold"])
     assert "Races ever more aggressively." in text

@@ -5,7 +5,7 @@ import pytest
 from refusal import refused
 from small_games import PENNIES, kuhn_poker, random_tree
 
-from pcs_racing_agents.solvers import VARIANTS, Variant, cfr, exploitability
+from pcs_racing_agents.solvers import VARIANTS, cfr, exploitability
 
 
 def same(one, other, tolerance=0.0) -> bool:
@@ -29,7 +29,6 @@ class SlowCFR:
         self.regrets, self.sums = (
             [[np.zeros(shape) for shape in pair] for pair in shapes] for _ in range(2)
         )
-        self.reached = [[np.zeros(shape[0]) for shape in pair] for pair in shapes]
         self.strategy = [[np.full(shape, 1.0 / shape[1]) for shape in pair] for pair in shapes]
 
     def visit(self, level, node, player, own, others):
@@ -51,7 +50,6 @@ class SlowCFR:
         value = mine @ gains
         row = rows[player]
         self.regrets[level][player][row] += others * (gains - value)
-        self.reached[level][player][row] += others
         self.own_reach[level][row] = own
         return value
 
@@ -81,7 +79,6 @@ class SlowCFR:
         for level in range(self.tree.depth):
             regrets = self.regrets[level][player]
             regrets *= np.where(regrets > 0.0, *kept)
-            self.reached[level][player] *= kept[0]
             positive = np.maximum(regrets, 0.0)
             total = positive.sum(axis=1, keepdims=True)
             even = np.full_like(positive, 1.0 / positive.shape[1])
@@ -90,12 +87,7 @@ class SlowCFR:
             )
 
 
-DISCOUNTED_TOGETHER = Variant(alternating=False, alpha=1.5, beta=0.0, gamma=2.0)
-
-
-@pytest.mark.parametrize(
-    "variant", [*VARIANTS.values(), DISCOUNTED_TOGETHER], ids=[*VARIANTS, "discounted together"]
-)
+@pytest.mark.parametrize("variant", VARIANTS)
 @pytest.mark.parametrize(
     "tree",
     [
@@ -108,14 +100,11 @@ DISCOUNTED_TOGETHER = Variant(alternating=False, alpha=1.5, beta=0.0, gamma=2.0)
     ids=["open", "hidden", "kuhn", "wide"],
 )
 def test_every_iteration_is_that_of_the_definition(tree, variant):
-    slow = SlowCFR(tree.averaged, variant)
+    slow = SlowCFR(tree.averaged, VARIANTS[variant])
     for t in range(1, 4 if len(tree.infosets[-1][0]) > 256 else 8):
         slow.iterate(t)
         result = cfr(tree, t, variant)
         assert same(result.regrets, slow.regrets, 1e-9)
-        assert same(result.strategy_sums, slow.sums, 1e-9)
-        assert same(result.opponent_reach, [[r[:] for r in pair] for pair in slow.reached], 1e-9)
-        assert same(result.current, slow.strategy, 1e-9)
         played = [[sums / sums.sum(axis=1, keepdims=True) for sums in pair] for pair in slow.sums]
         assert same(result.average, played, 1e-9)
 
@@ -129,20 +118,6 @@ def test_all_variants_solve_kuhn_poker(variant):
     assert judged.value == pytest.approx(-1.0 / 18.0, abs=0.01)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-def test_resuming_changes_nothing(variant):
-    tree = random_tree(2, 3, 3, 3, 3, chance=2, blur=2)
-    whole = cfr(tree, 450, variant)
-    parts = cfr(tree, 230, variant, resume=cfr(tree, 220, variant))
-    assert parts.iterations == 450
-    for name in ("average", "current", "regrets", "opponent_reach", "strategy_sums"):
-        assert same(getattr(whole, name), getattr(parts, name)), name
-    full = random_tree(2, 3, 3, 3, 3)
-    assert same(
-        cfr(full, 7, variant).regrets, cfr(full, 4, variant, resume=cfr(full, 3, variant)).regrets
-    )
-
-
 def test_impossible_runs():
     for arguments, named in [
         ((PENNIES, 0), "iterations is 0"),
@@ -150,9 +125,5 @@ def test_impossible_runs():
         ((PENNIES, True), "True"),
         ((PENNIES, 10**9), "1 to"),
         ((PENNIES, 1, "cfr2"), "'cfr2'"),
-        ((PENNIES, 1, Variant(True, 1.0, 1.0, -1.0)), "gamma"),
-        ((PENNIES, 1, "linear", cfr(PENNIES, 1)), "is of Variant"),
-        ((random_tree(0, 3, 3), 1, "alternating+", cfr(PENNIES, 1)), "other infosets"),
-        ((random_tree(0, 2, 2, 2, 2), 1, "alternating+", cfr(PENNIES, 1)), "other infosets"),
     ]:
         refused(named, cfr, *arguments)

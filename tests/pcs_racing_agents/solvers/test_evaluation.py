@@ -21,8 +21,7 @@ def test_network_strategies_and_impossible_profiles():
     assert result.nash_conv == 0.5
     assert result.exploitability == 0.25
     assert solvers.best_response(PENNIES, biased, 1).strategy[0].tolist() == [[0.0, 1.0]]
-    assert solvers.q_values(PENNIES, biased)[0][1].tolist() == [[-0.5, 0.5]]
-    assert solvers.advantages(PENNIES, biased)[0][0].tolist() == [[0.0, 0.0]]
+    assert solvers.best_response(PENNIES, biased, 1).q[0].tolist() == [[-0.5, 0.5]]
     tree = random_tree(0, 3, 3)
     third = np.full((1, 3), 1.0 / 3.0, dtype=np.float32)
     assert np.array_equal(solvers.check_profile(tree, [(third, third)])[0][0].sum(axis=1), [1.0])
@@ -71,26 +70,3 @@ def test_a_best_response_is_the_best_of_all_plans(seed, blur, sharp):
         assert (1, -1)[player] * solvers.play_value(tree, answer) == pytest.approx(
             best.value, abs=1e-12
         )
-
-
-@given(seed=st.integers(0, 10**6), chance=st.sampled_from([0, 3]), blur=st.integers(0, 2))
-def test_q_values_are_what_one_other_move_is_worth(seed, chance, blur):
-    """Changing a strategy at one infoset changes the value by the reach of chance and the other,
-    times own reach.
-    """
-    tree = random_tree(seed, 2, 3, 2, 2, chance=chance, blur=blur)
-    profile = random_profile(tree, seed)
-    rng = np.random.default_rng(seed)
-    k, player = int(rng.integers(2)), int(rng.integers(2))
-    row, move = int(rng.integers(tree.rows(k, player))), int(rng.integers(tree.moves[k][player]))
-    changed = [[own.copy() for own in pair] for pair in profile]
-    changed[k][player][row] = np.eye(tree.moves[k][player])[move]
-    nodes = tree.infosets[k][player] == row
-    reach = solvers.reach_probabilities(tree, profile)[k]
-    visits = (reach[0] * reach[1] * np.repeat(tree.chance, tree.nodes(k) // tree.roots))[
-        nodes
-    ].sum()
-    gain = (1, -1)[player] * (solvers.play_value(tree, changed) - solvers.play_value(tree, profile))
-    assert gain == pytest.approx(
-        visits * solvers.advantages(tree, profile)[k][player][row, move], abs=1e-12
-    )

@@ -43,7 +43,7 @@ def test_hidden_chance_is_averaged_out():
     assert play_value(tree, profile) == pytest.approx(weights @ each)
 
 
-def test_infosets_are_numbered_as_they_come_and_observations_add_to_them():
+def test_infosets_are_numbered_as_they_come():
     tree = GameTree.from_payoffs(np.zeros((2, 2, 2, 2)))
     seen = tree.with_infosets([([7], [7]), ([9, 9, 4, 4], [8, 3, 8, 3])])
     assert seen.infosets[1][0].tolist() == [0, 0, 1, 1]
@@ -53,21 +53,6 @@ def test_infosets_are_numbered_as_they_come_and_observations_add_to_them():
     same = tree.with_infosets([([0], [0]), ([5, 2, 9, 1], [3, 2, 1, 0])])
     assert same.perfect
     assert same.infosets[1][0].tolist() == [0, 1, 2, 3]
-    tree = GameTree.from_payoffs(np.zeros((2, 2, 2, 2, 2, 2)))
-    nothing = [(np.zeros(tree.nodes(k)), np.zeros(tree.nodes(k))) for k in range(3)]
-    blind = tree.with_observations(nothing)
-    assert [blind.rows(k, 0) for k in range(3)] == [1, 2, 4]  # its own moves, and nothing else
-    # Car 0 sees the other's first move when the second is due. It still knows it later.
-    nothing[1] = (np.arange(4) % 2, np.zeros(4))
-    seen = tree.with_observations(nothing)
-    assert [seen.rows(k, 0) for k in range(3)] == [1, 4, 8]
-    assert [seen.rows(k, 1) for k in range(3)] == [1, 2, 4]
-    # Several numbers a node; equal rows look alike.
-    pairs = [
-        (np.zeros((tree.nodes(k), 2)), np.stack([np.arange(tree.nodes(k))] * 2, axis=1))
-        for k in range(3)
-    ]
-    assert [tree.with_observations(pairs).rows(k, 1) for k in range(3)] == [1, 4, 16]
 
 
 def test_impossible_trees_and_what_no_player_can_see():
@@ -88,29 +73,21 @@ def test_impossible_trees_and_what_no_player_can_see():
         (np.full((2, 1, 1), np.inf), [0.5, 0.5], r"payoff \(0, 0, 0\) is inf"),
     ]:
         refused(message, GameTree.from_payoffs, payoffs, chance)
-    for see, labels, message in [
-        (TWO_STEPS.with_infosets, [([0], [0])], "must be 2 pairs"),
-        (TWO_STEPS.with_infosets, [([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
-        (TWO_STEPS.with_infosets, [([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
+    for labels, message in [
+        ([([0], [0])], "must be 2 pairs"),
+        ([([0], [0]), ([0, 0, 1], [0] * 4)], "must be 4 whole numbers"),
+        ([([0], [0]), ([0.0] * 4, [0] * 4)], "type float64"),
         # These forget their own move.
         (
-            TWO_STEPS.with_infosets,
             [([0], [0]), ([0, 1, 0, 1], [0, 1, 0, 1])],
             "level 1, car 0: node 2",
         ),
         (
-            TWO_STEPS.with_infosets,
             [([0], [0]), ([0, 0, 1, 1], [0, 0, 1, 1])],
             "level 1, car 1: node 1",
         ),
-        (ONE_STEP.with_observations, [(np.zeros(1), np.zeros(2))], "level 0, car 1"),
-        (ONE_STEP.with_observations, [(np.zeros(1), np.zeros((1, 1, 1)))], "level 0, car 1"),
-        (ONE_STEP.with_observations, [(np.zeros(1), [np.nan])], "level 0, car 1"),
     ]:
-        refused(message, see, labels)
+        refused(message, TWO_STEPS.with_infosets, labels)
 
 
-TWO_STEPS, ONE_STEP = (
-    GameTree.from_payoffs(np.zeros((2, 2, 2, 2))),
-    GameTree.from_payoffs(np.zeros((2, 2))),
-)
+TWO_STEPS = GameTree.from_payoffs(np.zeros((2, 2, 2, 2)))
