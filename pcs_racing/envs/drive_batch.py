@@ -499,7 +499,7 @@ class DriveBatch:
         }
         return {
             **race_infos(self.state, self.players),
-            **all_poses(self.state.cars, range(self.players)),
+            **all_poses(self.state.cars, self.players),
             "result": self._outcomes().reshape(-1),
             **{name: np.repeat(values, self.players, axis=0) for name, values in of_races.items()},
         }
