@@ -14,7 +14,7 @@ Each move is considered at four speeds, 64 candidates in all:
 - the speed that keeps a distance behind the other car, even when the other car brakes.
 
 A candidate is rejected if it comes too close to a wall, asks for more grip than there is, or meets
-the predicted opponent within two seconds. Of the others, the candidate with the min weighted sum of
+the predicted opponent within 1.75 s. Of the others, the candidate with the min weighted sum of
 costs wins. The weights, on a log scale, and a few traits (pace, attack, side margin) are the
 parameters of the policy.
 
@@ -28,11 +28,13 @@ the compile time.
 
 References
 ----------
-.. [1] M. Werling, J. Ziegler, S. Kammel and S. Thrun, "Optimal trajectory generation for dynamic street scenarios in a
-   Frenet frame", ICRA 2010.
-.. [2] M. McNaughton, C. Urmson, J. M. Dolan and J.-W. Lee, "Motion planning for autonomous driving with a conformal
-   spatiotemporal lattice", ICRA 2011.
+.. [1] M. Werling, J. Ziegler, S. Kammel and S. Thrun, "Optimal trajectory generation for dynamic
+   street scenarios in a Frenet frame", ICRA 2010.
+.. [2] M. McNaughton, C. Urmson, J. M. Dolan and J.-W. Lee, "Motion planning for autonomous driving
+   with a conformal spatiotemporal lattice", ICRA 2011.
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -200,6 +202,46 @@ _OPP_V = _OPP_D + HORIZON_STEPS
 SCRATCH = _OPP_V + HORIZON_STEPS
 
 
+class Situation(NamedTuple):
+    """Own car and opponent at the moment of a plan, and the rules between them."""
+
+    s: float  #: Own arc length, m.
+    d: float  #: Own distance from the race line, m.
+    slope: float  #: Change of this distance along the line.
+    v: float  #: Own speed, at least 0.5 m/s.
+    width: float  #: Own width, m.
+    scale: float  #: Speed scale of the policy's pace.
+    grip: float  #: Lateral acceleration that a move may ask for, m/s^2.
+    gap: float  #: Distance to the opponent along the track, positive ahead, without laps, m.
+    opponent_d: float  #: Opponent's distance from the race line, m.
+    opponent_v: float  #: Opponent's speed, m/s.
+    reach: float  #: Gap below which the cars are level, m.
+    body: float  #: Distance across at which the cars touch, m.
+    meets: bool  #: The opponent is near enough for a prediction.
+    gives_way: bool  #: The opponent has the right of way.
+    follows: bool  #: The own car keeps a distance behind the opponent.
+    beside: bool  #: The cars are side by side.
+    attacks: bool  #: The own car tries to pass.
+
+
+class Start(NamedTuple):
+    """Place from which the moves begin: the last plan's point at the own car."""
+
+    d: float  #: Distance from the race line, m.
+    slope: float  #: Change of the distance along the line.
+    bend: float  #: Change of the slope, 1/m.
+    since: float  #: Distance driven since the last plan, m.
+    remembered: bool  #: There is a last plan.
+
+
+class Return(NamedTuple):
+    """Way of the car back onto its plan."""
+
+    aside: float  #: Part of the deviation from the plan to lead back, m.
+    slope: float  #: Change of this part along the way, m.
+    length: float  #: Length of the way, m.
+
+
 @inner_kernel(forceinline=True)
 def _near(v):
     """Return the distance (m) of the near goals; the far goals are ``FAR`` times as far."""
@@ -343,43 +385,101 @@ def _following_speed(scratch, s, first):
     return max(speed, 0.0)
 
 
-@inner_kernel
-def _plan_by_now(memory, s0, length, d0, slope0):
-    """Return the last plan's present distance from the line (m), slope, and change of slope (1/m).
+@inner_kernel(forceinline=True)
+def _situation(track, theta, view, memory):
+    """Return the :class:`Situation` of a view."""
+    line, per_ds = track.line, 1.0 / track.ds
+    s, d, opponent_d = view[_view.OWN_S], view[_view.OWN_D], view[_view.OPP_D]
+    here = _sample_at(line, per_ds, s)
+    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
+    slope = tangent(min(max(angle_between(course, line[here, _frenet.PSI]), -1.2), 1.2))
+    slope *= max(1.0 - line[here, _frenet.KAPPA] * d, 0.25)
+    gap = view[_view.GAP]
+    pace = _pace_now(theta[PACE], theta[PACE_BEHIND], gap)
+    scale = view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
+    laps = np.floor((gap + 0.5 * track.length) / track.length)
+    gap -= laps * track.length  # the position of the other car counts, not its laps
+    reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BUMPER_AIR
+    body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
+    # The following car must avoid contact; the leading car keeps its line.
+    in_line = abs(d - opponent_d) < body
+    meets = -(reach - (BUMPER_AIR if in_line else 0.0)) < gap < SIGHT
+    # Right of way: the car ahead; if level, the car nearer to the race line; if as near, the car
+    # on the right.
+    claim = gap + 0.5 * (abs(d) - abs(opponent_d))
+    gives_way = claim > 0.0 or (claim == 0.0 and d > opponent_d)
+    return Situation(
+        s,
+        d,
+        slope,
+        max(view[_view.OWN_V], 0.5),
+        view[_view.OWN_WIDTH],
+        scale,
+        # The car has the grip that the line needs at this pace, and more at slow paces.
+        GRIP * max(scale * scale, 1.0),
+        gap,
+        opponent_d,
+        view[_view.OPP_V],
+        reach,
+        body,
+        meets,
+        gives_way,
+        meets and (gap > 0.0 or (gives_way and gap > -reach)),
+        # Side by side, each car keeps its lane.
+        abs(gap) < reach and abs(d - opponent_d) > 0.8 * body,
+        # An attack begins wholly behind and ends wholly ahead. If level cars changed roles (the
+        # passing car stops, the passed car attacks), both would stay side by side into the next
+        # bend.
+        meets and (gap > LEVEL or memory[_M_ATTACKS] > 0.5),
+    )
+
+
+@inner_kernel(forceinline=True)
+def _plan_by_now(memory, now, length):
+    """Return the :class:`Start` of the moves.
 
     A car that lost its plan, or has no plan, begins a new plan at its position.
     """
-    driven = s0 - memory[_M_S]
+    driven = now.s - memory[_M_S]
     if driven < -0.5 * length:
         driven += length
     per = 1.0 / max(memory[_M_LENGTH], 0.1)
     u = driven * per
     d = _lateral(u, memory[_M_GOAL], memory[_M_A], memory[_M_B])
-    if memory[_M_VALID] < 0.5 or driven < -0.5 or driven > 5.0 or abs(d - d0) > LOST:
-        return d0, slope0, 0.0, 0.0, False
+    if memory[_M_VALID] < 0.5 or driven < -0.5 or driven > 5.0 or abs(d - now.d) > LOST:
+        return Start(now.d, now.slope, 0.0, 0.0, False)
     slope = _lateral_slope(u, memory[_M_A], memory[_M_B]) * per
     bend = _lateral_bend(u, memory[_M_A], memory[_M_B]) * per * per
-    return d, slope, bend, driven, True
+    return Start(d, slope, bend, driven, True)
+
+
+@inner_kernel(forceinline=True)
+def _way_back(now, start):
+    length = _return_length(now.v)
+    return Return(
+        LED_BACK * (now.d - start.d), LED_BACK * (now.slope - start.slope) * length, length
+    )
 
 
 @inner_kernel
-def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside_slope, scratch):
+def _lay_moves(line, ds, now, start, back, scratch):
     """Lay the goals, join each goal to the plan by a move, and measure the moves.
 
-    The points lie on the driven path: on the move, and on the way back onto it from ``aside``.
+    The points lie on the driven path: on the move, and on the way back onto it.
     """
+    v, width = now.v, now.width
     per_ds = 1.0 / ds
     count = line.shape[0]
     keep = 0.5 * width + BODY_AIR
-    per_return = 1.0 / _return_length(v)
-    here = line[_sample_at(line, per_ds, s0), _frenet.KAPPA]
+    per_return = 1.0 / back.length
+    here = line[_sample_at(line, per_ds, now.s), _frenet.KAPPA]
     scratch[_MEAN_KAPPA:_LINE_AIR] = 0.0
     scratch[_LINE_AIR:_BASE] = WALL_AIR
-    kappa0 = here / max(1.0 - here * d, 0.25) + bend
+    kappa0 = here / max(1.0 - here * start.d, 0.25) + start.bend
     for first in range(0, GOALS, ACROSS):
         length = _near(v) * (FAR if first > 0 else 1.0)
         per_length = 1.0 / length
-        i = _sample_at(line, per_ds, s0 + length)
+        i = _sample_at(line, per_ds, now.s + length)
         right = -max(line[i, _frenet.RIGHT] - keep, 0.0)
         left = max(line[i, _frenet.LEFT] - keep, 0.0)
         step = (left - right) / (ACROSS - 1)
@@ -387,17 +487,17 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
         for k in range(ACROSS):
             g = first + k
             goal = 0.0 if k == on_line else right + k * step
-            a = d - goal
+            a = start.d - goal
             scratch[_GOAL_D + g] = goal
             scratch[_LENGTH + g] = length
             scratch[_A + g] = a
-            scratch[_B + g] = length * slope + 2.0 * a
+            scratch[_B + g] = length * start.slope + 2.0 * a
             scratch[_KAPPA + g] = kappa0
             scratch[_MAX_KAPPA + g] = abs(kappa0)
         for j in range(SEGMENTS):
             u = (j + 1) / SEGMENTS
             driven = u * length
-            at = s0 + driven
+            at = now.s + driven
             i = _sample_at(line, per_ds, at)
             # Between two samples the line is taken as straight: a millimetre.
             beyond = at - np.floor(at * per_ds) * ds
@@ -406,9 +506,9 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
             sine = line[i, _frenet.SIN]
             cosine = line[i, _frenet.COS]
             kappa = line[i, _frenet.KAPPA]
-            fastest = scale * line[i, _frenet.SPEED]
+            fastest = now.scale * line[i, _frenet.SPEED]
             square = min(fastest * fastest, v * v + 8.0 * driven)
-            back = _fade_out(driven * per_return, aside, aside_slope)
+            aside = _fade_out(driven * per_return, back.aside, back.slope)
             # A narrow place may lie between two points: the min room around this point counts.
             around = int(0.5 * length / SEGMENTS * per_ds) + 1
             right = line[i, _frenet.RIGHT] - 0.5 * width
@@ -426,17 +526,17 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
                 stretch = max(1.0 - kappa * at_d, 0.25)
                 bent = kappa / stretch + _lateral_bend(u, a, b) * per_length * per_length
                 scratch[_STRETCH + g] += stretch * (1.0 / SEGMENTS)
-                scratch[_SLOWED + g] += min(np.sqrt(grip / max(abs(bent) * square, 1e-3)), 1.0) * (
-                    1.0 / SEGMENTS
-                )
+                scratch[_SLOWED + g] += min(
+                    np.sqrt(now.grip / max(abs(bent) * square, 1e-3)), 1.0
+                ) * (1.0 / SEGMENTS)
                 scratch[_LINE_AIR + g] = min(scratch[_LINE_AIR + g], right, left)
                 scratch[_MOVE_AIR + g] = min(
-                    scratch[_MOVE_AIR + g], right + at_d + back, left - at_d - back
+                    scratch[_MOVE_AIR + g], right + at_d + aside, left - at_d - aside
                 )
-                least = min(least_right + at_d + back, least_left - at_d - back)
+                least = min(least_right + at_d + aside, least_left - at_d - aside)
                 scratch[_MIN_AIR + g] = min(scratch[_MIN_AIR + g], least)
-                scratch[_POINT_X + j * GOALS + g] = x - (at_d + back) * sine
-                scratch[_POINT_Y + j * GOALS + g] = y + (at_d + back) * cosine
+                scratch[_POINT_X + j * GOALS + g] = x - (at_d + aside) * sine
+                scratch[_POINT_Y + j * GOALS + g] = y + (at_d + aside) * cosine
                 scratch[_MAX_KAPPA + g] = max(scratch[_MAX_KAPPA + g], abs(bent))
                 scratch[_MEAN_KAPPA + g] += abs(bent) * (1.0 / SEGMENTS)
                 rate = abs(bent - scratch[_KAPPA + g]) * (SEGMENTS * per_length)
@@ -447,9 +547,9 @@ def _lay_moves(line, ds, s0, v, scale, grip, width, d, slope, bend, aside, aside
         # of the far moves.
         for j in range(BEYOND if first == 0 else 0):
             driven = length * (1.0 + (j + 1) / BEYOND * (FAR - 1.0))
-            i = _sample_at(line, per_ds, s0 + driven)
+            i = _sample_at(line, per_ds, now.s + driven)
             kappa = line[i, _frenet.KAPPA]
-            fastest = scale * line[i, _frenet.SPEED]
+            fastest = now.scale * line[i, _frenet.SPEED]
             square = min(fastest * fastest, v * v + 8.0 * driven)
             for g in range(first, first + ACROSS):
                 bent = kappa / max(1.0 - kappa * scratch[_GOAL_D + g], 0.25)
@@ -485,15 +585,16 @@ def _measure_track(track, scratch, half_width):
 
 
 @inner_kernel
-def _predict(s, v, follows, keep, steps, scratch):
-    """Drive along the race line from (s, v) towards the profiles, at every speed.
+def _predict(now, steps, scratch):
+    """Drive along the race line towards the profiles, at every speed.
 
     The results are arc lengths (unwrapped), speeds, and the car's limits on the track to the right
     and left.
     """
+    s, keep = now.s, 0.5 * now.width + BODY_AIR
     for f in range(SPEEDS):
         scratch[_NOW_S + f] = s
-        scratch[_NOW_V + f] = v
+        scratch[_NOW_V + f] = now.v
     for k in range(steps):
         # Steps of different speeds are interleaved: each waits only for its own last step.
         for f in range(SPEEDS):
@@ -501,7 +602,7 @@ def _predict(s, v, follows, keep, steps, scratch):
             own_v = scratch[_NOW_V + f]
             row, share = _metre_at(own_s - s)
             target = _speed_ahead(scratch, f, row, share)
-            if f == FOLLOWS and follows:
+            if f == FOLLOWS and now.follows:
                 target = min(target, _following_speed(scratch, own_s, k))
             own_v += min(
                 max(target - own_v, -OWN_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP
@@ -517,59 +618,74 @@ def _predict(s, v, follows, keep, steps, scratch):
 
 
 @inner_kernel
-def _predict_opponent(view, s, gap, gives_way, beside, scratch):
-    """Predict the opponent along the track from ``s + gap``, with its share of the profile."""
-    v = view[_view.OPP_V]
+def _predict_opponent(view, now, scratch):
+    """Predict the opponent along the track, with its share of the profile."""
+    v, driven = now.opponent_v, now.gap
     # A narrowing track pushes the other car sideways; a car with the right of way leaves it air.
-    room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if gives_way else BODY_AIR)
-    driven = gap
+    room = 0.5 * view[_view.OPP_WIDTH] + (0.0 if now.gives_way else BODY_AIR)
     row, share = _metre_at(driven)
     for k in range(HORIZON_STEPS):
         wanted = _speed_ahead(scratch, OPPONENT, row, share)
         v += min(max(wanted - v, -OPPONENT_BRAKING * HORIZON_STEP), ACCELERATION * HORIZON_STEP)
         driven += v * HORIZON_STEP
         t = (k + 1) * HORIZON_STEP
-        d = view[_view.OPP_D]
-        if not beside:
+        d = now.opponent_d
+        if not now.beside:
             # Sideways motion goes on for a while; a policy may have its own reasons for a position.
             d += view[_view.OPP_D_DOT] * t / (1.0 + t / MOVE_TIME)
         row, share = _metre_at(driven)
         low = min(room - scratch[_RIGHT + row], 0.0)
         high = max(scratch[_LEFT + row] - room, 0.0)
-        scratch[_OPP_S + k] = s + driven
+        scratch[_OPP_S + k] = now.s + driven
         scratch[_OPP_V + k] = v
         scratch[_OPP_D + k] = min(max(d, low), high)
 
 
-@inner_kernel
-def _meet_opponent(
-    scratch,
-    f,
-    g,
-    s0,
-    gap,
-    side,
-    reach,
-    unsure,
-    side_reach,
-    body,
-    rejects,
-    wrong,
-    later,
-    w_near,
-    most,
-):
+@inner_kernel(forceinline=True)
+def _predict_all(line, per_ds, theta, view, now, steps, scratch):
+    """Lay the profiles, and predict both cars."""
+    for f in range(FOLLOWS):
+        scratch[_SCALE + f] = now.scale * _SPEED_FACTORS[f]
+    scratch[_SCALE + FOLLOWS] = now.scale * (1.0 if now.follows else SLOWEST)
+    carried = now.opponent_v / max(
+        line[_sample_at(line, per_ds, view[_view.OPP_S]), _frenet.SPEED], 0.5
+    )
+    if now.beside:
+        # The opponent speeds up as the own car will.
+        carried = max(carried, now.scale * min(now.opponent_v / now.v, 1.0))
+    scratch[_SCALE + OPPONENT] = max(carried, 0.0)
+    time = steps * HORIZON_STEP
+    far = time * (now.v + 0.5 * time * ACCELERATION)
+    if now.meets:
+        far = max(far, now.gap + time * (now.opponent_v + 0.5 * time * ACCELERATION))
+    metres = int(min(far + BRAKES_EARLIER, METRES - 1.0)) + 1
+    _lay_profiles(line, per_ds, now.s, metres, theta[ATTACK] if now.attacks else 0.0, scratch)
+    if now.meets:
+        _predict_opponent(view, now, scratch)
+    _predict(now, steps, scratch)
+
+
+@inner_kernel(forceinline=True)
+def _meet_opponent(scratch, now, start, f, g, side_reach, w_near, most):
     """Return the cost of the predicted opponent for the move ``g`` at the speed ``f``.
 
-    Overlaps cost, and nearness costs. ``gap`` and ``side`` are the present distances along and
-    across the track; ``reach`` grows by ``unsure`` at each step. The sum stops above ``most``.
+    Overlaps cost, and nearness costs. The cars are level within a reach that grows at each step.
+    The sum stops above ``most``.
     """
+    s0, reach, body = now.s, now.reach, now.body
+    falls_back = f == FOLLOWS
+    unsure = 0.0 if falls_back else UNSURE
+    wrong = WRONG_WAY if now.gives_way != falls_back else 1.0  # one falls back, one goes on
+    # A car with the right of way goes on, and avoids only imminent contact: if both held back, they
+    # would stay side by side into the next bend.
+    rejects = REJECT_STEPS if now.gives_way else RIGHT_STEPS
+    later = LATER if now.gives_way and not falls_back else 0.0
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
     length = scratch[_LENGTH + g]
     per_length = 1.0 / length
     gains = scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0
-    before = -gap
-    side_before = side
+    before = -now.gap
+    side_before = start.d - now.opponent_d
     deepest = 0.0
     cost = 0.0
     fade = 1.0
@@ -611,13 +727,23 @@ def _meet_opponent(
     return cost
 
 
-@inner_kernel
-def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
+@inner_kernel(forceinline=True)
+def _defence(theta, view, now):
+    """Return the weight of the distance from the line of an opponent that closes from behind."""
+    closing = view[_view.OPP_V] - view[_view.OWN_V]
+    if not -4.0 < now.gap < 0.0 or closing <= -0.5:
+        return 0.0
+    return _power_of_ten(theta[BLOCKING]) * (1.0 + now.gap / 4.0) * min(closing + 0.5, 2.0)
+
+
+@inner_kernel(forceinline=True)
+def _weigh_moves(theta, view, memory, now, start, scratch):
     """Sum up each move's speed-independent costs, with rejections by walls, in the base row."""
+    since, defend, opponent_d = start.since, _defence(theta, view, now), now.opponent_d
     w_length = 2.5 * _power_of_ten(theta[LENGTH])
     w_max = _power_of_ten(theta[MAX_CURVATURE])
     w_mean = _power_of_ten(theta[MEAN_CURVATURE])
-    w_similarity = _power_of_ten(theta[SIMILARITY]) if remembered else 0.0
+    w_similarity = _power_of_ten(theta[SIMILARITY]) if start.remembered else 0.0
     w_deviation = 0.5 * _power_of_ten(theta[DEVIATION])
     w_walls = _power_of_ten(theta[WALLS])
     per_before = 1.0 / max(memory[_M_LENGTH], 0.1)
@@ -647,23 +773,82 @@ def _weigh_moves(theta, memory, scratch, remembered, since, defend, opponent_d):
             )
 
 
+@inner_kernel(forceinline=True)
+def _weigh_candidates(theta, now, steps, scratch):
+    """Sum up the costs of all candidates without the opponent's nearness."""
+    s0, v, grip = now.s, now.v, now.grip
+    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - s0)
+    w_braking = _power_of_ten(theta[BRAKE]) / (3.0 * HORIZON_STEP * 10.0)
+    w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
+    w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
+    w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
+    ahead = scratch[_OPP_S + HORIZON_STEPS - 1] - s0 if now.meets else -100.0
+    for f in range(SPEEDS):
+        driven = max(scratch[_OWN_S + (steps - 1) * SPEEDS + f] - s0, 0.1)
+        fast = max(v, scratch[_OWN_V + 4 * SPEEDS + f])
+        soon = scratch[_OWN_V + 2 * SPEEDS + f]
+        speed_cost = w_progress / driven + w_braking * abs(soon - v)
+        in_time = w_rate * fast
+        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the measured bends' speed
+        share *= share
+        for g in range(GOALS):
+            sideways = share * scratch[_SIDEWAYS + g]
+            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(
+                driven, scratch[_LENGTH + g]
+            )
+            behind = ahead - driven - gained
+            scratch[_LEAST + f * GOALS + g] = (
+                speed_cost
+                + w_overtaking * min(max(behind, 0.0), 10.0)
+                + scratch[_BASE + g]
+                + w_lateral * sideways
+                + in_time * scratch[_KAPPA_RATE + g]
+                + STRAIN * max(sideways - grip, 0.0)
+                + 0.03 * REJECTED * max(sideways - grip - SPIN_BEYOND, 0.0)
+            )
+
+
+@inner_kernel(forceinline=True)
+def _choose(theta, now, start, slack, scratch):
+    """Return the candidate with the min cost.
+
+    The opponent only adds to a cost. So the candidate with the min cost without the opponent comes
+    first, and of the others only candidates that could still come within ``slack`` of the best.
+    """
+    side_reach = now.body + (theta[SIDE_MARGIN] if now.gives_way else 0.5 * theta[SIDE_MARGIN])
+    w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
+    first = chosen = np.int64(np.argmin(scratch[_LEAST:_COSTS]))
+    best = 1e30
+    for k in range(-1, CANDIDATES):
+        c = np.int64(first if k < 0 else k)
+        cost = scratch[_LEAST + c]
+        if cost >= best + slack:
+            continue
+        scratch[_LEAST + c] = np.inf
+        if now.meets:
+            most = best + slack - cost
+            cost += _meet_opponent(
+                scratch, now, start, c // GOALS, c % GOALS, side_reach, w_proximity, most
+            )
+        scratch[_COSTS + c] = cost
+        if cost < best:
+            best = cost
+            chosen = c
+    return chosen
+
+
 @inner_kernel
-def _write_path(
-    line, ds, length, view, scratch, g, f, cap, grip, attacks, aside, aside_slope, path
-):
+def _write_path(line, ds, length, view, now, way, scratch, g, f, path):
     """Write the beginning of the move ``g`` and the way back onto it, at the speed ``f``.
 
     Bends limit the speed.
     """
-    per_ds = 1.0 / ds
+    s0, grip, reach, per_ds = now.s, now.grip, way.length, 1.0 / ds
     at_scale = scratch[_SCALE + f]
-    most = cap if f == FOLLOWS else np.inf
+    most = _following_speed(scratch, s0, 0) if now.follows and f == FOLLOWS else np.inf
     braking = min(BRAKING * grip / GRIP, MOST_BRAKING)  # as in the profile at this scale, limited
-    s0 = view[_view.OWN_S]
-    v = view[_view.OWN_V]
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
     per_length = 1.0 / scratch[_LENGTH + g]
-    reach = _return_length(max(v, 0.5))
     # Bends beyond the written path: max speeds by braking, from the end of the move backwards.
     square = 1e9
     step = 0.25 * max(scratch[_LENGTH + g] - reach, 0.0)
@@ -686,11 +871,11 @@ def _write_path(
         bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
         square = min(square, grip / max(abs(bent), 1e-6))
         w = driven / reach
-        back = ((12.0 * w - 6.0) * aside + (6.0 * w - 4.0) * aside_slope) / (reach * reach)
-        x, y, _ = offset(line, ds, length, at, d + _fade_out(w, aside, aside_slope))
+        back = ((12.0 * w - 6.0) * way.aside + (6.0 * w - 4.0) * way.slope) / (reach * reach)
+        x, y, _ = offset(line, ds, length, at, d + _fade_out(w, way.aside, way.slope))
         path[j, _view.PATH_X] = x
         path[j, _view.PATH_Y] = y
-        if attacks and f == ATTACKS:
+        if now.attacks and f == ATTACKS:
             row, share = _metre_at(driven)
             speed = _speed_ahead(scratch, ATTACKS, row, share)
         else:
@@ -706,188 +891,26 @@ def _search(track, theta, view, memory, scratch, path, slack):
 
     Candidates within ``slack`` of the best get a full cost.
     """
-    v = max(view[_view.OWN_V], 0.5)
-    s0 = view[_view.OWN_S]
-    d0 = view[_view.OWN_D]
-    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     line = track.line
-    per_ds = 1.0 / track.ds
-    here = _sample_at(line, per_ds, s0)
-    slope0 = tangent(min(max(angle_between(course, line[here, _frenet.PSI]), -1.2), 1.2))
-    slope0 *= max(1.0 - line[here, _frenet.KAPPA] * d0, 0.25)
-    pace = _pace_now(theta[PACE], theta[PACE_BEHIND], view[_view.GAP])
-    scale = view[_view.SPEED_LOW] + pace * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
-    # The car has the grip that the line needs at this pace, and more at slow paces.
-    grip = GRIP * max(scale * scale, 1.0)
-
-    d, slope, bend, since, remembered = _plan_by_now(memory, s0, track.length, d0, slope0)
-    aside = LED_BACK * (d0 - d)
-    aside_slope = LED_BACK * (slope0 - slope) * _return_length(v)
-    _lay_moves(
-        line,
-        track.ds,
-        s0,
-        v,
-        scale,
-        grip,
-        view[_view.OWN_WIDTH],
-        d,
-        slope,
-        bend,
-        aside,
-        aside_slope,
-        scratch,
-    )
-    _measure_track(track, scratch, 0.5 * view[_view.OWN_WIDTH])
-
-    gap = view[_view.GAP]
-    laps = np.floor((gap + 0.5 * track.length) / track.length)
-    gap -= laps * track.length  # the position of the other car counts, not its laps
-    long_reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BUMPER_AIR
-    body = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
-    # The following car must avoid contact; the leading car keeps its line.
-    in_line = abs(d0 - view[_view.OPP_D]) < body
-    meets = -(long_reach - (BUMPER_AIR if in_line else 0.0)) < gap < SIGHT
-    # Right of way: the car ahead; if level, the car nearer to the race line; if as near, the car
-    # on the right.
-    claim = gap + 0.5 * (abs(d0) - abs(view[_view.OPP_D]))
-    gives_way = claim > 0.0 or (claim == 0.0 and d0 > view[_view.OPP_D])
-    follows = meets and (gap > 0.0 or (gives_way and gap > -long_reach))
-    for f in range(FOLLOWS):
-        scratch[_SCALE + f] = scale * _SPEED_FACTORS[f]
-    scratch[_SCALE + FOLLOWS] = scale * (1.0 if follows else SLOWEST)
-    # An attack begins wholly behind and ends wholly ahead. If level cars changed roles (the passing
-    # car stops, the passed car attacks), both would stay side by side into the next bend.
-    attacks = meets and (gap > LEVEL or memory[_M_ATTACKS] > 0.5)
-    memory[_M_ATTACKS] = 1.0 if attacks else 0.0
-    attack = theta[ATTACK] if attacks else 0.0
-    # Side by side, each car keeps its lane.
-    beside = abs(gap) < long_reach and abs(d0 - view[_view.OPP_D]) > 0.8 * body
-    carried = view[_view.OPP_V] / max(
-        line[_sample_at(line, per_ds, view[_view.OPP_S]), _frenet.SPEED], 0.5
-    )
-    if beside:
-        # The opponent speeds up as the own car will.
-        carried = max(carried, scale * min(view[_view.OPP_V] / max(view[_view.OWN_V], 0.5), 1.0))
-    scratch[_SCALE + OPPONENT] = max(carried, 0.0)
-    steps = HORIZON_STEPS if meets else ALONE_STEPS
-    far = steps * HORIZON_STEP * (v + 0.5 * steps * HORIZON_STEP * ACCELERATION)
-    if meets:
-        far = max(
-            far,
-            gap
-            + steps
-            * HORIZON_STEP
-            * (view[_view.OPP_V] + 0.5 * steps * HORIZON_STEP * ACCELERATION),
-        )
-    metres = int(min(far + BRAKES_EARLIER, METRES - 1.0)) + 1
-    _lay_profiles(line, per_ds, s0, metres, attack, scratch)
-    cap = np.inf
-    if meets:
-        _predict_opponent(view, s0, gap, gives_way, beside, scratch)
-        if follows:
-            cap = _following_speed(scratch, s0, 0)
-    _predict(s0, v, cap < np.inf, 0.5 * view[_view.OWN_WIDTH] + BODY_AIR, steps, scratch)
-    # A car with the right of way goes on, and avoids only imminent contact: if both held back, they
-    # would stay side by side into the next bend.
-    margin = theta[SIDE_MARGIN] if gives_way else 0.5 * theta[SIDE_MARGIN]
-    reject_steps = REJECT_STEPS if gives_way else RIGHT_STEPS
-    later = LATER if gives_way else 0.0
-    defend = 0.0
-    if -4.0 < gap < 0.0:
-        closing = view[_view.OPP_V] - view[_view.OWN_V]
-        if closing > -0.5:
-            defend = _power_of_ten(theta[BLOCKING]) * (1.0 + gap / 4.0) * min(closing + 0.5, 2.0)
-
-    _weigh_moves(theta, memory, scratch, remembered, since, defend, view[_view.OPP_D])
-    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - s0)
-    w_braking = _power_of_ten(theta[BRAKE]) / (3.0 * HORIZON_STEP * 10.0)
-    w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
-    w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
-    w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
-    w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
-    for f in range(SPEEDS):
-        driven = max(scratch[_OWN_S + (steps - 1) * SPEEDS + f] - s0, 0.1)
-        fast = max(v, scratch[_OWN_V + 4 * SPEEDS + f])
-        soon = scratch[_OWN_V + 2 * SPEEDS + f]
-        speed_cost = w_progress / driven + w_braking * abs(soon - v)
-        ahead = scratch[_OPP_S + HORIZON_STEPS - 1] - s0 if meets else -100.0
-        in_time = w_rate * fast
-        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the measured bends' speed
-        share *= share
-        for g in range(GOALS):
-            sideways = share * scratch[_SIDEWAYS + g]
-            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(
-                driven, scratch[_LENGTH + g]
-            )
-            behind = ahead - driven - gained
-            scratch[_LEAST + f * GOALS + g] = (
-                speed_cost
-                + w_overtaking * min(max(behind, 0.0), 10.0)
-                + scratch[_BASE + g]
-                + w_lateral * sideways
-                + in_time * scratch[_KAPPA_RATE + g]
-                + STRAIN * max(sideways - grip, 0.0)
-                + 0.03 * REJECTED * max(sideways - grip - SPIN_BEYOND, 0.0)
-            )
-    # The opponent only adds to a cost. So the candidate with the min cost without the opponent
-    # comes first, and of the others only candidates that could still beat the best.
-    first = chosen = np.int64(np.argmin(scratch[_LEAST:_COSTS]))
-    best = 1e30
-    for k in range(-1, CANDIDATES):
-        c = np.int64(first if k < 0 else k)
-        cost = scratch[_LEAST + c]
-        if cost >= best + slack:
-            continue
-        scratch[_LEAST + c] = np.inf
-        if meets:
-            falls_back = c // GOALS == FOLLOWS
-            unsure = 0.0 if falls_back else UNSURE
-            wrong = WRONG_WAY if gives_way != falls_back else 1.0  # one falls back, one goes on
-            later_on = 0.0 if falls_back else later
-            cost += _meet_opponent(
-                scratch,
-                c // GOALS,
-                c % GOALS,
-                s0,
-                gap,
-                d - view[_view.OPP_D],
-                long_reach,
-                unsure,
-                body + margin,
-                body,
-                reject_steps,
-                wrong,
-                later_on,
-                w_proximity,
-                best + slack - cost,
-            )
-        scratch[_COSTS + c] = cost
-        if cost < best:
-            best = cost
-            chosen = c
-    best_goal, best_speed = chosen % GOALS, chosen // GOALS
+    now = _situation(track, theta, view, memory)
+    start = _plan_by_now(memory, now, track.length)
+    way = _way_back(now, start)
+    _lay_moves(line, track.ds, now, start, way, scratch)
+    _measure_track(track, scratch, 0.5 * now.width)
+    steps = HORIZON_STEPS if now.meets else ALONE_STEPS
+    _predict_all(line, 1.0 / track.ds, theta, view, now, steps, scratch)
+    _weigh_moves(theta, view, memory, now, start, scratch)
+    _weigh_candidates(theta, now, steps, scratch)
+    chosen = _choose(theta, now, start, slack, scratch)
+    g, f = chosen % GOALS, chosen // GOALS
     memory[_M_VALID] = 1.0
-    memory[_M_S] = s0
-    memory[_M_LENGTH] = scratch[_LENGTH + best_goal]
-    memory[_M_GOAL] = scratch[_GOAL_D + best_goal]
-    memory[_M_A] = scratch[_A + best_goal]
-    memory[_M_B] = scratch[_B + best_goal]
-    _write_path(
-        line,
-        track.ds,
-        track.length,
-        view,
-        scratch,
-        best_goal,
-        best_speed,
-        cap,
-        grip,
-        attacks,
-        aside,
-        aside_slope,
-        path,
-    )
+    memory[_M_S] = now.s
+    memory[_M_LENGTH] = scratch[_LENGTH + g]
+    memory[_M_GOAL] = scratch[_GOAL_D + g]
+    memory[_M_A] = scratch[_A + g]
+    memory[_M_B] = scratch[_B + g]
+    memory[_M_ATTACKS] = 1.0 if now.attacks else 0.0
+    _write_path(line, track.ds, track.length, view, now, way, scratch, g, f, path)
 
 
 @kernel
