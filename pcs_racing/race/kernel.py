@@ -265,6 +265,128 @@ def _measure_driving(
         sums[race, car, _state.TIME] += period
 
 
+@inner_kernel(forceinline=True)
+def _begin(state, vehicles, settings, ticks, race, place, number, work):
+    """Load the cars of a race into the lanes from ``place`` on; return the steps to drive."""
+    crashed = False
+    for car in range(number):
+        crashed |= state.crash[race, car] != 0
+        lane = place + car
+        load_car(work, lane, state.cars[race, car], vehicles[race, car])
+        if state.tick[race] % CONTROL_EVERY != 0:  # stopped between two commands
+            set_target(work, lane, state.command[race, car, 0], state.command[race, car, 1])
+            work[_STEERING_BEFORE + lane] = state.cars[race, car, _vehicle.DELTA]
+        at = _VIEWS + lane * _view.VIEW_SIZE
+        _fill_fixed(vehicles[race, car], settings, work[at : at + _view.VIEW_SIZE])
+    return 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
+
+
+@inner_kernel(forceinline=True)
+def _send(state, vehicle, settings, noise_share, race, car, tick, command, memory):
+    """Disturb a command when it is sent, and delay it until it reaches the car."""
+    noise_sd = steering_sd(settings, vehicle)
+    if noise_sd > 0.0:
+        draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
+        state.disturbance[race, car] = settings.noise_keep * state.disturbance[race, car] + draw
+        command[0] += state.disturbance[race, car]
+    delay = vehicle[_vehicle.STEER_DELAY]
+    if delay > 0.0:
+        command[0] = delayed(memory, delay, tick, command[0])
+
+
+@inner_kernel(forceinline=True)
+def _command(
+    track,
+    state,
+    theta,
+    vehicles,
+    drivers,
+    settings,
+    noise_share,
+    race,
+    place,
+    number,
+    scratch,
+    work,
+):
+    """Ask the planners of a race for commands, and set the targets of its cars."""
+    cars, frenet, tick = state.cars, state.frenet, state.tick[race]
+    for car in range(number):
+        lane = place + car
+        at = _VIEWS + lane * _view.VIEW_SIZE
+        view, own = work[at : at + _view.VIEW_SIZE], theta[race, car]
+        path, memory, command = (
+            state.path[race, car],
+            state.memory[race, car],
+            state.command[race, car],
+        )
+        work[ASKED], work[ASKED + 1] = race, car
+        _fill_own(tick, cars, frenet, race, car, view)
+        _fill_other(
+            track.line,
+            track.ds,
+            track.length,
+            cars,
+            frenet,
+            state.progress,
+            race,
+            car,
+            number,
+            vehicles[race],
+            view,
+        )
+        if tick % PLAN_EVERY == 0:
+            call_plan(drivers[2 * car], track, own, view, memory, scratch, path)
+        call_control(drivers[2 * car + 1], track, own, view, memory, scratch, path, command)
+        if not np.isfinite(command[0] + command[1]):
+            raise FloatingPointError("its command is not finite")
+        _send(state, vehicles[race, car], settings, noise_share, race, car, tick, command, memory)
+        set_target(work, lane, command[0], command[1])
+        work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
+
+
+@inner_kernel(forceinline=True)
+def _end_period(track, near, state, settings, race, place, number, params, work):
+    """Update a race at the end of a control period; return whether the race ends.
+
+    The period is measured before the check for contacts: a race that ends now has driven it.
+    """
+    cars, frenet, progress, tick = state.cars, state.frenet, state.progress, state.tick[race]
+    for car in range(number):
+        work[_PROGRESS_BEFORE + place + car] = progress[race, car]
+        update_progress(
+            track.line, track.ds, track.length, cars, frenet, progress, state.laps, tick, race, car
+        )
+    before = work[_STEERING_BEFORE + place :]
+    _measure_driving(
+        track.line,
+        track.ds,
+        settings.speed_high,
+        cars,
+        frenet,
+        progress,
+        state.sums,
+        race,
+        params,
+        before,
+        number,
+    )
+    ended = False
+    if settings.contact == END:
+        ended = collide(near, cars, frenet, state.crash, state.fault, race, params, number)
+    else:
+        before = work[_VIEWS + _view.VIEW_SIZE * place :]
+        if settle_contacts(track, state, race, params, settings.contact, before):
+            for car in range(number):
+                load_car(work, place + car, cars[race, car], params[car])
+        for car in range(number):
+            if 0 < settings.most_faults <= state.fault[race, car]:
+                state.crash[race, car] = state.contact[race, car]
+                ended = True
+    _count_overtakes(progress, state.leader, state.overtakes, state.ahead, race, params, number)
+    return ended
+
+
 @kernel
 def advance_races(
     track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
@@ -282,24 +404,7 @@ def advance_races(
     undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised an
     error.
     """
-    # Arrays are taken out of their tuples once: passing whole tuples to functions costs more than
-    # the work of many of these functions.
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
-    line, ds, length = track.line, track.ds, track.length
-    cars, frenet, progress, sums = state.cars, state.frenet, state.progress, state.sums
-    crash, fault, leader, overtakes, laps = (
-        state.crash,
-        state.fault,
-        state.leader,
-        state.overtakes,
-        state.laps,
-    )
-    commands, disturbances, paths, memories = (
-        state.command,
-        state.disturbance,
-        state.path,
-        state.memory,
-    )
     # A number of cars known at compile time makes races of two cars faster: `pointers_of` provides
     # it.
     number = len(drivers) // 2
@@ -309,20 +414,10 @@ def advance_races(
     work[:LANES_SIZE] = 0.0
     for start in range(first, last, group):
         stop = min(start + group, last)
-        lanes = number * (stop - start)
         for race in range(start, stop):
-            crashed = False
-            for car in range(number):
-                crashed |= crash[race, car] != 0
-                lane = number * (race - start) + car
-                load_car(work, lane, cars[race, car], vehicles[race, car])
-                if state.tick[race] % CONTROL_EVERY != 0:  # stopped between two commands
-                    set_target(work, lane, commands[race, car, 0], commands[race, car, 1])
-                    work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
-                view = work[_VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE]
-                _fill_fixed(vehicles[race, car], settings, view)
-            work[_LEFT + race - start] = (
-                0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
+            place = number * (race - start)  # first lane of the race's cars
+            work[_LEFT + race - start] = _begin(
+                state, vehicles, settings, ticks, race, place, number, work
             )
         # One iteration is one step of all races of the group that still drive.
         driving = True
@@ -332,125 +427,52 @@ def advance_races(
                 if work[_LEFT + race - start] <= 0.0:
                     continue
                 driving = True
-                tick = state.tick[race]
-                if tick % CONTROL_EVERY == 0:
-                    for car in range(number):
-                        lane = number * (race - start) + car
-                        view = work[
-                            _VIEWS + lane * _view.VIEW_SIZE : _VIEWS + (lane + 1) * _view.VIEW_SIZE
-                        ]
-                        path, memory, command = (
-                            paths[race, car],
-                            memories[race, car],
-                            commands[race, car],
-                        )
-                        work[ASKED], work[ASKED + 1] = race, car
-                        _fill_own(tick, cars, frenet, race, car, view)
-                        _fill_other(
-                            line,
-                            ds,
-                            length,
-                            cars,
-                            frenet,
-                            progress,
-                            race,
-                            car,
-                            number,
-                            vehicles[race],
-                            view,
-                        )
-                        if tick % PLAN_EVERY == 0:
-                            call_plan(
-                                drivers[2 * car],
-                                track,
-                                theta[race, car],
-                                view,
-                                memory,
-                                scratch,
-                                path,
-                            )
-                        control = drivers[2 * car + 1]
-                        call_control(
-                            control, track, theta[race, car], view, memory, scratch, path, command
-                        )
-                        if not np.isfinite(command[0] + command[1]):
-                            raise FloatingPointError("its command is not finite")
-                        # First the disturbance, then the delay: a command is disturbed when it is
-                        # sent, and reaches the car late.
-                        noise_sd = steering_sd(settings, vehicles[race, car])
-                        if noise_sd > 0.0:
-                            draw = (
-                                noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
-                            )
-                            disturbances[race, car] = (
-                                settings.noise_keep * disturbances[race, car] + draw
-                            )
-                            command[0] += disturbances[race, car]
-                        delay = vehicles[race, car, _vehicle.STEER_DELAY]
-                        if delay > 0.0:
-                            command[0] = delayed(memory, delay, tick, command[0])
-                        set_target(work, lane, command[0], command[1])
-                        work[_STEERING_BEFORE + lane] = cars[race, car, _vehicle.DELTA]
+                place = number * (race - start)
+                if state.tick[race] % CONTROL_EVERY == 0:
+                    _command(
+                        track,
+                        state,
+                        theta,
+                        vehicles,
+                        drivers,
+                        settings,
+                        noise_share,
+                        race,
+                        place,
+                        number,
+                        scratch,
+                        work,
+                    )
                 # Slow cars are stepped one by one; their lanes are computed as well, and
                 # overwritten below.
                 for car in range(number):
-                    lane = number * (race - start) + car
-                    slow = step_slow_car(work, lane, cars[race, car], vehicles[race, car], DT)
+                    lane = place + car
+                    slow = step_slow_car(work, lane, state.cars[race, car], vehicles[race, car], DT)
                     work[_SLOW + lane] = 1.0 if slow else 0.0
-            step_lanes(work, lanes, DT)
+            step_lanes(work, number * (stop - start), DT)
             for race in range(start, stop):
                 if work[_LEFT + race - start] <= 0.0:
                     continue
                 work[_LEFT + race - start] -= 1.0
                 params = vehicles[race]
-                place = number * (race - start)  # first lane of the race's cars
+                place = number * (race - start)
                 for car in range(number):
                     if work[_SLOW + place + car] != 0.0:
-                        load_car(work, place + car, cars[race, car], params[car])
+                        load_car(work, place + car, state.cars[race, car], params[car])
                     else:
-                        store_car(work, place + car, cars[race, car])
+                        store_car(work, place + car, state.cars[race, car])
                 tick = state.tick[race] + 1
                 state.tick[race] = tick
-                # Measured before the check for contacts: a race that ends now has driven this
-                # period.
-                if tick % CONTROL_EVERY == 0:
-                    for car in range(number):
-                        work[_PROGRESS_BEFORE + place + car] = progress[race, car]
-                        update_progress(
-                            line, ds, length, cars, frenet, progress, laps, tick, race, car
-                        )
-                    before = work[_STEERING_BEFORE + place :]
-                    _measure_driving(
-                        line,
-                        ds,
-                        settings.speed_high,
-                        cars,
-                        frenet,
-                        progress,
-                        sums,
-                        race,
-                        params,
-                        before,
-                        number,
-                    )
-                    if settings.contact != END:
-                        before = work[_VIEWS + _view.VIEW_SIZE * place :]
-                        if settle_contacts(track, state, race, params, settings.contact, before):
-                            for car in range(number):
-                                load_car(work, place + car, cars[race, car], params[car])
-                        for car in range(number):
-                            if 0 < settings.most_faults <= fault[race, car]:
-                                crash[race, car] = state.contact[race, car]
-                                work[_LEFT + race - start] = 0.0
-                    elif collide(near, cars, frenet, crash, fault, race, params, number):
-                        work[_LEFT + race - start] = 0.0
-                    _count_overtakes(progress, leader, overtakes, state.ahead, race, params, number)
+                if tick % CONTROL_EVERY == 0 and _end_period(
+                    track, near, state, settings, race, place, number, params, work
+                ):
+                    work[_LEFT + race - start] = 0.0
                 if tick % ITTC_EVERY == 0 and settings.ittc_horizon > 0.0:
                     measure_ittc(
                         near,
-                        cars,
-                        frenet,
-                        sums,
+                        state.cars,
+                        state.frenet,
+                        state.sums,
                         race,
                         params,
                         settings.ittc_horizon,
