@@ -71,6 +71,8 @@ class Browser:
         self.said.clear()
         self.complaints.clear()
         self.page.goto(address if "://" in str(address) else Path(address).as_uri())
+        # A page with packed numbers unpacks them after it has loaded.
+        self.page.evaluate("typeof started === 'undefined' || started")
 
     def run(self, expression):
         return self.page.evaluate(expression)

@@ -1,39 +1,30 @@
 """Compression of arrays to short text, for the JSON of a replay.
 
 An array is rounded to whole multiples of a unit and differenced along given axes; most of the
-resulting integers are small. Each integer is written as one or more characters of the base-64
-alphabet. A character holds five bits, lowest first, and a sixth bit that marks whether more
-characters follow. Negative and positive integers are interleaved (0, -1, 1, -2, ...), as in
-Google's polyline format. A JSON list of the same integers is about twice as long and slower to
-parse.
+resulting integers are small. The list of them, as JSON, is deflated and written in base 64.
 """
 
+import base64
+import json
 import math
+import zlib
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.checks import check_number, check_wholes
+from pcs_racing.base.checks import check_number, check_whole_array, check_wholes
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import parse_json
 
 # Steps per unit: millimetres and milliradians for interpolated data, centimetres for data that is
 # only drawn.
 FINE = 1000
 COARSE = 100
 
-_CODES = np.frombuffer(
-    b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_", np.uint8
-)
-_VALUES = np.full(256, 255, np.uint8)
-_VALUES[_CODES] = np.arange(64, dtype=np.uint8)
-
-# Ten characters hold 50 bits: the maximum after eight differences of 2^40, and exact in numbers of
-# JavaScript too.
-_MOST_CHARACTERS = 10
-_MOST_DIFFERENCES = 8
-_LARGEST = 2.0**40
-_MOST_NUMBERS = 10_000_000
+_MAX_STEPS = 2.0**40  # differences of differences remain exact in numbers of JavaScript
+_MAX_NUMBERS = 10_000_000
+_MAX_DIGITS = 20  # bytes of a number in a list, its comma included
 
 
 def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -> dict[str, Any]:
@@ -45,72 +36,47 @@ def pack(values: np.ndarray, per_unit: float, differences: Sequence[int] = ()) -
     finite, and at most 2^40 steps in size.
     """
     values = np.asarray(values, float)
-    if not np.all(np.abs(values * per_unit) < _LARGEST):  # also false for NaN
+    if not np.all(np.abs(values * per_unit) < _MAX_STEPS):  # also false for NaN
         raise InputError(
-            f"can't store numbers that are not finite or beyond {_LARGEST / per_unit:.3g}"
+            f"can't store numbers that are not finite or beyond {_MAX_STEPS / per_unit:.3g}"
         )
     whole = np.rint(values * per_unit).astype(np.int64)
     for axis in differences:
         whole = np.diff(whole, axis=axis, prepend=0)
-    # Small signed numbers become small unsigned numbers.
-    folded = np.where(whole < 0, -2 * whole - 1, 2 * whole).ravel()
-    lengths = np.ones(folded.shape, np.int64)
-    for place in range(1, _MOST_CHARACTERS):
-        lengths += folded >= 32**place
-    starts = np.cumsum(lengths) - lengths
-    text = np.empty(int(lengths.sum()), np.uint8)
-    for place in range(_MOST_CHARACTERS):
-        selected = lengths > place
-        more = lengths[selected] > place + 1
-        text[starts[selected] + place] = _CODES[((folded[selected] >> 5 * place) & 31) + 32 * more]
-    data = text.tobytes().decode()
+    numbers = json.dumps(whole.ravel().tolist(), separators=(",", ":"))
     return {
         "shape": list(values.shape),
         "per_unit": per_unit,
         "differences": list(differences),
-        "data": data,
+        "data": base64.b64encode(zlib.compress(numbers.encode())).decode(),
     }
 
 
 def unpack(packed: object, name: str = "array") -> np.ndarray:
-    """Return an array packed by `pack`, after a check of all fields: numbers below 1e15 in size."""
+    """Return an array packed by `pack`, after a check of all fields."""
     fields = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = fields
-    shape = check_wholes(f"{name}.shape", shape, 0, _MOST_NUMBERS, (0, 6))
-    if math.prod(shape) > _MOST_NUMBERS:
-        raise InputError(f"{name}.shape is {shape}; there may be {_MOST_NUMBERS} numbers in all")
+    shape = check_wholes(f"{name}.shape", shape, 0, _MAX_NUMBERS, (0, 6))
+    count = math.prod(shape)
+    if count > _MAX_NUMBERS:
+        raise InputError(f"{name}.shape is {shape}; there may be {_MAX_NUMBERS} numbers in all")
     per_unit = check_number(f"{name}.per_unit", per_unit, 1e-9, 1e9)
-    differences = check_wholes(
-        f"{name}.differences", differences, 0, len(shape) - 1, (0, _MOST_DIFFERENCES)
-    )
-    digits = (
-        _VALUES[np.frombuffer(data.encode(errors="replace"), np.uint8)]
-        if isinstance(data, str)
-        else None
-    )
-    if digits is None or np.any(digits == 255):
-        raise InputError(f"{name}.data must be text in the base-64 alphabet")
-    last = digits < 32
-    count, ends = math.prod(shape), int(np.count_nonzero(last))
-    if ends != count or (len(last) > 0 and not last[-1]):
-        raise InputError(f"{name}.data must hold {count} numbers for shape {shape}, got {ends}")
-    if count == 0:
-        return np.zeros(shape)
-
-    starts = np.concatenate([[0], np.flatnonzero(last)[:-1] + 1])
-    lengths = np.diff(starts, append=len(digits))
-    if lengths.max() > _MOST_CHARACTERS:
-        raise InputError(f"{name}.data holds a number of more than {_MOST_CHARACTERS} characters")
-    place = np.arange(len(digits)) - np.repeat(starts, lengths)
-    folded = np.add.reduceat((digits & 31).astype(np.int64) << (5 * place), starts)
-    # Odd numbers encode negative numbers.
-    whole = np.where(folded & 1, -(folded >> 1) - 1, folded >> 1).reshape(shape)
+    differences = check_wholes(f"{name}.differences", differences, 0, len(shape) - 1, (0, 8))
+    try:
+        deflated = base64.b64decode(data, validate=True)
+        # A few bytes can unpack to gigabytes: no more is unpacked than the shape needs.
+        numbers = zlib.decompressobj().decompress(deflated, _MAX_DIGITS * count + 2)
+    except (TypeError, ValueError, zlib.error):
+        raise InputError(f"{name}.data must be a deflated list in base 64") from None
+    if numbers.count(b",") != max(count - 1, 0):
+        raise InputError(f"{name}.data must hold {count} numbers for shape {shape}")
+    listed = parse_json(f"{name}.data", numbers) if count else np.zeros(0, np.int64)
+    limit = 2**50
+    whole = check_whole_array(f"{name}.data", listed, (count,), minimum=-limit, maximum=limit)
+    whole = whole.reshape(shape)
     for axis in differences:
         whole = np.cumsum(whole, axis=axis)
-    values: np.ndarray = whole / per_unit
-    if np.any(np.abs(values) >= 1e15):
-        raise InputError(f"{name}.data holds numbers beyond 1e15")
-    return values
+    return np.asarray(whole / per_unit)
 
 
 def join_segments(segments: np.ndarray) -> list[np.ndarray]:

@@ -4,7 +4,8 @@ import html
 import json
 import os
 import re
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, fields
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -88,10 +89,10 @@ class Replay:
         for name in ("frame_dt", "plan_dt"):
             self._set(name, float(check_number(name, getattr(self, name), 1e-4, 60.0)))
 
-        self._set_array("cars", ("T", count, 7), {})
+        sizes: dict[str, int] = {}
+        self._set_array("cars", ("T", count, 7), sizes)
         if len(self.cars) == 0:
             raise InputError("cars must hold at least one moment, got none")
-        sizes = {"T": len(self.cars)}
         self._set_array("progress", ("T", count), sizes)
         self._set_array("walls", ("S", 4), sizes)
         self._set_array("line", ("N", 2), sizes)
@@ -145,13 +146,7 @@ class Replay:
             raise InputError(
                 f"{name} must have shape ({', '.join(map(str, wanted))}), got {array.shape}"
             )
-        sizes.update(
-            {
-                letter: n
-                for letter, n in zip(shape, array.shape, strict=True)
-                if isinstance(letter, str)
-            }
-        )
+        sizes |= {key: n for key, n in zip(shape, array.shape, strict=True) if type(key) is str}
         known = array
         if allow == "nan":
             missing = np.asarray(np.isnan(array).any(axis=-1))
@@ -190,13 +185,14 @@ def _checked_events(events: object, cars: int) -> tuple[ReplayEvent, ...]:
     return tuple(sorted(events, key=lambda event: event.time))
 
 
-FORMAT = "pcs-racing replay 1"
+FORMAT = "pcs-racing replay 2"
 
 LONGEST_ITTC = 60.0
 """Maximum stored time to collision, s."""
 
 _LARGEST_FILE = 100_000_000
 _PLAIN = ("title", "track_name", "outcome", "frame_dt", "plan_dt")
+_OPTIONAL = {"line_speed", "ittc", "paths", "candidates", "costs"}
 _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
 
 
@@ -268,62 +264,48 @@ def plain_parts(replay: Replay) -> dict[str, Any]:
     }
 
 
+def _pack_smooth(values: np.ndarray) -> dict[str, Any]:
+    return packing.pack(values, packing.FINE, [0, 0])
+
+
+def _pack_drawn(values: np.ndarray) -> dict[str, Any]:
+    return packing.pack(values, packing.COARSE, [0])
+
+
+# For each array: how it is packed and unpacked.
+_ARRAYS: dict[str, tuple[Callable[..., Any], Callable[..., np.ndarray]]] = {
+    "walls": (packing.pack_segments, packing.unpack_segments),
+    "line": (_pack_smooth, packing.unpack),
+    "cars": (_pack_smooth, packing.unpack),
+    "progress": (_pack_smooth, packing.unpack),
+    "line_speed": (_pack_drawn, packing.unpack),
+    "ittc": (lambda ittc: _pack_drawn(np.minimum(ittc, LONGEST_ITTC)), packing.unpack),
+    "paths": (lambda paths: packing.pack_paths(paths, packing.FINE), packing.unpack_paths),
+    "candidates": (lambda paths: packing.pack_paths(paths, packing.COARSE), packing.unpack_paths),
+    "costs": (packing.pack_costs, packing.unpack_costs),
+}
+
+
 def _to_values(replay: Replay) -> dict[str, Any]:
     """Return a replay as plain values; absent optional parts are left out."""
-    values: dict[str, Any] = {
-        **plain_parts(replay),
-        "walls": packing.pack_segments(replay.walls),
-        "line": packing.pack(replay.line, packing.FINE, [0, 0]),
-        "cars": packing.pack(replay.cars, packing.FINE, [0, 0]),
-        "progress": packing.pack(replay.progress, packing.FINE, [0, 0]),
-    }
-    if replay.line_speed is not None:
-        values["line_speed"] = packing.pack(replay.line_speed, packing.COARSE, [0])
-    if replay.ittc is not None:
-        values["ittc"] = packing.pack(np.minimum(replay.ittc, LONGEST_ITTC), packing.COARSE, [0])
-    if replay.paths is not None:
-        values["paths"] = packing.pack_paths(replay.paths, packing.FINE)
-    if replay.candidates is not None and replay.costs is not None:
-        values["candidates"] = packing.pack_paths(replay.candidates, packing.COARSE)
-        values["costs"] = packing.pack_costs(replay.costs)
-    return values
+    arrays = {name: getattr(replay, name) for name in _ARRAYS}
+    packed = {name: _ARRAYS[name][0](array) for name, array in arrays.items() if array is not None}
+    return plain_parts(replay) | packed
 
 
 def _from_values(values: object) -> Replay:
     """Return the replay of values as of `_to_values`; the values may have any origin."""
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise InputError(f"it must say format {FORMAT!r}")
-    needed = {
-        *_PLAIN,
-        "format",
-        "car_names",
-        "half_sizes",
-        "events",
-        "walls",
-        "line",
-        "cars",
-        "progress",
-    }
-    optional = {"line_speed", "ittc", "paths", "candidates", "costs"}
-    if not needed <= values.keys() <= needed | optional:
-        missing, unknown = sorted(needed - values.keys()), sorted(values.keys() - needed - optional)
-        raise InputError(f"missing parts {missing}, unknown parts {unknown!r:.100}")
-    if not isinstance(values["events"], list) or not all(
-        isinstance(e, list) and len(e) == 4 for e in values["events"]
-    ):
-        raise InputError("events must be a list of [time, car, kind, text]")
-    if values["half_sizes"] is None:  # optional in a new replay, but not in a file
-        raise InputError("half_sizes must be positive lengths in m")
-    arrays = ("line", "cars", "progress", "line_speed", "ittc")
-    fields: dict[str, Any] = {name: values[name] for name in (*_PLAIN, "car_names", "half_sizes")}
-    fields |= {name: packing.unpack(values[name], name) for name in arrays if name in values}
-    fields |= {
-        name: packing.unpack_paths(values[name], name)
-        for name in ("paths", "candidates")
-        if name in values
-    }
-    if "costs" in values:
-        fields["costs"] = packing.unpack_costs(values["costs"], "costs")
-    fields["walls"] = packing.unpack_segments(values["walls"], "walls")
-    fields["events"] = tuple(ReplayEvent(*event) for event in values["events"])
-    return Replay(**fields)
+    known = {"format", *(field.name for field in fields(Replay))}
+    odd = (values.keys() ^ known) - (_OPTIONAL - values.keys())
+    if odd:
+        raise InputError(f"missing or unknown parts {sorted(odd)!r:.100}")
+    parts = {name: value for name, value in values.items() if name != "format"}
+    for name in parts.keys() & _ARRAYS.keys():
+        parts[name] = _ARRAYS[name][1](parts[name], name)
+    try:
+        parts["events"] = tuple(ReplayEvent(*event) for event in parts["events"])
+    except TypeError:
+        raise InputError("events must be a list of [time, car, kind, text]") from None
+    return Replay(**parts)

@@ -5,9 +5,9 @@ Run by `test_found_by_fuzzing.py`; prints a line for every case that is not refu
 own errors.
 """
 
+import base64
 import hashlib
 import io
-import json
 import os
 import resource
 import struct
@@ -29,6 +29,7 @@ from pcs_racing import (
     parse_policy,
     read_replay,
 )
+from pcs_racing.base.packing import unpack
 from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
@@ -194,13 +195,13 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
         yield f"results of races: {what}", lambda path=path: read_results(path)
         yield f"learning curves: {what}", lambda path=path: read_evaluations(path)
 
-    part = {"per_unit": 1, "differences": [], "data": "A" * 10}
-    for shape in ([10**9], [10**5, 10**5], [50_000_000, 0, 10**9], [1] * 1000):
-        path = file(
-            "hostile.json",
-            json.dumps({"format": "pcs-racing replay 1", "line": {**part, "shape": shape}}),
+    bomb = base64.b64encode(zlib.compress(b"0," * 100_000_000)).decode()
+    packed = {"per_unit": 1, "differences": [], "data": bomb}
+    for shape in ([10**9], [10**5, 10**5], [50_000_000, 0, 10**9], [1] * 1000, [10]):
+        yield (
+            f"packed numbers of shape {shape[:3]}",
+            lambda shape=shape: unpack({**packed, "shape": shape}),
         )
-        yield f"a replay of shape {shape[:3]}", lambda path=path: read_replay(path)
     path = file("nested.json", "[" * 1_000_000)
     yield "a nested replay", lambda path=path: read_replay(path)
     (here / "zero.json").symlink_to("/dev/zero")

@@ -148,7 +148,7 @@ OTHERS = (
     "[]",
     "null",
     "[" * 100_000,
-    '{"format": "pcs-racing replay 2"}',
+    '{"format": "pcs-racing replay 1"}',
     "1" * 5000,
     "ÿþ",
 )
@@ -165,12 +165,12 @@ def test_other_files_are_no_replays(tmp_path, text, suffix):
 IN_FILES = {
     "title": (["x"],),
     "frame_dt": (10**400,),
-    "half_sizes": ([[10**400, 1], [1, 1]], None, [None, None], [[None, 1], [1, 1]]),
+    "half_sizes": ([[10**400, 1], [1, 1]], [None, None], [[None, 1], [1, 1]]),
     "events": (
-        [[1.0, 0, "crash"]],
+        [[1.0, 0]],
         [["soon", 0, "crash", ""]],
         [[float("nan"), 0, "crash", ""]],
-        {},
+        3,
     ),
     "cars": ({"shape": [1]}, [[0.0]]),
     "walls": ({"points": 1, "counts": 2},),
@@ -199,6 +199,7 @@ const frames = (n) => { while (n--) { const callback = next; now += 50; callback
 VISIT = """<script>
 const seen = {};
 const press = (key) => window.dispatchEvent(new KeyboardEvent("keydown", { key, cancelable: true }));
+started.then(() => {
 frames(3);
 seen.title = document.title;
 seen.bold = document.querySelectorAll("b").length;
@@ -223,6 +224,7 @@ frames(1);
 seen.clicked = state.t;
 seen.drawn = Number(document.documentElement.dataset.drawn);
 document.body.dataset.seen = JSON.stringify(seen);
+});
 </script>
 </body>"""
 
