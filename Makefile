@@ -16,7 +16,7 @@ help:
 	@echo "make test        the test suite"
 	@echo "make studies     the tests of studies/, whose experiments answered a question once (once a week in CI)"
 	@echo "make kernels     compile what races and environments need, which the tests do first"
-	@echo "make compare     comparisons with other libraries (Gambit, pymoo and others), which it installs"
+	@echo "make compare     comparisons with other libraries (Gambit and others), which it installs"
 	@echo "make clients     other RL libraries on the environments, each in an environment of its own (half an hour the first time)"
 	@echo "make machines    the test suite as other machines would run it; PYTHONS=\"python3.12 python3.13\" adds those"
 	@echo "make lint        style, and the format of the code"

@@ -22,7 +22,7 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas pygame "
-    "sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
+    "sklearn pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
 )
 find = PathFinder.find_spec
 PathFinder.find_spec = classmethod(
@@ -96,7 +96,7 @@ NEEDS = {
     "a picture": ("from pcs_racing_agents.base.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
     "a hypervolume": (
-        "import pcs_racing_agents.policies.indicators as i; i.hypervolume([[0, 0]], 0)",
+        "import pcs_racing_agents.policies.pareto as p; p.hypervolume([[0, 0]])",
         "synthesis",
     ),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),

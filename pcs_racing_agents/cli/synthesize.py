@@ -10,8 +10,7 @@ from pcs_racing.base.errors import require
 from pcs_racing_agents.base.progress import duration_text, show_line
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
-from pcs_racing_agents.policies.archive_run import make_archive
-from pcs_racing_agents.policies.archive_search import ArchiveCallback, ArchiveProgress
+from pcs_racing_agents.policies.archive_run import ArchiveCallback, ArchiveProgress, make_archive
 from pcs_racing_agents.policies.config import (
     SHIPPED_TRACKS,
     ArchiveConfig,
@@ -53,7 +52,7 @@ def run(
     ] = None,
     changes: Annotated[
         dict[str, Any],
-        ConfigOptions(ArchiveConfig, "generations", "population", "method", "seed", "name"),
+        ConfigOptions(ArchiveConfig, "generations", "population", "seed", "name"),
     ],
     workers: Workers,
 ) -> None:
@@ -66,7 +65,7 @@ def run(
         changes.setdefault("name", out.resolve().name)
     settings = load_archive_config(config, **changes)
     # A missing library is reported before hours of work, not after them.
-    require("moocore", *(("cma",) if settings.method == "mo-cma-es" else ()), extra="synthesis")
+    require("moocore", "cma", extra="synthesis")
     print(
         f"{settings.name}: {', '.join(settings.tracks)}, preset {settings.preset}, "
         f"{settings.generations} generations of {settings.population} policies",
@@ -84,7 +83,7 @@ def run(
         "hypervolume",
         "hypervolume_error",
         "own_crash_mean",
-        "own_crash_largest",
+        "own_crash_max",
         "win_share_against_random",
         "duplicate_share",
     ):
@@ -94,7 +93,7 @@ def run(
 
 
 def progress_line() -> ArchiveCallback:
-    """Return a callback that updates a line on stderr: progress, hypervolume, and remaining time."""
+    """Return a callback that updates a line of progress and remaining time on stderr."""
     print_line = show_line()
     begin = time.monotonic()
     # The last times and shares done, not the first: stored results make a resumed run start fast.

@@ -1,15 +1,12 @@
 """Policy archives: search for Pareto sets, of any function and of policies; payoffs of pools."""
 
-from pcs_racing_agents.policies.archive_run import make_archive
-from pcs_racing_agents.policies.archive_search import ArchiveProgress
-from pcs_racing_agents.policies.choosing import choose_pool, denoised, pool_headroom
+from pcs_racing_agents.policies.archive_run import ArchiveProgress, make_archive
 from pcs_racing_agents.policies.config import (
     ArchiveConfig,
     list_archive_configs,
     load_archive_config,
 )
 from pcs_racing_agents.policies.diverse import select_diverse
-from pcs_racing_agents.policies.evaluate import Evaluation, Scenarios, draw_scenarios
 from pcs_racing_agents.policies.headroom import (
     CyclicPlane,
     Headroom,
@@ -19,12 +16,11 @@ from pcs_racing_agents.policies.headroom import (
     ratings,
     transitive_share,
 )
-from pcs_racing_agents.policies.indicators import hypervolume
 from pcs_racing_agents.policies.policy_pool import (
     PolicyPool,
     pool_payoffs,
     slot_payoffs,
     spanning_policies,
 )
-from pcs_racing_agents.policies.search import Search, Synthesis
-from pcs_racing_agents.policies.synthesize import synthesize
+from pcs_racing_agents.policies.search import Search
+from pcs_racing_agents.policies.selection import choose_pool, denoised, pool_headroom

@@ -19,17 +19,23 @@ from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.folders import package_version
 from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
-from pcs_racing_agents.base.tables import write_csv
-from pcs_racing_agents.policies.archive_search import REFERENCE, ArchiveProgress
+from pcs_racing_agents.base.tables import Column, table_rows, write_csv
 from pcs_racing_agents.policies.config import HEADROOM_SETTINGS, ArchiveConfig
 from pcs_racing_agents.policies.evaluate import Evaluation, summarise
-from pcs_racing_agents.policies.indicators import hypervolume
-from pcs_racing_agents.policies.pareto_archive import Scale
-from pcs_racing_agents.policies.selection import front_layers
+from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume
 
 Floats = NDArray[np.float64]
 
 RESAMPLES = 200
+COURSE = (
+    Column("generation"),
+    Column("evaluations"),
+    Column("hypervolume", format=".6f"),
+    Column("front"),
+    Column("own_crash", format=".4f"),
+)
+"""Columns of ``hypervolume.csv``."""
+
 _log = logging.getLogger("pcs_racing_agents")
 
 
@@ -40,41 +46,18 @@ def write_archive(
     scale: Scale,
     parameters: Floats,
     raced: Arrays,
-    history: Sequence[ArchiveProgress],
+    history: Sequence[object],
     notes: Mapping[str, str | float],
 ) -> PolicyArchive:
     """Write an archive's files into a folder and return the archive.
 
     ``explored`` holds parameters and results of all policies raced in the search, ``parameters``,
     shape (K, P), the parameters of the archive's policies, and ``raced`` the races of their
-    measurement. Hypervolumes have the units of ``scale``; ``notes`` are further entries of the
-    manifest.
+    measurement. Hypervolumes have the units of ``scale``; ``history`` holds the progress after each
+    generation (:data:`COURSE`), and ``notes`` further entries of the manifest.
     """
     measured = summarise(raced)
     coordinates = measured.coordinates
-    front = front_layers(coordinates) == 0
-    winner = raced["winner"]
-    # Crash rates of parts of the first axis, too: the mean hides that fast policies crash more.
-    low_half = np.argsort(coordinates[:, 0], kind="stable")[: len(coordinates) // 2]
-    facts = {
-        "policies": len(parameters),
-        "policies_not_beaten": int(front.sum()),
-        "enough_policies": bool(len(parameters) >= config.min_policies),
-        "hypervolume": hypervolume(scale(coordinates), REFERENCE),
-        "hypervolume_error": hypervolume_error(raced, scale, REFERENCE),
-        "own_crash_mean": measured.own_crash.mean(),
-        "own_crash_least": measured.own_crash.min(),
-        "own_crash_largest": measured.own_crash.max(),
-        "own_crash_lower_half": measured.own_crash[low_half].mean(),
-        "own_crash_most_aggressive_tenth": _top_tenth(measured.own_crash, coordinates[:, 0]),
-        "finished_against_random": (raced["crashed"] == 0).mean(),
-        "win_share_against_random": (winner == 0).mean(),
-        "loss_share_against_random": (winner == 1).mean(),
-    }
-    for axis, high, low in zip(config.axes, scale.ideal, scale.nadir, strict=True):
-        facts[f"hypervolume_unit_{axis}"] = (
-            f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
-        )
     archive = PolicyArchive(
         name=config.name,
         planner=config.planner,
@@ -89,61 +72,60 @@ def write_archive(
         own_crash=measured.own_crash,
         explored_own_crash=explored[1].own_crash,
     )
-    for axis, high, low in zip(config.axes, archive.ideal, archive.nadir, strict=True):
-        facts[f"ideal_{axis}"], facts[f"nadir_{axis}"] = high, low
-    for (one, other), value in archive.correlations.items():
-        facts[f"correlation_{one}_{other}"] = value
-    facts["no_op_share"], facts["duplicate_share"] = no_op_share(archive), duplicate_share(archive)
     if len(parameters) < config.min_policies:
         _log.warning(
             "the archive holds %d policies; %d were wanted", len(parameters), config.min_policies
         )
+    facts = _facts(archive, raced, scale)
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
     archive = replace(archive, settings={key: _rounded(value) for key, value in settings.items()})
-    course: list[tuple[object, ...]] = [
-        ("generation", "evaluations", "hypervolume", "front", "own_crash")
-    ]
-    course += [
-        (
-            step.generation,
-            step.evaluations,
-            f"{step.hypervolume:.6f}",
-            step.front,
-            f"{step.own_crash:.4f}",
-        )
-        for step in history
-        if step.stage == "search"
-    ]
-    write_csv(course, folder / "hypervolume.csv")
+    rows = table_rows(COURSE, history)
+    write_csv(rows, folder / "hypervolume.csv")
     if find_spec("matplotlib") is not None:
         save_picture(front_picture(archive), folder / "front.png")
     save_archive(archive, folder)
     return archive
 
 
-def hypervolume_error(raced: Arrays, scale: Scale, reference: float, seed: int = 0) -> float:
+def _facts(archive: PolicyArchive, raced: Arrays, scale: Scale) -> dict[str, str | float]:
+    """Return the manifest's entries about the policies of an archive and their races."""
+    points = scale(archive.coordinates)
+    crashes = raced["own_crash"].mean(axis=1)
+    facts: dict[str, str | float] = {
+        "policies": len(archive),
+        "policies_not_beaten": int(np.sum(front_layers(points) == 0)),
+        "hypervolume": hypervolume(points),
+        "hypervolume_error": hypervolume_error(raced, scale),
+        "own_crash_mean": crashes.mean(),
+        "own_crash_max": crashes.max(),
+        "win_share_against_random": (raced["winner"] == 0).mean(),
+        "no_op_share": no_op_share(archive),
+        "duplicate_share": duplicate_share(archive),
+    }
+    for axis, high, low in zip(archive.characteristics, scale.ideal, scale.nadir, strict=True):
+        unit = f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
+        facts[f"hypervolume_unit_{axis}"] = unit
+    for (one, other), value in archive.correlations.items():
+        facts[f"correlation_{one}_{other}"] = value
+    return facts
+
+
+def hypervolume_error(raced: Arrays, scale: Scale) -> float:
     """Return the standard error of a set's hypervolume over new draws of its races (bootstrap).
 
     Pairs of races that differ only in the side are drawn together.
     """
     totals, segments = raced["totals"], raced["segments"].astype(np.float64)
     pairs = totals.shape[1] // 2
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     volumes = []
     for _ in range(RESAMPLES):
         # Both sides of a start line at once: their races share line and opponent, so they are not
         # independent.
         weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
         sums = (totals * weights[:, None]).sum(axis=1)
-        volumes.append(
-            hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None]), reference)
-        )
+        volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None])))
     return float(np.std(volumes, ddof=1))
-
-
-def _top_tenth(values: Floats, by: Floats) -> float:
-    order = np.argsort(by, kind="stable")
-    return float(values[order[-max(1, len(order) // 10) :]].mean())
 
 
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:

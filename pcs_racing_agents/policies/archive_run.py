@@ -1,8 +1,8 @@
 """Synthesis of an archive: search, choice and measurement of policies, as one resumable job.
 
-1. **Search.** Random policies (the initial sample) set the scale. Then an optimiser proposes
+1. **Search.** Random policies (the initial sample) set the scale. Then the search proposes
    generation after generation, and every policy races in the same scenarios (Algorithm 1 of the
-   paper).
+   paper). The opponents are random policies, fixed for the run as in the paper.
 2. **Choice.** The best evaluated policies race again, in other scenarios. Policies are left out if
    they crash too often, are clearly beaten by another policy, or nearly coincide with another
    policy. As an option, candidates race each other instead, and the choice is a pool with headroom
@@ -12,9 +12,11 @@
 4. **Judgement**, only of a pool chosen for headroom: its headroom in new races.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,30 +24,63 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.folders import clear_half_written
-from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.jobs import Job, open_job, run_races
+from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.policies.archive_report import write_archive
-from pcs_racing_agents.policies.archive_search import REFERENCE, ArchiveCallback, PolicyRaces
 from pcs_racing_agents.policies.config import ArchiveConfig
-from pcs_racing_agents.policies.evaluate import Scenarios, draw_scenarios, summarise
-from pcs_racing_agents.policies.indicators import hypervolume
-from pcs_racing_agents.policies.mo_cma_es import latin_hypercube
+from pcs_racing_agents.policies.evaluate import (
+    Evaluation,
+    Scenarios,
+    draw_scenarios,
+    race_policies,
+    summarise,
+)
+from pcs_racing_agents.policies.pareto import Scale, hypervolume
+from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.policies.search import Search, latin_hypercube
 from pcs_racing_agents.policies.selection import (
-    beaten,
+    best_of_each_interval,
     choose_for_headroom,
-    difference_errors,
-    judge_headroom,
+    clearly_beaten,
+    headroom_notes,
     spread_first,
     thin_out,
 )
-from pcs_racing_agents.policies.synthesize import synthesize
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
 Notes = Mapping[str, str | float]
+
+BLOCK = 2  # policies per task: a generation of 32 keeps 16 cores busy
+MAX_FOLDS = 16
+INTERVALS_PER_GROUP = 4
+"""Number of intervals per group, to spread candidates along the first axis more than the pool."""
+
+
+class ArchiveProgress(NamedTuple):
+    """Progress of a synthesis."""
+
+    #: Stage of the latest work: ``"search"``, ``"choice"``, ``"measurement"`` or, for policies
+    #: chosen for headroom, ``"judgement"``.
+    stage: str
+    #: ``generation``, ``generations``: Numbers of finished and requested generations.
+    generation: int
+    generations: int
+    evaluations: int  #: Number of policies raced in the search so far.
+    #: Hypervolume of the search's front, in units of the initial sample's range.
+    hypervolume: float
+    front: int  #: Number of policies in the search's front.
+    own_crash: float  #: Mean own crash rate of the policies raced last.
+    done: float  #: Finished share of all racing, 0 to 1.
+
+
+ArchiveCallback = Callable[[ArchiveProgress], object]
+"""Callback after the initial sample (generation 0), every generation, and parts of later stages."""
 
 
 def make_archive(
@@ -69,84 +104,45 @@ def make_archive(
         Executor of the races (:func:`pcs_racing_agents.base.executors.make_executor`). It has no
         influence on the result.
     callback : callable, optional
-        Called with the :class:`~pcs_racing_agents.policies.archive_search.ArchiveProgress` during
-        the run.
+        Called with the :class:`ArchiveProgress` during the run.
     """
     folder = Path(folder)
-    family = get_planner(config.planner)
-    hashes = {
-        name: load_track(name).content_hash
-        for name in (*config.tracks, *(config.judging_tracks or ()))
-    }
+    tracks = (*config.tracks, *(config.judging_tracks or ()))
+    hashes = {name: load_track(name).content_hash for name in tracks}
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     search, choice, final = stage_scenarios(config)
-    first, optimiser, payoffs, judging = _roots(config)[3:]
     _check_folder(folder)
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder / "job", "archive", settings) as job:
         clear_half_written(folder)
-        races = PolicyRaces(config, job, executor, callback or (lambda _: None), search)
-        varied = family.indices(config.varied)
-        synthesize(
-            races,
-            family.bounds[varied],
-            generations=config.generations,
-            initial=draw_policies(family, config.initial_sample, first, config.fixed)[:, varied],
-            evaluations=config.evaluations,
-            callback=races.after_generation,
-            population=config.population,
-            elite_ratio=config.elite_ratio,
-            loss=config.loss,
-            mean=config.mean,
-            seed=_number(optimiser),
-            method=config.method,
-            reference=REFERENCE,
-            step_size=config.step_size,
-        )
-        candidates, notes = choose(races, choice, _number(payoffs))
-        kept, raced, more = measure(races, candidates, final)
-        if config.selection == "headroom":
-            more = {**more, **judge_headroom(races, kept, _number(judging))}
+        run = ArchiveRun(config, job, executor, callback or (lambda _: None))
+        run.search(search)
+        candidates, notes = run.choose(choice)
+        kept, raced, more = run.measure(candidates, final)
+        judged = run.judge(kept) if config.selection == "headroom" else {}
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
-        notes = {**notes, **more, "track_hashes": content}
-        return write_archive(
-            folder, config, races.explored(), races.scale, kept, raced, races.history, notes
-        )
+        notes = {**notes, **more, **judged, "track_hashes": content}
+        steps = [step for step in run.history if step.stage == "search"]
+        return write_archive(folder, config, run.explored(), run.scale, kept, raced, steps, notes)
 
 
 def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
     """Return the scenarios of search, choice and measurement; no two stages share a race."""
     search, choice, final, *_ = _roots(config)
+    planner = get_planner(config.planner)
 
     def drawn(
         root: np.random.SeedSequence, opponents: int, starts: int, duration: float
     ) -> Scenarios:
-        return draw_scenarios(
-            config.tracks,
-            config.rules_of(duration),
-            draw_policies(get_planner(config.planner), opponents, root, config.fixed),
-            config.axes,
-            planner=config.planner,
-            rivals=config.rivals,
-            starts=starts,
-            segment_seconds=config.segment_seconds,
-            seed=_number(root),
-        )
+        policies = draw_policies(planner, opponents, root, config.fixed)
+        seed = _number(root)
+        return draw_scenarios(config, policies, starts=starts, duration=duration, seed=seed)
 
     return (
         drawn(search, config.opponents, config.starts, config.duration),
         drawn(choice, config.choice_opponents, config.choice_starts, config.duration),
         drawn(final, config.final_opponents, config.final_starts, config.final_duration),
     )
-
-
-def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
-    """Return the root seeds of all random parts of a synthesis.
-
-    The parts are the three stages, the initial sample, the optimiser, and the payoffs in choice and
-    judgement.
-    """
-    return np.random.SeedSequence(config.seed).spawn(7)
 
 
 def draw_policies(
@@ -163,6 +159,15 @@ def draw_policies(
     low, high = family.bounds[family.indices(varied)].T
     drawn = low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low)
     return family.complete(varied, drawn)
+
+
+def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
+    """Return the root seeds of all random parts of a synthesis.
+
+    The parts are the three stages, the initial sample, the search, and the payoffs in choice and
+    judgement.
+    """
+    return np.random.SeedSequence(config.seed).spawn(7)
 
 
 def _number(root: np.random.SeedSequence) -> int:
@@ -182,110 +187,268 @@ def _check_folder(folder: Path) -> None:
             )
 
 
-def choose(races: PolicyRaces, scenarios: Scenarios, seed: int) -> tuple[Floats, Notes]:
-    """Choose among the policies of a search, by new races.
+@dataclass
+class ArchiveRun:
+    """Stages of a synthesis, whose races are tasks of one job, and the record of its search.
 
-    Candidates for a front race again in ``scenarios``; ``seed`` is the root of the races between
-    candidates for a pool with headroom. Return the parameters that vary, shape (K, P), and the
-    numbers of policies left out for each reason.
+    Parameters of policies are only the varied ones, shape (K, P).
     """
-    config = races.config
-    theta, explored = races.explored()
-    # Points evaluated several times race once.
-    rows = np.sort(np.unique(theta, axis=0, return_index=True)[1])
-    crashing = explored.own_crash > config.search_crash_limit
-    allowed = rows[races.violation(explored)[rows] <= 0.0]
-    if len(allowed) == 0:
-        raise InputError(
-            f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of the"
-            f" races of {config.duration:g} s, or lie below min_coordinates or min_score; raise"
-            " crash_limit, or lower the others"
+
+    config: ArchiveConfig
+    job: Job
+    executor: Executor | None
+    callback: ArchiveCallback
+    #: Parameters and results of the initial sample and of each generation.
+    searched: list[tuple[Floats, Evaluation]] = field(default_factory=list)
+    history: list[ArchiveProgress] = field(default_factory=list)
+
+    @property
+    def scale(self) -> Scale:
+        """Range of the initial sample, the unit of hypervolumes."""
+        return Scale.of(self.searched[0][1].coordinates)
+
+    @property
+    def evaluations(self) -> int:
+        """Number of policies raced in the search so far."""
+        return sum(len(parameters) for parameters, _ in self.searched)
+
+    def explored(self) -> tuple[Floats, Evaluation]:
+        """Return parameters and results of all policies of the search, in race order."""
+        parameters, results = zip(*self.searched, strict=True)
+        return np.concatenate(parameters), Evaluation(
+            *(np.concatenate(arrays) for arrays in zip(*results, strict=True))
         )
-    if config.selection == "headroom":
-        parameters, notes = choose_for_headroom(races, allowed, seed)
-    else:
-        parameters, notes = _choose_front(races, allowed, scenarios)
-    return parameters, {
-        "search_over_crash_limit": int(crashing.sum()),
-        "search_hypervolume": hypervolume(
-            races.scale(explored.coordinates[rows[~crashing[rows]]]), REFERENCE
-        ),
-        "search_hypervolume_without_crash_limit": hypervolume(
-            races.scale(explored.coordinates[rows]), REFERENCE
-        ),
-        **notes,
-    }
 
+    def violation(self, evaluation: Evaluation) -> Floats:
+        """Return by how much policies violate the limits of the search, shape (K,).
 
-def _choose_front(
-    races: PolicyRaces, allowed: NDArray[np.int64], scenarios: Scenarios
-) -> tuple[Floats, Notes]:
-    """Race the best allowed policies in new scenarios, and choose policies not clearly beaten."""
-    config = races.config
-    theta, explored = races.explored()
-    order = allowed[
-        spread_first(_unit(explored.coordinates[allowed]), 0.5 * config.spacing, config.candidates)
-    ]
-    raced = races.race("choice", "choice", scenarios, theta[order])
-    remeasured = summarise(raced)
-    within_limits = np.flatnonzero(races.violation(remeasured) <= 0.0)
-    not_beaten = within_limits[~_beaten(config, raced, within_limits)]
-    distinct = not_beaten[
-        thin_out(_unit(remeasured.coordinates[not_beaten]), config.spacing, config.max_policies)
-    ]
-    last = races.history[-1]
-    races.note("choice", last.generation, last.hypervolume, len(distinct), remeasured)
-    return theta[order[distinct]], {
-        "choice_candidates": len(order),
-        "choice_outside_limits": len(order) - len(within_limits),
-        "choice_beaten": len(within_limits) - len(not_beaten),
-        "choice_too_near_another": len(not_beaten) - len(distinct),
-    }
+        Rates are per race; coordinates are in units of the initial sample's range.
+        """
+        beyond = evaluation.own_crash - self.config.search_crash_limit
+        if self.config.rivals:
+            beyond = np.maximum(beyond, self.config.min_score - evaluation.score)
+        if self.config.min_coordinates is None:
+            return beyond
+        shortfall = (np.array(self.config.min_coordinates) - evaluation.coordinates) / (
+            self.scale.ideal - self.scale.nadir
+        )
+        return np.maximum(beyond, shortfall.max(axis=1))
 
+    def search(self, scenarios: Scenarios) -> None:
+        """Race the initial sample and generation after generation in the same scenarios."""
+        config, planner = self.config, get_planner(self.config.planner)
+        first, seed = _roots(config)[3:5]
+        varied = planner.indices(config.varied)
+        search = Search(
+            planner.bounds[varied],
+            population=config.population,
+            elite_ratio=config.elite_ratio,
+            step_size=config.step_size,
+            seed=_number(seed),
+        )
+        sample = draw_policies(planner, config.initial_sample, first, config.fixed)[:, varied]
+        search.add(sample, *self._searched("initial-sample", scenarios, sample))
+        self._note_search(search)
+        for number in range(1, config.generations + 1):
+            points = search.ask()
+            search.tell(*self._searched(f"generation-{number:05d}", scenarios, points))
+            self._note_search(search)
 
-def measure(
-    races: PolicyRaces, parameters: Floats, scenarios: Scenarios
-) -> tuple[Floats, Arrays, Notes]:
-    """Race policies in new scenarios, sort them by the first axis, and filter them.
+    def choose(self, scenarios: Scenarios) -> tuple[Floats, Notes]:
+        """Choose among the policies of the search, by new races.
 
-    Policies that still crash too often are left out and, for a front, also policies that another
-    policy clearly beats. Beaten policies add nothing to the front, so their removal makes the front
-    look no better than it is. Return the parameters of the remaining policies, shape (K, P), their
-    races, and the numbers of policies left out.
-    """
-    limit = races.config.crash_limit
-    within_limits = kept = np.zeros(0, np.int64)
-    if len(parameters):
-        raced = races.race("measurement", "measurement", scenarios, parameters)
+        Candidates for a front race again in ``scenarios``; candidates for a pool with headroom race
+        each other. Return the chosen policies, and the numbers of policies left out for each
+        reason.
+        """
+        config = self.config
+        theta, explored = self.explored()
+        # Points evaluated several times race once.
+        rows = np.sort(np.unique(theta, axis=0, return_index=True)[1])
+        crashing = explored.own_crash > config.search_crash_limit
+        allowed = rows[self.violation(explored)[rows] <= 0.0]
+        if len(allowed) == 0:
+            raise InputError(
+                f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of"
+                f" the races of {config.duration:g} s, or lie below min_coordinates or min_score;"
+                " raise crash_limit, or lower the others"
+            )
+        if config.selection == "headroom":
+            chosen, notes = self._choose_pool(allowed)
+        else:
+            chosen, notes = self._choose_front(allowed, scenarios)
+        points = self.scale(explored.coordinates)
+        return theta[chosen], {
+            "search_over_crash_limit": int(crashing.sum()),
+            "search_hypervolume": hypervolume(points[rows[~crashing[rows]]]),
+            "search_hypervolume_without_crash_limit": hypervolume(points[rows]),
+            **notes,
+        }
+
+    def measure(self, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
+        """Race policies in new scenarios, sort them by the first axis, and filter them.
+
+        Policies that still crash too often or score too little are left out and, for a front, also
+        policies that another policy clearly beats. Beaten policies add nothing to the front, so
+        their removal makes the front look no better than it is. Return the remaining policies,
+        their races, and the numbers of policies left out.
+        """
+        config = self.config
+        front = config.selection == "pareto"
+        within_limits = kept = np.zeros(0, np.int64)
+        if len(parameters):
+            raced = self._race("measurement", "measurement", scenarios, parameters)
+            measured = summarise(raced)
+            within_limits = kept = np.flatnonzero(
+                (measured.own_crash <= config.crash_limit) & (measured.score >= config.min_score)
+            )
+            if front:
+                kept = kept[~clearly_beaten(raced, kept, config.error_bars)]
+            # Sorted from the most careful to the fastest policy.
+            kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
+        minimum = 2 if front else 3
+        if len(kept) < minimum:
+            raise InputError(
+                f"{len(kept)} policies remain below the crash limit of {config.crash_limit:.0%} and"
+                f" above min_score; an archive needs {minimum} at least: raise crash_limit, lower"
+                " min_score, or search longer"
+            )
+        self._note("measurement", len(kept), measured)
+        notes = {
+            "measurement_outside_limits": len(parameters) - len(within_limits),
+            "measurement_beaten": len(within_limits) - len(kept),
+        }
+        return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
+
+    def judge(self, parameters: Floats) -> Notes:
+        """Race all pairs of an archive's policies in new races, and report headroom on each track.
+
+        Tracks of ``config.judging_tracks`` are not used for the choice.
+        """
+        config = self.config
+        tracks = (*config.tracks, *(config.judging_tracks or ()))
+        seed = _number(_roots(config)[6])
+        payoffs = self._payoffs("judgement", parameters, tracks, config.judging_races, seed)
+        self.callback(self.history[-1]._replace(stage="judgement", done=1.0))
+        return headroom_notes(dict(zip(tracks, payoffs, strict=True)), config.tracks)
+
+    def _choose_front(self, allowed: Indices, scenarios: Scenarios) -> tuple[Indices, Notes]:
+        """Race the best allowed policies in new scenarios; choose policies not clearly beaten."""
+        config = self.config
+        theta, explored = self.explored()
+        points = _unit(explored.coordinates[allowed])
+        order = allowed[spread_first(points, 0.5 * config.spacing, config.candidates)]
+        raced = self._race("choice", "choice", scenarios, theta[order])
         measured = summarise(raced)
-        within_limits = np.flatnonzero(
-            (measured.own_crash <= limit) & (measured.score >= races.config.min_score)
-        )
-        kept = within_limits
-        if races.config.selection == "pareto":
-            kept = within_limits[~_beaten(races.config, raced, within_limits)]
-        # Sorted from the most careful to the fastest policy.
-        kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
-    fewest = 2 if races.config.selection == "pareto" else 3
-    if len(kept) < fewest:
-        raise InputError(
-            f"{len(kept)} policies remain below the crash limit of {limit:.0%} and above min_score;"
-            f" an archive needs {fewest} at least: raise crash_limit, lower min_score, or search"
-            " longer"
-        )
-    last = races.history[-1]
-    races.note("measurement", last.generation, last.hypervolume, len(kept), measured)
-    notes = {
-        "measurement_over_crash_limit": len(parameters) - len(within_limits),
-        "measurement_beaten": len(within_limits) - len(kept),
-    }
-    return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
+        within_limits = np.flatnonzero(self.violation(measured) <= 0.0)
+        not_beaten = within_limits[~clearly_beaten(raced, within_limits, config.error_bars)]
+        points = _unit(measured.coordinates[not_beaten])
+        distinct = not_beaten[thin_out(points, config.spacing, config.max_policies)]
+        self._note("choice", len(distinct), measured)
+        return order[distinct], {
+            "choice_candidates": len(order),
+            "choice_outside_limits": len(order) - len(within_limits),
+            "choice_beaten": len(within_limits) - len(not_beaten),
+            "choice_too_near_another": len(not_beaten) - len(distinct),
+        }
 
+    def _choose_pool(self, allowed: Indices) -> tuple[Indices, Notes]:
+        """Race all pairs of candidates of all speeds, and choose the pool with maximum headroom."""
+        config = self.config
+        theta, explored = self.explored()
+        first, won = explored.coordinates[allowed, 0], explored.won[allowed]
+        intervals = config.groups * INTERVALS_PER_GROUP
+        rows = allowed[best_of_each_interval(first, won, config.candidates, intervals)]
+        if len(rows) < config.max_policies:
+            raise InputError(
+                f"{len(rows)} candidates differ in {config.axes[0]}; a pool of"
+                f" {config.max_policies} needs more: search longer, raise crash_limit or lower"
+                " max_policies"
+            )
+        seed = _number(_roots(config)[5])
+        payoffs = self._payoffs("choice", theta[rows], config.tracks, config.payoff_races, seed)
+        pool, notes = choose_for_headroom(payoffs, config.groups, config.max_policies, seed)
+        chosen = rows[pool]
+        self._note("choice", len(chosen), Evaluation(*(values[chosen] for values in explored)))
+        return chosen, {"choice_candidates": len(rows), **notes}
 
-def _beaten(config: ArchiveConfig, raced: Arrays, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return which policies in ``rows`` are beaten within ``rows`` beyond the error bars."""
-    subset = {key: values[rows] for key, values in raced.items()}
-    return beaten(summarise(subset).coordinates, difference_errors(subset), config.error_bars)
+    def _searched(
+        self, name: str, scenarios: Scenarios, parameters: Floats
+    ) -> tuple[Floats, Floats]:
+        """Race and record policies of the search; return coordinates and violations."""
+        evaluation = summarise(self._race("search", name, scenarios, parameters))
+        self.searched.append((parameters, evaluation))
+        return evaluation.coordinates, self.violation(evaluation)
+
+    def _race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
+        """Race policies as tasks of this name, or load results of an earlier run."""
+        # The search reports progress by generation, with the hypervolume, unknown to the tasks.
+        progress = None if stage == "search" else self._progress(stage)
+        complete = get_planner(self.config.planner).complete(self.config.varied, parameters)
+        tasks = [
+            (scenarios, complete[first : first + BLOCK]) for first in range(0, len(complete), BLOCK)
+        ]
+        results = run_races(
+            name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress
+        )
+        return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
+
+    def _payoffs(
+        self, stage: str, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int
+    ) -> Floats:
+        """Race all pairs of policies or load results of an earlier run, shape (T, F, N, N).
+
+        The number of folds is an even divisor of the number of start lines, up to 16.
+        """
+        planner = get_planner(self.config.planner)
+        complete = planner.complete(self.config.varied, parameters)
+        policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(complete))
+        # An even number, since equally many folds are added and subtracted.
+        folds = max(k for k in range(2, MAX_FOLDS + 1, 2) if races // 2 % k == 0)
+        rules = self.config.rules_of(self.config.final_duration)
+        pool = PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)
+        progress = self._progress(stage)
+        return pool_payoffs(
+            pool, name=stage, job=self.job, executor=self.executor, progress=progress
+        )
+
+    def _progress(self, stage: str) -> Progress:
+        """Return a callback for the tasks of a stage."""
+
+        def progress(done: int, total: int, _: str) -> None:
+            share = self._done(stage, done / total)
+            self.callback(self.history[-1]._replace(stage=stage, done=share))
+
+        return progress
+
+    def _note_search(self, search: Search) -> None:
+        """Record a generation of the search, and call the callback."""
+        progress = ArchiveProgress(
+            stage="search",
+            generation=search.generation,
+            generations=self.config.generations,
+            evaluations=self.evaluations,
+            hypervolume=search.hypervolume,
+            front=len(search.parameters),
+            own_crash=float(self.searched[-1][1].own_crash.mean()),
+            # A search may resume, so its progress is the number of policies raced.
+            done=self._done("search", self.evaluations / self.config.evaluations),
+        )
+        self.history.append(progress)
+        self.callback(progress)
+
+    def _note(self, stage: str, front: int, evaluation: Evaluation) -> None:
+        """Record the end of a later stage, and call the callback."""
+        crash, done = float(evaluation.own_crash.mean()), self._done(stage, 1.0)
+        progress = self.history[-1]._replace(stage=stage, front=front, own_crash=crash, done=done)
+        self.history.append(progress)
+        self.callback(progress)
+
+    def _done(self, stage: str, share: float) -> float:
+        """Return the share of all racing that is done after a share of a stage."""
+        work = self.config.work
+        earlier = list(work)[: list(work).index(stage)]
+        return (sum(work[name] for name in earlier) + share * work[stage]) / sum(work.values())
 
 
 def _unit(points: Floats) -> Floats:

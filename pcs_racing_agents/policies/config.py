@@ -10,11 +10,9 @@ from annotated_types import Interval
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Names, OneOf, OptionalNames, Settings, Text
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing_agents.base.configurations import load_config, shipped_configs
-from pcs_racing_agents.policies.mo_cma_es import LOSSES, MEANS
-from pcs_racing_agents.policies.optimisers import METHODS
 
 CHOICES = ("pareto", "headroom")
 """Rules of selection: policies that no other policy clearly beats, or a pool with headroom."""
@@ -63,9 +61,6 @@ class ArchiveConfig(Settings):
         " itself (the lead), pace or speed, and then restraint, beside speed the reaction to the"
         " lead.",
     ] = None
-    method: Annotated[str, OneOf(METHODS), "Search method; the first is that of the paper."] = (
-        "mo-cma-es"
-    )
     generations: Annotated[int, Interval(ge=0, le=100_000), "Number of generations."] = 60
     population: Annotated[int, Interval(ge=4, le=10_000), "Number of policies in a generation."] = (
         32
@@ -75,8 +70,6 @@ class ArchiveConfig(Settings):
         Interval(ge=0.01, le=1.0),
         "Share of a generation that updates the distribution.",
     ] = 0.5
-    loss: Annotated[str, OneOf(LOSSES), "Loss of Algorithm 1, as in synthesize()."] = "uhvi"
-    mean: Annotated[str, OneOf(MEANS), "Mean of Algorithm 1, as in synthesize()."] = "generation"
     step_size: Annotated[
         float,
         Interval(ge=1e-6, le=1.0),
@@ -93,7 +86,7 @@ class ArchiveConfig(Settings):
     ] = 4
     rivals: Annotated[
         OptionalNames,
-        "Drivers of other planners that are met in every stage beside the random policies, each as"
+        "Policies of other planners that are met in every stage beside the random policies, each as"
         " often.",
     ] = ()
     min_score: Annotated[
@@ -205,6 +198,8 @@ class ArchiveConfig(Settings):
                 f"fixed names all parameters of planner {self.planner!r}; at least one must vary"
             )
         get_characteristics(self.axes)
+        for rival in self.rivals:
+            parse_policy(rival)
         if self.min_coordinates is not None and len(self.min_coordinates) != len(self.axes):
             raise ConfigError(
                 f"min_coordinates is {self.min_coordinates!r}; it must list a number for each of"
@@ -267,30 +262,17 @@ class ArchiveConfig(Settings):
         return self.initial_sample + self.generations * self.population
 
     @property
-    def races(self) -> int:
-        """Number of races of each policy in the search."""
-        return len(self.tracks) * (self.opponents + len(self.rivals)) * self.starts * 2
-
-    @property
     def work(self) -> dict[str, float]:
         """Maximum racing time of each stage, s."""
-        races, more = 2 * len(self.tracks), len(self.rivals)
+        met = 2 * len(self.tracks)  # both sides of each start line, on all tracks
+        rivals = len(self.rivals)
+        search = met * (self.opponents + rivals) * self.starts
+        choice = met * (self.choice_opponents + rivals) * self.choice_starts
+        final = met * (self.final_opponents + rivals) * self.final_starts
         work = {
-            "search": self.evaluations * self.races * self.duration,
-            "choice": (
-                self.candidates
-                * races
-                * (self.choice_opponents + more)
-                * self.choice_starts
-                * self.duration
-            ),
-            "measurement": (
-                self.max_policies
-                * races
-                * (self.final_opponents + more)
-                * self.final_starts
-                * self.final_duration
-            ),
+            "search": self.evaluations * search * self.duration,
+            "choice": self.candidates * choice * self.duration,
+            "measurement": self.max_policies * final * self.final_duration,
         }
         if self.selection == "headroom":
             judging = len(self.tracks) + len(self.judging_tracks or ())

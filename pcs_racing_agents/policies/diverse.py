@@ -6,9 +6,9 @@ spanned by the items' features: the more similar two items are, the less often t
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_choice, check_number, check_whole
+from pcs_racing.base.checks import check_choice, check_whole
 from pcs_racing.game.archive import PolicyArchive
 
 Floats = NDArray[np.float64]
@@ -17,8 +17,8 @@ Indices = NDArray[np.int64]
 METHODS = {
     "kdpp": "random, similar ones seldom together",
     "map": "the set found by adding the item that enlarges the determinant most; not random",
-    "random": "random, all sets equally likely",
 }
+SCALE = 0.2  # distance over which policies count as similar, in normalised units
 
 
 def select_diverse(
@@ -26,8 +26,6 @@ def select_diverse(
     k: int,
     method: str = "kdpp",
     rng: np.random.Generator | int = 0,
-    *,
-    scale: float = 0.2,
 ) -> Indices:
     """Choose ``k`` policies of an archive that lie far apart in its normalised coordinates.
 
@@ -35,13 +33,10 @@ def select_diverse(
     ----------
     k : int
         Number of policies to choose, 1 to the size of the archive.
-    method : {"kdpp", "map", "random"}
+    method : {"kdpp", "map"}
         See :data:`METHODS`.
     rng : numpy.random.Generator or int
         Generator or seed of the random choice.
-    scale : float
-        Distance over which policies count as similar, in normalised units (:func:`similarity`);
-        above 0.
 
     Returns
     -------
@@ -50,24 +45,18 @@ def select_diverse(
     """
     check_whole("k", k, 1, len(archive))
     check_choice("method", method, METHODS)
-    generator = np.random.default_rng(rng)
-    if method == "random":
-        indices = generator.choice(len(archive), int(k), replace=False)
-    elif method == "map":
-        indices = greedy_map(similarity(archive.normalised, scale), int(k))
-    else:
-        indices = sample_kdpp(similarity(archive.normalised, scale), int(k), generator)
-    return np.sort(indices).astype(np.int64)
+    kernel = similarity(archive.normalised)
+    if method == "map":
+        return np.sort(greedy_map(kernel, k))
+    return np.sort(sample_kdpp(kernel, k, np.random.default_rng(rng)))
 
 
-def similarity(points: ArrayLike, scale: float) -> Floats:
+def similarity(points: Floats, scale: float = SCALE) -> Floats:
     """Return the kernel exp(-distance^2 / (2 scale^2)) between points (K, G), shape (K, K).
 
     The diagonal is raised by a millionth. So the matrix has full rank even if points coincide, and
     up to K items can be drawn.
     """
-    check_number("scale", scale, above=0.0)
-    points = np.asarray(points, np.float64)
     squares = np.sum((points[:, None] - points[None]) ** 2, axis=-1)
     return np.asarray(np.exp(-0.5 * squares / scale**2) + 1e-6 * np.eye(len(points)), np.float64)
 

@@ -82,7 +82,7 @@ def headroom(payoffs: ArrayLike) -> Headroom:
 
 
 def jackknife_error(without: Floats) -> float:
-    """Return the standard error of an estimate from its values without each of the N observations."""
+    """Return the standard error of an estimate from its values without each observation."""
     count = len(without)
     return float(np.sqrt((count - 1) / count * np.square(without - without.mean()).sum()))
 

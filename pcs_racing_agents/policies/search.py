@@ -1,109 +1,81 @@
-"""Multi-objective search with an ask-and-tell interface.
+"""MO-CMA-ES, Algorithm 1 of the paper, as a search with ``ask`` and ``tell``.
 
-All objectives are maximised. A search is replayable: the same seed and the same results lead to the
-same state. So an interrupted search resumes when it receives the same results again.
+All objectives are maximised. The search knows nothing about racing. The same seed and the same
+results lead to the same state: an interrupted search resumes when it receives the same results
+again.
+
+The comments in :meth:`Search.ask` and :meth:`Search.tell` are the lines of the algorithm. Choices
+where the paper leaves room:
+
+- Line 8: the loss of a point is minus the hypervolume that the point adds to the archive. If it
+  adds none, the loss is the distance to the nearest place where a point adds hypervolume. (The
+  literal reading, the hypervolume of archive and point together, is the same for all dominated
+  points.)
+- Line 8: objectives are normalised by the range of the initial sample or, without one, of the first
+  generation. The reference point lies a tenth of that range below the nadir.
+- Line 13: the mean moves to the recombined elite of this generation, as in CMA-ES. (The literal
+  reading is the mean of the archive's Pareto set: if that set is no straight line, it is the mean
+  of distant points.)
+- Bounds of parameters are not in the paper. Samples outside the bounds are moved to the border, but
+  CMA-ES learns from the original samples: so its mean can settle beyond a border and hold a
+  parameter at its limit. The mean stays within three standard deviations of the box, and the step
+  size within twice its first value.
+- Restarts are not in the paper. Here, once the step size has collapsed or the archive has stopped
+  growing, the search restarts at a random point of the front. Points that contribute more
+  hypervolume, where the front is thin, are more likely.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_array, check_choice, check_number, check_seed, check_whole
-from pcs_racing.base.errors import InputError
-from pcs_racing_agents.policies.indicators import hypervolume
-from pcs_racing_agents.policies.mo_cma_es import LOSSES, MEANS, OptimiserOptions
-from pcs_racing_agents.policies.optimisers import Optimiser, make_optimiser
-from pcs_racing_agents.policies.pareto_archive import ParetoArchive, Scale
+from pcs_racing.base.checks import check_array, check_number, check_seed, check_whole
+from pcs_racing.base.errors import InputError, require
+from pcs_racing_agents.policies.pareto import (
+    Scale,
+    contributions,
+    hypervolume,
+    non_dominated,
+    uncrowded_improvement,
+)
 
 Floats = NDArray[np.float64]
 
-
-class Generation(NamedTuple):
-    """Archive after a generation, with the points and results of the generation."""
-
-    generation: int  #: Number of the generation, from 1; 0 for an initial sample.
-    evaluations: int  #: Number of evaluations in all generations so far.
-    #: Hypervolume of the archive's front in the normalisation of this generation. The range of the
-    #: front changes unless ideal and nadir were stated, so these numbers are not comparable with
-    #: each other: see :meth:`Synthesis.hypervolumes`.
-    hypervolume: float
-    archive_size: int  #: Number of points in the front, K.
-    restarts: int  #: Number of restarts so far.
-    #: Maximum standard deviation as a share of a parameter's range; NaN for methods without step
-    #: size.
-    step_size: float
-    infeasible: int  #: Number of points of this generation that violate the constraint.
-    front: Floats  #: shape (K, G): Objectives of the archive's front.
-    front_parameters: Floats  #: shape (K, P): Points of the archive's front.
-    parameters: Floats  #: shape (n, P): Evaluated points.
-    objectives: Floats  #: shape (n, G)
-    violation: Floats  #: shape (n,)
+MIN_STEP = 1e-4  # share of the range of the parameters
+PATIENCE = 10  # generations
+MIN_GAIN = 1e-5  # normalised hypervolume per generation
 
 
-@dataclass(frozen=True, eq=False)
-class Synthesis:
-    """Result of a search."""
+class Front(NamedTuple):
+    """Pareto front of the archive, in the order of discovery; of equal points the first."""
 
-    #: shape (K, P): Pareto front of the archive, in the order of discovery; empty if no point was
-    #: feasible.
-    parameters: Floats
+    unit: Floats  #: shape (K, P): Parameters in the unit cube.
+    parameters: Floats  #: shape (K, P)
     objectives: Floats  #: shape (K, G)
-    explored_parameters: Floats  #: shape (N, P): All evaluated points.
-    explored_objectives: Floats  #: shape (N, G)
-    explored_violation: Floats  #: shape (N,)
-    generations: tuple[Generation, ...]
-    #: shape (G,): ``ideal``, ``nadir``: Range of the final front, or the stated points.
-    ideal: Floats
-    nadir: Floats
-    #: shape (G,): Reference point of hypervolumes in units of ideal (1) and nadir (0).
-    reference: Floats
 
-    def hypervolumes(self) -> Floats:
-        """Return the front's hypervolume after each generation, in the final scale, shape (T,)."""
-        scale = Scale(self.ideal, self.nadir)
-        return np.array(
-            [
-                hypervolume(scale(generation.front), self.reference)
-                for generation in self.generations
-            ]
-        )
+    def joined(self, points: "Front") -> "Front":
+        """Return the front of both sets of points."""
+        both = [np.concatenate(arrays) for arrays in zip(self, points, strict=True)]
+        kept = non_dominated(both[2])
+        return Front(*(array[kept] for array in both))
 
 
 class Search:
-    """Search for a Pareto set: ``ask`` returns points, ``tell`` takes their objectives.
+    """Search for a Pareto set: ``ask`` returns points, ``tell`` takes their results.
 
     Parameters
     ----------
     bounds : array_like, shape (P, 2)
-        Minimum and maximum value of each parameter.
+        Minimum and maximum value of each of at least 2 parameters.
     population : int
         Number of points per generation, 4 to 10,000.
     elite_ratio : float
-        Share of a generation that CMA-ES recombines and adds to its archive, above 0 to 1.
-    loss : {"uhvi", "total_hypervolume"}
-        Loss of CMA-ES: the uncrowded hypervolume improvement, or the literal reading of the paper.
-    mean : {"generation", "archive"}
-        Target of the mean of CMA-ES: the elite of the generation, or the mean of the archive's
-        Pareto set.
-    method : {"mo-cma-es", "nsga2", "random"} or callable
-        The first method is the paper's. The options for CMA-ES have no effect on the other methods.
-        A function makes a custom optimiser
-        (:class:`pcs_racing_agents.policies.optimisers.Optimiser`) from the options.
-    reference : float or array_like, shape (G,)
-        Reference point of the hypervolume in normalised objectives; by default a tenth of the range
-        below the nadir.
-    ideal, nadir : array_like, shape (G,), optional
-        Values that normalise to 1 and 0. By default the range of the current front in each
-        generation.
-    start : {"middle", "sample"} or array_like, shape (P,)
-        First mean of CMA-ES: the middle of the bounds, a point, or for a sample the middle of the
-        best points of a first generation sampled within the bounds.
+        Share of a generation that is recombined and added to the archive (lambda of Algorithm 1),
+        above 0 to 1.
     step_size : float
-        First standard deviation of CMA-ES, as a share of the bounds' range, above 0 to 1; halved
-        after a sample.
+        First standard deviation, as a share of the bounds' range, above 0 to 1. The first mean is
+        the middle of the bounds.
     """
 
     def __init__(
@@ -112,65 +84,51 @@ class Search:
         *,
         population: int = 50,
         elite_ratio: float = 0.5,
-        loss: str = "uhvi",
-        mean: str = "generation",
-        seed: int = 0,
-        method: str | Callable[[OptimiserOptions], Optimiser] = "mo-cma-es",
-        reference: ArrayLike = -0.1,
-        ideal: ArrayLike | None = None,
-        nadir: ArrayLike | None = None,
-        start: ArrayLike | str = "middle",
         step_size: float = 0.2,
+        seed: int = 0,
     ) -> None:
         self._low, self._high = _checked_bounds(bounds)
-        dimension = len(self._low)
-        check_whole("population", population, 4, 10_000)
+        self.population = check_whole("population", population, 4, 10_000)
+        self._step_size = check_number("step_size", step_size, maximum=1.0, above=0.0)
+        ratio = check_number("elite_ratio", elite_ratio, maximum=1.0, above=0.0)
+        self._elite = max(1, round(ratio * self.population))
         check_seed(seed, maximum=2**63 - 1)
-        check_number("elite_ratio", elite_ratio, maximum=1.0, above=0.0)
-        check_number("step_size", step_size, maximum=1.0, above=0.0)
-        check_choice("loss", loss, LOSSES)
-        check_choice("mean", mean, MEANS)
-        self._reference = check_array("reference", reference, (None,) * np.ndim(reference))
-        self._scale_from = _checked_scale(ideal, nadir)
-        first = self._first_mean(start)
-        self.population = population
-        root = np.random.SeedSequence(int(seed))
-        spec = OptimiserOptions(
-            dimension=dimension,
-            population=population,
-            seed=root,
-            elite_ratio=float(elite_ratio),
-            loss=loss,
-            mean=mean,
-            start=first,
-            step_size=float(step_size),
-            reference=self._reference if self._reference.ndim else float(self._reference),
-            ideal=self._scale_from[0],
-            nadir=self._scale_from[1],
-        )
-        self._optimiser = make_optimiser(method, spec)
-        self._explored = ParetoArchive.empty(dimension)
-        self._parameters = np.zeros((0, dimension))
-        self._generations: list[Generation] = []
-        self._evaluations = 0
-        self._asked = np.zeros((0, dimension))
-        self._unit = self._asked  # the same points in the unit cube, as the optimiser knows them
+        # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
+        self._rng = np.random.default_rng(np.random.SeedSequence(int(seed)))
+        self._es = self._started(np.full(len(self._low), 0.5), self._step_size)
+        self._asked = np.zeros((0, len(self._low)))
+        # The number of axes follows from the first results.
+        self._front = Front(self._asked, self._asked, np.zeros((0, 0)))
+        self._scale = Scale(np.zeros(0), np.zeros(0))
+        self._stalled = 0
+        self.generation = 0  #: Number of generations so far.
+        self.evaluations = 0  #: Number of evaluated points so far.
+        self.restarts = 0  #: Number of restarts so far.
+        self.hypervolume = 0.0  #: Hypervolume of the archive's front, in units of the scale.
 
     @property
-    def archive(self) -> Floats:
-        """Parameters of the archive's current Pareto front, shape (K, P)."""
-        return self._parameters[self._explored.front]
+    def parameters(self) -> Floats:
+        """Parameters of the archive's Pareto front, shape (K, P); empty without feasible points."""
+        return self._front.parameters
+
+    @property
+    def objectives(self) -> Floats:
+        """Objectives of the archive's Pareto front, shape (K, G)."""
+        return self._front.objectives
+
+    @property
+    def step_size(self) -> float:
+        """Maximum standard deviation as a share of a parameter's range."""
+        return self._es.step_size
 
     def ask(self) -> Floats:
         """Return the points to evaluate next, shape (n, P)."""
-        self._check_results_in()
-        self._unit = np.clip(self._optimiser.ask(), 0.0, 1.0)
-        # Rounding may lead beyond the upper bound.
-        self._asked = np.minimum(self._low + self._unit * (self._high - self._low), self._high)
-        return self._asked.copy()
+        # Lines 4-5: sample theta_i from N(mu, sigma^2 C).
+        self._asked = np.clip(self._es.ask(), 0.0, 1.0)
+        return self._from_cube(self._asked)
 
-    def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> Generation:
-        """Take the results of the points returned by ``ask``.
+    def tell(self, objectives: ArrayLike, violation: ArrayLike | None = None) -> None:
+        """Take the results of the points returned by the last ``ask``.
 
         Parameters
         ----------
@@ -180,150 +138,176 @@ class Search:
             Violation, up to 0 for feasible points. Infeasible points never enter the archive and
             rank behind all feasible points, by increasing violation.
         """
-        asked = self._asked
-        if len(asked) == 0:
+        unit = self._asked
+        if len(unit) == 0:
             raise InputError("no points were asked for; ask first")
-        values, violations = self._checked(objectives, violation, asked)
-        self._explored = self._optimiser.tell(self._unit, values, violations, self._explored)
-        self._parameters = np.concatenate([self._parameters, asked])
-        self._asked = asked[:0]
-        self._evaluations += len(asked)
-        generation = self._generation(len(self._generations) + 1, asked, values, violations)
-        self._generations.append(generation)
-        return generation
+        values, beyond = self._checked(len(unit), objectives, violation)
+        self._asked = unit[:0]
+        before = self.hypervolume
+        # Line 8: the hypervolume loss against the archive.
+        loss = self._loss(values, beyond)
+        # Line 9: sort. Infeasible points come last, sorted by violation. The last key counts first.
+        # All feasible points violate by 0, so among them the loss decides.
+        order = np.lexsort((loss, np.maximum(beyond, 0.0)))
+        # Line 10: the best lambda join the archive, in the order of the generation.
+        elite = np.sort(order[: self._elite])
+        self._join(unit[elite], self._from_cube(unit[elite]), values[elite], beyond[elite])
+        self.generation += 1
+        self.evaluations += len(unit)
+        # Lines 11-13: evolution paths, step size, covariance and mean.
+        ranks = np.empty(len(unit))
+        ranks[order] = np.arange(len(unit))
+        self._es.tell(ranks)
+        self._restart_if_done(before)
 
     def add(
         self, parameters: ArrayLike, objectives: ArrayLike, violation: ArrayLike | None = None
-    ) -> Generation:
-        """Add points evaluated elsewhere to the archive, at any time between ``tell`` and ``ask``.
+    ) -> None:
+        """Add points evaluated elsewhere to the archive, such as an initial sample.
 
-        Optimisers see these points as part of the archive and do not recombine them. Return the
-        archive with the points, as a generation with the number of the last generation, 0 before
-        the first.
+        They are not recombined. The range of an initial sample is the scale of the search.
         """
-        points = self.check_points("parameters", parameters)
-        self._check_results_in()
-        values, violations = self._checked(objectives, violation, points)
-        unit = (points - self._low) / (self._high - self._low)
-        self._explored = self._explored.joined(unit, values, violations)
-        self._parameters = np.concatenate([self._parameters, points])
-        self._evaluations += len(points)
-        return self._generation(len(self._generations), points, values, violations)
+        points = check_array("parameters", parameters, (None, len(self._low)))
+        if not (np.all(points >= self._low) and np.all(points <= self._high)):
+            raise InputError("parameters lie outside the bounds")
+        values, beyond = self._checked(len(points), objectives, violation)
+        self._join((points - self._low) / (self._high - self._low), points, values, beyond)
+        self.evaluations += len(points)
 
-    def check_points(self, name: str, points: ArrayLike) -> Floats:
-        """Return points, shape (n, P), all of them within the bounds."""
-        values = check_array(name, points, (None, len(self._low)))
-        if not (np.all(values >= self._low) and np.all(values <= self._high)):
-            raise InputError(f"{name} lie outside the bounds")
-        return values
-
-    def result(self) -> Synthesis:
-        """Return the archive and all evaluated points."""
-        explored, front = self._explored, self._explored.front
-        scale = explored.scale(*self._scale_from)
-        return Synthesis(
-            parameters=self._parameters[front],
-            objectives=explored.objectives[front],
-            explored_parameters=self._parameters,
-            explored_objectives=explored.objectives,
-            explored_violation=explored.violation,
-            generations=tuple(self._generations),
-            ideal=scale.ideal,
-            nadir=scale.nadir,
-            reference=np.array(np.broadcast_to(self._reference, scale.ideal.shape)),
-        )
-
-    def _generation(
-        self, number: int, points: Floats, objectives: Floats, violation: Floats
-    ) -> Generation:
-        """Return the current archive with the points evaluated last."""
-        front = self._explored.objectives[self._explored.front]
-        scale = self._explored.scale(*self._scale_from)
-        return Generation(
-            generation=number,
-            evaluations=self._evaluations,
-            hypervolume=hypervolume(scale(front), self._reference) if len(front) else 0.0,
-            archive_size=len(front),
-            restarts=self._optimiser.restarts,
-            step_size=self._optimiser.step_size,
-            infeasible=int(np.sum(violation > 0.0)),
-            front=front,
-            front_parameters=self.archive,
-            parameters=points,
-            objectives=objectives,
-            violation=violation,
-        )
-
-    def _first_mean(self, start: Any) -> Floats | None:
-        """Return the first mean in the unit cube, or None for a sample."""
-        if isinstance(start, str):
-            if start not in ("middle", "sample"):
-                raise InputError(f"start is {start!r}; it must be middle, sample, or a point")
-            if start == "sample":
-                return None
-            start = (self._low + self._high) / 2.0
-        first = check_array("start", start, (len(self._low),))
-        if np.any(first < self._low) or np.any(first > self._high):
-            raise InputError(f"start is {first.tolist()}; it must lie within the bounds")
-        return (first - self._low) / (self._high - self._low)
-
-    def _check_results_in(self) -> None:
-        if len(self._asked):
-            raise InputError(
-                "the points asked for last were not told yet; tell their results first"
-            )
+    def _from_cube(self, unit: Floats) -> Floats:
+        # Rounding may lead beyond the upper bound.
+        return np.minimum(self._low + unit * (self._high - self._low), self._high)
 
     def _checked(
-        self, objectives: ArrayLike, violation: ArrayLike | None, asked: Floats
+        self, count: int, objectives: ArrayLike, violation: ArrayLike | None
     ) -> tuple[Floats, Floats]:
-        try:
-            values = np.array(objectives, np.float64)
-            violations = (
-                np.zeros(len(asked)) if violation is None else np.array(violation, np.float64)
-            )
-        except (TypeError, ValueError):
-            raise InputError("objectives or violations hold something that is no number") from None
-        axes = self._explored.objectives.shape[1] or None
-        if (
-            values.ndim != 2
-            or len(values) != len(asked)
-            or values.shape[1] < 2
-            or axes not in (None, values.shape[1])
-        ):
-            wanted = f"({len(asked)}, {axes or '2 or more'})"
-            raise InputError(
-                f"objectives have shape {values.shape}; for {len(asked)} points they must have"
-                f" {wanted}"
-            )
-        if violations.shape != (len(asked),):
-            raise InputError(
-                f"violations have shape {violations.shape}; they must have ({len(asked)},)"
-            )
-        for name, table in (("objective", values), ("violation", violations[:, None])):
-            if not np.isfinite(table).all():
-                row, axis = np.argwhere(~np.isfinite(table))[0]
-                where = f"{name} {axis}" if name == "objective" else name
+        """Return results of some points as arrays; the first ones set the scale."""
+        axes = len(self._scale.ideal)
+        values = check_array("objectives", objectives, (count, axes or None))
+        beyond = check_array(
+            "violation", np.zeros(count) if violation is None else violation, (count,)
+        )
+        if axes == 0:
+            if values.shape[1] < 2:
                 raise InputError(
-                    f"{where} of point {row} is {table[row, axis]}; it must be finite (parameters "
-                    f"{np.array2string(asked[row], precision=6, separator=', ', max_line_width=10_000)})"
+                    f"objectives have shape {values.shape}; there must be at least 2 for each point"
                 )
-        for name, vector in (
-            ("reference", self._reference if self._reference.ndim else None),
-            ("ideal", self._scale_from[0]),
-        ):
-            if vector is not None and len(vector) != values.shape[1]:
-                raise InputError(
-                    f"{name} has {len(vector)} numbers; there are {values.shape[1]} objectives"
-                )
-        return values, violations
+            self._scale = Scale.of(values)
+            self._front = self._front._replace(objectives=values[:0])
+        return values, beyond
+
+    def _loss(self, objectives: Floats, violation: Floats) -> Floats:
+        """Return the loss of n points against the archive's front; infinite for infeasible ones."""
+        loss = np.full(len(objectives), np.inf)
+        feasible = violation <= 0.0
+        front = self._scale(self._front.objectives)
+        loss[feasible] = -uncrowded_improvement(self._scale(objectives[feasible]), front)
+        return loss
+
+    def _join(
+        self, unit: Floats, parameters: Floats, objectives: Floats, violation: Floats
+    ) -> None:
+        """Add the feasible points to the archive."""
+        feasible = violation <= 0.0
+        points = Front(unit[feasible], parameters[feasible], objectives[feasible])
+        self._front = self._front.joined(points)
+        self.hypervolume = hypervolume(self._scale(self._front.objectives))
+
+    def _restart_if_done(self, before: float) -> None:
+        """Restart at a point of the front after a collapse or too many generations without gain."""
+        # Without a feasible point there is no hypervolume that could stagnate.
+        if len(self._front.unit):
+            self._stalled = 0 if self.hypervolume - before > MIN_GAIN else self._stalled + 1
+        if not self._es.degenerate and self._stalled < PATIENCE:
+            return
+        self.restarts += 1
+        self._stalled = 0
+        if len(self._front.unit) == 0:
+            self._es = self._started(self._rng.random(len(self._low)), self._step_size)
+            return
+        share = contributions(self._scale(self._front.objectives))
+        # Points below the reference have a chance, too.
+        share = share + max(1e-9, 1e-3 * float(share.mean()))
+        row = self._rng.choice(len(share), p=share / share.sum())
+        self._es = self._started(self._front.unit[row], 0.5 * self._step_size)
+
+    def _started(self, mean: Floats, step_size: float) -> "CubeCMAES":
+        max_step = 2.0 * self._step_size
+        return CubeCMAES(mean, step_size, max_step, self.population, self._elite, self._rng)
+
+
+class CubeCMAES:
+    """CMA-ES of pycma in the unit cube, with a given generator instead of numpy's global generator.
+
+    The step size stays below ``max_step``; ``elite`` of ``population`` points per generation are
+    recombined.
+    """
+
+    def __init__(
+        self,
+        mean: Floats,
+        step_size: float,
+        max_step: float,
+        population: int,
+        elite: int,
+        rng: np.random.Generator,
+    ) -> None:
+        require("cma", extra="synthesis")
+        import cma
+
+        self._max_step = max_step
+        self._samples: list[Floats] = []
+        options = {
+            "popsize": population,
+            "CMA_mu": elite,
+            "maxstd": 1.0 / 3.0,
+            # pycma leaves numpy's global generator alone.
+            "seed": np.nan,
+            "randn": lambda *shape: rng.standard_normal(shape),
+            # With -10 pycma prints nothing and reads no file of signals.
+            "verbose": -10,
+            "verb_log": 0,
+        }
+        self._es = cma.CMAEvolutionStrategy(mean, step_size, options)
+
+    @property
+    def step_size(self) -> float:
+        """Maximum standard deviation of a parameter."""
+        return float(np.max(self._es.stds))
+
+    @property
+    def degenerate(self) -> bool:
+        """True if the distribution has collapsed or diverged."""
+        return not MIN_STEP < self.step_size < np.inf or self._es.condition_number > 1e14
+
+    def ask(self) -> Floats:
+        """Return a generation of points, shape (n, P); some may lie outside the cube."""
+        self._samples = self._es.ask()
+        return np.stack(self._samples)
+
+    def tell(self, ranks: Floats) -> None:
+        """Update the distribution from the points' ranks, the only input of CMA-ES."""
+        self._es.tell(self._samples, ranks.tolist())
+        # Without a limit the step size may grow until all points lie on the border.
+        self._es.sigma = min(self._es.sigma, self._max_step)
+        # Points are moved to the border before their evaluation, so nothing else limits the mean.
+        room = 3.0 * self._es.stds
+        self._es.mean = np.clip(self._es.mean, -room, 1.0 + room)
+
+
+def latin_hypercube(count: int, dimension: int, rng: np.random.Generator) -> Floats:
+    """Return a Latin hypercube sample of the unit cube, shape (count, dimension).
+
+    Each of ``count`` equal parts of every axis holds one point.
+    """
+    intervals = np.stack([rng.permutation(count) for _ in range(dimension)], axis=1)
+    return np.asarray((intervals + rng.random((count, dimension))) / count, np.float64)
 
 
 def _checked_bounds(bounds: ArrayLike) -> tuple[Floats, Floats]:
     table = check_array("bounds", bounds, (None, 2))
-    if len(table) == 0:
-        raise InputError(
-            f"bounds have shape {table.shape}; they must have (number of parameters, 2)"
-        )
+    if len(table) < 2:
+        raise InputError(f"bounds have {len(table)} parameters; there must be at least 2")
     low, high = table.T.copy()
     if not np.all(low < high):
         row = int(np.argmin(low < high))
@@ -332,20 +316,3 @@ def _checked_bounds(bounds: ArrayLike) -> tuple[Floats, Floats]:
             " larger"
         )
     return low, high
-
-
-def _checked_scale(
-    ideal: ArrayLike | None, nadir: ArrayLike | None
-) -> tuple[Floats | None, Floats | None]:
-    if ideal is None and nadir is None:
-        return None, None
-    if ideal is None or nadir is None:
-        raise InputError("only one of ideal and nadir is stated; state both or none")
-    best = check_array("ideal", ideal, (None,))
-    worst = check_array("nadir", nadir, (len(best),))
-    if not np.all(worst < best):
-        raise InputError(
-            f"ideal is {best.tolist()} and nadir {worst.tolist()}; the ideal must be larger on all"
-            " axes"
-        )
-    return best, worst

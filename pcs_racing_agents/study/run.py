@@ -22,7 +22,6 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.folders import claim_folder, clear_half_written
 from pcs_racing_agents.learning.ppo.learner import check_packages
-from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study import playing, preparing, reporting
 from pcs_racing_agents.study.study import Study, StudyConfig
 
@@ -55,8 +54,7 @@ class Stage(NamedTuple):
         elif self.name == "ppo" and config.ppo is not None:
             check_packages()
         elif self.name == "archive" and config.synthesis is not None:
-            method = load_archive_config(config.synthesis).method
-            require("moocore", *(("cma",) if method == "mo-cma-es" else ()), extra="synthesis")
+            require("moocore", "cma", extra="synthesis")
 
 
 LEARNED = ("networks", "sampled-cfr", "open-loop", "responses", "ppo")

@@ -40,7 +40,7 @@ from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
 from pcs_racing_agents.cli.options import output_file, output_folder
-from pcs_racing_agents.policies.archive_search import ArchiveProgress
+from pcs_racing_agents.policies.archive_run import ArchiveProgress
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]

@@ -1,3 +1,5 @@
+"""Archives of front policies and of policies chosen for headroom, as resumable runs."""
+
 import csv
 import shutil
 from dataclasses import replace
@@ -13,14 +15,15 @@ from pcs_racing import InputError, load_archive
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
+from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies.archive_report import front_picture, hypervolume_error
-from pcs_racing_agents.policies.archive_run import make_archive, stage_scenarios
-from pcs_racing_agents.policies.archive_search import PolicyRaces
+from pcs_racing_agents.policies.archive_run import ArchiveRun, make_archive, stage_scenarios
 from pcs_racing_agents.policies.config import ArchiveConfig, load_archive_config
 from pcs_racing_agents.policies.evaluate import Evaluation, race_policies, summarise
-from pcs_racing_agents.policies.indicators import hypervolume, non_dominated
-from pcs_racing_agents.policies.pareto_archive import Scale
-from pcs_racing_agents.policies.selection import front_layers
+from pcs_racing_agents.policies.headroom import headroom
+from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume, non_dominated
+from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
+from pcs_racing_agents.policies.selection import choose_for_headroom
 
 pytest.importorskip("cma")
 pytest.importorskip("moocore")
@@ -51,11 +54,53 @@ def with_(**changes) -> ArchiveConfig:
     return load_archive_config(TINY, **changes)
 
 
+POOL = ArchiveConfig(
+    name="pool",
+    preset="contest",
+    tracks=("Pipkin",),
+    duration=4.0,
+    final_duration=4.0,
+    segment_seconds=2.0,
+    generations=1,
+    population=4,
+    initial_sample=16,
+    opponents=1,
+    starts=1,
+    crash_limit=1.0,
+    selection="headroom",
+    candidates=8,
+    groups=2,
+    payoff_races=16,
+    judging_races=32,
+    judging_tracks=("Tarnfjord",),
+    final_opponents=1,
+    final_starts=1,
+    min_policies=3,
+    max_policies=4,
+    seed=5,
+)
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """An archive, its folder, and the news told on the way."""
-    folder, news = tmp_path_factory.mktemp("archive") / "made", []
-    return make_archive(TINY, folder, callback=news.append), folder, news
+    """An archive, its folder, and the progress of its run."""
+    folder, progress = tmp_path_factory.mktemp("archive") / "made", []
+    return make_archive(TINY, folder, callback=progress.append), folder, progress
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    """An archive chosen for headroom, its folder, and the progress of its run."""
+    folder, progress = tmp_path_factory.mktemp("archive") / "pool", []
+    return make_archive(POOL, folder, callback=progress.append), folder, progress
+
+
+def stated(facts: dict) -> dict:
+    """Return facts with the digits of a manifest."""
+    return {
+        key: value if isinstance(value, str) else float(f"{value:.6g}")
+        for key, value in facts.items()
+    }
 
 
 def test_an_archive_is_made_and_can_be_loaded_and_raced(made):
@@ -75,10 +120,13 @@ def test_an_archive_is_made_and_can_be_loaded_and_raced(made):
     assert loaded.preset == "paper"
 
 
-def test_the_manifest_and_the_curve_say_how_it_was_made(made):
-    archive, folder, news = made
-    settings = archive.settings
-    stated = {
+def test_the_manifest_states_settings_versions_and_what_each_stage_left_out(made):
+    archive, settings = made[0], made[0].settings
+    explored = archive.explored
+    allowed = explored.own_crash <= TINY.search_crash_limit
+    sample = explored.coordinates[:12]  # its range is the unit
+    points = Scale.of(sample)(explored.coordinates)
+    facts = {
         "tracks": "Pipkin, Tarnfjord",
         "seed": 6,
         "characteristics": "aggressiveness, restraint",
@@ -88,72 +136,51 @@ def test_the_manifest_and_the_curve_say_how_it_was_made(made):
         "moocore_version": version("moocore"),
         "numba_version": version("numba"),
         "numpy_version": np.__version__,
-        "enough_policies": True,
         "package_version": version("pcs-racing"),
-        "search_over_crash_limit": 0,
-        "policies": len(archive),
+        "search_over_crash_limit": np.sum(~allowed),
+        "search_hypervolume": hypervolume(points[allowed]),
+        "search_hypervolume_without_crash_limit": hypervolume(points),
     }
-    stated["search_over_crash_limit"] = np.sum(archive.explored.own_crash > TINY.search_crash_limit)
-    assert {key: settings[key] for key in stated} == stated
+    assert {key: settings[key] for key in facts} == stated(facts)
     assert not {*settings} & {"groups", "payoff_races", "judging_races", "judging_tracks"}
     assert "Tarnfjord " in settings["track_hashes"]
-    left_out = sum(
-        settings[f"choice_{why}"] for why in ("outside_limits", "beaten", "too_near_another")
-    )
-    left_out += sum(settings[f"measurement_{why}"] for why in ("over_crash_limit", "beaten"))
-    assert settings["choice_candidates"] - left_out == len(archive)
-    # The search: the initial sample, whose range is the unit, and three generations. What is done
-    # counts by the races.
-    explored = archive.explored
-    sample = explored.coordinates[:12]
-    scale = Scale(sample.max(axis=0), sample.min(axis=0))
-    allowed = explored.own_crash <= TINY.search_crash_limit
-    assert settings["search_hypervolume"] == pytest.approx(
-        hypervolume(scale(explored.coordinates[allowed]), -0.1), rel=1e-5
-    )
-    everything = hypervolume(scale(explored.coordinates), -0.1)
-    assert settings["search_hypervolume_without_crash_limit"] == pytest.approx(everything, rel=1e-5)
-    ends, search = [12, 18, 24, 30], [one for one in news if one.stage == "search"]
+    reasons = ("choice_outside_limits", "choice_beaten", "choice_too_near_another")
+    reasons += ("measurement_outside_limits", "measurement_beaten")
+    assert settings["choice_candidates"] - sum(settings[why] for why in reasons) == len(archive)
+
+
+def test_progress_and_the_curve_follow_the_search(made):
+    """The initial sample and three generations; the finished share counts by the races."""
+    archive, folder, progress = made
+    explored, ends = archive.explored, [12, 18, 24, 30]
+    search = [step for step in progress if step.stage == "search"]
     assert [(n.generation, n.generations, n.evaluations) for n in search] == [
         (k, 3, end) for k, end in enumerate(ends)
     ]
     crashes = [part.mean() for part in np.split(explored.own_crash, ends[:-1])]
     assert [n.own_crash for n in search] == pytest.approx(crashes)
-    first = sample[allowed[:12]]
-    assert (search[0].hypervolume, search[0].front) == (
-        pytest.approx(hypervolume(scale(first), -0.1)),
-        non_dominated(first).sum(),
-    )
-    volumes = [n.hypervolume for n in news]
+    sample = explored.coordinates[:12]
+    first = sample[explored.own_crash[:12] <= TINY.search_crash_limit]
+    volume = hypervolume(Scale.of(sample)(first))
+    assert search[0][4:6] == (pytest.approx(volume), non_dominated(first).sum())
+    volumes = [n.hypervolume for n in progress]
     assert volumes == sorted(volumes)  # the same races for all: the front only grows
-    # 2 circuits, both sides, opponents, start lines and seconds.
+    # 2 tracks, both sides, opponents, start lines and seconds.
     work = np.array([30 * 4 * 2 * 1 * 4.0, 16 * 4 * 2 * 1 * 4.0, 80 * 4 * 3 * 1 * 8.0])
     assert list(TINY.work.values()) == work.tolist()
     assert [n.done for n in search] == pytest.approx(np.array(ends) / 30 * work[0] / work.sum())
-    done = {n.stage: n.done for n in news}
+    done = {n.stage: n.done for n in progress}
     assert done == pytest.approx(dict(zip(done, np.cumsum(work) / work.sum(), strict=True)))
-    assert [n.done for n in news] == sorted(n.done for n in news)
-    assert (list(done), news[-1].front) == (["search", "choice", "measurement"], len(archive))
+    assert (list(done), progress[-1].front) == (["search", "choice", "measurement"], len(archive))
     rows = list(csv.reader((folder / "hypervolume.csv").read_text().splitlines()))
-    assert rows == [
-        ["generation", "evaluations", "hypervolume", "front", "own_crash"],
-        *(
-            [
-                str(n.generation),
-                str(n.evaluations),
-                f"{n.hypervolume:.6f}",
-                str(n.front),
-                f"{n.own_crash:.4f}",
-            ]
-            for n in search
-        ),
+    assert rows[0] == ["generation", "evaluations", "hypervolume", "front", "own_crash"]
+    assert [[float(cell) for cell in row] for row in rows[1:]] == [
+        pytest.approx([*n[1:2], *n[3:7]], abs=1e-4) for n in search
     ]
 
 
-def test_the_coordinates_come_from_races_that_chose_nobody(made):
-    """Measured here once more, from the configuration alone; the manifest says what these races
-    came to.
-    """
+def test_the_coordinates_come_from_races_of_their_own(made):
+    """Measured here once more, from the configuration alone."""
     archive = made[0]
     search, choice, final = stage_scenarios(TINY)
     assert final.config.duration == 8.0
@@ -165,54 +192,88 @@ def test_the_coordinates_come_from_races_that_chose_nobody(made):
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
     np.testing.assert_array_equal(found.spread, archive.spread)
     np.testing.assert_array_equal(found.own_crash, archive.own_crash)
-    sample = archive.explored.coordinates[:12]
-    high, low = sample.max(axis=0), sample.min(axis=0)
-    rate, winner, count = found.own_crash, raced["winner"], len(archive)
+    scale = Scale.of(archive.explored.coordinates[:12])
     facts = {
         "policies_not_beaten": np.sum(front_layers(found.coordinates) == 0),
-        "hypervolume": hypervolume(Scale(high, low)(found.coordinates), -0.1),
-        "hypervolume_error": hypervolume_error(raced, Scale(high, low), -0.1),
-        "own_crash_mean": rate.mean(),
-        "own_crash_least": rate.min(),
-        "own_crash_largest": rate.max(),
-        "own_crash_lower_half": rate[: count // 2].mean(),
-        "own_crash_most_aggressive_tenth": rate[-max(1, count // 10) :].mean(),
-        "finished_against_random": 1.0 - raced["crashed"].mean(),
-        "win_share_against_random": (winner == 0).mean(),
-        "loss_share_against_random": (winner == 1).mean(),
+        "hypervolume": hypervolume(scale(found.coordinates)),
+        "hypervolume_error": hypervolume_error(raced, scale),
+        "own_crash_mean": found.own_crash.mean(),
+        "own_crash_max": found.own_crash.max(),
+        "win_share_against_random": (raced["winner"] == 0).mean(),
         "no_op_share": no_op_share(archive),
         "duplicate_share": duplicate_share(archive),
         "correlation_aggressiveness_restraint": np.corrcoef(found.coordinates.T)[0, 1],
     }
-    for k, axis in enumerate(TINY.axes):
-        facts |= {
-            f"ideal_{axis}": found.coordinates[:, k].max(),
-            f"nadir_{axis}": found.coordinates[:, k].min(),
-        }
-        unit = f"0 at {low[k]:.4f}, 1 at {high[k]:.4f} (range of the initial sample)"
-        assert archive.settings[f"hypervolume_unit_{axis}"] == unit
-    assert {key: archive.settings[key] for key in facts} == {
-        key: float(f"{value:.6g}") for key, value in facts.items()
-    }
+    for axis, low, high in zip(TINY.axes, scale.nadir, scale.ideal, strict=True):
+        unit = f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
+        facts[f"hypervolume_unit_{axis}"] = unit
+    assert {key: archive.settings[key] for key in facts} == stated(facts)
 
 
-def test_the_error_of_a_hypervolume_is_the_one_that_is_made():
-    """Of two policies in 30 pairs of races, which have their luck in common."""
+def test_a_pool_is_an_ordinary_archive_chosen_and_judged_by_payoffs(pool):
+    archive, folder, progress = pool
+    check_archive(load_archive(folder))
+    assert len(archive) == 4
+    assert (np.diff(archive.coordinates[:, 0]) >= 0.0).all()
+    explored = archive.explored.parameters
+    assert len(explored) == 16 + 4
+    assert all((explored == theta).all(axis=1).any() for theta in archive.parameters)
+    settings = archive.settings
+    assert (settings["selection"], settings["choice_candidates"]) == ("headroom", 8)
+    assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
+    assert [*dict.fromkeys(step.stage for step in progress)] == [*POOL.work]
+    # Of 28 pairs of candidates and 6 of chosen ones, so many races of 4 s.
+    work = (20 * 2 * 4.0, 28 * 16 * 4.0, 4 * 2 * 4.0, 6 * 2 * 32 * 4.0)
+    assert tuple(POOL.work.values()) == work
+    # Races of each fold: an even number of folds that divides the start lines.
+    chunks = folder / "job" / "chunks"
+    shapes = [
+        np.load(min(chunks.glob(f"{name}-*.npz")))["payoffs"].shape[1]
+        for name in ("choice", "judgement")
+    ]
+    assert shapes == [8, 16]
+    policies = tuple(archive.policy(k) for k in range(4))
+    again = PolicyPool(policies, ("Tarnfjord",), POOL.rules_of(4.0), races=32, seed=3)
+    elsewhere = headroom(pool_payoffs(again)[0]).value
+    assert abs(elsewhere - settings["headroom_elsewhere"]) < 0.3
+
+
+def test_the_pool_has_the_maximum_headroom_of_its_candidates(monkeypatch, pool, tmp_path):
+    """The choice sees the payoffs of all candidates in the order of the first axis."""
+    seen = []
+
+    def choose(payoffs, groups, count, seed):
+        chosen = choose_for_headroom(payoffs, groups, count, seed)
+        seen.append((payoffs.shape, groups, count, chosen[1]))
+        return chosen
+
+    monkeypatch.setattr("pcs_racing_agents.policies.archive_run.choose_for_headroom", choose)
+    copy = Path(shutil.copytree(pool[1], tmp_path / "copy"))
+    archive = make_archive(POOL, copy)
+    ((shape, groups, count, notes),) = seen
+    assert (shape, groups, count) == ((1, 8, 8, 8), 2, 4)
+    assert {key: archive.settings[key] for key in notes} == stated(notes)
+    few = load_archive_config(POOL, initial_sample=8, generations=0, max_policies=10, candidates=10)
+    refused("8 candidates differ in speed", make_archive, few, tmp_path / "few")
+
+
+def test_the_error_of_a_hypervolume_is_its_spread_over_draws_of_the_races():
+    """Two policies in 30 pairs of races, which have their luck in common."""
     rng = np.random.default_rng(0)
     volumes, errors = [], []
     for _ in range(60):
         luck = np.repeat(rng.normal(0.0, 0.4, (1, 30, 1)), 2, axis=1)
         segments = rng.integers(1, 3, (2, 60))
         totals = (np.array([[[0.4, 0.8]], [[0.8, 0.4]]]) + luck) * segments[..., None]
-        raced = {"totals": totals, "segments": segments}
         points = totals.sum(axis=1) / segments.sum(axis=1)[:, None]
-        volumes.append(hypervolume(points, -0.1))
-        errors.append(hypervolume_error(raced, Scale(np.ones(2), np.zeros(2)), -0.1))
+        volumes.append(hypervolume(points))
+        raced = {"totals": totals, "segments": segments}
+        errors.append(hypervolume_error(raced, Scale(np.ones(2), np.zeros(2))))
     assert np.mean(errors) == pytest.approx(np.std(volumes), rel=0.2)
 
 
 def test_limits_are_violated_by_the_largest_shortfall():
-    """Of crashes, of the score against rivals, and of coordinates in units of the initial sample."""
+    """Crashes, the score against rivals, and coordinates in units of the initial sample."""
     config = with_(
         crash_limit=0.19, min_score=0.5, rivals=("lane-switcher",), min_coordinates=(1.0, 2.0)
     )
@@ -222,14 +283,15 @@ def test_limits_are_violated_by_the_largest_shortfall():
         16 * 4 * 3 * 4.0,
         80 * 4 * 4 * 8.0,
     )
-    races = PolicyRaces(config, None, None, None, None)
-    races.scale = Scale(np.array([10.0, 4.0]), np.array([0.0, 0.0]))
+    run = ArchiveRun(config, None, None, None)
+    corners = np.array([[10.0, 0.0], [0.0, 4.0]])
+    run.searched.append((corners, Evaluation(corners, *[corners[:, 0]] * 4)))
     coordinates = np.array([[2.0, 3.0], [2.0, 3.0], [2.0, 3.0], [0.0, 3.0], [2.0, 1.0]])
     crashes, score = np.array([0.05, 0.3, 0.1, 0.1, 0.1]), np.array([0.6, 0.6, 0.2, 0.5, 0.5])
     evaluation = Evaluation(coordinates, crashes, coordinates, crashes, score)
-    assert races.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.3, 0.1, 0.25])
-    races.config = with_(crash_limit=0.19)
-    assert races.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.0, 0.0, 0.0])
+    assert run.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.3, 0.1, 0.25])
+    run.config = with_(crash_limit=0.19)
+    assert run.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.0, 0.0, 0.0])
 
 
 def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
@@ -287,17 +349,20 @@ def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
 
 
-@pytest.mark.parametrize("kind", ["threads", "processes"])
-def test_the_executor_has_no_influence(made, tmp_path, kind, executor):
-    make_archive(TINY, tmp_path / "again", executor=executor)
-    assert files(tmp_path / "again") == files(made[1])
+def test_the_executor_has_no_influence(made, pool, tmp_path):
+    with make_executor("threads", 2) as executor:
+        for config, folder in ((TINY, made[1]), (POOL, pool[1])):
+            make_archive(config, tmp_path / config.name, executor=executor)
+            assert files(tmp_path / config.name) == files(folder)
 
 
 def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(
-    made, monkeypatch, tmp_path
+    made, pool, monkeypatch, tmp_path
 ):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
+    monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)
+    np.testing.assert_array_equal(make_archive(POOL, pool[1]).parameters, pool[0].parameters)
     # of a run that was killed while it wrote
     (folder / ".archive.npz.0123abcd").write_bytes(b"half")
     again = make_archive(TINY, folder)
@@ -347,7 +412,6 @@ def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_
     archive = make_archive(with_(min_policies=60, crash_limit=0.0), tmp_path / "few")
     assert not archive.own_crash.any()
     assert f"the archive holds {len(archive)} policies; 60 were wanted" in caplog.text
-    assert archive.settings["enough_policies"] is False
 
 
 def test_impossible_settings_are_refused():
@@ -365,8 +429,19 @@ def test_impossible_settings_are_refused():
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"preset": "nothing"}, "race settings 'nothing' are unknown"),
         ({"speed": 3}, "unknown archive setting 'speed'"),
+        ({"rivals": ("nobody",)}, "planner 'nobody' is unknown"),
     ]:
         refused(message, with_, **changes)
+    for changes, message in [
+        ({"max_policies": 2, "min_policies": 2, "groups": 1}, "max_policies is 2"),
+        ({"candidates": 3}, "than there are candidates, 3"),
+        ({"groups": 5}, "groups is 5, above max_policies, 4"),
+        ({"payoff_races": 22}, "payoff_races is 22"),
+        ({"judging_races": 50}, "judging_races is 50"),
+        ({"judging_tracks": ("Pipkin",)}, "judging_tracks names 'Pipkin'"),
+        ({"selection": "luck"}, "luck"),
+    ]:
+        refused(message, load_archive_config, POOL, **changes)
 
 
 def test_the_command(tmp_path, run, told):

@@ -30,8 +30,8 @@ def probabilities(kernel, k):
     return dict(zip(sets, weights / weights.sum(), strict=True))
 
 
-@pytest.mark.parametrize(("size", "k"), [(3, 1), (4, 2), (5, 3), (5, 4), (4, 4)])
-def test_the_sets_drawn_have_the_probabilities_of_the_definition(size, k):
+@pytest.mark.parametrize(("size", "k"), [(3, 1), (5, 3), (4, 4)])
+def test_sets_have_the_probabilities_of_the_definition(size, k):
     kernel = diverse.similarity(np.random.default_rng(size * 10 + k).uniform(size=(size, 2)), 0.4)
     expected = probabilities(kernel, k)
     rng = np.random.default_rng(1)
@@ -51,36 +51,22 @@ def test_draws_are_repeated_and_impossible_choices_refused():
     archive = an_archive(np.random.default_rng(3).uniform(size=(30, 2)))
     first = diverse.select_diverse(archive, 6, rng=np.random.default_rng(5))
     np.testing.assert_array_equal(first, diverse.select_diverse(archive, 6, rng=5))
-    assert {tuple(diverse.select_diverse(archive, 6, rng=seed)) for seed in range(5)} != {
-        tuple(first)
-    }
+    others = {tuple(diverse.select_diverse(archive, 6, rng=seed)) for seed in range(5)}
+    assert others != {tuple(first)}
     places = archive.normalised
-    kernel = np.exp(
-        -0.5 * ((places[:, None] - places[None]) ** 2).sum(axis=2) / 0.2**2
-    ) + 1e-6 * np.eye(30)
-    np.testing.assert_allclose(diverse.similarity(places, 0.2), kernel, rtol=1e-12)
-    drawn = np.sort(
-        diverse.sample_kdpp(diverse.similarity(places, 0.2), 6, np.random.default_rng(5))
-    )
-    np.testing.assert_array_equal(first, drawn)  # the defaults
+    squares = ((places[:, None] - places[None]) ** 2).sum(axis=2)
+    kernel = np.exp(-0.5 * squares / 0.2**2) + 1e-6 * np.eye(30)
+    np.testing.assert_allclose(diverse.similarity(places), kernel, rtol=1e-12)
     # The determinants of all sets are below the smallest number there is.
     kernel = diverse.similarity(np.random.default_rng(0).uniform(size=(90, 2)) * 1e-3, 0.5)
     chosen = diverse.sample_kdpp(kernel, 70, np.random.default_rng(1))
     assert len(set(chosen.tolist())) == 70
     for arguments, message in [
         ({"k": 0}, "k is 0"),
-        ({"k": 6}, "k is 6"),
-        ({"k": True}, "k is True"),
+        ({"k": 31}, "k is 31"),
         ({"k": 2, "method": "best"}, "method is 'best'"),
-        ({"k": 2, "scale": 0.0}, "scale is 0.0"),
-        ({"k": 2, "scale": float("nan")}, "scale is nan"),
     ]:
-        refused(
-            message,
-            diverse.select_diverse,
-            an_archive(np.random.default_rng(0).uniform(size=(5, 2))),
-            **arguments,
-        )
+        refused(message, diverse.select_diverse, archive, **arguments)
 
 
 @given(values=st.lists(st.floats(0.0, 3.0), min_size=1, max_size=7), k=st.integers(0, 7))
@@ -112,14 +98,12 @@ def test_diverse_sets_lie_farther_apart_than_random_ones():
     agg = rng.uniform(size=60)
     archive = an_archive(np.column_stack([agg, 1.0 - agg]))
 
-    def nearest_pair(method, seed):
-        points = archive.normalised[diverse.select_diverse(archive, 8, method, seed)]
+    def nearest_pair(indices):
+        points = archive.normalised[indices]
         away = np.linalg.norm(points[:, None] - points[None], axis=-1)
         return away[np.triu_indices(8, 1)].min()
 
-    spread = {
-        method: np.mean([nearest_pair(method, seed) for seed in range(40)])
-        for method in ("kdpp", "random")
-    }
-    assert spread["kdpp"] > 1.5 * spread["random"]
-    assert nearest_pair("map", 0) > spread["kdpp"]
+    drawn = [nearest_pair(diverse.select_diverse(archive, 8, rng=seed)) for seed in range(40)]
+    anywhere = [nearest_pair(rng.choice(60, 8, replace=False)) for _ in range(40)]
+    assert np.mean(drawn) > 1.5 * np.mean(anywhere)
+    assert nearest_pair(diverse.select_diverse(archive, 8, "map")) > np.mean(drawn)

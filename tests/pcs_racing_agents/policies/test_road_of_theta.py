@@ -13,7 +13,7 @@ from repository import REPOSITORY
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import driving
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.policies.mo_cma_es import MOCMAES
+from pcs_racing_agents.policies.search import CubeCMAES
 
 pytest.importorskip("cma")
 pytest.importorskip("moocore")
@@ -72,10 +72,10 @@ class SpyKernel:
 def test_theta_passes_eight_files_between_the_search_and_the_kernel_and_none_twice(
     monkeypatch, tmp_path
 ):
-    draw = MOCMAES.ask
+    draw = CubeCMAES.ask
     spy = SpyKernel(driving.advance_races)
     monkeypatch.setattr(driving, "advance_races", spy)
-    monkeypatch.setattr(MOCMAES, "ask", lambda self: np.vstack([MARK, draw(self)[1:]]))
+    monkeypatch.setattr(CubeCMAES, "ask", lambda self: np.vstack([MARK, draw(self)[1:]]))
     settings = tmp_path / "small.yaml"
     settings.write_text(SETTINGS)
     command = [
@@ -90,7 +90,6 @@ def test_theta_passes_eight_files_between_the_search_and_the_kernel_and_none_twi
     assert main(command) == 0
     # of the search; the choice and the measurement race policies of the archive once more
     road = spy.roads[0]
-    # the function of the documentation
-    assert road[0] == "pcs_racing_agents/policies/synthesize.py"
+    assert road[0] == "pcs_racing_agents/policies/archive_run.py"
     assert len(road) <= 8  # one of them only guards the task against what can't be sent back
     assert len(set(road)) == len(road)

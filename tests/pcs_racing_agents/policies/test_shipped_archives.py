@@ -25,10 +25,8 @@ def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
     archive, config = load_archive(name), load_archive_config(name)
     assert archive.parameter_names == config.varied
     for key, value in stated_settings(config).items():
-        # The first is only a wish; an archive made before there were rivals had none.
-        if key != "min_policies" and (
-            key in archive.settings or key not in ("rivals", "min_score")
-        ):
+        # An archive made before there were rivals had none.
+        if key in archive.settings or key not in ("rivals", "min_score"):
             assert archive.settings[key] == value, key
     assert len(config.tracks) >= 3
     stated_hashes = archive.settings["track_hashes"].split(", ")
