@@ -68,9 +68,9 @@ from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import load_archive_config
-from pcs_racing_agents.study.report_inputs import read_curves
+from pcs_racing_agents.study.config import load_study_config
+from pcs_racing_agents.study.report import read_curves
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.study.study import load_study_config
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.play import plan_tournament, tournament_settings
 from pcs_racing_agents.tournament.race_files import read_results

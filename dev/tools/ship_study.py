@@ -15,7 +15,8 @@ from pathlib import Path
 
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.networks import load_network, save_network
-from pcs_racing_agents.study.study import Study, load_study_config
+from pcs_racing_agents.study.config import load_study_config
+from pcs_racing_agents.study.study import Study
 
 
 def ship(study: Study, checkout: Path) -> list[Path]:
@@ -27,16 +28,16 @@ def ship(study: Study, checkout: Path) -> list[Path]:
     stem = f"{spec.archive.name}-{spec.race}"
     data = checkout / "pcs_racing_agents" / "data"
     networks, written = data / "networks", []
-    targets = dict.fromkeys((*study.config.targets, "regret"))
+    targets = dict.fromkeys((*study.config.learning.targets, "regret"))
     kinds = {target: target for target in targets if study.network(target).is_dir()}
-    if study.config.responses:
-        kinds["gain"] = study.config.responses[0]
+    if study.config.learning.responses:
+        kinds["gain"] = study.config.learning.responses[0]
     for kind, found in kinds.items():
         name = f"{stem}-{kind}"
         written.append(
             save_network(replace(load_network(study.network(found)), name=name), networks / name)
         )
-    if study.config.ppo is not None:
+    if study.config.learning.ppo is not None:
         name = f"{stem}-ppo"
         place = save_network(
             replace(load_network(study.network("ppo")), name=name), networks / name

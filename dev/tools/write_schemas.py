@@ -19,7 +19,7 @@ from pcs_racing_agents.learning.responses.learner import ResponseSettings
 from pcs_racing_agents.learning.self_play import SelfPlaySettings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.policies.config import ArchiveConfig
-from pcs_racing_agents.study.study import StudyConfig
+from pcs_racing_agents.study.config import StudyConfig
 
 FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
 KINDS: dict[str, type[Settings]] = {
@@ -38,15 +38,21 @@ def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
     """Return the schema of a file of settings; ``more`` are keys beside the options."""
     properties = {}
     for name, option in options_of(cls).items():
-        schema = option.adapter.json_schema()
+        kind = option.kind
+        nested = isinstance(kind, type) and issubclass(kind, Settings)
+        schema = schema_of(kind) if nested else option.adapter.json_schema()
         # editors would refuse 0.3, which is no multiple of 0.1 in floating point
         schema.pop("multipleOf", None)
         if DIFFERENT in option.notes:
             schema["uniqueItems"] = True
+        if kind is RaceConfig:
+            schema = {"anyOf": [{"type": "string"}, schema]}
         if option.default is None:
             schema = {"anyOf": [schema, {"type": "null"}]}
-        default = dict(option.default) if isinstance(option.default, Mapping) else option.default
-        properties[name] = {**schema, "description": option.meaning, "default": default}
+        properties[name] = {**schema, "description": option.meaning}
+        if not nested or option.default is None:
+            is_mapping = isinstance(option.default, Mapping)
+            properties[name]["default"] = dict(option.default) if is_mapping else option.default
     return {"type": "object", "additionalProperties": False, "properties": {**properties, **more}}
 
 

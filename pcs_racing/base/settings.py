@@ -357,10 +357,13 @@ def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
 
 def plain_settings(settings: Settings) -> dict[str, Any]:
     """Return settings as plain values that YAML can hold; tuples become lists."""
-    values = {field.name: getattr(settings, field.name) for field in fields(settings)}
-    return {
-        key: list(value) if isinstance(value, tuple) else value for key, value in values.items()
-    }
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Settings):
+            return plain_settings(value)
+        return list(value) if isinstance(value, tuple) else value
+
+    return {field.name: plain(getattr(settings, field.name)) for field in fields(settings)}
 
 
 def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where: str) -> None:
@@ -407,6 +410,7 @@ def option_words(option: Option, with_default: bool = True) -> str:
     """Return the meaning, the range and the default of an option as a sentence."""
     noun, limits = _wanted(option.kind, option.notes, 1e9)
     words = f"{noun}{limits}" if noun == "one of" else limits.strip(" ,")
-    shown = with_default and option.default is not None and option.default is not MISSING
+    hidden = option.default in (None, MISSING) or isinstance(option.default, Settings)
+    shown = with_default and not hidden
     default = f" (default: {option.default!r})" if shown else ""
     return f"{option.meaning.rstrip('.')}{f'; {words}' if words else ''}{default}."

@@ -14,7 +14,7 @@ from pcs_racing.base.settings import Checked, Settings
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.base.tables import Column, markdown, table_rows, with_interval
 from pcs_racing_agents.benchmark.card_values import NAME, SHA256, CardScore, Gain, ReplyLoss
-from pcs_racing_agents.study.report import page_environment
+from pcs_racing_agents.study.report_page import page_environment
 
 FORMAT = "pcs-racing card 1"
 LARGEST = 1_000_000

@@ -50,7 +50,8 @@ def run(
         changes |= {"synthesis": None, "archive": archive}
     settings = load_study_config(config, **changes)
     if unseen:
-        settings = replace(settings, tracks=(*settings.tracks, *unseen))
+        tracks = (*settings.table.tracks, *unseen)
+        settings = replace(settings, table=replace(settings.table, tracks=tracks))
     with workers.start() as executor:
         study = run_study(settings, out, only=stage, executor=executor)
     for name, seconds in stage_seconds(study).items():

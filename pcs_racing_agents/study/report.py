@@ -1,153 +1,254 @@
-"""The report of a study: one self-contained page with tables, pictures and replays."""
+"""The last stage: race results line by line, tables, and the report page."""
 
-import base64
-import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import platform
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.race.replay import replay_page
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents.fits import load_fit
 from pcs_racing_agents.base.curves import Curve
-from pcs_racing_agents.base.tables import is_number
-from pcs_racing_agents.study.report_inputs import ExplainedRace
-from pcs_racing_agents.study.table import StudyTable
-from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
-from pcs_racing_agents.tournament.round_robin import RoundRobin
-from pcs_racing_agents.tournament.table import rating_interval
-from pcs_racing_agents.watch.situations import Situations, situations_text
+from pcs_racing_agents.base.folders import package_version
+from pcs_racing_agents.base.tables import read_csv
+from pcs_racing_agents.study.config import BEST_OPEN_LOOP
+from pcs_racing_agents.study.report_page import (
+    ExplainedRace,
+    ReportContent,
+    TitledTable,
+    report_page,
+)
+from pcs_racing_agents.study.stages import StudyRaces, table_races
+from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.table import StudyTable, by_progress, make_table
+from pcs_racing_agents.study.table_text import (
+    overview_rows,
+    paper_rows,
+    table_text,
+    verdict_text,
+    write_table,
+)
+from pcs_racing_agents.tournament.pairings import Pairing
+from pcs_racing_agents.tournament.race_files import read_results, write_results
+from pcs_racing_agents.tournament.races import RaceTable, closeness_text, concatenate_races
+from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
+from pcs_racing_agents.watch.explain import explain_game
+from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
+from pcs_racing_agents.watch.words import story
+
+GAME_THEORETIC = "cfr-argmax"  # the paper's agent
+MIN_RACES = 1000  # per agent and row; below it is a smoke test; paper: 4,000
+WATCHED = (
+    ("a win by switching", "a win with switches"),
+    ("a loss",),
+    ("a crash of its own",),
+)
+"""Outcomes of the report's example races; of several, the first that occurred."""
 
 
-class TitledTable(NamedTuple):
-    """A table with a title."""
-
-    title: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]  #: Rows of as many cells as the head; numbers align right.
-    note: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class ReportContent:
-    """Content of a report; everything but the title is optional."""
-
-    title: str
-    about: str = ""  #: Subject of the study, in a few sentences.
-    findings: Sequence[str] = ()  #: Results, one sentence each; the first is the headline.
-    caution: str = ""  #: Reason to distrust the results.
-    table: StudyTable | None = None
-    archive: PolicyArchive | None = None  #: Archive to draw, with moves of length ``epsilon``.
-    epsilon: float | tuple[float, ...] = 0.5
-    curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)  #: Losses per network.
-    #: Learning curves of reinforcement learning by step (in millions), one panel per figure.
-    reward_curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)
-    round_robin: RoundRobin | None = None
-    situations: Sequence[Situations] = ()  #: Moves by situation, for each agent.
-    sheets: Sequence[TitledTable] = ()  #: Other tables.
-    races: Sequence[ExplainedRace] = ()
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    versions: Mapping[str, Any] = field(default_factory=dict)
-    seeds: Mapping[str, Any] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)  #: Time of each stage, s.
+def write_report(study: Study) -> None:
+    """Write ``results.csv``, ``table.csv``, ``table.txt`` and ``report.html``."""
+    cells = table_races(study)
+    folder = study.folder
+    write_results((row for cell in cells for row in cell.races), folder / "results.csv")
+    main = study_table(study, races_of(cells))
+    write_table(main, folder / "table.csv")
+    _write(folder / "table.txt", table_text(main))
+    _write(folder / "report.html", report_page(report_content(study, cells, main)))
 
 
-def write_page(content: ReportContent, path: str | os.PathLike[str]) -> Path:
-    """Write the report atomically; without matplotlib it has no pictures of its own."""
-    page = report_page(content)
-    write_atomically(Path(path), lambda file: file.write(page.encode("utf-8")))
-    return Path(path)
+def _write(path: Path, text: str) -> None:
+    write_atomically(path, lambda file: file.write(text.encode("utf-8")))
 
 
-def page_environment(package: str) -> Environment:
-    """Return a package's template environment: text is escaped, and ``page`` embeds a replay."""
-    environment = Environment(
-        loader=PackageLoader(package, ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
+def races_of(cells: Sequence[StudyRaces], table: str = "main") -> RaceTable:
+    """Return the races of one of the study's tables."""
+    return concatenate_races(cell.races for cell in cells if cell.table == table)
+
+
+def study_table(study: Study, races: RaceTable) -> StudyTable:
+    """Compare the agents of one of the study's tables."""
+    config = study.config
+    table = make_table(
+        races,
+        best=config.best,
+        open_loop=best_open_loop(study),
+        seen={load_track(name).name for name in config.learning.tracks},
     )
-    environment.filters["page"] = replay_page
-    return environment
+    if config.game.race.name == "paper":
+        return table
+    # The paper's figures are comparable under the paper's rules only.
+    return replace(table, rows=tuple(replace(row, paper=None) for row in table.rows))
 
 
-def report_page(content: ReportContent) -> str:
-    """Return the report as HTML from the template ``report.html``; all text is escaped."""
-    # Names of agents and tracks come from files: all text is escaped.
-    environment = page_environment("pcs_racing_agents.study")
-    environment.filters |= {"p_value": p_text, "plain": _plain, "data": _data}
-    environment.tests["number"] = is_number
-    return environment.get_template("report.html").render(
-        content=content,
-        table=content.table,
-        can_draw=find_spec("matplotlib") is not None,
-        draw=_draw,
-        details=detail_rows,
-        detail_columns=DETAILS,
-        notes=notes,
-        paper_text=paper_text,
-        situations_text=situations_text,
-        ratings=_ratings(content),
+def best_open_loop(study: Study) -> str | None:
+    """Return the fitted baseline with the max number of training wins; None without such agents.
+
+    Candidates are the best fixed policy, the best open-loop sequence and the best lead plan. On
+    the training races the sequence is at least as good as any constant move, and the plan as any
+    fixed policy, since their searches begin with the best constant move and the best fixed policy.
+    """
+    if not set(BEST_OPEN_LOOP) <= set(study.config.table.agents):
+        return None
+    fits = {name: load_fit(study.folder / "open-loop" / f"{name}.yaml") for name in BEST_OPEN_LOOP}
+    return max(BEST_OPEN_LOOP, key=lambda name: float(fits[name].training["reached"]))  # first max
+
+
+def report_content(study: Study, cells: Sequence[StudyRaces], main: StudyTable) -> ReportContent:
+    """Return all that the report shows."""
+    config, game = study.config, study.config.game
+    sheets = list(_papers_statistic(study, races_of(cells)))
+    if config.further is not None:
+        further = study_table(study, races_of(cells, "further"))
+        head, *rows = overview_rows(further)
+        races = further.rows[0].arms[0].races
+        note = f"{races} races of each agent in each row."
+        sheets.append(TitledTable("More opponents, tracks and agents", head, rows, note))
+    ratings = study.folder / "ratings.csv"
+    return ReportContent(
+        title=f"Study: {game.race.name} race, archive {study.archive.name}",
+        about=(
+            f"{sum(len(cell.races) for cell in cells):,} races of {game.horizon:g} s between two"
+            f" cars. Every {game.step_seconds:g} s an agent may change its policy, which is how its"
+            f" car drives, by {game.epsilon} of the archive's range on an axis. The baseline is"
+            f" {main.base}.\n\n"
+            f"{closeness_text(concatenate_races(cell.races for cell in cells))}"
+        ),
+        findings=list(_findings(main)),
+        caution=_caution(main),
+        table=main,
+        archive=study.archive,
+        epsilon=game.epsilon,
+        curves=_loss_curves(study),
+        round_robin=_round_robin(study) if ratings.is_file() else None,
+        sheets=sheets,
+        races=list(_watched(study, [cell for cell in cells if cell.table == "main"])),
+        settings=plain_settings(config),
+        versions=software(),
     )
 
 
-def _draw(name: str, *arguments: Any, **options: Any) -> bytes:
-    """Draw one of the report's pictures."""
-    from pcs_racing_agents.base import curves
-    from pcs_racing_agents.base.style import picture_bytes
-    from pcs_racing_agents.study import figures
-    from pcs_racing_agents.tournament import table
-    from pcs_racing_agents.watch import pcs_picture, situations
-
-    # The template names a picture; the modules imported here, only for reports, draw it.
-    home = next(
-        module
-        for module in (figures, curves, table, pcs_picture, situations)
-        if hasattr(module, name)
+def _papers_statistic(study: Study, races: RaceTable) -> Iterator[TitledTable]:
+    """Write the main table by the paper's statistic and yield it; only under the paper's rules."""
+    table = study_table(study, by_progress(races))
+    if GAME_THEORETIC not in table.arms or not any(row.paper for row in table.rows):
+        return
+    write_table(table, study.folder / "table_by_progress.csv")
+    head, *rows = paper_rows(table, GAME_THEORETIC)
+    title = "Who has progressed further at the end, crash or not: the paper's statistic"
+    note = (
+        "Mean and standard deviation over the ego's start policies; p: paired t-test over them, as"
+        " in the paper."
     )
-    return picture_bytes(getattr(home, name)(*arguments, **options))
+    yield TitledTable(title, head, rows, note)
 
 
-def _data(picture: bytes) -> str:
-    """Return an SVG picture as a data URL."""
-    return f"data:image/svg+xml;base64,{base64.b64encode(picture).decode('ascii')}"
+def _findings(table: StudyTable) -> Iterator[str]:
+    """Yield the results of the main table as sentences."""
+    others = [arm for arm in table.arms if arm != table.base]
+    for arm in sorted(others, key=lambda arm: arm != table.best):
+        differences = [one for row in table.rows for one in row.differences if one.arm == arm]
+        yield verdict_text(arm, table.base, [one.result for one in differences])
+    gains = [row.gain.result for row in table.rows if row.gain is not None]
+    if gains and table.best is not None:
+        open_loop = f"{table.open_loop}, the best baseline in training"
+        yield f"Gain from observing the race: {verdict_text(table.best, open_loop, gains)}"
 
 
-def _plain(value: Any) -> str:
-    return ", ".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+def _caution(table: StudyTable) -> str:
+    """Return a warning if a study is too small for conclusions, else an empty text."""
+    races = min(arm.races for row in table.rows for arm in row.arms)
+    if races >= MIN_RACES:
+        return ""
+    return (
+        f"This is a smoke test, too small to conclude from: {races} races of an agent in a row, the"
+        " paper has 4,000."
+    )
 
 
-def _ratings(content: ReportContent) -> list[tuple[str, ...]]:
-    """Return the ratings as a table, best first; empty without ratings."""
-    round_robin = content.round_robin
-    if round_robin is None or round_robin.ratings is None:
-        return []
-    table: list[tuple[str, ...]] = [
-        (
-            "agent",
-            "rating",
-            "95 % interval",
-            "races",
-            "races that paid nobody",
-            "equilibrium",
-            "alpha-rank",
-        )
-    ]
-    for i in np.argsort(-round_robin.ratings.strength, kind="stable"):
-        name = round_robin.ratings.names[i]
-        rating, low, high = round_robin.rating(name)
-        equilibrium, alpha_rank = (
-            "" if probabilities is None else f"{probabilities[round_robin.names.index(name)]:.2f}"
-            for probabilities in (round_robin.equilibrium, round_robin.alpha_rank)
-        )
-        counts = (str(round_robin.ratings.races[i]), str(round_robin.ratings.left_out[i]))
-        table.append(
-            (name, f"{rating:+.0f}", rating_interval(low, high), *counts, equilibrium, alpha_rank)
-        )
-    return table
+def read_curves(path: str | Path) -> list[Curve]:
+    """Read a trained network's training and validation loss."""
+    names = ("epoch", "training_loss", "validation_loss")
+    table = read_csv(path)
+    missing = [name for name in names if name not in table.columns]
+    if missing:
+        raise InputError(f"{path} has no column {missing[0]!r}")
+    epochs, *losses = (
+        np.array([_number(row[name], path) for row in table.rows()]) for name in names
+    )
+    labels = ("training", "validation")
+    return [Curve(epochs, loss, label) for loss, label in zip(losses, labels, strict=True)]
+
+
+def _number(text: str | None, path: str | Path) -> float:
+    try:
+        value = float(text) if text else np.nan
+    except ValueError:
+        # Text is as invalid as infinity; an empty cell is an unknown number.
+        value = np.inf
+    if abs(value) > 1e100:
+        raise InputError(f"{path} holds {text!r} where a number should be")
+    return value
+
+
+def _loss_curves(study: Study) -> dict[str, list[Curve]]:
+    """Return the learning curves of the networks, in the order of the configuration."""
+    targets = study.config.learning.targets
+    files = {name: study.network(name) / "learning_curves.csv" for name in targets}
+    return {name: read_curves(file) for name, file in files.items() if file.is_file()}
+
+
+def _round_robin(study: Study) -> RoundRobin:
+    races = read_results(study.folder / "ratings.csv")
+    return round_robin(study.config.rated, races, seed=study.config.seed)
+
+
+def _watched(study: Study, cells: Sequence[StudyRaces]) -> Iterator[ExplainedRace]:
+    """Yield the best agent's closest win, loss and crash of the main table."""
+    best = study.config.best
+    races = races_of(cells)
+    ends = np.cumsum([len(cell.races) for cell in cells])
+    own = races.agents.codes[:, 0] == races.agents.words.index(best)
+    outcome = np.where(own, outcomes(races, 0), -1)
+    for kinds in WATCHED:
+        kind = next((one for one in kinds if (outcome == OUTCOMES.index(one)).any()), None)
+        if kind is None:
+            continue
+        rows = np.flatnonzero(outcome == OUTCOMES.index(kind))
+        row = int(rows[np.argmin(np.abs(races.lead[rows]))])
+        gap = abs(float(races.lead[row]))
+        title = f"{best}: {kind}; of {len(rows)} such races the closest, {gap:.1f} m at the end"
+        place = int(np.searchsorted(ends, row, side="right"))
+        race = row - int(ends[place]) + len(cells[place].races)
+        yield watch_race(cells[place].pairing, race, title)
+
+
+def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
+    """Repeat a race for the report; the pairing's ego makes moves."""
+    explanation = explain_game(
+        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race)
+    )
+    picture = b""
+    if find_spec("matplotlib") is not None:
+        from pcs_racing_agents.base.style import picture_bytes
+        from pcs_racing_agents.watch.pictures import explanation_picture
+
+        picture = picture_bytes(explanation_picture(explanation))
+    return ExplainedRace(title, story(explanation), explanation.replay, picture)
+
+
+def software() -> dict[str, str]:
+    """Return the versions of the libraries that the results depend on, and the machine."""
+    versions = {"pcs-racing": package_version(), "Python": platform.python_version()}
+    for library in ("numpy", "numba", "torch", "cma", "moocore", "scipy", "matplotlib"):
+        try:
+            versions[library] = version(library)
+        except PackageNotFoundError:
+            continue
+    return {**versions, "machine": f"{platform.system()} {platform.machine()}"}

@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.study.study import Study, StudyConfig
+from pcs_racing_agents.study.config import load_study_config
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament.race_files import read_results
-from pcs_racing_agents.watch.results_folder import ResultsFolder, read_manifest, tuples
+from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder, read_manifest
 
 
 def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
@@ -22,11 +23,11 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     # A study stores the races of its ratings in a separate folder, with their lines next to it.
     file, study = path / "results.csv", None
     if manifest["kind"] == "study":
-        study = Study(_study_config(manifest["settings"]), path, quiet=True)
+        study = _study(path, manifest)
     else:
         above = read_manifest(path.resolve().parent)
         if above is not None and above["kind"] == "study":
-            study = Study(_study_config(above["settings"]), path.resolve().parent, quiet=True)
+            study = _study(path.resolve().parent, above)
             file = path.resolve().with_suffix(".csv")
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
@@ -39,8 +40,8 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     return results
 
 
-def _study_config(values: Mapping[str, Any]) -> StudyConfig:
+def _study(folder: Path, manifest: Mapping[str, Any]) -> Study:
     try:
-        return StudyConfig(**tuples(values))
-    except TypeError as error:
-        raise InputError(f"the study's settings are of another version: {error}") from None
+        return Study(load_study_config(**manifest["settings"]), folder, quiet=True)
+    except InputError as error:
+        raise InputError(f"{folder / MANIFEST}: {error}") from None

@@ -1,15 +1,13 @@
 """Runner of a study: its stages in order, each in its own folder; finished stages are skipped.
 
 A finished stage leaves a file ``done.yaml`` with digests of its outputs for later stages; a
-stopped stage resumes its job. The results depend on the study's configuration alone. The time of
-a stage includes its stopped runs.
+stopped stage resumes its job. The results depend on the study's configuration alone.
 """
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,77 +20,69 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.folders import claim_folder, clear_half_written
 from pcs_racing_agents.learning.ppo.learner import check_packages
-from pcs_racing_agents.study import playing, preparing, reporting
-from pcs_racing_agents.study.study import Study, StudyConfig
+from pcs_racing_agents.study import stages
+from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.study.report import write_report
+from pcs_racing_agents.study.study import Study
 
-DONE, SECONDS = "done.yaml", "seconds.txt"
-"""Files in the folder of a finished stage and of a stopped stage."""
-
-
-def _report(study: Study) -> None:
-    reporting.write_report(study, stage_seconds(study))
+DONE = "done.yaml"
+"""File in the folder of a finished stage."""
 
 
 class Stage(NamedTuple):
     """A stage of a study, with a folder of the same name."""
 
     name: str
-    needs: tuple[str, ...]  #: Stages to finish first.
     does: str  #: Short description of its work.
-    run: Callable[[Study], None]  #: Function ``run(study)``; it skips finished work.
-    always: bool = False  #: True to run again after it is done.
-
-    def check_libraries(self, config: StudyConfig) -> None:
-        """Raise ModuleNotFoundError if a required library is missing."""
-        learns = {
-            "networks": config.pairs > 0,
-            "responses": bool(config.responses),
-            "sampled-cfr": config.sampled_cfr is not None,
-        }
-        if learns.get(self.name):
-            require("torch", extra="learning")
-        elif self.name == "ppo" and config.ppo is not None:
-            check_packages()
-        elif self.name == "archive" and config.synthesis is not None:
-            require("moocore", "cma", extra="synthesis")
+    run: Callable[[Study], Any]  #: Function ``run(study)``; it skips finished work.
+    needs: tuple[str, ...] = ()  #: Stages to finish first.
 
 
 LEARNED = ("networks", "sampled-cfr", "open-loop", "responses", "ppo")
 
 STAGES = (
-    Stage("archive", (), "searches policies", preparing.make_the_archive),
-    Stage("trees", ("archive",), "plays game trees", preparing.play_trees),
-    Stage("networks", ("trees",), "trains networks on the trees", preparing.train_networks),
+    Stage("archive", "searches policies", stages.make_the_archive),
+    Stage("trees", "plays game trees", stages.play_trees, ("archive",)),
+    Stage("networks", "trains networks on the trees", stages.train_networks, ("trees",)),
     Stage(
         "sampled-cfr",
-        ("archive",),
         "learns regrets from sampled games",
-        preparing.learn_sampled_regrets,
-    ),
-    Stage(
-        "open-loop",
+        stages.learn_sampled_regrets,
         ("archive",),
-        "chooses the best agents that look at nothing but who leads",
-        preparing.choose_open_loop,
     ),
+    Stage("open-loop", "chooses the open-loop agents", stages.choose_open_loop, ("archive",)),
     Stage(
         "responses",
+        "learns best responses to opponents",
+        stages.learn_responses,
         ("networks", "open-loop"),
-        "learns answers to opponents",
-        preparing.learn_responses,
     ),
-    Stage("ppo", ("archive",), "trains the PPO baseline", preparing.train_ppo_baseline),
-    Stage("races", LEARNED, "drives the races of the table", playing.race_tables),
-    Stage("ratings", LEARNED, "lets agents race all against all", playing.race_for_ratings),
-    Stage(
-        "report", ("races", "ratings"), "writes results.csv and report.html", _report, always=True
-    ),
+    Stage("ppo", "trains the PPO baseline", stages.train_ppo_baseline, ("archive",)),
+    Stage("races", "drives the races of the tables", stages.table_races, LEARNED),
+    Stage("ratings", "lets agents race all against all", stages.race_for_ratings, LEARNED),
+    Stage("report", "writes results.csv and report.html", write_report, ("races", "ratings")),
 )
-"""All stages, in order of execution."""
+"""All stages, in order of execution; the report is written at every run."""
+
+
+def check_libraries(config: StudyConfig, stage: str) -> None:
+    """Raise ModuleNotFoundError if a library that a stage needs is missing."""
+    learning = config.learning
+    learns = {
+        "networks": learning.trees > 0,
+        "responses": bool(learning.responses),
+        "sampled-cfr": learning.sampled_cfr is not None,
+    }
+    if learns.get(stage):
+        require("torch", extra="learning")
+    elif stage == "ppo" and learning.ppo is not None:
+        check_packages()
+    elif stage == "archive" and config.synthesis is not None:
+        require("moocore", "cma", extra="synthesis")
 
 
 def stage_seconds(study: Study) -> dict[str, float]:
-    """Return the time of each finished stage, s, including its stopped runs."""
+    """Return the time of each finished stage, s, of the run that finished it."""
     return {name: float(note["seconds"]) for name, note in _notes(study.folder).items()}
 
 
@@ -116,8 +106,8 @@ def _notes(folder: Path) -> dict[str, dict[str, Any]]:
 def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
     """Return digests of a stage's outputs for later stages, by path; jobs guard their chunks."""
     names = {
-        "networks": config.targets,
-        "responses": config.responses,
+        "networks": config.learning.targets,
+        "responses": config.learning.responses,
         "sampled-cfr": (stage, "regret"),
     }
     left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
@@ -128,28 +118,8 @@ def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
     return {
         name.as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
         for name, file in found.items()
-        if file.is_file() and not file.name.startswith(".") and file.name not in (DONE, SECONDS)
+        if file.is_file() and not file.name.startswith(".") and file.name != DONE
     }
-
-
-@contextmanager
-def seconds_counted(file: Path) -> Iterator[Callable[[], float]]:
-    """Yield a function of a stage's elapsed time; a stopped run saves the time for the next."""
-    try:
-        before = float(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        before = 0.0
-    began = time.monotonic()
-
-    def spent() -> float:
-        return (before if 0.0 <= before < 1e9 else 0.0) + time.monotonic() - began
-
-    try:
-        yield spent
-    except BaseException:
-        write_atomically(file, lambda out: out.write(f"{spent():.1f}\n".encode()))
-        raise
-    file.unlink(missing_ok=True)
 
 
 def run_study(
@@ -198,10 +168,10 @@ def stages_to_run(
         stage
         for stage in STAGES
         if (only is None or stage.name in only)
-        and (stage.always or not _done(Path(folder), stage.name))
+        and (stage.name == "report" or not _done(Path(folder), stage.name))
     ]
     for stage in remaining:
-        stage.check_libraries(config)
+        check_libraries(config, stage.name)
     # Damaged or changed files would silently give other results.
     for name, note in _notes(Path(folder)).items():
         present = _digests(config, Path(folder), name)
@@ -212,7 +182,7 @@ def stages_to_run(
                     f" {Path(folder) / name / DONE}; delete both, and the stage runs again"
                 )
     # A missing track of the last stage is reported now, not after hours of other stages.
-    for name in config.every_track:
+    for name in config.tracks:
         load_track(name)
     return remaining
 
@@ -231,9 +201,13 @@ def _run_stage(study: Study, stage: Stage) -> None:
         print(f"{stage.name}: {stage.does}", flush=True)
     folder = study.folder / stage.name
     folder.mkdir(exist_ok=True)
+    began = time.monotonic()
+    stage.run(study)
     # The note is written last: a stopped stage is not done, and runs again.
-    with seconds_counted(folder / SECONDS) as spent:
-        stage.run(study)
-        files = {} if stage.always else _digests(study.config, study.folder, stage.name)
-        text = yaml.safe_dump({"stage": stage.name, "seconds": round(spent(), 1), "files": files})
-        write_atomically(folder / DONE, lambda out: out.write(text.encode("utf-8")))
+    note = {
+        "stage": stage.name,
+        "seconds": round(time.monotonic() - began, 1),
+        "files": {} if stage.name == "report" else _digests(study.config, study.folder, stage.name),
+    }
+    text = yaml.safe_dump(note)
+    write_atomically(folder / DONE, lambda out: out.write(text.encode("utf-8")))

@@ -5,7 +5,7 @@ same races.
 ``docs/statistics.md`` explains the columns and the intervals.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,7 +25,8 @@ from pcs_racing_agents.tournament.statistics import (
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
-FEWEST_LINES = 5
+GAIN = "adaptivity gain"
+MIN_LINES = 5
 """Min number of shared start lines for clustering by start line (fewer: too few df)."""
 
 
@@ -75,8 +76,8 @@ class Difference:
     arm: str
     base: str
     result: Comparison  #: Result to quote; clusters: egos, opponents and shared start lines.
-    two_way: Comparison  #: Result for given start lines; clusters: egos and opponents.
-    p_holm: float  #: ``result.p_clustered``, adjusted over this arm's rows (Holm 1979).
+    #: ``result.p_clustered``, adjusted over this arm's rows (Holm 1979).
+    p_holm: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -98,6 +99,12 @@ class TableRow:
     def name(self) -> str:
         """Track and opponent as text."""
         return f"{self.track} ({'seen' if self.seen else 'unseen'}) against {self.opponent}"
+
+    @property
+    def questions(self) -> list[tuple[str, Difference]]:
+        """Differences by the name of the arm, then the gain."""
+        gains = [] if self.gain is None else [(GAIN, self.gain)]
+        return [*((one.arm, one) for one in self.differences), *gains]
 
 
 @dataclass(frozen=True)
@@ -159,16 +166,9 @@ def make_table(
             )
     if best == open_loop:
         open_loop = None  # the best agent is open-loop itself: no gain
+    arms = [base, *(arm for arm in arms if arm != base)]
     rows = [
-        _row(
-            track,
-            opponent,
-            pairs,
-            [base, *(arm for arm in arms if arm != base)],
-            best,
-            open_loop,
-            track in seen,
-        )
+        _row(track, opponent, pairs, arms, best, open_loop, track in seen)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
     ]
     return StudyTable(tuple(_adjusted(rows)), base, best, open_loop)
@@ -197,7 +197,7 @@ def _row(
     if arms[0] not in raced:
         raise InputError(f"{label}: {arms[0]!r} did not race; there is nothing to compare with")
     first = raced[arms[0]]
-    scores = {arm: matched_scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
+    scores = {arm: _matched_scores(first, races, f"{label}, {arm}") for arm, races in raced.items()}
     egos, opponents = first.variants.T.astype(np.int64)
     lines = np.unique(first.start_s, return_inverse=True)[1].astype(np.int64)
     # Labels and lines come from the first arm; the scores of all other arms follow its order.
@@ -208,8 +208,7 @@ def _row(
     clusters = varied if start is None else (*varied, start)
 
     def difference(arm: str, other: str) -> Difference:
-        pair = (scores[arm], scores[other], *labels)
-        return Difference(arm, other, compare(*pair, start=start), compare(*pair), np.nan)
+        return Difference(arm, other, compare(scores[arm], scores[other], *labels, start=start))
 
     results = []
     for arm, races in raced.items():
@@ -235,14 +234,8 @@ def _row(
     )
 
 
-def matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
+def _matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
     """Return the scores of an arm in the order of the races of another arm."""
-    # The orders mostly agree; then no dictionary of all races is needed.
-    columns = [(table.variants, table.start_s, table.side) for table in (first, races)]
-    if all(
-        np.array_equal(column, other_column) for column, other_column in zip(*columns, strict=True)
-    ):
-        return races.score
     try:
         return races.score[match_units(_units(first), _units(races))]
     except InputError as error:
@@ -260,7 +253,7 @@ def _shared_lines(egos: Labels, opponents: Labels, lines: Labels) -> Labels | No
     """Return the labels of shared start lines; None if each pair had its own, or too few."""
     # At least as many lines as pairs: lines were drawn per pair and are no separate cluster.
     pairs = len(set(zip(egos.tolist(), opponents.tolist(), strict=True)))
-    return lines if FEWEST_LINES <= len(np.unique(lines)) < pairs else None
+    return lines if MIN_LINES <= len(np.unique(lines)) < pairs else None
 
 
 def _codes(labels: Labels) -> NDArray[np.intp]:
@@ -269,32 +262,15 @@ def _codes(labels: Labels) -> NDArray[np.intp]:
 
 def _adjusted(rows: list[TableRow]) -> list[TableRow]:
     """Return the rows with p-values adjusted over all rows, separately for each arm."""
-
-    def adjust(differences: list[Difference]) -> Iterator[Difference]:
-        p_values = (
-            holm([difference.result.p_clustered for difference in differences]).tolist()
-            if differences
-            else []
-        )
-        return iter(
-            [
-                replace(difference, p_holm=p)
-                for difference, p in zip(differences, p_values, strict=True)
-            ]
-        )
-
     # Per arm: the question is about the gain of this agent over all rows, not of any agent.
-    differences: dict[str, list[Difference]] = {}
+    p_values: dict[str, list[float]] = {}
     for row in rows:
-        for difference in row.differences:
-            differences.setdefault(difference.arm, []).append(difference)
-    by_arm = {arm: adjust(of_arm) for arm, of_arm in differences.items()}
-    gains = adjust([row.gain for row in rows if row.gain is not None])
-    return [
-        replace(
-            row,
-            differences=tuple(next(by_arm[difference.arm]) for difference in row.differences),
-            gain=None if row.gain is None else next(gains),
-        )
-        for row in rows
-    ]
+        for arm, difference in row.questions:
+            p_values.setdefault(arm, []).append(difference.result.p_clustered)
+    adjusted = {arm: iter(holm(values).tolist()) for arm, values in p_values.items()}
+    results = []
+    for row in rows:
+        own = {arm: replace(one, p_holm=next(adjusted[arm])) for arm, one in row.questions}
+        gain = own.pop(GAIN, None)
+        results.append(replace(row, differences=tuple(own.values()), gain=gain))
+    return results

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing_agents.base.tables import aligned, interval_text, markdown, with_interval, write_csv
-from pcs_racing_agents.study.table import Difference, StudyTable, TableRow
+from pcs_racing_agents.base.tables import aligned, interval_text, with_interval, write_csv
+from pcs_racing_agents.study.table import GAIN, Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.statistics import Comparison
 
 DETAILS = (
@@ -43,37 +43,30 @@ def paper_text(row: TableRow) -> str:
     if row.paper is None:
         return ""
     paper = row.paper
-    return (
-        f"{paper.non_gt:.3f} ± {paper.non_gt_sd:.3f} non-GT, {paper.gt:.3f} ± {paper.gt_sd:.3f} GT,"
-        f" difference {paper.difference:+.3f}, p {paper.p:.3g}"
-    )
+    non_gt, gt = _plus_minus(paper.non_gt, paper.non_gt_sd), _plus_minus(paper.gt, paper.gt_sd)
+    return f"{non_gt} non-GT, {gt} GT, difference {paper.difference:+.3f}, p {paper.p:.3g}"
 
 
 def overview_rows(
     table: StudyTable, show: Callable[[Difference], str] = difference_text
 ) -> list[tuple[str, ...]]:
     """Return the short table, head first: one line per row, one column per difference."""
-    others = [arm for arm in table.arms if arm != table.base]
-    gain = (
-        []
-        if table.best is None or table.open_loop is None
-        else [f"{table.best} - {table.open_loop}"]
-    )
+    columns = {arm: arm for arm in table.arms if arm != table.base}
+    if table.best is not None and table.open_loop is not None:
+        columns[GAIN] = f"{table.best} - {table.open_loop}"
     papers = any(row.paper is not None for row in table.rows)
-    paper_column = ["paper: GT"] if papers else []
-    lines: list[tuple[str, ...]] = [
-        ("circuit", "opponent", *paper_column, table.base, *others, *gain)
-    ]
+    head = ("circuit", "opponent", *(["paper: GT"] if papers else []), table.base)
+    lines: list[tuple[str, ...]] = [(*head, *columns.values())]
     for row in table.rows:
-        cells = {difference.arm: show(difference) for difference in row.differences}
+        cells = {arm: show(difference) for arm, difference in row.questions}
+        paper = "" if row.paper is None else f"{row.paper.difference:+.3f}"
         lines.append(
             (
                 f"{row.track} ({'seen' if row.seen else 'unseen'})",
                 row.opponent,
-                *(["" if row.paper is None else f"{row.paper.difference:+.3f}"] if papers else []),
+                *([paper] if papers else []),
                 f"{row.arms[0].score:.3f}",
-                *(cells.get(arm, "") for arm in others),
-                *(["" if row.gain is None else show(row.gain)] if gain else []),
+                *(cells.get(arm, "") for arm in columns),
             )
         )
     return lines
@@ -81,59 +74,35 @@ def overview_rows(
 
 def paper_rows(table: StudyTable, arm: str) -> list[tuple[str, ...]]:
     """Return the rows of the paper's table, with the paper's columns and figures, head first."""
-    lines: list[tuple[str, ...]] = [
-        (
-            "circuit",
-            "opponent",
-            table.base,
-            arm,
-            "difference",
-            "p",
-            "paper: non-GT",
-            "GT",
-            "difference",
-            "p",
-        )
-    ]
+    head = ("circuit", "opponent", table.base, arm, "difference", "p")
+    lines: list[tuple[str, ...]] = [(*head, "paper: non-GT", "GT", "difference", "p")]
     for row in table.rows:
-        own = next(
-            (difference.result for difference in row.differences if difference.arm == arm), None
-        )
-        if row.paper is not None and own is not None:
-            scores = {result.arm: f"{result.score:.3f} ± {result.sd:.3f}" for result in row.arms}
+        paper, differences = row.paper, dict(row.questions)
+        if paper is not None and arm in differences:
+            own = differences[arm].result
+            scores = {result.arm: _plus_minus(result.score, result.sd) for result in row.arms}
+            ours = (scores[table.base], scores[arm], f"{own.difference:+.3f}")
             theirs = (
-                f"{row.paper.non_gt:.3f} ± {row.paper.non_gt_sd:.3f}",
-                f"{row.paper.gt:.3f} ± {row.paper.gt_sd:.3f}",
+                _plus_minus(paper.non_gt, paper.non_gt_sd),
+                _plus_minus(paper.gt, paper.gt_sd),
+                f"{paper.difference:+.3f}",
+                p_text(paper.p),
             )
-            compared = (
-                f"{own.difference:+.3f}",
-                p_text(own.p_paired_t),
-                *theirs,
-                f"{row.paper.difference:+.3f}",
-            )
-            lines.append(
-                (
-                    row.track,
-                    row.opponent,
-                    scores[table.base],
-                    scores[arm],
-                    *compared,
-                    p_text(row.paper.p),
-                )
-            )
+            lines.append((row.track, row.opponent, *ours, p_text(own.p_paired_t), *theirs))
     return lines
+
+
+def _plus_minus(mean: float, sd: float) -> str:
+    return f"{mean:.3f} ± {sd:.3f}"
 
 
 def detail_rows(row: TableRow) -> Iterator[tuple[str, ...]]:
     """Yield the lines of a row in the columns :data:`DETAILS`: agents, then the adaptivity gain."""
-    differences = {difference.arm: difference for difference in row.differences}
+    differences = dict(row.questions)
     for arm in row.arms:
         shares = (f"{arm.score:.3f}", f"{arm.sd:.3f}", f"{arm.crash:.1%}", f"{arm.own_crash:.1%}")
-        yield (
-            arm.arm,
-            *shares,
-            *(_columns(differences[arm.arm]) if arm.arm in differences else ("",) * 5),
-        )
+        compared = _columns(differences[arm.arm]) if arm.arm in differences else ("",) * 5
+        yield (arm.arm, *shares, *compared)
     if row.gain is not None:
         yield f"{row.gain.arm} minus {row.gain.base}", *("",) * 4, *_columns(row.gain)
 
@@ -181,17 +150,6 @@ def table_text(table: StudyTable) -> str:
     return "\n\n".join([*blocks, "\n".join(notes(table))]) + "\n"
 
 
-def table_markdown(table: StudyTable) -> str:
-    """Return the table in Markdown."""
-    blocks = ["\n".join(markdown(overview_rows(table)))]
-    for row in table.rows:
-        paper = f"\n\nPaper: {paper_text(row)}." if row.paper is not None else ""
-        blocks.append(
-            f"### {row.name}{paper}\n\n" + "\n".join(markdown([DETAILS, *detail_rows(row)]))
-        )
-    return "\n\n".join([*blocks, *notes(table)]) + "\n"
-
-
 CSV_COLUMNS = (
     "kind",
     "track",
@@ -213,9 +171,6 @@ CSV_COLUMNS = (
     "high",
     "p",
     "p_holm",
-    "two_way_low",
-    "two_way_high",
-    "two_way_p",
     "paired_t_p",
     "cohen_d",
     "paper_non_gt",
@@ -232,16 +187,15 @@ def write_table(table: StudyTable, path: str | os.PathLike[str]) -> Path:
     """
     lines: list[Sequence[object]] = [CSV_COLUMNS]
     for row in table.rows:
-        lines += [_csv_row("difference", row, difference) for difference in row.differences]
-        if row.gain is not None:
-            lines.append(_csv_row("adaptivity gain", row, row.gain))
+        for arm, difference in row.questions:
+            lines.append(_csv_row(GAIN if arm == GAIN else "difference", row, difference))
     return write_csv(lines, path)
 
 
 def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:
     # Six digits: further digits depend on the processor, and files are compared byte by byte.
     arm = next(arm for arm in row.arms if arm.arm == difference.arm)
-    result, two_way, paper = difference.result, difference.two_way, row.paper
+    result, paper = difference.result, row.paper
     numbers = (
         result.mean_a,
         result.mean_b,
@@ -253,9 +207,6 @@ def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:
         result.high,
         result.p_clustered,
         difference.p_holm,
-        two_way.low,
-        two_way.high,
-        two_way.p_clustered,
         result.p_paired_t,
         result.cohen_d,
     )
@@ -283,12 +234,11 @@ def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
 
     ``results``: one difference per row, at least one.
     """
-    more, less = (
-        sum(result.low > 0.0 for result in results),
-        sum(result.high < 0.0 for result in results),
-    )
-    smallest, largest = (pick(result.difference for result in results) for pick in (min, max))
-    spread = f"{smallest:+.3f}" if len(results) == 1 else f"{smallest:+.3f} to {largest:+.3f}"
+    more = sum(result.low > 0.0 for result in results)
+    less = sum(result.high < 0.0 for result in results)
+    differences = sorted(result.difference for result in results)
+    ends = [differences[0], differences[-1]] if len(results) > 1 else differences
+    spread = " to ".join(f"{end:+.3f}" for end in ends)
     rows = f"{len(results)} row{'s' * (len(results) != 1)}"
     if not more and not less:
         return (

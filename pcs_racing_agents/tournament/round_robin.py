@@ -2,7 +2,7 @@
 
 In the meta-game each player chooses an agent, and the score matrix gives the payoffs. A rating is
 one number and can't represent cycles (a beats b, b beats c, c beats a); the equilibrium of the
-meta-game and alpha-rank can.
+meta-game can.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.ratings import Ratings, rate
@@ -41,35 +41,7 @@ def excess(scores: ArrayLike) -> Floats:
     return 0.5 * (matrix - matrix.T)
 
 
-def alpha_rank(scores: ArrayLike, *, tolerance: float = 0.0) -> Floats:
-    """Return alpha-rank's stationary distribution over agents, computed by OpenSpiel, shape (N,).
-
-    A population of one agent changes to a stronger agent, or, with a probability of 0.001, to a
-    weaker agent (alpha-rank of Omidshafiei et al. 2019 in the limit of strong selection). Only the
-    sign of a score difference counts, so differences within the noise should count as zero.
-
-    Parameters
-    ----------
-    scores : array_like, shape (N, N)
-        As for :func:`excess`, N at least 2.
-    tolerance : float
-        Maximum score difference that counts as zero.
-    """
-    gain = 2.0 * excess(scores)
-    if len(gain) < 2:
-        raise InputError("there is 1 agent; a ranking needs at least 2")
-    if not 0.0 <= tolerance < np.inf:
-        raise InputError(f"tolerance is {tolerance!r}; it must be a difference in score, 0 or more")
-    require("pyspiel", "networkx", extra="games")
-    from open_spiel.python.egt import alpharank
-
-    decided = np.where(np.abs(gain) > tolerance, gain, 0.0)
-    return np.asarray(
-        alpharank.compute([decided], use_inf_alpha=True, inf_alpha_eps=0.001)[2], dtype=np.float64
-    )
-
-
-FEWEST_LINES = 5
+MIN_LINES = 5
 """Minimum number of start lines for a bootstrap interval."""
 
 
@@ -81,16 +53,10 @@ class RoundRobin:
     #: shape (N, N): Score of the row's agent against the column's agent: share of races won, a tie
     #: counting half; NaN for pairs without races.
     scores: Floats
-    #: Noise of the difference of two agents' scores against each other: 1.96 standard errors over
-    #: start lines (root mean square over the pairs); NaN with too few lines.
-    noise: float
     ratings: Ratings | None  #: Ratings of the agents; None if they can't be estimated.
     #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; None unless all
     #: pairs met.
     equilibrium: Floats | None
-    #: shape (N,): Stationary distribution of alpha-rank; differences within the noise count as
-    #: zero. None without OpenSpiel, or unless all pairs met on several lines.
-    alpha_rank: Floats | None
 
     def rating(self, name: str) -> tuple[float, float, float]:
         """Return an agent's Elo-scale rating and both ends of its interval; NaN if unknown."""
@@ -121,24 +87,15 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
     np.add.at(count, (first, second), 1.0)
     np.add.at(count, (second, first), 1.0)
     scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
-    places = races.places
-    noise = _noise(
-        np.minimum(first, second),
-        np.maximum(first, second),
-        np.where(first < second, won, -won),
-        places,
-    )
     # A game with a missing payoff has no equilibrium; a mean as a substitute would invent a result.
     met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
         scores=scores,
-        noise=noise,
         ratings=_ratings(
-            np.array(names)[first], np.array(names)[second], won, unpaid, places, seed
+            np.array(names)[first], np.array(names)[second], won, unpaid, races.places, seed
         ),
         equilibrium=solve_matrix_games(excess(scores)).rows[0] if met else None,
-        alpha_rank=_alpha_rank(scores, noise) if met else None,
     )
 
 
@@ -152,21 +109,6 @@ def drivers(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
     return index[races.agents.codes]
 
 
-def _noise(
-    first: NDArray[np.intp], second: NDArray[np.intp], won: Floats, line: NDArray[np.intp]
-) -> float:
-    """Return 1.96 standard errors of a pair's difference in score, clustered by start line."""
-    variances = []
-    for i, j in sorted(set(zip(first.tolist(), second.tolist(), strict=True))):
-        rows = (first == i) & (second == j)
-        # Races from one line, from both sides, are not independent: the line is the drawn unit.
-        codes = np.unique(line[rows], return_inverse=True)[1]
-        means = np.bincount(codes, won[rows]) / np.bincount(codes)
-        if len(means) > 1:
-            variances.append(float(means.var(ddof=1)) / len(means))
-    return 1.96 * float(np.sqrt(np.mean(variances))) if variances else np.nan
-
-
 def _ratings(
     ego: NDArray[np.str_],
     opponent: NDArray[np.str_],
@@ -177,7 +119,7 @@ def _ratings(
 ) -> Ratings | None:
     """Fit the ratings, with intervals if there are enough start lines."""
     # A bootstrap over few lines draws almost the same lines again: its interval is too short.
-    several = len(np.unique(line[~unpaid])) >= FEWEST_LINES
+    several = len(np.unique(line[~unpaid])) >= MIN_LINES
     rng = (
         np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,)))
         if several
@@ -186,13 +128,4 @@ def _ratings(
     try:
         return rate(ego.tolist(), opponent.tolist(), won, unpaid=unpaid, unit=line, rng=rng)
     except InputError:  # no race counts, or groups of agents never met
-        return None
-
-
-def _alpha_rank(scores: Floats, noise: float) -> Floats | None:
-    if len(scores) < 2 or np.isnan(noise):
-        return None
-    try:
-        return alpha_rank(scores, tolerance=noise)
-    except ModuleNotFoundError:
         return None

@@ -30,7 +30,7 @@ COLUMNS = (
     Column("other_crash", "other's", ".1%"),
     Column("overtakes", format=".2f"),
 )
-META_COLUMNS = (Column("equilibrium", format=".2f"), Column("alpha_rank", "alpha-rank", ".2f"))
+EQUILIBRIUM = Column("equilibrium", format=".2f")
 
 
 class Standing(NamedTuple):
@@ -54,10 +54,9 @@ class Standing(NamedTuple):
     overtakes: float  #: Mean number of own overtakes per race.
     rating_low: float
     rating_high: float
-    #: ``equilibrium``, ``alpha_rank``: Probabilities of the competitor in
-    #: :class:`pcs_racing_agents.tournament.round_robin.RoundRobin`; NaN if unknown.
+    #: Probability of the competitor in an equilibrium of the meta-game
+    #: (:class:`pcs_racing_agents.tournament.round_robin.RoundRobin`); NaN if unknown.
     equilibrium: float
-    alpha_rank: float
 
     @property
     def interval(self) -> str:
@@ -111,7 +110,6 @@ def standings(tournament: Tournament) -> list[Standing]:
                 equilibrium=(
                     np.nan if together.equilibrium is None else float(together.equilibrium[k])
                 ),
-                alpha_rank=np.nan if together.alpha_rank is None else float(together.alpha_rank[k]),
             )
         )
     return sorted(table, key=lambda standing: -standing.score)
@@ -146,11 +144,8 @@ def tournament_text(tournament: Tournament) -> str:
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
         f"{closeness_text(tournament.races)}\n"
     )
-    known = [
-        column
-        for column in META_COLUMNS
-        if not np.isnan([getattr(line, column.name) for line in table]).all()
-    ]
+    has_equilibrium = sum_up(tournament).equilibrium is not None
+    columns = (*COLUMNS, EQUILIBRIUM) if has_equilibrium else COLUMNS
     payoffs = payoff_matrix(tournament)
     order = [plan.names.index(standing.name) for standing in table]
     matrix: list[tuple[str, ...]] = [("score against", *(f"({k + 1})" for k in range(len(order))))]
@@ -164,17 +159,12 @@ def tournament_text(tournament: Tournament) -> str:
         f" counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10,"
         " start lines drawn again for the interval"
     )
-    if META_COLUMNS[0] in known:
-        note += "\nequilibrium: how often to send whom, if the other side chooses as cleverly"
-    if META_COLUMNS[1] in known:
-        note += (
-            "\nalpha-rank: share of the time that evolution spends at it; scores against each"
-            f" other that differ by up to {sum_up(tournament).noise:.3f} count as alike"
-        )
+    if has_equilibrium:
+        note += "\nequilibrium: probability of each agent in the game of choosing an agent"
     return "\n".join(
         [
             head,
-            *aligned(table_rows([*COLUMNS, *known], table), left=1),
+            *aligned(table_rows(columns, table), left=1),
             "",
             *aligned(matrix, left=1),
             "",

@@ -79,26 +79,14 @@ def _table(track, arm, rival, lead, crash, own, variants, line, side) -> RaceTab
 
 
 def toy_difference(arm, base, a, b, reach, p, p_holm) -> Difference:
-    """Two arms of these scores, whose difference has an interval that reaches so far to both sides."""
-    results = [
-        Comparison(
-            a,
-            b,
-            a - b,
-            a - b - way,
-            a - b + way,
-            way / 2.0,
-            3,
-            chance,
-            p / 10.0,
-            8.0 * (a - b),
-            8,
-            2,
-            4,
-        )
-        for way, chance in ((reach, p), (0.5, 0.25))
-    ]
-    return Difference(arm, base, *results, p_holm)
+    """Return the difference of two arms, with half the length of its interval and its p-values."""
+    difference = a - b
+    ends = (difference - reach, difference + reach)
+    counts = {"units": 8, "egos": 2, "opponents": 4}
+    result = Comparison(
+        a, b, difference, *ends, reach / 2.0, 3, p, p / 10.0, 8 * difference, **counts
+    )
+    return Difference(arm, base, result, p_holm)
 
 
 def toy_table() -> StudyTable:

@@ -2,16 +2,14 @@
 
 from dataclasses import replace
 
-import numpy as np
 from toy_races import toy_races
 
-from pcs_racing_agents.study.report import ReportContent, TitledTable
-from pcs_racing_agents.study.report_inputs import software
+from pcs_racing_agents.study.report import software
+from pcs_racing_agents.study.report_page import ReportContent, TitledTable
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.round_robin import round_robin
-from pcs_racing_agents.watch.situations import Situations
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 
@@ -37,20 +35,8 @@ def toy_report(archive, watched) -> ReportContent:
                 for winner, start in (("ego", 1.0), ("ego", 1.0), ("none", 2.0), ("opponent", 2.0))
             ),
         ),
-        situations=[
-            Situations(
-                NASTY,
-                ("stay", NASTY),
-                "pace",
-                np.zeros((1, 2)),
-                np.zeros((1, 2)),
-                np.ones((1, 3, 3, 2), int),
-            )
-        ],
         sheets=[TitledTable("Sheet", ("change", "gain"), ((NASTY, "+0.05"),), NASTY)],
         races=[watched, watched._replace(title=NASTY, text=NASTY)],
         settings={"race": NASTY, "tracks": ["a", "b"]},
         versions=software(),
-        seeds={"root": 0},
-        seconds={"archive": 61.0, "races": 2.0},
     )

@@ -55,9 +55,10 @@ from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.archive_run import stage_scenarios
 from pcs_racing_agents.policies.config import load_archive_config
+from pcs_racing_agents.study.config import StudyConfig, load_study_config
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.study.run import stage_seconds
-from pcs_racing_agents.study.study import Study, StudyConfig, load_study_config
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.trees import load_trees
 
 EVIL = """
@@ -85,17 +86,15 @@ PROTOCOL = {
     "blind": ("never-switch",),
 }
 STUDY = {
-    "tracks": ("Pipkin",),
-    "circuits": ("Pipkin",),
-    "arms": ("never-switch", "lattice:pace=0.4"),
+    "learning": {"tracks": ("Pipkin",), "responses": ("quick",), "ppo": "study-paper"},
+    "table": {
+        "tracks": ("Pipkin",),
+        "opponents": ("never-switch", "lattice:pace=0.4"),
+        "agents": ("never-switch", "lattice:pace=0.4"),
+    },
+    "further": {"tracks": ("Pipkin",), "opponents": ("random-moves",), "agents": ("never-switch",)},
     "best": "never-switch",
-    "opponents": ("never-switch", "lattice:pace=0.4"),
     "rated": ("never-switch",),
-    "further_arms": ("random-moves",),
-    "further_opponents": ("random-moves",),
-    "further_tracks": ("Pipkin",),
-    "responses": ("quick",),
-    "ppo": "study-paper",
 }
 
 
@@ -133,23 +132,16 @@ def made(folder: Path) -> Path:
 
 def study_agents(study: Study) -> None:
     """Use every name of a study's configuration."""
-    for name in sorted(
-        {
-            *study.config.arms,
-            *study.config.further_arms,
-            *study.config.opponents,
-            *study.config.rated,
-            *study.config.further_opponents,
-            *study.config.response_pool,
-            *study.config.fitting_opponents,
-            study.config.best,
-        }
-    ):
+    config, learning = study.config, study.config.learning
+    names = {*config.rated, *learning.response_opponents, *learning.fitting_opponents, config.best}
+    for table in config.tables.values():
+        names |= {*table.agents, *table.opponents}
+    for name in sorted(names):
         with suppress(InputError):
             study.agent(name)
-    for track in study.config.every_track:
-        study.track(track)
-    load_train_settings(study.config.training)
+    for track in config.tracks:
+        load_track(track)
+    load_train_settings(learning.training)
 
 
 def raced(folder: Path) -> None:

@@ -53,8 +53,8 @@ from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import ArchiveConfig
+from pcs_racing_agents.study.config import LearningConfig, StudyConfig, load_study_config
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.study.study import StudyConfig, load_study_config
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
@@ -118,10 +118,10 @@ def test_values_of_other_types():
         lambda: DriveOptions(max_range="far"),
         lambda: DriveOptions(fov=[1.0]),
         lambda: DriveOptions(beams=10**9),
-        lambda: StudyConfig(race=("contest",)),
+        lambda: StudyConfig(game=("contest",)),
         lambda: StudyConfig(synthesis=("contest",)),
         lambda: StudyConfig(archive=0.5),
-        lambda: StudyConfig(ppo=5),
+        lambda: LearningConfig(ppo=5),
         lambda: load_ppo_settings(None),
         lambda: load_train_settings(b"study"),
         lambda: ArchiveConfig(tracks=None),

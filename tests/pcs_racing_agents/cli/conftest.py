@@ -6,7 +6,8 @@ from pcs_racing import load_track
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.study.study import Study, StudyConfig
+from pcs_racing_agents.study.config import StudyConfig, TableConfig
+from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament import (
     plan_tournament,
     play_plan,
@@ -22,15 +23,11 @@ from pcs_racing_agents.tournament.runner import play_pairing
 def study_folder(saved_archive, tmp_path_factory):
     """The races of a small study, as its stages leave them: cells, and all against all."""
     place = tmp_path_factory.mktemp("study") / "mine"
+    agents = ("never-switch", "always-aggressiveness+")
     config = StudyConfig(
         archive=str(saved_archive),
-        tracks=("Pipkin",),
-        opponents=("lane-switcher",),
-        arms=("never-switch", "always-aggressiveness+"),
-        best="always-aggressiveness+",
-        egos=2,
-        variants=2,
-        lines=2,
+        table=TableConfig(("Pipkin",), ("lane-switcher",), agents, egos=2, variants=2, lines=2),
+        best=agents[1],
         rated=("never-switch", "random-moves"),
         rating_races=2,
         seed=3,
@@ -40,8 +37,7 @@ def study_folder(saved_archive, tmp_path_factory):
         game = study.game("Pipkin")
         pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
         pairings = [
-            cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs)
-            for arm in config.arms
+            cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in agents
         ]
         # A second table has the same pairs with other lines.
         pairings += [

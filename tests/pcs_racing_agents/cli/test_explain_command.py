@@ -191,4 +191,4 @@ def test_settings_of_another_version_are_named(study_folder, tmp_path, told):
     (tmp_path / "job.yaml").write_text(
         (place / "job.yaml").read_text().replace("  egos:", "  drivers:")
     )
-    assert "settings are of another version" in told("explain", tmp_path, "--index", 0)
+    assert "unknown table setting 'drivers'" in told("explain", tmp_path, "--index", 0)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pcs_racing_agents.study.report_inputs import ExplainedRace
 from recorded_races import race_on_a_circle
 from repository import REPOSITORY
 from toy_report import toy_report
@@ -17,7 +18,6 @@ from pcs_racing_agents import make
 from pcs_racing_agents.benchmark.card import board_page, read_cards, write_card
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.report import write_page
-from pcs_racing_agents.study.report_inputs import ExplainedRace
 from pcs_racing_agents.watch.person_race import (
     PersonRaces,
     drive_page,

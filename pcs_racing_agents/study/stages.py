@@ -1,10 +1,11 @@
-"""Stages before the races: archive, game trees, and the training of all agents."""
+"""Stages of a study, in order: archive, game trees, training of all agents, races, report."""
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cache, partial
+from itertools import product
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.make import make_game
+from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.base.jobs import open_job, run_groups
 from pcs_racing_agents.base.progress import Progress
@@ -29,9 +32,15 @@ from pcs_racing_agents.networks.network_files import (
     save_network_set,
 )
 from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
+from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.trees.storage import StoredTrees, load_trees, open_trees, stored_identity
+from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
+from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
+from pcs_racing_agents.tournament.race_files import write_results
+from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.trees.storage import load_trees, open_trees, stored_identity
 from pcs_racing_agents.trees.tree import RaceTree
 
 if TYPE_CHECKING:
@@ -44,68 +53,60 @@ TREE_SEED = 1_000_000
 FITTING_SEED = 2_000_000
 RESPONSE_SEED = 3_000_000
 SAMPLED_SEED = 4_000
+RATING_SEED = 5_000_000
 PPO_SEEDS = 2**31  # upper limit of torch
+FIXED_TARGETS = 16  # candidates for the targets of best-fixed and best-lead-plan
 
 
 def make_the_archive(study: Study) -> None:
     """Make the archive by the configuration's synthesis, unless it names an existing archive."""
-    if study.config.synthesis is None:
-        return
-    from pcs_racing_agents.policies.archive_run import make_archive
-    from pcs_racing_agents.policies.config import load_archive_config
+    if study.config.synthesis is not None:
+        from pcs_racing_agents.policies.archive_run import make_archive
 
-    config = load_archive_config(study.config.synthesis)
-    make_archive(config, study.folder / "archive", executor=study.executor)
+        config = load_archive_config(study.config.synthesis)
+        make_archive(config, study.folder / "archive", executor=study.executor)
 
 
 def play_trees(study: Study) -> None:
     """Play game trees on every training track, in parallel."""
-    config = study.config
-    if config.pairs == 0:
+    config = study.config.learning
+    if config.trees == 0:
         return
     # All tracks in parallel: no worker waits for the last trees of a track.
     with ExitStack() as opened:
-        groups = [
-            opened.enter_context(
-                open_trees(
-                    study.tree_game(name),
-                    study.folder / "trees" / name,
-                    pairs=config.pairs,
-                    seeds_per_pair=config.seeds,
-                    seed=config.seed + TREE_SEED + number,
-                    one_thread=study.executor is not None,
-                )
+        groups = []
+        for number, name in enumerate(config.tracks):
+            # Without "stay": trees would be six times as large.
+            game = make_game(load_track(name), study.archive, study.config.game, stay=False)
+            trees = open_trees(
+                game,
+                study.folder / "trees" / name,
+                pairs=config.trees,
+                seeds_per_pair=config.seeds,
+                seed=study.config.seed + TREE_SEED + number,
+                one_thread=study.executor is not None,
             )
-            for number, name in enumerate(config.circuits)
-        ]
+            groups.append(opened.enter_context(trees))
         run_groups(groups, executor=study.executor, progress=study.progress("trees"), keep=False)
-
-
-def stored_trees(study: Study) -> list[StoredTrees]:
-    """Return the played trees, one folder per track."""
-    if study.config.pairs == 0:
-        return []
-    return [
-        load_trees(study.folder / "trees" / name, study.archive) for name in study.config.circuits
-    ]
 
 
 def train_networks(study: Study) -> None:
     """Train a network per target, in parallel processes if any; all share validation trees."""
     from pcs_racing_agents.networks.training import write_epochs
 
-    config = study.config
+    config = study.config.learning
     whole = {MANIFEST, NETWORK_FORMAT.data_file, "learning_curves.csv"}
     missing = [
         name
         for name in config.targets
         if not whole <= {file.name for file in study.network(name).glob("*")}
     ]
-    stored = stored_trees(study)
-    if not stored or not missing:
+    if config.trees == 0 or not missing:
         return
+    stored = [load_trees(study.folder / "trees" / name, study.archive) for name in config.tracks]
     settings = [
-        load_train_settings(config.training, target=name, seed=config.seed) for name in missing
+        load_train_settings(config.training, target=name, seed=study.config.seed)
+        for name in missing
     ]
     elsewhere = in_other_processes(study.executor)
     # Other processes may not see local files, so the trees are sent; they can't show progress.
@@ -115,7 +116,7 @@ def train_networks(study: Study) -> None:
         trees,
         np.concatenate([np.asarray(each.settings["pairs"]) for each in stored]),
         stored_identity(stored[0].settings),
-        tracks=", ".join(config.circuits),
+        tracks=", ".join(config.tracks),
         progress=study.progress if elsewhere is None else None,
     )
     progress = None if elsewhere is None else study.progress("networks")
@@ -156,9 +157,9 @@ def _train(
 
 def learn_sampled_regrets(study: Study) -> None:
     """Learn the regrets of "cfr-argmax" from sampled games, if the study configures this."""
-    if study.config.sampled_cfr is None:
+    if study.config.learning.sampled_cfr is None:
         return
-    settings = load_self_play_settings(study.config.sampled_cfr)
+    settings = load_self_play_settings(study.config.learning.sampled_cfr)
     settings = replace(settings, seed=settings.seed + study.config.seed + SAMPLED_SEED)
     samplers = [RaceSampler(game, study.spec, settings.worth) for game in study.games()]
     identity = {"archive": study.archive.content_hash, **plain_settings(settings)}
@@ -184,19 +185,20 @@ def choose_open_loop(study: Study) -> None:
         fit_best_schedule,
     )
 
-    config = study.config
+    config, seed = study.config.learning, study.config.seed + FITTING_SEED
     training = TrainingRaces(
-        tracks=tuple(study.track(name) for name in config.circuits),
-        opponents=tuple(study.agent(name) for name in config.fitting_opponents),
+        tracks=tuple(map(load_track, config.tracks)),
+        opponents=tuple(map(study.agent, config.fitting_opponents)),
         spec=study.spec,
-        races=config.fitting_games,
-        seed=config.seed + FITTING_SEED,
+        races=config.fitting_races,
+        seed=seed,
     )
     # Candidates are spread over the archive: searching all policies of a large archive is wasteful.
     targets = None
-    if 0 < config.fixed_targets < len(study.archive):
-        rng = np.random.default_rng(np.random.SeedSequence(config.seed, spawn_key=(FITTING_SEED,)))
-        targets = select_diverse(study.archive, config.fixed_targets, "map", rng).tolist()
+    if len(study.archive) > FIXED_TARGETS:
+        stream = np.random.SeedSequence(study.config.seed, spawn_key=(FITTING_SEED,))
+        rng = np.random.default_rng(stream)
+        targets = select_diverse(study.archive, FIXED_TARGETS, "map", rng).tolist()
     folder = study.folder / "open-loop"
     settings = {"archive": study.archive.content_hash}
     with open_job(folder / "races", "fitting", settings) as job:
@@ -216,11 +218,11 @@ def choose_open_loop(study: Study) -> None:
 
 def learn_responses(study: Study) -> None:
     """Learn the responses to the pool of opponents."""
-    config = study.config
-    pool = [study.agent(name) for name in config.response_pool]
+    config, seed = study.config.learning, study.config.seed + RESPONSE_SEED
+    pool = list(map(study.agent, config.response_opponents))
     for name in config.responses:
         settings = load_response_settings(name)
-        seeded = load_response_settings(settings, seed=config.seed + RESPONSE_SEED + settings.seed)
+        seeded = replace(settings, seed=seed + settings.seed)
         with open_job(
             study.folder / "responses" / name, "response", {"name": name, **plain_settings(seeded)}
         ) as job:
@@ -243,14 +245,14 @@ def train_ppo_baseline(study: Study) -> None:
     The study gives tracks, archive and rules; the settings give everything else.
     """
     config = study.config
-    if config.ppo is None:
+    if config.learning.ppo is None:
         return
     from pcs_racing_agents.learning.ppo.evaluation import write_evaluations
     from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
     from pcs_racing_agents.learning.ppo.train import train_ppo
 
     # Training uses the study's own game: a comparison with its agents needs the same game.
-    settings = load_ppo_settings(config.ppo, tracks=config.circuits)
+    settings = load_ppo_settings(config.learning.ppo, tracks=config.learning.tracks)
     trained = train_ppo(
         settings,
         study.folder / "ppo" / "training",
@@ -263,3 +265,59 @@ def train_ppo_baseline(study: Study) -> None:
     )
     save_network(load_network(trained.folder), study.network("ppo"))
     write_evaluations(trained.curves, study.network("ppo") / "curve.csv")
+
+
+class StudyRaces(NamedTuple):
+    """Races of an agent against one kind of opponent on a track, for one of the study's tables."""
+
+    table: str
+    pairing: Pairing
+    races: RaceTable
+
+
+def table_races(study: Study) -> list[StudyRaces]:
+    """Return the races of all tables, simulated in parallel; stored races are read."""
+    # All pairings share these objects: play_pairings finds common races by object identity.
+    games, agents = cache(study.game), cache(study.agent)
+    tables, pairings = [], []
+    for number, (name, table) in enumerate(study.config.tables.items()):
+        for track, opponent, agent in product(table.tracks, table.opponents, table.agents):
+            # The seed ignores track and agent: all agents of a row drive the same races.
+            seed = study.config.seed + 100 * number + table.opponents.index(opponent)
+            pairing = cross_pairing(
+                games(track),
+                agents(agent),
+                agents(opponent),
+                egos=table.egos,
+                opponents=table.variants,
+                lines=table.lines,
+                seed=seed,
+            )
+            tables.append(name)
+            pairings.append(pairing)
+    identity = {"archive": study.archive.content_hash}
+    with open_job(study.folder / "races" / "job", "races", identity) as job:
+        progress = study.progress("races of the tables")
+        races = play_pairings(
+            pairings, name="tables", job=job, executor=study.executor, progress=progress
+        )
+    return [StudyRaces(*own) for own in zip(tables, pairings, races, strict=True)]
+
+
+def race_for_ratings(study: Study) -> None:
+    """Race all pairs of agents, for the ratings."""
+    config = study.config
+    if not config.rated:
+        return
+    plan = plan_tournament(
+        list(map(load_track, config.table.tracks)),
+        {name: study.agent(name) for name in config.rated},
+        config.game,
+        archive=study.archive,
+        races_per_pair=config.rating_races,
+        seed=config.seed + RATING_SEED,
+    )
+    progress = study.progress("races for the ratings")
+    with open_job(study.folder / "ratings", "tournament", tournament_settings(plan)) as job:
+        played = play_plan(plan, job=job, executor=study.executor, progress=progress)
+    write_results(played.races, study.folder / "ratings.csv")

@@ -1,0 +1,204 @@
+"""Configuration of a study: the game, the learning, the races of the tables."""
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import Interval
+
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.settings import Checked, Names, OptionalNames, S, Settings, Text, load_settings
+from pcs_racing.game.archive_files import list_archives
+from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.race.config import PAPER
+from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.self_play import load_self_play_settings
+from pcs_racing_agents.networks.targets import get_target
+from pcs_racing_agents.policies.config import load_archive_config
+
+PAPER_GAME = load_game_config("paper")
+
+BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
+"""Baselines fitted on training races: fixed policy, move sequence and lead-conditioned plan."""
+
+
+@dataclass(frozen=True)
+class LearningConfig(Settings):
+    """Game trees, networks, baselines and responses of a study."""
+
+    tracks: Annotated[Names, "Training tracks, also of the game trees."] = ("Tarnfjord",)
+    trees: Annotated[int, Interval(ge=0, le=100_000), "Game trees on each track; 0 for none."] = 12
+    seeds: Annotated[
+        int, Interval(ge=1, le=1000), "Noise realisations in each tree; 1 without noise."
+    ] = 1
+    training: Annotated[Text, "Configuration of the networks' training."] = "study"
+    targets: Annotated[Names, "Targets of the networks, in this order."] = (
+        "regret",
+        "normalised",
+        "advantage",
+        "static-q",
+    )
+    sampled_cfr: Annotated[
+        Text | None,
+        "Configuration (self-play) of counterfactual regrets from sampled games: the network of"
+        ' "cfr-argmax" and "cfr-regret-matching", in place of one from full game trees; None for'
+        " none.",
+    ] = None
+    responses: Annotated[
+        OptionalNames,
+        "Configurations of the learned responses"
+        " (pcs_racing_agents.learning.responses.ResponseSettings).",
+    ] = ()
+    response_opponents: Annotated[Names, "Opponents in the training of responses."] = (
+        "never-switch",
+        "random-moves",
+    )
+    fitting_races: Annotated[
+        int,
+        Interval(ge=2, le=1_000_000),
+        "Races against each opponent on each track, to select the baselines; even.",
+    ] = 100
+    fitting_opponents: Annotated[Names, "Opponents in those races."] = ("never-switch",)
+    ppo: Annotated[
+        Text | None,
+        "Configuration (level duel) of a PPO baseline that is trained on these tracks, with the"
+        ' study\'s archive and rules; None trains none, and the agent "ppo" is the shipped one.',
+    ] = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in self.targets:
+            get_target(name)
+        for name in self.responses:
+            load_response_settings(name)
+        if self.sampled_cfr is not None:
+            load_self_play_settings(self.sampled_cfr)
+            if "regret" in self.targets and self.trees > 0:
+                raise ConfigError(
+                    f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one"
+                    " source of the regrets"
+                )
+        if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
+            raise ConfigError(f"ppo is {self.ppo!r}; this is no configuration of level duel")
+        if 0 < self.trees * len(self.tracks) < 3:
+            raise ConfigError(
+                f"trees is {self.trees}; networks need at least 3 trees: for training, validation"
+                " and test"
+            )
+
+
+@dataclass(frozen=True)
+class TableConfig(Settings):
+    """Races of a table: each agent against each opponent on each track."""
+
+    tracks: Annotated[Names, "Tracks of the table."] = ("Tarnfjord",)
+    opponents: Annotated[Names, "Opponents of the table."] = (
+        "never-switch",
+        "random-policy",
+        "lane-switcher",
+    )
+    agents: Annotated[Names, "Agents of the table; the first is the baseline."] = (
+        "never-switch",
+        *BEST_OPEN_LOOP,
+        "cfr-argmax",
+    )
+    egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the ego in each cell."] = 20
+    variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 20
+    lines: Annotated[
+        int, Interval(ge=1, le=1000), "Start lines of each cell; races start from both sides."
+    ] = 5
+
+
+def _game(_: str, value: Any) -> GameConfig:
+    """Return rules of a game from rules, a race's name or file, or a mapping of their fields."""
+    if not isinstance(value, Mapping):
+        return load_game_config(value)
+    race = value.get("race", "paper")
+    rules = load_settings("race", PAPER, race) if isinstance(race, Mapping) else race
+    return load_game_config(rules, **{key: one for key, one in value.items() if key != "race"})
+
+
+def _section(kind: type[S]) -> Checked:
+    """Return the check of a nested configuration, written as a mapping."""
+    return Checked(lambda name, value: load_settings(name, kind(), value))
+
+
+@dataclass(frozen=True)
+class StudyConfig(Settings):
+    """Configuration of a study; it determines the results."""
+
+    game: Annotated[GameConfig, Checked(_game), "Rules of the game."] = PAPER_GAME
+    synthesis: Annotated[
+        Text | None, "Configuration of the synthesis; None uses an existing archive instead."
+    ] = None
+    archive: Annotated[Text, "Name or folder of the existing archive."] = "default"
+    learning: Annotated[
+        LearningConfig, _section(LearningConfig), "Training of the networks and agents."
+    ] = LearningConfig()
+    table: Annotated[
+        TableConfig,
+        _section(TableConfig),
+        "Main table. With the three fitted baselines among its agents (best-fixed, best-schedule,"
+        " best-lead-plan) it has the adaptivity gain; some without the others are refused.",
+    ] = TableConfig()
+    further: Annotated[
+        TableConfig | None,
+        _section(TableConfig),
+        "Second table, of more opponents, tracks and agents; None for none.",
+    ] = None
+    best: Annotated[Text, "Agent of main interest in the tables."] = "cfr-argmax"
+    rated: Annotated[OptionalNames, "Agents of the round robin for the ratings."] = ()
+    rating_races: Annotated[
+        int,
+        Interval(ge=2, le=2000),
+        "Races of each pair of rated agents on each track of the main table; even.",
+    ] = 100
+    seed: Annotated[int, Interval(ge=0, le=2**62), "Seed of all random draws."] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.synthesis is not None:
+            load_archive_config(self.synthesis)
+        elif self.archive not in list_archives() and not os.path.isdir(self.archive):
+            raise ConfigError(
+                f"archive is {self.archive!r}; it must be a folder or one of"
+                f" {', '.join(list_archives())}"
+            )
+        # A subset of them would pass the best of the subset off as the best baseline.
+        agents = self.table.agents
+        missing = [name for name in BEST_OPEN_LOOP if name not in agents]
+        if 0 < len(missing) < len(BEST_OPEN_LOOP):
+            present = next(name for name in BEST_OPEN_LOOP if name in agents)
+            raise ConfigError(
+                f"agents hold {present!r} but not {missing[0]!r}; name all of"
+                f" {', '.join(BEST_OPEN_LOOP)} or none: the adaptivity gain is over the one that"
+                " won most training races"
+            )
+        for table in self.tables.values():
+            if self.best not in table.agents:
+                raise ConfigError(
+                    f"best is {self.best!r}; it must be one of the agents,"
+                    f" {', '.join(table.agents)}"
+                )
+
+    @property
+    def tables(self) -> dict[str, TableConfig]:
+        """Tables by name."""
+        return {"main": self.table} | ({} if self.further is None else {"further": self.further})
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """All tracks of the study."""
+        tables = (name for table in self.tables.values() for name in table.tracks)
+        return tuple(dict.fromkeys((*self.learning.tracks, *tables)))
+
+
+def load_study_config(
+    source: str | Path | StudyConfig | None = None, **changes: Any
+) -> StudyConfig:
+    """Return a configuration from a shipped name, a YAML file or a config, with changed fields."""
+    return load_config("study", StudyConfig(), source, **changes)
