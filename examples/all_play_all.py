@@ -19,15 +19,13 @@ from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament import (
-    payoff_matrix,
     plan_tournament,
     play_plan,
     tournament_settings,
     tournament_text,
     write_results,
 )
-from pcs_racing_agents.tournament.ratings import rate
-from pcs_racing_agents.tournament.round_robin import excess
+from pcs_racing_agents.tournament.ratings import excess, rate
 
 # Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what
 # they need.
@@ -100,7 +98,7 @@ def main() -> None:
 
     # 4. How often to send whom, if the other side chooses its agent as cleverly: an equilibrium of
     # that game.
-    weights = solve_matrix_games(excess(payoff_matrix(tournament))).rows[0]
+    weights = solve_matrix_games(excess(tournament.summary.scores)).rows[0]
     shares = zip(weights, plan.names, strict=True)
     print(
         "\nequilibrium: "

@@ -33,7 +33,7 @@ from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.races import concatenate_races
-from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.tournament.ratings import round_robin
 from pcs_racing_agents.tournament.runner import play_pairings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))

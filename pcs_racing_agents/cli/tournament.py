@@ -54,7 +54,6 @@ def run(
 ) -> None:
     """Race every pair of agents and policies, and print a table."""
     from pcs_racing_agents.tournament import (
-        payoff_picture,
         plan_tournament,
         play_plan,
         tournament_settings,
@@ -86,4 +85,8 @@ def run(
             print(tournament_text(tournament))
             print(f"results: {write_results(tournament.races, out / 'results.csv')}")
             if can_draw("the payoff matrix"):
-                print(f"picture: {payoff_picture(tournament, out / 'payoffs.png')}")
+                from pcs_racing_agents.base.style import save_picture
+                from pcs_racing_agents.tournament.table import payoffs_picture
+
+                figure = payoffs_picture(plan.names, tournament.summary.scores)
+                print(f"picture: {save_picture(figure, out / 'payoffs.png')}")

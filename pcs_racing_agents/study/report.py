@@ -37,7 +37,7 @@ from pcs_racing_agents.study.table_text import (
 from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.tournament.races import RaceTable, closeness_text, concatenate_races
-from pcs_racing_agents.tournament.round_robin import RoundRobin, round_robin
+from pcs_racing_agents.tournament.ratings import RoundRobin, round_robin
 from pcs_racing_agents.watch.explain import explain_game
 from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
 from pcs_racing_agents.watch.words import story

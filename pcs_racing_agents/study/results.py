@@ -31,7 +31,7 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
             file = path.resolve().with_suffix(".csv")
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
-    races = read_results(file, ("ego_variant", "opponent_variant"))
+    races = read_results(file)
     results = ResultsFolder(
         path, manifest["settings"], races, study, manifest["kind"] == "tournament", code
     )

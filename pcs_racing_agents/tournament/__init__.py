@@ -14,10 +14,6 @@ from pcs_racing_agents.tournament.play import (
 )
 from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable
+from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings, record_game
-from pcs_racing_agents.tournament.table import (
-    payoff_matrix,
-    payoff_picture,
-    standings,
-    tournament_text,
-)
+from pcs_racing_agents.tournament.table import standings, tournament_text

@@ -10,7 +10,7 @@ reduces the noise of their differences. The result of a baseline is a
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
-from typing import NamedTuple, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,19 +103,88 @@ def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
     """
     spec = training.spec
 
-    def raced(sequences: Sequence[Choices], before: int) -> NDArray[np.float64]:
-        plans = [
-            best_schedule(spec, moves=[spec.moves[i] for i in sequence]) for sequence in sequences
-        ]
-        return evaluate(training, plans, f"schedule-{before}", **run)
+    def moves(choice: Choices) -> list[str]:
+        return [spec.moves[i] for i in choice]
 
-    best, scores = _search(raced, range(len(spec.moves)), spec.config.moves)
-    return make_fit(
+    return _fit(
+        training,
         "best-schedule",
-        [spec.moves[i] for i in best],
-        spec,
-        training.facts(scores[best], len(scores)),
+        lambda choice: best_schedule(spec, moves=moves(choice)),
+        moves,
+        range(len(spec.moves)),
+        spec.config.moves,
+        **run,
     )
+
+
+def fit_best_fixed(
+    training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]
+) -> Fit:
+    """Find the target policy with the highest mean score, for an agent that moves there and stays.
+
+    ``targets``: candidates; by default all policies of the archive.
+    """
+    spec = training.spec
+    return _fit(
+        training,
+        "best-fixed",
+        lambda choice: best_fixed(spec, target=choice[0]),
+        lambda choice: choice[0],
+        range(len(spec.archive)) if targets is None else targets,
+        1,
+        **run,
+    )
+
+
+def fit_best_lead_plan(
+    training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]
+) -> Fit:
+    """Find the two target policies of a lead plan (behind, ahead) with the highest mean score.
+
+    The search starts with the best fixed policy, used behind and ahead, and repeatedly makes the
+    best change of one target until no change is an improvement. In the training races the plan is
+    at least as good as the best fixed policy.
+
+    Parameters
+    ----------
+    targets : sequence of int, optional
+        Candidates; by default all policies of the archive.
+    """
+    spec = training.spec
+
+    def plan(choice: Choices) -> dict[str, int]:
+        return dict(zip(LEAD_PLAN, choice, strict=True))
+
+    return _fit(
+        training,
+        "best-lead-plan",
+        lambda choice: best_lead_plan(spec, targets=plan(choice)),
+        plan,
+        range(len(spec.archive)) if targets is None else targets,
+        len(LEAD_PLAN),
+        **run,
+    )
+
+
+def _fit(
+    training: TrainingRaces,
+    name: str,
+    agent: Callable[[Choices], Agent],
+    plain: Callable[[Choices], Any],
+    options: Sequence[int],
+    places: int,
+    **run: Unpack[Run],
+) -> Fit:
+    """Search the best choice of an option for each place.
+
+    ``agent``: returns the agent of a choice. ``plain``: returns a choice as the fit stores it.
+    """
+
+    def raced(choices: Sequence[Choices], before: int) -> NDArray[np.float64]:
+        return evaluate(training, list(map(agent, choices)), f"{name}-{before}", **run)
+
+    best, scores = _search(raced, options, places)
+    return make_fit(name, plain(best), training.spec, training.facts(scores[best], len(scores)))
 
 
 def _search(
@@ -152,55 +221,6 @@ def _search(
             [(*current[:k], option, *current[k + 1 :]) for k in range(places) for option in options]
         )
     return best, scores
-
-
-def fit_best_fixed(
-    training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]
-) -> Fit:
-    """Find the target policy with the highest mean score, for an agent that moves there and stays.
-
-    ``targets``: candidates; by default all policies of the archive.
-    """
-    spec = training.spec
-    candidates = (
-        list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
-    )
-    walkers = [best_fixed(spec, target=target) for target in candidates]
-    values = evaluate(training, walkers, "fixed", **run)
-    index = int(np.argmax(values))
-    return make_fit(
-        "best-fixed", candidates[index], spec, training.facts(float(values[index]), len(candidates))
-    )
-
-
-def fit_best_lead_plan(
-    training: TrainingRaces, *, targets: Sequence[int] | None = None, **run: Unpack[Run]
-) -> Fit:
-    """Find the two target policies of a lead plan (behind, ahead) with the highest mean score.
-
-    The search starts with the best fixed policy, used behind and ahead, and repeatedly makes the
-    best change of one target until no change is an improvement. In the training races the plan is
-    at least as good as the best fixed policy.
-
-    Parameters
-    ----------
-    targets : sequence of int, optional
-        Candidates; by default all policies of the archive.
-    """
-    spec = training.spec
-    candidates = (
-        list(range(len(spec.archive))) if targets is None else [int(target) for target in targets]
-    )
-
-    def raced(plans: Sequence[Choices], before: int) -> NDArray[np.float64]:
-        agents = [
-            best_lead_plan(spec, targets=dict(zip(LEAD_PLAN, plan, strict=True))) for plan in plans
-        ]
-        return evaluate(training, agents, f"lead-plan-{before}", **run)
-
-    best, scores = _search(raced, candidates, len(LEAD_PLAN))
-    choice = dict(zip(LEAD_PLAN, best, strict=True))
-    return make_fit("best-lead-plan", choice, spec, training.facts(scores[best], len(scores)))
 
 
 class MetaStrategy(NamedTuple):

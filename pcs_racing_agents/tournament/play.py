@@ -30,6 +30,7 @@ from pcs_racing_agents.tournament.pairings import (
     schedule_pairing,
 )
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable, concatenate_races, series_of
+from pcs_racing_agents.tournament.ratings import RoundRobin, round_robin
 from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
 
 Entrant = str | Policy | Competitor
@@ -80,6 +81,11 @@ class Tournament:
     def series(self) -> RaceTable:
         """Scored units: the races, or series of races under "best of" rules."""
         return series_of(self.races, self.plan.config.heats)
+
+    @cached_property
+    def summary(self) -> RoundRobin:
+        """Scores against each other, ratings and equilibrium, in the plan's order."""
+        return round_robin(self.plan.names, self.series, seed=self.plan.seed)
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
@@ -133,12 +139,12 @@ def plan_tournament(
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
     spec = make_game_spec(archive, game_rules(race))
-    if isinstance(entrants, Mapping):
-        competitors = [
-            as_agent(_resolve(one, spec, seed, code), name) for name, one in entrants.items()
-        ]
-    else:
-        competitors = [as_agent(_resolve(one, spec, seed, code)) for one in entrants]
+    named = entrants.items() if isinstance(entrants, Mapping) else [(None, e) for e in entrants]
+    competitors = []
+    for name, entrant in named:
+        if isinstance(entrant, str):
+            entrant = parse_agent(entrant, spec, seed=seed, code=code)
+        competitors.append(as_agent(entrant, name))
     _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
     rules = spec.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
@@ -233,17 +239,9 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     )
 
 
-def _resolve(entrant: Entrant, spec: GameSpec, seed: int, code: bool) -> Any:
-    return parse_agent(entrant, spec, seed=seed, code=code) if isinstance(entrant, str) else entrant
-
-
 def _check_distinct(noun: str, names: list[str], minimum: int) -> None:
     if len(names) < minimum:
-        count = f"there are {len(names)} {noun}" if len(names) != 1 else f"there is 1 {noun[:-1]}"
-        raise InputError(f"{count}; a tournament needs at least {minimum}")
-    repeated = {name for name in names if names.count(name) > 1}
+        raise InputError(f"{len(names)} {noun} given; a tournament needs at least {minimum}")
+    repeated = sorted({name for name in names if names.count(name) > 1})
     if repeated:
-        raise InputError(
-            f"{noun} must have different names; there is more than one"
-            f" {', '.join(sorted(repeated))}"
-        )
+        raise InputError(f"{noun} must have different names; {', '.join(repeated)} is not unique")

@@ -8,6 +8,7 @@ import csv
 import io
 import math
 import os
+import re
 from array import array
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -29,26 +30,13 @@ from pcs_racing_agents.tournament.races import (
     narrow,
 )
 
-NEEDED = (
-    "ego",
-    "opponent",
-    "track",
-    "race",
-    "start_s",
-    "side",
-    "seed",
-    "lead",
-    "winner",
-    "crash",
-    "fault",
-)
-"""Mandatory columns of a results file; other columns hold details."""
-LONGEST_TEXT = 300
-MOST_RACES = 2_000_000
-MOST_STEPS = 100_000_000
+MAX_TEXT = 300
+MAX_RACES = 2_000_000
+MAX_STEPS = 100_000_000
 
 Floats = NDArray[np.float64]
 CARS = ("ego", "opponent")
+_PATH = re.compile(r"([0-9]{1,6}(; [0-9]{1,6})*)?")
 
 
 def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Path:
@@ -66,13 +54,10 @@ def write_results(races: Iterable[RaceRow], path: str | os.PathLike[str]) -> Pat
     return Path(path)
 
 
-def read_results(path: str | os.PathLike[str], need: Sequence[str] = ()) -> RaceTable:
-    """Read a results file; it must have the columns in ``need`` in addition to :data:`NEEDED`.
-
-    Missing details get defaults: no moves, no overtakes, variant 0, duration NaN.
-    """
+def read_results(path: str | os.PathLike[str]) -> RaceTable:
+    """Read a results file; it has the fields of a :class:`RaceRow` as columns."""
     table = read_csv(path)
-    return _parsed(_in_columns(table.path, table.columns, table.values()), need)
+    return _parsed(_in_columns(table.path, table.columns, table.values()))
 
 
 def race_table(rows: Iterable[RaceRow]) -> RaceTable:
@@ -112,22 +97,20 @@ class _Lines(NamedTuple):
         )
 
     def words(self, name: str) -> Categorical:
-        """Return a column of words; a missing column gives empty words."""
-        if name not in self.columns:
-            return Categorical.constant("", len(self.at))
+        """Return a column of words."""
         for word in self.columns[name].words:
-            if len(word) > LONGEST_TEXT:
+            if len(word) > MAX_TEXT:
                 raise self.damaged(name, word, f"{len(word)} characters long")
         return self.columns[name]
 
-    def numbers(self, name: str, low: float, high: float, missing: float | None = None) -> Floats:
-        """Return a column of numbers within bounds."""
-        if missing is not None and name not in self.columns:
-            return np.full(len(self.at), missing)
+    def numbers(
+        self, name: str, low: float, high: float, *, may_be_unknown: bool = False
+    ) -> Floats:
+        """Return a column of numbers within bounds; NaN for an unknown number."""
         words, codes = self.columns[name]
         values = np.array([_number(word) for word in words])
         wrong = ~((values >= low) & (values <= high))  # NaN is wrong, too
-        if missing is not None and math.isnan(missing):
+        if may_be_unknown:
             wrong &= np.array(words) != "nan"
         if wrong.any():
             word = words[int(np.argmax(wrong))]
@@ -136,9 +119,9 @@ class _Lines(NamedTuple):
             )
         return values[codes]
 
-    def wholes(self, name: str, high: int, missing: int | None = None) -> NDArray[Any]:
+    def wholes(self, name: str, high: int) -> NDArray[Any]:
         """Return a column of whole numbers from 0 to ``high``."""
-        values = self.numbers(name, 0, high, missing)
+        values = self.numbers(name, 0, high)
         if (values != np.floor(values)).any():
             words, codes = self.columns[name]
             word = words[codes[int(np.argmax(values != np.floor(values)))]]
@@ -165,38 +148,35 @@ class _Lines(NamedTuple):
         places = [words.setdefault(str(int(word)), len(words)) for word in seeds.words]
         return Categorical(tuple(words), np.array(places, np.int64)[seeds.codes])
 
-    def steps(self, name: str) -> tuple[list[list[str]], NDArray[Any]]:
-        """Return the lists parsed from a column's distinct texts, and the code of each line."""
-        column = self.words(name)
-        lists = [word.split("; ") if word else [] for word in column.words]
+    def steps(self, name: str) -> Categorical:
+        """Return the lists of both cars as words, shape (N, 2, max length)."""
+        columns = [self.words(f"{car}_{name}") for car in CARS]
+        lists = [[word.split("; ") if word else [] for word in column.words] for column in columns]
+        length = max(len(steps) for own in lists for steps in own)
         # Check before any allocation: one long list would widen the table for all races.
-        if 2 * len(self.at) * max(map(len, lists), default=0) > MOST_STEPS:
+        if 2 * len(self.at) * length > MAX_STEPS:
             raise InputError(
                 f"{self.where} holds too much: {len(self.at)} races with lists as long as that in"
                 f" {name}"
             )
-        return lists, column.codes
+        words: dict[str, int] = {}
+        both = []
+        for column, own in zip(columns, lists, strict=True):
+            codes = np.full((len(own), length), -1, np.int64)
+            for row, steps in zip(codes, own, strict=True):
+                row[: len(steps)] = [words.setdefault(step, len(words)) for step in steps]
+            both.append(narrow(codes)[column.codes])
+        return Categorical(tuple(words), np.stack(both, axis=1))
 
     def paths(self, name: str) -> NDArray[Any]:
-        """Return a column of policy lists, shape (N, max length), padded with -1."""
-        lists, codes = self.steps(name)
-        values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
-        for i, policies in enumerate(lists):
-            for k, policy in enumerate(policies):
-                if not policy.isascii() or not policy.isdigit() or len(policy) > 6:
-                    word = self.columns[name].words[i]
-                    raise self.damaged(name, word, f"{word!r:.60}; it must be a list of policies")
-                values[i, k] = int(policy)
-        return narrow(values)[codes]
-
-    def moves(self, name: str) -> Categorical:
-        """Return a column of move lists, shape (N, max length), padded with the code -1."""
-        lists, codes = self.steps(name)
-        words: dict[str, int] = {}
-        values = np.full((len(lists), max(map(len, lists), default=0)), -1, np.int64)
-        for i, moves in enumerate(lists):
-            values[i, : len(moves)] = [words.setdefault(move, len(words)) for move in moves]
-        return Categorical(tuple(words), narrow(values)[codes])
+        """Return the policies of both cars, shape (N, 2, max length), padded with -1."""
+        for column in (f"{car}_{name}" for car in CARS):
+            for word in self.words(column).words:
+                if not _PATH.fullmatch(word):
+                    raise self.damaged(column, word, f"{word!r:.60}; it must be a list of policies")
+        words, codes = self.steps(name)
+        # A code of -1 indexes the last element.
+        return narrow(np.array([*map(int, words), -1], np.int64))[codes]
 
 
 def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, list[str]]]) -> _Lines:
@@ -222,24 +202,22 @@ def _in_columns(where: str, names: Sequence[str], lines: Iterable[tuple[int, lis
     return _Lines(where, columns, np.array(at, np.int32))
 
 
-def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
+def _parsed(lines: _Lines) -> RaceTable:
     """Return the table of a file's lines, with all words checked and converted."""
     if not len(lines.at):
         raise InputError(f"{lines.where} holds no races")
-    missing = [name for name in (*NEEDED, *need) if name not in lines.columns]
+    missing = [name for name in RaceRow._fields if name not in lines.columns]
     if missing:
         raise InputError(
             f"{lines.where} has no column {missing[0]!r}; it must be a results.csv of races"
         )
-    if len(lines.at) > MOST_RACES:
+    if len(lines.at) > MAX_RACES:
         raise InputError(
-            f"{lines.where} holds {len(lines.at)} races; at most {MOST_RACES} can be read"
+            f"{lines.where} holds {len(lines.at)} races; at most {MAX_RACES} can be read"
         )
 
     def both(name: str) -> NDArray[Any]:
-        return np.stack(
-            [lines.wholes(f"{car}_{name}", 1_000_000, missing=0) for car in CARS], axis=1
-        )
+        return np.stack([lines.wholes(f"{car}_{name}", 1_000_000) for car in CARS], axis=1)
 
     # The index of the word is a pair of bits: 1 for the ego, 2 for the opponent.
     fault = lines.choices("fault", FAULTS)
@@ -256,32 +234,11 @@ def _parsed(lines: _Lines, need: Sequence[str] = ()) -> RaceTable:
         crash=narrow(lines.choices("crash", CRASHES)),
         fault=narrow(np.stack([fault & 1, fault >> 1], axis=1)),
         overtakes=both("overtakes"),
-        duration=lines.numbers("duration", 0.0, 1e6, missing=math.nan),
+        duration=lines.numbers("duration", 0.0, 1e6, may_be_unknown=True),
         variants=both("variant"),
-        path=_side_by_side([lines.paths(f"{car}_path") for car in CARS]),
-        moves=_moves_of_both([lines.moves(f"{car}_moves") for car in CARS]),
+        path=lines.paths("path"),
+        moves=lines.steps("moves"),
     )
-
-
-def _side_by_side(columns: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return two arrays (N, steps) as one array (N, 2, max steps), padded with -1."""
-    steps = max(column.shape[1] for column in columns)
-    return np.stack(
-        [np.pad(c, ((0, 0), (0, steps - c.shape[1])), constant_values=-1) for c in columns], axis=1
-    )
-
-
-def _moves_of_both(columns: Sequence[Categorical]) -> Categorical:
-    steps = max(column.codes.shape[1] for column in columns)
-    wide = [
-        column._replace(
-            codes=np.pad(
-                column.codes, ((0, 0), (0, steps - column.codes.shape[1])), constant_values=-1
-            )
-        )
-        for column in columns
-    ]
-    return Categorical.concatenate(wide, axis=1)
 
 
 def _number(word: str) -> float:

@@ -1,8 +1,14 @@
-"""Ratings of agents from race results: the Bradley-Terry model with Davidson's ties.
+"""Ratings of agents from race results, and the summary of a round robin.
+
+The model of a rating is Bradley and Terry's with Davidson's ties.
 
 Agent i beats j, loses to j or ties with j in proportion to ``exp(r_i)``, ``exp(r_j)`` and
 ``tie * exp((r_i + r_j) / 2)`` (Bradley and Terry 1952; Davidson 1970). No-contests (crashes without
 a winner) are left out, and counted. They do not lower a rating, only the score.
+
+In the meta-game of a round robin each player chooses an agent, and the score matrix gives the
+payoffs. A rating is one number and can't represent cycles (a beats b, b beats c, c beats a); the
+equilibrium of the meta-game can.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -13,6 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
+from pcs_racing_agents.tournament.races import RaceTable
 
 Floats = NDArray[np.float64]
 
@@ -37,13 +45,8 @@ class Ratings:
 
     @property
     def elo(self) -> Floats:
-        """Strengths as chess ratings (400 points are odds of ten to one), mean 0, shape (N,)."""
-        return self.to_elo(self.strength)
-
-    @staticmethod
-    def to_elo(strength: ArrayLike) -> Floats:
-        """Return natural log-odds on the scale of chess ratings."""
-        return ELO * np.asarray(strength, np.float64)
+        """Strength, low and high as chess ratings (400 points are odds of ten), shape (3, N)."""
+        return ELO * np.array([self.strength, self.low, self.high])
 
 
 def rate(
@@ -83,24 +86,28 @@ def rate(
         raise InputError(f"prior_sd is {prior_sd!r}; it must be a number from 1e-6 to 1e6")
     if rng is not None and not replicates >= 100:
         raise InputError(f"replicates is {replicates!r}; an interval needs at least 100")
-    if len(first) != len(second):
-        raise InputError(
-            f"first names {len(first)} agents and second {len(second)}; every race needs one of"
-            " each"
-        )
-    if not len(first):
+    races = len(first)
+    if races == 0:
         raise InputError("there are no races; ratings need at least one")
+    outcome = np.asarray(result, np.float64)
+    uncounted = np.zeros(races, bool) if unpaid is None else np.asarray(unpaid, bool)
+    units = np.arange(races) if unit is None else np.asarray(unit)
+    for name, column in (
+        ("second", np.asarray(second)),
+        ("result", outcome),
+        ("unpaid", uncounted),
+        ("unit", units),
+    ):
+        if column.shape != (races,):
+            raise InputError(
+                f"{name} has shape {column.shape}; it must hold one value for each of {races} races"
+            )
     # numpy sorts the names, so that ratings do not depend on the order of races.
     names, pairs = np.unique(
         np.array([list(first), list(second)], dtype=np.str_), return_inverse=True
     )
     number = len(names)
     first_agent, second_agent = pairs.reshape(2, -1)
-    outcome = _per_race("result", result, len(first_agent), float)
-    races = len(first_agent)
-    uncounted = (
-        np.zeros(races, bool) if unpaid is None else _per_race("unpaid", unpaid, races, bool)
-    )
     _check_races(names, first_agent, second_agent, outcome, uncounted)
     counted = np.flatnonzero(~uncounted)
     winner = np.where(outcome > 0.0, first_agent, second_agent)[counted]
@@ -121,7 +128,6 @@ def rate(
     strength, tie = fit(np.ones((1, len(cell))))
     low = high = np.full(number, np.nan)
     if rng is not None:
-        units = np.arange(races) if unit is None else _per_race("unit", unit, races, None)
         replicated = np.concatenate(
             [fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)]
         )
@@ -230,18 +236,6 @@ def _log_posterior(
     return log.sum(axis=(1, 2)) - 0.5 * precision * (x**2).sum(axis=1)
 
 
-def _per_race(name: str, values: ArrayLike, races: int, kind: type | None) -> NDArray[Any]:
-    try:
-        array = np.asarray(values, dtype=kind)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must hold one value for each race") from None
-    if array.shape != (races,):
-        raise InputError(
-            f"{name} has shape {array.shape}; it must hold one value for each of {races} races"
-        )
-    return array
-
-
 def _check_races(
     names: NDArray[np.str_],
     first_agent: NDArray[np.intp],
@@ -267,12 +261,111 @@ def _check_connected(
     names: NDArray[np.str_], winner: NDArray[np.intp], loser: NDArray[np.intp]
 ) -> None:
     """Raise InputError unless a chain of races connects every two agents."""
-    group = np.arange(len(names))
-    for i, j in set(zip(winner.tolist(), loser.tolist(), strict=True)):
-        group[group == group[i]] = group[j]
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    meetings = coo_array((np.ones(len(winner)), (winner, loser)), shape=(len(names),) * 2)
+    group = connected_components(meetings, directed=False)[1]
     apart = group != group[0]
     if apart.any():
         raise InputError(
             f"{names[np.argmax(apart)]!s} never met {names[0]!s} or any that did; they can't be"
             " compared"
         )
+
+
+def excess(scores: ArrayLike) -> Floats:
+    """Return the zero-sum payoffs of a score matrix: half of ``scores - scores.T``.
+
+    ``scores`` (array_like, shape (N, N)): score of the row's agent against the column's agent. The
+    diagonal is not used.
+    """
+    matrix = np.array(scores, dtype=np.float64)
+    np.fill_diagonal(matrix, 0.0)
+    return 0.5 * (matrix - matrix.T)
+
+
+MIN_LINES = 5
+"""Minimum number of start lines for a bootstrap interval."""
+
+
+@dataclass(frozen=True, eq=False)
+class RoundRobin:
+    """Results of a round robin of N agents."""
+
+    names: tuple[str, ...]  #: Names of N agents.
+    #: shape (N, N): Score of the row's agent against the column's agent: share of races won, a tie
+    #: counting half; NaN for pairs without races.
+    scores: Floats
+    ratings: Ratings | None  #: Ratings of the agents; None if they can't be estimated.
+    #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; None unless all
+    #: pairs met.
+    equilibrium: Floats | None
+
+    def rating(self, name: str) -> tuple[float, float, float]:
+        """Return an agent's Elo-scale rating and both ends of its interval; NaN if unknown."""
+        if self.ratings is None or name not in self.ratings.names:
+            return np.nan, np.nan, np.nan
+        value, low, high = self.ratings.elo[:, self.ratings.names.index(name)].tolist()
+        return value, low, high
+
+
+def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> RoundRobin:
+    """Summarise the races of a round robin.
+
+    ``races``: races with the same start lines for all pairs. A crash without a winner is no tie.
+    """
+    first, second = agents_of(names, races).T
+    # A winner of -1 (a tie or a no-contest) indexes the last element.
+    won = np.array([1.0, -1.0, 0.0])[races.winner]
+    # No-contests count in a score (as lost for both), but contain no information for ratings.
+    unpaid = races.crashed & (won == 0.0)
+    total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
+    paid = np.where(unpaid, 0.0, 0.5)
+    np.add.at(total, (first, second), paid * (1.0 + won))
+    np.add.at(total, (second, first), paid * (1.0 - won))
+    np.add.at(count, (first, second), 1.0)
+    np.add.at(count, (second, first), 1.0)
+    scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
+    # A game with a missing payoff has no equilibrium; a mean as a substitute would invent a result.
+    met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
+    return RoundRobin(
+        names=tuple(names),
+        scores=scores,
+        ratings=_ratings(
+            np.array(names)[first], np.array(names)[second], won, unpaid, races.places, seed
+        ),
+        equilibrium=solve_matrix_games(excess(scores)).rows[0] if met else None,
+    )
+
+
+def agents_of(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
+    """Return the agent in each car of each race as an index into ``names``, shape (N, 2)."""
+    words = races.agents.words
+    unknown = sorted({words[code] for code in np.unique(races.agents.codes).tolist()} - set(names))
+    if unknown:
+        raise InputError(f"{unknown[0]!r} raced, but is not one of {', '.join(names)}")
+    index = np.array([names.index(word) if word in names else -1 for word in words], np.intp)
+    return index[races.agents.codes]
+
+
+def _ratings(
+    ego: NDArray[np.str_],
+    opponent: NDArray[np.str_],
+    won: Floats,
+    unpaid: NDArray[np.bool_],
+    line: NDArray[np.intp],
+    seed: int,
+) -> Ratings | None:
+    """Fit the ratings, with intervals if there are enough start lines."""
+    # A bootstrap over few lines draws almost the same lines again: its interval is too short.
+    several = len(np.unique(line[~unpaid])) >= MIN_LINES
+    rng = (
+        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,)))
+        if several
+        else None
+    )
+    try:
+        return rate(ego.tolist(), opponent.tolist(), won, unpaid=unpaid, unit=line, rng=rng)
+    except InputError:  # no race counts, or groups of agents never met
+        return None

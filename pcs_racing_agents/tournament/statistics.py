@@ -24,51 +24,29 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 
-def score(won: ArrayLike, tied: ArrayLike) -> Floats:
-    """Return the score of races: 1 for a win, 0.5 for a tie, else 0 (also for a no-contest).
-
-    Parameters
-    ----------
-    won, tied : array_like of bool, shape (U,)
-    """
-    wins, ties = np.asarray(won, dtype=bool), np.asarray(tied, dtype=bool)
-    if wins.shape != ties.shape:
-        raise InputError(
-            f"won has shape {wins.shape} and tied {ties.shape}; they must be the same races"
-        )
-    both = wins & ties
-    if both.any():
-        raise InputError(
-            f"race {int(np.argmax(both.ravel()))} is won and tied; it can be only one of them"
-        )
-    return wins + 0.5 * ties
-
-
 def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
     """Return the order of arm b's units that matches arm a: ``units_b[order[i]] == units_a[i]``.
 
     A unit identifies a race, for instance ``(ego, opponent, start_s, side)``.
     """
-    indices: list[dict[Hashable, int]] = []
-    for arm, units in (("a", units_a), ("b", units_b)):
-        index = {unit: i for i, unit in enumerate(units)}
+    index_a, index_b = ({unit: i for i, unit in enumerate(units)} for units in (units_a, units_b))
+    for arm, units, index in (("a", units_a, index_a), ("b", units_b, index_b)):
         if len(index) < len(units):
             twice = next(unit for i, unit in enumerate(units) if index[unit] != i)
             raise InputError(
                 f"arm {arm} raced unit {twice!r} more than once; every unit must be there once"
             )
-        indices.append(index)
-    for arm, own, others in (("b", indices[0], indices[1]), ("a", indices[1], indices[0])):
+    for arm, own, others in (("b", index_a, index_b), ("a", index_b, index_a)):
         missing = [unit for unit in own if unit not in others]
         if missing:
             raise InputError(
                 f"arm {arm} did not race unit {missing[0]!r} ({len(missing)} missing); both must"
                 " race the same units"
             )
-    return np.array([indices[1][unit] for unit in units_a], dtype=np.intp)
+    return np.array([index_b[unit] for unit in units_a], dtype=np.intp)
 
 
-def check_values(name: str, values: ArrayLike) -> Floats:
+def _check_values(name: str, values: ArrayLike) -> Floats:
     """Return finite numbers of shape (U,), U at least 1; else raise InputError."""
     try:
         array = np.asarray(values, dtype=np.float64)
@@ -83,31 +61,18 @@ def check_values(name: str, values: ArrayLike) -> Floats:
     return array
 
 
-def check_arms(a: ArrayLike, b: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the scores of two arms, or raise InputError if their lengths differ."""
-    first, second = check_values("a", a), check_values("b", b)
-    if first.shape != second.shape:
-        raise InputError(
-            f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same"
-            " units"
-        )
-    return first, second
-
-
-def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, int]:
+def _cluster_codes(labels: ArrayLike, races: int, kind: str) -> tuple[Ints, int]:
     """Return labels as codes from 0, shape (U,), and their distinct count; InputError below 2."""
     try:
         array = np.asarray(labels)
     except ValueError:
         raise InputError(f"{kind} labels must be text or numbers, one for each race") from None
-    if array.shape != values.shape:
+    if array.shape != (races,):
         raise InputError(
-            f"{kind} labels have shape {array.shape}; there must be one for each of {len(values)}"
-            " races"
+            f"{kind} labels have shape {array.shape}; there must be one for each of {races} races"
         )
-    if array.dtype.kind not in "biufUS" or (
-        array.dtype.kind == "f" and not np.isfinite(array).all()
-    ):
+    is_float = array.dtype.kind == "f"
+    if array.dtype.kind not in "biufUS" or (is_float and not np.isfinite(array).all()):
         raise InputError(f"{kind} labels must be text or finite numbers, not {array.dtype}")
     # Labels are only compared, never ordered or averaged: they may be text or numbers.
     unique, codes = np.unique(array, return_inverse=True)
@@ -119,30 +84,17 @@ def cluster_codes(labels: ArrayLike, values: Floats, kind: str) -> tuple[Ints, i
     return codes.astype(np.intp), len(unique)
 
 
-def pool_codes(ego: ArrayLike, opponent: ArrayLike) -> tuple[Ints, Ints]:
-    """Return labels of both roles as common codes from 0, shape (U,) each, checked for one type."""
-    first, second = np.asarray(ego), np.asarray(opponent)
-    if (first.dtype.kind in "US") != (second.dtype.kind in "US"):
-        raise InputError(
-            f"ego labels are {first.dtype} and opponent labels {second.dtype}; one pool has one"
-            " kind"
-        )
-    _, codes = np.unique(np.concatenate([first, second]), return_inverse=True)
-    both = codes.astype(np.intp)
-    return both[: len(first)], both[len(first) :]
-
-
 def t_interval(mean: float, se: float, df: int) -> tuple[float, float, float]:
     """Return both ends of an estimate's 95 % interval, and the two-sided p-value of the value 0."""
     from scipy.special import stdtr, stdtrit  # local: the import takes 0.25 s
 
     reach = float(stdtrit(df, 0.975)) * se
-    t = abs(ratio(mean, se))
+    t = abs(_ratio(mean, se))
     p = 0.0 if math.isinf(t) else 2.0 * float(stdtr(df, -t))
     return mean - reach, mean + reach, p
 
 
-def ratio(value: float, scale: float) -> float:
+def _ratio(value: float, scale: float) -> float:
     """Return ``value / scale``; 0 if both are 0 (identical arms), infinite if only scale is 0."""
     if scale > 0.0:
         return float(value / scale)
@@ -189,14 +141,14 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
         Assenova 2015). The variance is the maximum of the variances with and without these
         clusters.
     """
-    x = check_values("values", values)
+    x = _check_values("values", values)
     if not clusters:
         raise InputError(
             "there are no cluster labels; without them there is nothing to be robust to"
         )
+    names = [*KINDS, *["cluster"] * len(clusters)]
     coded = [
-        cluster_codes(labels, x, KINDS[i] if i < len(KINDS) else "cluster")
-        for i, labels in enumerate(clusters)
+        _cluster_codes(labels, len(x), name) for labels, name in zip(clusters, names, strict=False)
     ]
     numbers = tuple(number for _, number in coded)
     kinds: list[Kind] = [(codes,) for codes, _ in coded]
@@ -205,9 +157,9 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
     if same_pool:
         if len(clusters) < 2:
             raise InputError("same_pool is about the labels of ego and opponent; give both")
-        variance = max(
-            variance, _variance(x - mean, [pool_codes(clusters[0], clusters[1]), *kinds[2:]])
-        )
+        labels = np.concatenate([np.asarray(labels) for labels in clusters[:2]])
+        pool = np.unique(labels, return_inverse=True)[1].reshape(2, -1)
+        variance = max(variance, _variance(x - mean, [tuple(pool), *kinds[2:]]))
     se = float(np.sqrt(variance))
     # The minimum number of clusters limits the information, for any number of races.
     df = min(numbers) - 1
@@ -297,7 +249,7 @@ def compare(
     Parameters
     ----------
     a, b : array_like, shape (U,)
-        Scores of the arms (:func:`score`: 1 win, 0.5 tie, 0 else), race by race in the same order
+        Scores of the arms (1 for a win, 0.5 for a tie, else 0), race by race in the same order
         (:func:`match_units`).
     ego, opponent : array_like, shape (U,)
         Labels of the ego start policy and of the opponent of each race. A single opponent is no
@@ -306,7 +258,12 @@ def compare(
         Labels of the start lines, a third kind of cluster. Use it if all pairs share a few lines;
         omit it if every pair has its own lines.
     """
-    first, second = check_arms(a, b)
+    first, second = _check_values("a", a), _check_values("b", b)
+    if first.shape != second.shape:
+        raise InputError(
+            f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same"
+            " units"
+        )
     # A single opponent is one cluster without spread: the interval applies to this opponent.
     single = len(np.unique(np.asarray(opponent))) == 1
     kinds = [ego, *([] if single else [opponent]), *([] if start is None else [start])]
@@ -337,11 +294,7 @@ def holm(p_values: ArrayLike) -> Floats:
 
     Argument and result have shape (T,) and the same order.
     """
-    p = check_values("p_values", p_values)
-    wrong = (p < 0.0) | (p > 1.0)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"p_values[{at}] is {p[at]:g}; it must be from 0 to 1")
+    p = _check_values("p_values", p_values)
     order = np.argsort(p, kind="stable")
     adjusted = np.empty_like(p)
     # The running maximum preserves the order of the p-values.
@@ -356,10 +309,10 @@ def _paired_t(differences: Floats, ego: ArrayLike) -> tuple[float, float]:
     advantage varies between opponents, it rejects a true null hypothesis about the population of
     opponents too often.
     """
-    codes, number = cluster_codes(ego, differences, "ego")
+    codes, number = _cluster_codes(ego, len(differences), "ego")
     means = np.bincount(codes, differences) / np.bincount(codes)
     mean, deviation = float(means.mean()), float(means.std(ddof=1))
     if deviation <= 1e-12 * float(np.abs(means).max()):
         deviation = 0.0  # equal differences with means that differ in the last digit
     _, _, p = t_interval(mean, deviation / math.sqrt(number), number - 1)
-    return p, ratio(mean, deviation)
+    return p, _ratio(mean, deviation)

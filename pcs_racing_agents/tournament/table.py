@@ -1,21 +1,17 @@
 """Tables of a tournament: standings and payoff matrix, as values, text and a picture."""
 
-import os
 from collections.abc import Sequence
-from functools import lru_cache
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
 from pcs_racing_agents.tournament.races import closeness_text
-from pcs_racing_agents.tournament.ratings import Ratings
-from pcs_racing_agents.tournament.round_robin import RoundRobin, drivers, round_robin
+from pcs_racing_agents.tournament.ratings import Ratings, agents_of
 
 COLUMNS = (
     Column("name", "agent"),
@@ -55,7 +51,7 @@ class Standing(NamedTuple):
     rating_low: float
     rating_high: float
     #: Probability of the competitor in an equilibrium of the meta-game
-    #: (:class:`pcs_racing_agents.tournament.round_robin.RoundRobin`); NaN if unknown.
+    #: (:class:`pcs_racing_agents.tournament.ratings.RoundRobin`); NaN if unknown.
     equilibrium: float
 
     @property
@@ -72,71 +68,49 @@ def rating_interval(low: float, high: float) -> str:
 def standings(tournament: Tournament) -> list[Standing]:
     """Return the standings of a tournament, highest score first."""
     table = []
-    # Cached by sum_up, since text, matrix and picture also need it and the bootstrap takes time.
-    together, races = sum_up(tournament), tournament.races
-    drove = drivers(tournament.plan.names, races)
-    series = drivers(tournament.plan.names, tournament.series)
+    together, races = tournament.summary, tournament.races
+    drove = agents_of(tournament.plan.names, races)
+    series = agents_of(tournament.plan.names, tournament.series)
     scored = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])[tournament.series.winner]
     # A no-contest is no tie.
     scored[tournament.series.crashed & (tournament.series.winner < 0)] = 0.0
     # Conditions on a car have shape (N, 2), conditions on a race (N, 1).
     winner, crashed = races.winner[:, None] == np.arange(2), races.crashed[:, None]
-    clean, tie, blamed = ~crashed, races.tie[:, None], races.fault > 0
+    clean, blamed = ~crashed, races.fault > 0
+    shares = {
+        "win": clean & winner,
+        "tie": races.tie[:, None],
+        "loss": clean & winner[:, ::-1],
+        "own_crash": blamed,
+        "other_crash": crashed & ~blamed,
+    }
     for k, name in enumerate(tournament.plan.names):
         own = drove == k
-        total = int(np.count_nonzero(own))
-
-        def share(
-            condition: NDArray[np.bool_], own: NDArray[np.bool_] = own, total: int = total
-        ) -> float:
-            """Return the share of the competitor's races with a true condition."""
-            return np.count_nonzero(own & condition) / total
-
         rating, low, high = together.rating(name)
-        table.append(
-            Standing(
-                name=name,
-                races=total,
-                score=float(scored[series == k].mean()),
-                rating=rating,
-                win=share(clean & winner),
-                tie=share(tie),
-                loss=share(clean & winner[:, ::-1]),
-                own_crash=share(blamed),
-                other_crash=share(crashed & ~blamed),
-                overtakes=int(races.overtakes[own].sum()) / total,
-                rating_low=low,
-                rating_high=high,
-                equilibrium=(
-                    np.nan if together.equilibrium is None else float(together.equilibrium[k])
-                ),
-            )
+        standing = Standing(
+            name=name,
+            races=int(np.count_nonzero(own)),
+            score=float(scored[series == k].mean()),
+            rating=rating,
+            rating_low=low,
+            rating_high=high,
+            overtakes=float(races.overtakes[own].mean()),
+            equilibrium=np.nan if together.equilibrium is None else together.equilibrium[k],
+            **{
+                share: float(np.broadcast_to(condition, own.shape)[own].mean())
+                for share, condition in shares.items()
+            },
         )
+        table.append(standing)
     return sorted(table, key=lambda standing: -standing.score)
-
-
-@lru_cache(maxsize=8)
-def sum_up(tournament: Tournament) -> RoundRobin:
-    """Return the summary of a tournament's races, cached, with agents in the plan's order."""
-    return round_robin(tournament.plan.names, tournament.series, seed=tournament.plan.seed)
-
-
-def payoff_matrix(tournament: Tournament) -> NDArray[np.float64]:
-    """Return the competitors' scores against each other, shape (N, N), in the plan's order.
-
-    The diagonal is NaN.
-    """
-    return sum_up(tournament).scores
 
 
 def tournament_text(tournament: Tournament) -> str:
     """Return the standings and the payoff matrix as text."""
     table = standings(tournament)
     races = len(tournament.races)
-    crashes, passed = (
-        int(tournament.races.crashed.sum()),
-        int(tournament.races.overtakes.any(axis=1).sum()),
-    )
+    crashes = int(tournament.races.crashed.sum())
+    passed = int(tournament.races.overtakes.any(axis=1).sum())
     plan = tournament.plan
     head = (
         f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
@@ -144,9 +118,9 @@ def tournament_text(tournament: Tournament) -> str:
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
         f"{closeness_text(tournament.races)}\n"
     )
-    has_equilibrium = sum_up(tournament).equilibrium is not None
+    has_equilibrium = tournament.summary.equilibrium is not None
     columns = (*COLUMNS, EQUILIBRIUM) if has_equilibrium else COLUMNS
-    payoffs = payoff_matrix(tournament)
+    payoffs = tournament.summary.scores
     order = [plan.names.index(standing.name) for standing in table]
     matrix: list[tuple[str, ...]] = [("score against", *(f"({k + 1})" for k in range(len(order))))]
     matrix += [
@@ -170,17 +144,6 @@ def tournament_text(tournament: Tournament) -> str:
             "",
             note,
         ]
-    )
-
-
-def payoff_picture(tournament: Tournament, path: str | os.PathLike[str]) -> Path:
-    """Draw the payoff matrix into a file; the suffix of the path determines the format."""
-    from pcs_racing_agents.base.style import save_picture
-
-    names = [standing.name for standing in standings(tournament)]
-    order = [tournament.plan.names.index(name) for name in names]
-    return save_picture(
-        payoffs_picture(names, payoff_matrix(tournament)[np.ix_(order, order)]), path
     )
 
 
@@ -228,16 +191,16 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
 def ratings_picture(ratings: Ratings) -> Any:
     """Draw the ratings with their intervals, best on top, on the scale of chess."""
     order = np.argsort(-ratings.strength, kind="stable")
-    low, high = ratings.to_elo(ratings.low), ratings.to_elo(ratings.high)
+    values, low, high = ratings.elo
     figure = new_figure(7.2, 0.9 + 0.3 * len(order))
     axes = figure.subplots()
     axes.axvline(0.0, color=EDGE, lw=1.0)
     for rank, i in enumerate(order):
-        if np.isfinite(ratings.low[i]):
+        if np.isfinite(low[i]):
             axes.plot(
                 [low[i], high[i]], [-rank] * 2, color=COLOURS[0], lw=2.0, solid_capstyle="butt"
             )
-        axes.plot(ratings.elo[i], -rank, "o", color=COLOURS[0], ms=6)
+        axes.plot(values[i], -rank, "o", color=COLOURS[0], ms=6)
     axes.set_yticks([-rank for rank in range(len(order))], [short(ratings.names[i]) for i in order])
     axes.set_ylim(-len(order) + 0.4, 0.6)
     axes.set_xlabel("rating (Bradley-Terry; 400 are odds of ten to one; mean 0)")

@@ -9,7 +9,7 @@ from pcs_racing_agents.study.report_page import ReportContent, TitledTable
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.tournament.round_robin import round_robin
+from pcs_racing_agents.tournament.ratings import round_robin
 
 NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 

@@ -25,7 +25,7 @@ from pcs_racing_agents.study.table import by_progress, make_table
 from pcs_racing_agents.study.table_text import paper_rows, write_table
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.ratings import Ratings
-from pcs_racing_agents.tournament.round_robin import RoundRobin
+from pcs_racing_agents.tournament.ratings import RoundRobin
 
 
 @pytest.fixture(scope="module")

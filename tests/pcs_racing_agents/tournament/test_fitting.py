@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, load_track, parse_policy
-from pcs_racing_agents.agents import Driver, make_game_spec
+from pcs_racing import CONTEST, load_track
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import fitting as fits
@@ -54,32 +54,14 @@ def test_the_best_target_is_found_and_fits_repeat(training, short, tmp_path):
             assert vars(fits.fit_best_fixed(training, job=job)) == vars(first)
 
 
-def test_the_best_lead_plan_is_found(training, short):
-    """It is at least as good as the best fixed policy, and no change of one of its two policies is
-    better.
-    """
+def test_the_best_lead_plan_is_at_least_as_good_as_the_best_fixed_policy(training, short):
     targets = [0, 4, 8, 11]
-    fit, fixed = (
-        fits.fit_best_lead_plan(training, targets=targets),
-        fits.fit_best_fixed(training, targets=targets),
-    )
+    fit = fits.fit_best_lead_plan(training, targets=targets)
+    fixed = fits.fit_best_fixed(training, targets=targets)
     assert fit.training["reached"] >= fixed.training["reached"]
-    plans = [{"behind": behind, "ahead": ahead} for behind, ahead in product(targets, repeat=2)]
-    values = fits.evaluate(
-        training, [build("best-lead-plan", short, targets=plan) for plan in plans]
-    )
-    reached = values[plans.index(fit.choice)]
+    (reached,) = fits.evaluate(training, [build("best-lead-plan", short, fit=fit)])
     assert fit.training["reached"] == pytest.approx(reached, abs=1e-4)
-    near = [
-        plan["behind"] == fit.choice["behind"] or plan["ahead"] == fit.choice["ahead"]
-        for plan in plans
-    ]
-    assert reached == values[near].max()
-    assert (
-        build("best-lead-plan", short, fit=fit)
-        .facts["behind"]
-        .startswith(f"policy {fit.choice['behind']} ")
-    )
+    assert set(fit.choice.values()) <= set(targets)
 
 
 def test_candidates_are_compared_in_the_same_races(training, short, oval, monkeypatch):
@@ -122,13 +104,6 @@ def test_candidates_are_compared_in_the_same_races(training, short, oval, monkey
         "seed": 7,
         "reached": 0.1235,
     }
-    assert (
-        fits.TrainingRaces((oval,), agents, short).races,
-        fits.TrainingRaces((oval,), agents, short).seed,
-    ) == (
-        100,
-        1_000_003,
-    )
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -161,24 +136,6 @@ def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(see
             if sum(a != b for a, b in zip(choice, current, strict=True)) == 1
         }
     assert (best, set(asked)) == (current, known)
-
-
-def test_a_candidate_scores_its_own_wins(oval, archive):
-    """Known answers: in the paper's race pace wins, so the slowest candidate beats a slower car and
-    no faster one.
-    """
-    spec = make_game_spec(archive, game_rules("paper", moves=2, step_seconds=4.0))
-    slowest = build("best-fixed", spec, target=0)
-    scores = [
-        fits.evaluate(
-            fits.TrainingRaces(
-                (oval,), (Driver("other", (parse_policy(f"lattice:pace={pace}"),)),), spec, races=6
-            ),
-            [slowest],
-        )
-        for pace in (0.0, 1.0)
-    ]
-    assert scores == [[1.0], [0.0]]
 
 
 def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(training, oval, short):

@@ -45,8 +45,6 @@ def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
     np.testing.assert_array_equal(races.fault, state.race.fault)
     np.testing.assert_array_equal(races.overtakes, state.race.overtakes)
     np.testing.assert_array_equal(races.observations, contest.observation(state))
-    assert (moves[:, 1][moves[:, 1] >= 0] == 4).all()
-    assert len(set(moves[:, 0].ravel().tolist())) > 3
     crashed = races.crashed
     assert 0 < crashed.sum() < GAMES
     assert (races.duration[~crashed] == 4.0).all()

@@ -39,7 +39,7 @@ def test_strengths_and_ties_come_back_within_their_intervals():
     assert ratings.strength == pytest.approx(STRENGTH, abs=0.06)
     assert ratings.tie == pytest.approx(TIE, abs=0.03)
     assert ratings.strength.sum() == pytest.approx(0.0, abs=1e-9)
-    assert ratings.elo[0] - ratings.elo[1] == pytest.approx(0.6 * 400 / np.log(10), abs=12)
+    assert ratings.elo[0, 0] - ratings.elo[0, 1] == pytest.approx(0.6 * 400 / np.log(10), abs=12)
     assert np.isnan(ratings.low).all()
     assert ratings.races.tolist() == [16_000] * 5
     rng = np.random.default_rng(3)
@@ -114,11 +114,6 @@ def test_intervals_repeat_and_know_of_shared_races():
         rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units
     )
     assert (alone.low == again.low).all()
-    usual = (
-        rate(*many, unit=line, rng=np.random.default_rng(5), **given)
-        for given in ({}, {"replicates": 500})
-    )
-    assert len({ratings.low.tobytes() for ratings in (*usual, alone)}) == 2
     # Of two lines each replicate has one twice or both once: a fit of each is in the interval's
     # ends.
     halves = rate(
@@ -169,9 +164,8 @@ def test_bad_input():
         (lambda: rate(["a"], ["a"], [1]), "a races itself"),
         (lambda: rate(["a"], ["b"], [2]), r"result\[0\] is 2"),
         (lambda: rate(["a"], ["b"], [np.nan]), r"result\[0\] is nan"),
-        (lambda: rate(["a"], ["b"], ["ego"]), "result must hold one value"),
         (lambda: rate(["a"], ["b"], [1, 1]), r"result has shape \(2,\)"),
-        (lambda: rate(["a", "b"], ["b"], [1, 1]), "first names 2"),
+        (lambda: rate(["a", "b"], ["b"], [1, 1]), "second has shape"),
         (lambda: rate([], [], []), "there are no races"),
         (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races"),
         (lambda: rate(["a", "b"], ["c", "d"], [1, 0]), "b never met a"),

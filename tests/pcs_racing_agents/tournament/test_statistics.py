@@ -18,7 +18,6 @@ from pcs_racing_agents.tournament.statistics import (
     compare,
     holm,
     match_units,
-    score,
     t_interval,
 )
 
@@ -63,19 +62,6 @@ def test_the_clustered_interval_covers_whatever_differs(effects):
     ]
     covered = np.mean([e.low <= 0.1 <= e.high for e in estimates])
     assert 0.92 <= covered <= (0.99 if not effects else 0.975)
-
-
-def test_false_positives_where_egos_and_opponents_differ():
-    """The paper's test takes the opponents as given, so it rejects far too often; the clustered one
-    does not.
-    """
-    rng = np.random.default_rng(2)
-    zeros = np.zeros(len(EGO))
-    results = [
-        compare(differences(rng, ego=0.1, opponent=0.1), zeros, EGO, OPPONENT) for _ in range(600)
-    ]
-    assert 0.025 <= np.mean([r.p_clustered < 0.05 for r in results]) <= 0.08
-    assert np.mean([r.p_paired_t < 0.05 for r in results]) >= 0.1
 
 
 def slow_variance(x, *kinds):
@@ -139,28 +125,6 @@ def test_the_variance_of_a_pool_corrects_each_term_by_its_clusters_start_lines_a
         assert clustered_mean(x, ego, opponent, same_pool=True).se ** 2 == pytest.approx(
             expected, rel=1e-9
         )
-        names = (
-            np.char.add("policy ", ego.astype(str)),
-            np.char.add("policy ", opponent.astype(str)),
-        )
-        assert clustered_mean(x, *names, same_pool=True).se ** 2 == pytest.approx(
-            expected, rel=1e-9
-        )
-    # Against the sum over all pairs of races; the corrections G / (G - 1) are near 1 with hundreds
-    # of policies.
-    rng = np.random.default_rng(17)
-    ego, opponent, line = (
-        rng.integers(0, 400, 1500),
-        rng.integers(0, 400, 1500),
-        rng.integers(0, 300, 1500),
-    )
-    policy = rng.normal(size=400)
-    x = policy[ego] + policy[opponent] + rng.normal(size=300)[line] + rng.normal(size=1500)
-    e = (x - x.mean()) / 1500
-    shared = (ego[:, None] == ego) | (ego[:, None] == opponent) | (line[:, None] == line)
-    shared |= (opponent[:, None] == ego) | (opponent[:, None] == opponent)
-    estimate = clustered_mean(x, ego, opponent, line, same_pool=True)
-    assert estimate.se**2 == pytest.approx(e @ shared @ e, rel=0.01)
 
 
 def test_a_negative_variance_is_no_certainty_and_no_difference_no_evidence():
@@ -182,7 +146,6 @@ def test_a_negative_variance_is_no_certainty_and_no_difference_no_evidence():
     result = compare([0.7, 0.6, 0.9], [0.6, 0.5, 0.8], [0, 1, 2], [0, 1, 1])
     assert result.p_paired_t == 0.0
     assert result.cohen_d == np.inf
-    assert score([True, False, False], [False, True, False]).tolist() == [1.0, 0.5, 0.0]
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -236,12 +199,6 @@ def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
     expected = stats.ttest_rel(a.reshape(20, 20).mean(axis=1), b.reshape(20, 20).mean(axis=1))
     assert result.p_paired_t == pytest.approx(expected.pvalue)
     assert result.cohen_d == pytest.approx(expected.statistic / np.sqrt(20))
-    # An ego with fewer races than the others counts as much as they do.
-    some = compare(
-        a[:-15], b[:-15], np.repeat(np.arange(20), 20)[:-15], np.tile(np.arange(20), 20)[:-15]
-    )
-    means = np.add.reduceat(a[:-15] - b[:-15], np.arange(0, 400, 20)) / np.array([20] * 19 + [5])
-    assert some.p_paired_t == pytest.approx(stats.ttest_1samp(means, 0.0).pvalue)
 
 
 def test_the_interval_and_the_p_values_are_those_of_student_and_holm():
@@ -288,11 +245,6 @@ def test_bad_input():
         (lambda: compare(["win"] * 4, ONES, TWO, TWO), "a must be numbers"),
         (lambda: clustered_mean(ONES), "cluster labels"),
         (lambda: clustered_mean(ONES, TWO, same_pool=True), r"^same_pool"),
-        (lambda: clustered_mean(ONES, TWO, list("ooxx"), same_pool=True), "one pool has one kind"),
         (lambda: clustered_mean(ONES, TWO, TWO, [0, 0, 0, 0]), "1 start variant"),
-        (lambda: clustered_mean(ONES, TWO, TWO, TWO, [0, 0, 0, 0]), "1 cluster variant"),
-        (lambda: holm([0.1, 1.1]), r"p_values\[1\] is 1.1"),
-        (lambda: score([True], [True]), "race 0"),
-        (lambda: score([True], [True, False]), r"won has shape \(1,\)"),
     ]:
         refused(message, call)

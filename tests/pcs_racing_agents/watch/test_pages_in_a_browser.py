@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pcs_racing_agents.study.report_inputs import ExplainedRace
 from recorded_races import race_on_a_circle
 from repository import REPOSITORY
 from toy_report import toy_report
@@ -17,7 +16,7 @@ from pcs_racing.race.replay import read_replay, save_replay
 from pcs_racing_agents import make
 from pcs_racing_agents.benchmark.card import board_page, read_cards, write_card
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.study.report import write_page
+from pcs_racing_agents.study.report_page import ExplainedRace, report_page
 from pcs_racing_agents.watch.person_race import (
     PersonRaces,
     drive_page,
@@ -65,9 +64,11 @@ def bare_replay(get):
 def report(get):
     # Wider than any screen, instead of pictures that take seconds to draw.
     svg = b'<svg xmlns="http://www.w3.org/2000/svg" width="1500" height="200"/>'
-    get("monkeypatch").setattr("pcs_racing_agents.study.report._draw", lambda *_, **__: svg)
+    get("monkeypatch").setattr("pcs_racing_agents.study.report_page._draw", lambda *_, **__: svg)
     race = ExplainedRace("A race", "What happened.", read_replay(get("explained")))
-    return write_page(toy_report(get("archive"), race), get("tmp_path") / "report.html")
+    page = get("tmp_path") / "report.html"
+    page.write_text(report_page(toy_report(get("archive"), race)))
+    return page
 
 
 def card(get):
