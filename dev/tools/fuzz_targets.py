@@ -689,11 +689,6 @@ TARGETS: dict[str, Target] = {
         "json",
         plain=True,
     ),
-    "job digest": Target(
-        in_folder(job_folder, ".job.sha256", job),
-        lambda: [(job_folder() / ".job.sha256").read_bytes()],
-        "text",
-    ),
     "results table": Target(
         in_folder(
             tournament_folder, "results.csv", lambda folder: make_table(open_results(folder).races)

@@ -1,6 +1,5 @@
-"""Executors for the tasks of a long job: this thread, threads, processes, or a dask cluster."""
+"""Executors for the tasks of a long job: threads, processes, or workers of a dask cluster."""
 
-import gc
 import logging
 import os
 import platform
@@ -29,16 +28,12 @@ from pcs_racing.planners.own_files import files_run, run_file
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.base.folders import JobError, package_version
 
-EXECUTORS = ("serial", "threads", "processes", "dask")
+EXECUTORS = ("threads", "processes")
 
 ANSWER_SECONDS = 5.0
 """Time limit for a scheduler's response, s."""
-CONNECT_ATTEMPTS = 3
-"""Maximum number of requests for a dask client, if dask's own thread does not start."""
 WORKER_SECONDS = 60.0
 """Time limit for a scheduler's first worker, s."""
-LARGE = 100_000
-"""Size in bytes above which a function is sent once, not with every task."""
 
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -47,42 +42,38 @@ _log = logging.getLogger("pcs_racing_agents")
 
 @contextmanager
 def make_executor(
-    kind: str = "threads", workers: int | None = None, address: str | None = None
-) -> Iterator[Executor | None]:
-    """Provide an executor for the duration of a ``with`` block; None for "serial".
+    kind: str = "threads", workers: int | None = None, scheduler: str | None = None
+) -> Iterator[Executor]:
+    """Provide an executor for the duration of a ``with`` block.
 
     Parameters
     ----------
-    kind : {"serial", "threads", "processes", "dask"}
-        Kind: one task after the other; threads of this process; processes of this machine; workers
-        of a dask cluster. Processes are spawned, so a script needs ``if __name__ == "__main__":``.
+    kind : {"threads", "processes"}
+        Threads of this process, or processes of this machine. Processes are spawned, so a script
+        needs ``if __name__ == "__main__":``.
     workers : int, optional
-        Number of workers; by default the number of cores that this process may use. A running dask
-        cluster has its own workers.
-    address : str, optional
-        Address of a running dask scheduler, like ``tcp://host:8786``; without an address a cluster
-        of processes is started here.
+        Number of threads or processes; by default the number of cores that this process may use.
+    scheduler : str, optional
+        Address of a running dask scheduler, like ``tcp://host:8786``: its workers run the tasks,
+        instead of threads or processes.
     """
     if kind not in EXECUTORS:
         raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
     if workers is not None:
         check_whole("workers", workers, 1, 10_000)
-    if address is not None and kind != "dask":
-        raise InputError(
-            f"a scheduler's address ({address}) goes with the executor dask, not with {kind}"
-        )
     count = workers or default_threads()
-    if kind == "serial":
-        yield None
-    elif kind == "dask":
-        with _dask(count, address) as executor:
+    if scheduler is not None:
+        with _cluster(scheduler) as executor:
             yield executor
     elif kind == "threads":
-        with _shut_down(ThreadPoolExecutor(count, "pcs-racing")) as executor:
+        with ThreadPoolExecutor(count, "pcs-racing") as executor:
             yield executor
     else:
-        pool = ProcessPoolExecutor(count, get_context("spawn"), _prepare, (files_run(),))
-        with _one_thread_each(), _shut_down(pool) as executor:
+        spawn = get_context("spawn")
+        with (
+            _one_thread_each(),
+            ProcessPoolExecutor(count, spawn, _prepare, (files_run(),)) as executor,
+        ):
             yield executor
 
 
@@ -115,34 +106,31 @@ def is_lost(error: BaseException) -> bool:
 
 @contextmanager
 def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Callable[..., Any]]:
-    """Provide a ``submit`` function that sends a large function to the workers only once.
+    """Provide a ``submit`` function that sends a function to the workers only once.
 
-    A game with its track is such a function. Threads get the function itself. Other processes of
+    A function may hold a game with its track. Threads get the function itself. Other processes of
     this machine read it from a temporary file. A dask cluster passes it from worker to worker, and
     makes it again if the worker that had it is gone.
     """
     client = _dask_client(executor)
-    submit: Callable[..., Any] = executor.submit
     if client is None and not isinstance(executor, ProcessPoolExecutor):
-        yield partial(submit, call_task, function)
+        yield partial(executor.submit, call_task, function)
         return
     packed = dumps(function)
-    if len(packed) < LARGE:
-        yield partial(submit, _call, function)
-    elif client is not None:
+    if client is not None:
         import dask
 
         # large, but only once
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):
             sent = client.submit(loads, packed, pure=False)
-        yield partial(submit, _call, sent)
-    else:
-        # A file instead of an argument: a ProcessPoolExecutor pickles its arguments again for every
-        # task.
-        with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
-            file = Path(folder) / "function"
-            file.write_bytes(packed)
-            yield partial(submit, _call_packed, str(file))
+        yield partial(executor.submit, _call, sent)
+        return
+    # A file instead of an argument: a ProcessPoolExecutor pickles its arguments again for every
+    # task.
+    with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
+        file = Path(folder) / "function"
+        file.write_bytes(packed)
+        yield partial(executor.submit, _call_packed, str(file))
 
 
 def call_task(function: Callable[..., Any], argument: Any) -> Any:
@@ -181,27 +169,15 @@ def _unpacked(file: str) -> Any:
 
 
 @contextmanager
-def _shut_down(executor: Executor) -> Iterator[Executor]:
-    """Shut down like the executor's own context, but drop waiting tasks after an exception."""
-    try:
-        yield executor
-    except BaseException:
-        executor.shutdown(wait=True, cancel_futures=True)
-        raise
-    executor.shutdown(wait=True)
-
-
-@contextmanager
 def _one_thread_each() -> Iterator[None]:
     """Limit linear algebra to one thread in new processes: more would compete for the cores."""
-    before = {key: os.environ.get(key) for key in _ONE_THREAD}
-    os.environ.update({key: "1" for key in _ONE_THREAD if before[key] is None})
+    added = [key for key in _ONE_THREAD if key not in os.environ]
+    os.environ.update(dict.fromkeys(added, "1"))
     try:
         yield
     finally:
-        for key, value in before.items():
-            if value is None:
-                os.environ.pop(key, None)
+        for key in added:
+            del os.environ[key]
 
 
 def _prepare(files: Sequence[str]) -> None:
@@ -228,73 +204,28 @@ def _end_with(sentinel: int) -> None:
 
 
 @contextmanager
-def _errors_alone(log: logging.Logger) -> Iterator[None]:
-    """Hide a cluster's messages at its start and end: a screen of lines, more after Ctrl-C."""
-    before = log.level
-    log.setLevel(logging.ERROR)
+def _cluster(scheduler: str) -> Iterator[Executor]:
     try:
-        yield
-    finally:
-        log.setLevel(before)
-
-
-@contextmanager
-def _dask(workers: int, address: str | None) -> Iterator[Executor]:
-    try:
-        import dask
-        from dask.distributed import Client, LocalCluster
+        from dask.distributed import Client
     except ModuleNotFoundError:
         raise ModuleNotFoundError(
-            'the executor dask needs dask.distributed: pip install "pcs-racing[cluster]"'
+            'a dask scheduler needs dask.distributed: pip install "pcs-racing[cluster]"'
         ) from None
-    if address is None:
-        # Port 0 is any free port: another cluster may use the usual port.
-        dashboard = {"dashboard": False, "dashboard_address": ":0"}
-        quiet: dict[str, Any] = {"silence_logs": logging.ERROR, "scheduler_kwargs": dashboard}
-        with (
-            _errors_alone(logging.getLogger("distributed")),
-            _one_thread_each(),
-            # a busy machine starts workers slowly
-            dask.config.set({"distributed.comm.timeouts.connect": "120s"}),
-            LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, **quiet
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            client.run(_prepare, files_run())
-            yield client.get_executor(pure=False)
-        return
-    with _client(Client, address) as client:
+    try:
+        client = Client(scheduler, timeout=ANSWER_SECONDS)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise InputError(f"no dask scheduler answers at {scheduler}: {error}") from None
+    with client:
         try:
             client.wait_for_workers(1, timeout=WORKER_SECONDS)
         except TimeoutError:
             raise InputError(
-                f"the dask scheduler at {address} has no workers; start some: dask worker {address}"
-                " --nthreads 1"
+                f"the dask scheduler at {scheduler} has no workers; start some: dask worker"
+                f" {scheduler} --nthreads 1"
             ) from None
         _check_workers(client.run(worker_identity))
         client.run(_run_files, files_run())
         yield client.get_executor(pure=False)
-
-
-def _client(make: Callable[..., Any], address: str) -> Any:
-    """Connect to a scheduler; dask gives its own thread only 10 s, too few on a busy machine."""
-    for _ in range(CONNECT_ATTEMPTS):
-        try:
-            return make(address, timeout=ANSWER_SECONDS)
-        # dask raises this error if its own thread has not started in time.
-        except AssertionError:
-            failed = ""
-        except (OSError, ValueError, TimeoutError) as error:
-            failed = f"no dask scheduler answers at {address}: {error}"
-        # A failed client closes itself when it is collected. During the start of another client,
-        # which holds the lock that closing needs, both would wait for ever.
-        gc.collect()
-        if failed:
-            raise InputError(failed)
-    raise JobError(
-        "dask's own thread does not start: this machine is too busy; start the same again to go on"
-    )
 
 
 def worker_identity() -> dict[str, str]:
@@ -319,7 +250,7 @@ def worker_identity() -> dict[str, str]:
 
 
 def _check_workers(identities: dict[str, dict[str, str]]) -> None:
-    """Raise an error if a worker has other versions than this process; warn of another processor."""
+    """Refuse workers with other versions than this process; warn of another processor."""
     own = worker_identity()
     for address, other in identities.items():
         for key, value in other.items():

@@ -1,10 +1,5 @@
-"""Job folders: a manifest that records the settings, and a lock for one process at a time.
+"""Job folders: a manifest that records the settings, and a lock for one process at a time."""
 
-A digest next to the manifest distinguishes a damaged manifest, which is written again, from a
-manifest of other settings.
-"""
-
-import hashlib
 import os
 import re
 import shutil
@@ -25,7 +20,6 @@ from pcs_racing.base.files import plain_yaml, read_limited, write_atomically
 
 FORMAT = "pcs-racing job"
 VERSION = 1
-DIGEST = ".job.sha256"  # file with the manifest's digest
 GO_ON = "completed work is saved; fix this and rerun the same command to resume"
 _MAX_BYTES = 10_000_000
 _HALF_WRITTEN = re.compile(r"\..+\.[0-9a-f]{8}")
@@ -46,7 +40,6 @@ def claim_folder(
 
     The settings are provided as plain values.
     """
-    check_path("the folder of a job", folder)
     manifest = {
         "format": FORMAT,
         "version": VERSION,
@@ -57,40 +50,28 @@ def claim_folder(
     text = yaml.safe_dump(manifest, sort_keys=False, allow_unicode=True, width=110)
     # Read back, so that it is compared in the form that a later run reads.
     manifest = yaml.safe_load(text)
-    digest = hashlib.sha256(text.encode()).hexdigest()
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        _check_same(folder, manifest, digest)
-        lock = _take_lock(folder)
-    except OSError as error:
-        raise _unusable(folder, error) from None
-    with lock:
-        try:
-            # Again under the lock: another process may have begun in between.
-            if not _check_same(folder, manifest, digest):
-                write_atomically(folder / DIGEST, lambda file: file.write(digest.encode()))
+    check_path("the folder of a job", folder)
+    with _named(folder):
+        _check_same(folder, manifest)
+    with hold_folder(folder):
+        # Again under the lock: another process may have begun in between.
+        with _named(folder):
+            _check_same(folder, manifest)
+            if not (folder / "job.yaml").exists():
                 write_atomically(folder / "job.yaml", lambda file: file.write(text.encode()))
-            clear_half_written(folder)
-        except OSError as error:
-            raise _unusable(folder, error) from None
         yield manifest["settings"]
 
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
-    """Create and lock a folder without a manifest: for short work that is never resumed."""
+    """Create and lock a folder, and delete what killed runs left half-written."""
     check_path("the folder", folder)
-    try:
+    with _named(folder):
         folder.mkdir(parents=True, exist_ok=True)
         lock = _take_lock(folder)
         clear_half_written(folder)
-    except OSError as error:
-        raise _unusable(folder, error) from None
     with lock:
         yield
-        # On Windows a locked file can't be deleted.
-        with suppress(OSError):
-            (folder / ".lock").unlink(missing_ok=True)
 
 
 def clear_half_written(folder: Path) -> None:
@@ -105,16 +86,6 @@ def read_job(file: Path) -> Any:
     return plain_yaml(read_limited(file, _MAX_BYTES, "a manifest of a job"))
 
 
-def is_unchanged(folder: Path) -> bool:
-    """Return whether a job's manifest matches its digest; True if there is no digest."""
-    seal = folder / DIGEST
-    text = read_limited(folder / "job.yaml", _MAX_BYTES, "a manifest of a job")
-    return (
-        not seal.exists()
-        or read_limited(seal, 100, "a digest") == hashlib.sha256(text).hexdigest().encode()
-    )
-
-
 def package_version() -> str:
     """Return the version of the installed package; ``"0"`` in a checkout that is not installed."""
     try:
@@ -123,29 +94,32 @@ def package_version() -> str:
         return "0"
 
 
-def _unusable(folder: Path, error: OSError) -> JobError:
-    return JobError(
-        f"can't work in the folder {folder}: {error.strerror} ({error.filename or folder})"
-    )
+@contextmanager
+def _named(folder: Path) -> Iterator[None]:
+    """Turn errors of the operating system into errors that name the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise JobError(
+            f"can't work in the folder {folder}: {error.strerror} ({error.filename or folder})"
+        ) from None
 
 
-def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
-    """Return whether a folder holds this manifest; False if it or its digest must be written."""
+def _check_same(folder: Path, manifest: Mapping[str, Any]) -> None:
+    """Refuse a folder of another run, or with other content; a new or empty folder is fine."""
     file = folder / "job.yaml"
-    with suppress(OSError, InputError):
-        if read_limited(folder / DIGEST, 100, "a digest") == digest.encode():
-            # Every chunk has its own digest, so no result is trusted because of this check.
-            return (
-                file.exists()
-                and hashlib.sha256(read_limited(file, _MAX_BYTES, "")).hexdigest() == digest
-            )
     if not file.exists():
-        others = sorted(entry.name for entry in folder.iterdir() if not entry.name.startswith("."))
-        if others:
+        others = sorted(
+            entry.name
+            for entry in (folder.iterdir() if folder.exists() else ())
+            if not entry.name.startswith(".")
+        )
+        # Chunks say for which task and settings they were made: a lost manifest loses no work.
+        if others and not (folder / "chunks").is_dir():
             raise InputError(
                 f"{folder} holds {others[0]} but no job.yaml; choose a new or an empty folder"
             )
-        return False
+        return
     try:
         earlier = read_job(file)
     except InputError:
@@ -153,25 +127,16 @@ def _check_same(folder: Path, manifest: Mapping[str, Any], digest: str) -> bool:
     if not isinstance(earlier, dict) or earlier.get("format") != FORMAT:
         raise InputError(
             f"{file} is no manifest of a job; choose a new or an empty folder, or, if it was"
-            " damaged, the settings of the run that made it"
+            " damaged, delete it and rerun the same command to resume"
         )
-    for key, noun in (
-        ("version", "format version"),
-        ("kind", "kind"),
-        ("package", "package version"),
-    ):
-        if earlier.get(key) != manifest[key]:
-            raise InputError(
-                f"{folder} holds another run: its {noun} is {earlier.get(key)!r}, not"
-                f" {manifest[key]!r}; choose another folder"
-            )
-    difference = _difference(earlier.get("settings"), manifest["settings"], "")
+    facts = {key: value for key, value in manifest.items() if key != "settings"}
+    difference = _difference({key: earlier.get(key) for key in facts}, facts, "") or _difference(
+        earlier.get("settings"), manifest["settings"], ""
+    )
     if difference is not None:
         raise InputError(
-            f"{folder} holds another run: {difference}; choose another folder, or those settings"
+            f"{file} holds another run: {difference}; choose another folder, or those settings"
         )
-    # the digest is missing or damaged: without it the next damage would make the folder unusable
-    return False
 
 
 def _difference(stored: Any, wanted: Any, where: str) -> str | None:

@@ -64,19 +64,22 @@ class Workers:
     executor: Annotated[
         str,
         Option(
-            "serial (one task after the other), threads, processes, or dask (with --scheduler; else"
-            " processes)",
-            choices=("serial", "threads", "processes", "dask"),
+            "threads of this process, or processes of this machine",
+            choices=("threads", "processes"),
         ),
     ] = "threads"
     workers: Annotated[
         int | None, Option("number of threads or processes (default: number of cores)")
     ] = None
     scheduler: Annotated[
-        str | None, Option("address of a running dask scheduler, like tcp://host:8786", "ADDRESS")
+        str | None,
+        Option(
+            "address of a dask scheduler, like tcp://host:8786; its workers run the tasks",
+            "ADDRESS",
+        ),
     ] = None
 
-    def start(self) -> AbstractContextManager[Executor | None]:
+    def start(self) -> AbstractContextManager[Executor]:
         """Return the executor of the options, as a context."""
         # Imported late: the command `race`, without workers, reads this file, too.
         from pcs_racing_agents.base.executors import make_executor

@@ -17,7 +17,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk
-from pcs_racing_agents.base.folders import is_unchanged, read_job
+from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.base.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.trees.build import (
@@ -272,10 +272,6 @@ def _read_settings(file: Path) -> dict[str, Any]:
     ):
         raise InputError(
             f"{file} is no manifest of {KIND}; choose a folder that 'pcs-racing tree' wrote"
-        )
-    if not is_unchanged(file.parent):
-        raise InputError(
-            f"{file} is not the manifest that 'pcs-racing tree' wrote there: its digest differs"
         )
     settings: dict[str, Any] = manifest["settings"]
     for key in ("archive", "track"):

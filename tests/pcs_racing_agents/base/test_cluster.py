@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, CancelledError
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -105,7 +105,7 @@ def started(folder: Path, workers: int) -> Iterator[Cluster]:
 def cluster(tmp_path_factory) -> Iterator[Cluster]:
     with (
         started(tmp_path_factory.mktemp("cluster"), 3) as cluster,
-        make_executor("dask", None, cluster.address),
+        make_executor(scheduler=cluster.address),
     ):
         Client.current().wait_for_workers(3, timeout=PATIENCE)
         yield cluster
@@ -123,18 +123,18 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     """Every long command; those that train learn from a few trees."""
     folder = tmp_path_factory.mktemp("settings")
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
-    few = ["--epochs", "3", "--hidden", "8", "--name", "small", "--no-tensorboard", "--no-picture"]
+    few = ["--epochs", "3", "--hidden", "8", "--name", "small"]
     return {**commands(), "train": ["train", str(folder / "trees"), *few]}
 
 
-@pytest.mark.parametrize("what", ["synthesize", "tree", "tournament", "train"])
+@pytest.mark.parametrize("what", ["tree", "train", "ppo"])
 def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_path, what):
-    if what == "train":
-        pytest.importorskip("torch")
+    if what != "tree":
+        pytest.importorskip("stable_baselines3")
     command = long_commands[what]
     assert main([*command, "--out", str(tmp_path / "here"), "--executor", "threads"]) == 0
-    cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
-    assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
+    there = ["--out", str(tmp_path / "there"), "--scheduler", cluster.address]
+    assert main([*command, *there]) == 0
     here, there = files(tmp_path / "here"), files(tmp_path / "there")
     assert len(here) >= 3
     assert here == there
@@ -143,7 +143,7 @@ def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_p
 def test_workers_are_busy_all_of_them(cluster, tmp_path):
     with (
         open_job(tmp_path, "k", {}) as job,
-        make_executor("dask", address=cluster.address) as executor,
+        make_executor(scheduler=cluster.address) as executor,
     ):
         Client.current().wait_for_workers(3, timeout=PATIENCE)
         assert tasks_in_flight(executor) == 6
@@ -170,12 +170,11 @@ class Heavy:
 
 @pytest.mark.parametrize("kind", ["threads", "processes", "dask"])
 def test_a_large_function_travels_once_and_not_with_every_task(tmp_path, kind, request, recwarn):
-    address = request.getfixturevalue("cluster").address if kind == "dask" else None
+    where = {"kind": kind, "workers": 2}
+    if kind == "dask":
+        where = {"scheduler": request.getfixturevalue("cluster").address}
     heavy = Heavy()
-    with (
-        open_job(tmp_path, "k", {}) as job,
-        make_executor(kind, None if address else 2, address) as executor,
-    ):
+    with open_job(tmp_path, "k", {}) as job, make_executor(**where) as executor:
         found = job.run("heavy", heavy, range(40), executor=executor)
         with sent_once(heavy, executor) as submit:
             sent = submit.args[1:]  # what goes along with every task
@@ -205,7 +204,7 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
 
     with (
         open_job(tmp_path / "job", "k", {}) as job,
-        make_executor("dask", address=cluster.address) as executor,
+        make_executor(scheduler=cluster.address) as executor,
     ):
         victim = cluster.workers.pop(0)
 
@@ -218,30 +217,6 @@ def test_a_killed_worker_loses_nothing(cluster, tmp_path):
     cluster.add_worker()
     assert killed[0] < len(tasks)  # there was work left
     assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
-
-
-def test_a_worker_killed_while_ppo_learns_costs_a_seed_at_most(
-    cluster, long_commands, tmp_path, monkeypatch
-):
-    """Six seeds on three workers, of which two are left; compared with a training in this process."""
-    pytest.importorskip("stable_baselines3")
-    command = [*long_commands["ppo"], "--seeds", *map(str, range(6))]
-    assert main([*command, "--out", str(tmp_path / "here")]) == 0
-    told = []
-
-    def kill_one(done, total, what):
-        if done == 1600:
-            kill(cluster.workers.pop(0))
-        told.append((done, total))
-
-    monkeypatch.setattr("pcs_racing_agents.base.progress.show_progress", lambda unit: kill_one)
-    cluster_options = ["--executor", "dask", "--scheduler", cluster.address]
-    assert main([*command, "--out", str(tmp_path / "there"), *cluster_options]) == 0
-    cluster.add_worker()
-    assert told == [(1600 * seeds, 9600) for seeds in range(7)]
-    here, there = files(tmp_path / "here"), files(tmp_path / "there")
-    assert len(here) >= 7
-    assert here == there
 
 
 def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_path):
@@ -257,18 +232,16 @@ def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_p
         with (
             open_job(tmp_path / "job", "k", {}) as job,
             pytest.raises(JobError, match=r"^slow .*cluster is gone"),
-            make_executor("dask", address=first.address) as executor,
+            make_executor(scheduler=first.address) as executor,
         ):
             job.run("slow", slow, tasks, executor=executor, progress=kill_it)
     done = len(list((tmp_path / "job" / "chunks").iterdir()))
     assert 5 <= done < 25
-    told = []
     with (
         open_job(tmp_path / "job", "k", {}) as job,
-        make_executor("dask", address=cluster.address) as executor,
+        make_executor(scheduler=cluster.address) as executor,
     ):
-        job.run("slow", slow, tasks, executor=executor, progress=lambda *news: told.append(news[0]))
-    assert told[0] == done
+        job.run("slow", slow, tasks, executor=executor)
     assert files(tmp_path / "job") == undisturbed(tasks, tmp_path / "undisturbed")
 
 
@@ -292,78 +265,30 @@ def test_a_task_that_kills_its_workers_and_a_scheduler_without_any_are_told_in_a
     with started(tmp_path, 0) as lonely:
         refused(
             f"{lonely.address} has no workers",
-            make_executor("dask", address=lonely.address).__enter__,
+            make_executor(scheduler=lonely.address).__enter__,
         )
 
 
-@pytest.mark.parametrize(
-    "error", [BrokenExecutor("a process died"), CancelledError("scheduler-connection-lost")]
-)
-def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys, error):
+def test_workers_lost_outside_of_jobs_are_told_in_a_line(monkeypatch, capsys):
     """A tournament without a folder keeps nothing, and has no job."""
 
     def fail(*arguments, **options):
-        raise error
+        raise CancelledError("scheduler-connection-lost")
 
     monkeypatch.setattr("pcs_racing_agents.tournament.plan_tournament", fail)
-    assert (
-        main(["tournament", "--track", "Pipkin", "--agents", "never-switch", "random-moves"]) == 2
+    assert main(["tournament", "--agents", "never-switch", "random-moves"]) == 2
+    assert capsys.readouterr().err == (
+        "pcs-racing: error: a worker failed or the cluster is unreachable"
+        " (scheduler-connection-lost); rerun to resume\n"
     )
-    told = (
-        f"pcs-racing: error: a worker failed or the cluster is unreachable ({error}); rerun to"
-        " resume\n"
-    )
-    assert capsys.readouterr().err == told
 
 
-@pytest.mark.parametrize(
-    "address",
-    ["tcp://127.0.0.1:9", "nonsense://there", "tcp://no-such-host.invalid:8786", "127.0.0.1:x", ""],
-)
-def test_a_wrong_address_is_one_clear_error(address, monkeypatch, capfd):
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://there"])
+def test_a_wrong_address_is_one_clear_error(address, monkeypatch):
     monkeypatch.setattr(executors, "ANSWER_SECONDS", 1.0)
-    assert (
-        main(
-            [
-                "tree",
-                "--archive",
-                "default",
-                "--track",
-                "Pipkin",
-                "--out",
-                "x",
-                "--executor",
-                "dask",
-                "--scheduler",
-                address,
-            ]
-        )
-        == 2
-    )
-    error = capfd.readouterr().err
-    assert error.startswith(f"pcs-racing: error: no dask scheduler answers at {address}: ")
-    assert error.count("\n") == 1
-    # One that waits to be collected would be closed within the start of another, where both wait
-    # for ever.
-    assert {one.status for one in gc.get_objects() if type(one) is Client} <= {"running", "closed"}
-
-
-def test_a_machine_that_is_too_busy_for_dasks_own_thread_is_asked_again(monkeypatch):
-    asked = []
-
-    def busy(address, timeout):
-        asked.append(address)
-        if len(asked) < 3:
-            raise AssertionError  # as the thread's starter does after ten seconds
-        return "a client"
-
-    assert executors._client(busy, "tcp://there:1") == "a client"
-    monkeypatch.setattr(executors, "CONNECT_ATTEMPTS", 2)
-    asked.clear()
-    with pytest.raises(
-        JobError, match="dask's own thread does not start: this machine is too busy"
-    ):
-        executors._client(busy, "tcp://there:1")
+    other = make_executor(scheduler=address)
+    refused(f"^no dask scheduler answers at {address}: ", other.__enter__)
+    gc.collect()  # a failed client closes itself, not within the start of another client
 
 
 def test_workers_of_other_versions_torches_and_processors_are_told(caplog, cluster, monkeypatch):
@@ -379,5 +304,5 @@ def test_workers_of_other_versions_torches_and_processors_are_told(caplog, clust
     assert "the worker at tcp://there:1 has a processor of another kind (z80, here " in caplog.text
     theirs = worker_identity()["pcs-racing"]
     monkeypatch.setattr(executors, "package_version", lambda: "99.0")
-    other = make_executor("dask", address=cluster.address)
+    other = make_executor(scheduler=cluster.address)
     refused(rf"tcp://127\S+ has pcs-racing {theirs}, not 99\.0", other.__enter__)

@@ -1,4 +1,3 @@
-import errno
 import os
 import signal
 import sys
@@ -55,7 +54,6 @@ def test_results_come_in_the_order_of_the_tasks_and_progress_counts_what_was_the
         results = job.run("square", square, [3, 0, 5])
         assert [int(result["count"]) for result in results] == [3, 0, 5]
         np.testing.assert_array_equal(results[2]["values"], [0.0, 1.0, 4.0, 9.0, 16.0])
-        same([job.read("square", k) for k in range(3)], results)
     same([read_chunk(chunk_file(tmp_path, "square", k)) for k in range(3)], results)
     told = []
     with open_job(tmp_path, "squares", SETTINGS) as job:
@@ -64,7 +62,7 @@ def test_results_come_in_the_order_of_the_tasks_and_progress_counts_what_was_the
     assert told == [(2, 4, "square"), (3, 4, "square"), (4, 4, "square")]
 
 
-@pytest.mark.parametrize("kind", ["serial", "threads", "processes"])
+@pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_files_are_the_same_whatever_the_executor(tmp_path, kind, executor):
     tasks = list(range(9))
     with open_job(tmp_path / "a", "squares", SETTINGS) as job:
@@ -109,27 +107,19 @@ def test_a_job_goes_on_where_it_failed(tmp_path):
     same(results, [{key: np.asarray(v) for key, v in square(k).items()} for k in range(5)])
 
 
-@pytest.mark.parametrize("damage", ["cut", "bit", "empty", "other", "swapped"])
-def test_a_damaged_chunk_is_named_and_made_again(tmp_path, damage, caplog):
+def test_a_damaged_chunk_is_named_and_made_again(tmp_path, caplog):
     with open_job(tmp_path, "squares", SETTINGS) as job:
         expected = job.run("square", square, range(4))
         whole = contents(tmp_path)
         file = job.file("square", 2)
-        content = bytearray(file.read_bytes())
-        if damage == "bit":
-            content[len(content) // 2] ^= 4
-        replaced = {
-            "cut": content[: len(content) // 2],
-            "bit": content,
-            "empty": b"",
-            "other": b"PK" * 400,
-            "swapped": job.file("square", 3).read_bytes(),
-        }
-        file.write_bytes(replaced[damage])
-        same(job.run("square", square, range(4)), expected)
-        assert [record.getMessage().split(" ")[0] for record in caplog.records] == [str(file)]
-        assert caplog.records[0].getMessage().endswith("; it is made again")
-        assert contents(tmp_path) == whole
+        for content in (b"", file.read_bytes()[:99], job.file("square", 3).read_bytes()):
+            file.write_bytes(content)
+            caplog.clear()
+            same(job.run("square", square, range(4)), expected)
+            (record,) = caplog.records
+            assert record.getMessage().startswith(f"{file} ")
+            assert record.getMessage().endswith("; it is made again")
+            assert contents(tmp_path) == whole
 
 
 @given(data=st.data())
@@ -214,8 +204,7 @@ def test_workers_end_when_their_parent_is_killed(tmp_path):
     assert not any(alive(file.name) for file in pids.iterdir())
 
 
-@pytest.mark.parametrize("kind", ["serial", "threads"])
-def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
+def test_an_interruption_drops_what_has_not_begun(tmp_path):
     asked = []
 
     def interrupted(done, total, what):
@@ -229,7 +218,7 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
         pytest.raises(KeyboardInterrupt),
-        make_executor(kind, 2) as executor,
+        make_executor("threads", 2) as executor,
     ):
         job.run("square", count, range(500), executor=executor, progress=interrupted)
     assert 3 <= len(asked) <= 3 + 16  # so many tasks wait for a worker at most
@@ -243,17 +232,11 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path, kind):
         ("cubes", SETTINGS, "its kind is 'squares', not 'cubes'"),
         ("squares", {**SETTINGS, "seed": 4}, "its seed is 3, not 4"),
         ("squares", {**SETTINGS, "seed": True}, "its seed is 3, not True"),
-        ("squares", {"seed": 3}, "its race is"),
         ("squares", {**SETTINGS, "moves": 4}, "it has no moves, which is 4"),
         (
             "squares",
             {"seed": 3, "race": {**RACE, "duration": 8.0}},
             r"its race\.duration is 16\.0, not 8\.0",
-        ),
-        (
-            "squares",
-            {"seed": 3, "race": {**RACE, "tracks": ("Pipkin",)}},
-            r"its race\.tracks is .*Saltmere",
         ),
     ],
 )
@@ -270,32 +253,17 @@ def test_a_folder_of_another_run_is_refused_and_left_alone(tmp_path, kind, setti
 def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
     with open_job(tmp_path, "squares", SETTINGS):
         monkeypatch.setattr("pcs_racing_agents.base.folders.package_version", lambda: "99.0")
-    refused(
-        r"package version is '.*', not '99\.0'", open_job(tmp_path, "squares", SETTINGS).__enter__
-    )
+    refused(r"its package is '.*', not '99\.0'", open_job(tmp_path, "squares", SETTINGS).__enter__)
 
 
-@pytest.mark.parametrize("damage", ["cut", "bit", "empty", "gone", "digest", "no digest"])
-def test_a_damaged_manifest_is_written_again_by_the_same_command(tmp_path, damage):
+def test_a_lost_manifest_is_written_again_and_no_chunk_is_made_again(tmp_path):
     with open_job(tmp_path, "squares", SETTINGS) as job:
         job.run("square", square, range(3))
     whole = contents(tmp_path)
-    file = tmp_path / (".job.sha256" if "digest" in damage else "job.yaml")
-    content = bytearray(file.read_bytes())
-    # the seed, of the manifest
-    content[content.index(b"3" if "digest" not in damage else content[:1])] ^= 1
-    if damage in ("gone", "no digest"):
-        file.unlink()
-    else:
-        file.write_bytes({"cut": content[:9], "empty": b""}.get(damage, content))
-    if "digest" not in damage:
-        refused("holds|manifest", open_job(tmp_path, "squares", {**SETTINGS, "seed": 9}).__enter__)
+    (tmp_path / "job.yaml").unlink()
     with open_job(tmp_path, "squares", SETTINGS) as job:
-        job.run("square", square, range(3))
-    found = contents(tmp_path)
-    assert {
-        name: found[name] for name in found if "digest" not in damage or name != ".job.sha256"
-    } == {name: whole[name] for name in whole if "digest" not in damage or name != ".job.sha256"}
+        job.run("square", None, range(3))
+    assert contents(tmp_path) == whole
 
 
 def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
@@ -319,35 +287,10 @@ def test_folders_of_other_things_or_manifests_are_refused(tmp_path):
     assert contents(tmp_path) == {"thesis.tex": b"years of work"}
     (tmp_path / "file").write_text("")
     place = open_job(tmp_path / "file", "k", {})
-    refused("can't work in the folder .*File exists", place.__enter__, error=JobError)
-    for text in ["", "[1, 2", "format: something\n", "- 1\n", "\x00"]:
+    refused("can't work in the folder .*Not a directory", place.__enter__, error=JobError)
+    for text in ["", "[1, 2", "format: something\n", "- 1\n"]:
         (tmp_path / "job.yaml").write_text(text)
         refused(r"job\.yaml is no manifest", open_job(tmp_path, "k", {}).__enter__)
-
-
-def test_a_full_disk_is_told_in_a_line_and_loses_nothing(tmp_path, monkeypatch):
-    written = []
-
-    def full(path, arrays, task):
-        if len(written) == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(path)
-        write_chunk(path, arrays, task)
-
-    monkeypatch.setattr("pcs_racing_agents.base.jobs.write_chunk", full)
-    with (
-        open_job(tmp_path, "squares", SETTINGS) as job,
-        pytest.raises(
-            JobError,
-            match=(
-                r"can't write .*square-00002.npz: No space left on device; completed work is saved"
-            ),
-        ),
-    ):
-        job.run("square", square, range(5))
-    monkeypatch.undo()
-    with open_job(tmp_path, "squares", SETTINGS) as job:
-        assert len(job.run("square", square, range(5))) == 5
 
 
 def test_impossible_executors_are_refused_and_processes_keep_linear_algebra_to_one_thread(
@@ -357,7 +300,6 @@ def test_impossible_executors_are_refused_and_processes_keep_linear_algebra_to_o
         (("fibres",), "executor is 'fibres'"),
         (("threads", 0), "workers is 0"),
         (("threads", True), "workers is True"),
-        (("threads", 2, "tcp://localhost:8786"), "executor dask"),
     ]:
         refused(message, make_executor(*arguments).__enter__)
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)

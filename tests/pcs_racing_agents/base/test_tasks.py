@@ -1,6 +1,5 @@
 """Work that is more than a list of tasks: several groups side by side."""
 
-import logging
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -19,15 +18,14 @@ def double(task: int) -> dict[str, int]:
 
 
 def test_results_come_with_their_keys_and_only_threads_are_here():
-    for kind in ["serial", "threads"]:
-        with make_executor(kind, 2) as executor:
+    with make_executor("threads", 2) as threads:
+        for executor in (None, threads):
             found = dict(run_tasks(numbered_tasks(double, range(20)), executor))
-            assert run_task(double, 21, executor) == {"value": 42}
-        assert found == {i: {"value": 2 * i} for i in range(20)}
-    with make_executor("threads", 1) as threads, make_executor("processes", 1) as processes:
-        assert in_other_processes(threads) is None
+            assert found == {i: {"value": 2 * i} for i in range(20)}
+            assert in_other_processes(executor) is None
+        assert run_task(double, 21, threads) == {"value": 42}
+    with make_executor("processes", 1) as processes:
         assert in_other_processes(processes) is processes
-    assert in_other_processes(None) is None
 
 
 class OddError(Exception):
@@ -43,23 +41,18 @@ def fail(task: str) -> None:
     raise OddError("fog", task)
 
 
-@pytest.mark.parametrize("kind", ["serial", "threads", "processes", "dask"])
-def test_errors_of_tasks_are_named_wherever_they_run(kind, caplog):
-    if kind == "dask":
-        pytest.importorskip("distributed")
-    caplog.set_level(logging.INFO, "distributed")
-    with make_executor(kind, None if kind == "serial" else 1) as executor:
+@pytest.mark.parametrize("kind", ["threads", "processes"])
+def test_errors_of_tasks_are_named_wherever_they_run(kind):
+    with make_executor(kind, 1) as executor:
         with pytest.raises(JobError, match=r"a task ended with SystemExit\(3\)"):
             run_task(fail, "exit", executor)
         with pytest.raises((OddError, RuntimeError), match="fog in Spa") as stop:
             run_task(fail, "Spa", executor)
         assert "OddError" in repr(stop.value)
         assert run_task(double, 21, executor) == {"value": 42}  # no worker was lost
-    assert not [record for record in caplog.records if record.levelno < logging.ERROR]
 
 
-@pytest.mark.parametrize("workers", [None, 2])
-def test_tasks_are_made_when_they_are_asked_for(workers):
+def test_tasks_are_made_when_they_are_asked_for():
     """A million tasks need not be in memory, and a task may follow from the result of another."""
     made = []
 
@@ -68,7 +61,7 @@ def test_tasks_are_made_when_they_are_asked_for(workers):
             made.append(i)
             yield i
 
-    with make_executor("threads" if workers else "serial", workers) as executor:
+    with make_executor("threads", 2) as executor:
         for done, _ in enumerate(run_tasks(numbered_tasks(double, arguments()), executor), start=1):
             assert len(made) <= done + tasks_in_flight(executor)
     assert len(made) == 100

@@ -1,4 +1,4 @@
-"""``pcs-racing headroom``, ``tree``, ``solve``, ``export`` and ``study``."""
+"""``pcs-racing headroom``, ``tree``, ``solve`` and ``study``."""
 
 import csv
 import re
@@ -23,7 +23,7 @@ from pcs_racing_agents.solvers.compare import MethodRow
 from pcs_racing_agents.trees import build_trees, load_trees
 from pcs_racing_agents.trees.tree import TreeStatistics
 
-TREES = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--executor", "serial"]
+TREES = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--workers", 1]
 
 
 def rows_of(file):
@@ -64,8 +64,8 @@ def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path
         "--track",
         "Tarnfjord",
         "Pipkin",
-        "--executor",
-        "serial",
+        "--workers",
+        "1",
     ]
     text = printed("headroom", "--size", 3, *short, "--seed", 4, "--out", tmp_path)
     lines = {line.split()[0]: line.split() for line in text.splitlines() if line}
@@ -167,8 +167,8 @@ def test_a_study_tells_its_stages_and_files(monkeypatch, tmp_path, printed):
         "--stage",
         "archive",
         "trees",
-        "--executor",
-        "serial",
+        "--workers",
+        "1",
     )
     assert out.splitlines() == [
         f"{'archive':16}     61.2 s",
@@ -177,7 +177,7 @@ def test_a_study_tells_its_stages_and_files(monkeypatch, tmp_path, printed):
         "the table",
     ]
     (((_, folder), more),) = asked
-    assert (str(folder), more) == ("x", {"only": ["archive", "trees"], "executor": None})
+    assert (str(folder), more["only"]) == ("x", ["archive", "trees"])
 
 
 @pytest.fixture
@@ -194,7 +194,7 @@ def begun(monkeypatch):
 
 
 def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, tmp_path, told):
-    options = ["--archive", "default", "--seed", 7, "--unseen", "Vellindra"]
+    options = ["--archive", "default", "--seed", 7, "--test-track", "Vellindra"]
     assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
     (study,) = begun
     assert (study.archive, study.seed) == ("default", 7)
@@ -261,10 +261,10 @@ def test_solve_prints_and_writes_every_method_on_every_tree(folder, tmp_path, ru
 def test_export_writes_what_openspiel_loads(folder, tmp_path, run, printed):
     pyspiel = pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
     path = tmp_path / "tree.efg"
-    out = printed("export", folder, "--tree", 1, "--format", "efg", "--out", path)
+    out = printed("solve", folder, "--export", path, "--tree", 1)
     assert f"written: {path} (256 leaves" in out
     game = pyspiel.load_efg_game(path.read_text())
     state = game.new_initial_state()
     assert state.action_to_string(state.legal_actions()[0]) == "aggressiveness +"
     assert 'EFG 2 R "pcs-racing: default 2 and 1 on Pipkin"' in path.read_text()
-    assert "there is no tree 2 in" in run("export", folder, "--tree", 2, "--out", path)[2]
+    assert "there is no tree 2; there are trees 0 to 1" in run("solve", folder, "--export", path, "--tree", 2)[2]

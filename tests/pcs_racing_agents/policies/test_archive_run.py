@@ -455,7 +455,7 @@ def test_the_command(tmp_path, run, told):
         0,
     ]
     arguments += ["--population", 4, "--out", tmp_path / "a"]
-    code, out, err = run(*arguments, "--name", "small", "--executor", "serial")
+    code, out, err = run(*arguments, "--name", "small", "--workers", 1)
     assert code == 0
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
