@@ -84,7 +84,7 @@ print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".
 NEEDS = {
     "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
     "the command ppo": (
-        'main(["ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo"])',
+        'main(["ppo", "--config", "duel-paper", "--out", "ppo"])',
         "learning",
     ),
     "training": (
@@ -113,7 +113,7 @@ NEEDS = {
     "a cluster": (
         (
             'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees",'
-            ' "--executor", "dask"])'
+            ' "--scheduler", "tcp://there:8786"])'
         ),
         "cluster",
     ),

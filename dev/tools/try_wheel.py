@@ -196,7 +196,7 @@ def try_base(environment: Environment, wheel: Path) -> None:
     )
     environment.run("python", "-c", AGENT)
     told = environment.run(
-        "pcs-racing", "ppo", "--config", "duel-paper", "--no-picture", "--out", "ppo", failing=True
+        "pcs-racing", "ppo", "--config", "duel-paper", "--out", "ppo", failing=True
     )
     if 'pip install "pcs-racing[learning]"' not in told:
         sys.exit("PPO without its extra does not say which one is missing")

@@ -93,27 +93,6 @@ def short(name: str, longest: int = 26) -> str:
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
 
 
-def spread_labels(desired: list[float], gap: float) -> list[float]:
-    """Return label positions on a line, at least ``gap`` apart, near the desired positions."""
-    order = sorted(range(len(desired)), key=lambda i: desired[i])
-    # Per group: sum of desired places of the first label, number of labels
-    groups: list[list[float]] = []
-    for i in order:
-        groups.append([desired[i], 1.0])
-        while len(groups) > 1:
-            (total, count), (before, number) = groups[-1], groups[-2]
-            if total / count - before / number >= gap * number:
-                break
-            # Neighbours that would overlap become one block at the mean of the places desired by
-            # its labels.
-            groups[-2:] = [[before + total - count * number * gap, number + count]]
-    places = [total / count + gap * k for total, count in groups for k in range(int(count))]
-    moved = [0.0] * len(desired)
-    for i, place in zip(order, places, strict=True):
-        moved[i] = place
-    return moved
-
-
 def place_labels(
     axes: Any,
     points: Sequence[Any],

@@ -139,13 +139,6 @@ def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) ->
     return Path(path)
 
 
-def csv_cell(value: object) -> str:
-    """Return a value as text: numbers with six digits, lists with semicolons."""
-    if isinstance(value, tuple):
-        return "; ".join(value)
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
-
-
 def read_csv(path: str | os.PathLike[str]) -> CsvTable:
     """Read a table; an empty file has no columns."""
     name = os.fspath(path)

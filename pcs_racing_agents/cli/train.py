@@ -12,7 +12,7 @@ from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.folders import hold_folder
 from pcs_racing_agents.base.tables import write_csv
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
-from pcs_racing_agents.cli.options import Workers, output_folder
+from pcs_racing_agents.cli.options import Workers, can_draw, output_folder
 from pcs_racing_agents.networks.settings import TrainSettings
 
 
@@ -35,13 +35,11 @@ def run(
         dict[str, Any], ConfigOptions(TrainSettings, "target", "epochs", "hidden", "seed")
     ],
     name: Annotated[str | None, Option("name of the network (default: that of the folder)")] = None,
-    no_tensorboard: Annotated[bool, Option("do not write learning curves for TensorBoard")] = False,
-    no_picture: Annotated[bool, Option("do not draw the learning curves")] = False,
     out: Annotated[Path, Option("folder for the network and its learning curves", "DIR")],
     workers: Workers,
 ) -> None:
     """Train a network that predicts counterfactual regrets from observations."""
-    from pcs_racing_agents.base.curves import curves_picture, write_tensorboard
+    from pcs_racing_agents.base.curves import curves_picture
     from pcs_racing_agents.base.progress import show_progress
     from pcs_racing_agents.base.style import save_picture
     from pcs_racing_agents.networks.from_trees import train_on_trees
@@ -59,9 +57,7 @@ def run(
     _check_one_game(trees, manifests)
     index = [(part, i) for part in stored for i in range(len(part))]
     # A missing library is reported before any long work.
-    require("torch", *(("tensorboard",) if not no_tensorboard else ()), extra="learning")
-    if not no_picture:
-        require("matplotlib", extra="plots")
+    require("torch", extra="learning")
     with hold_folder(out), workers.start() as executor:
         folder = output_folder(out)
         network, result, rows, scores = train_on_trees(
@@ -79,14 +75,7 @@ def run(
         save_network(network, folder)
         write_epochs(result, folder / "learning_curves.csv")
         _write_scores(scores, folder / "scores.csv")
-        if not no_tensorboard:
-            values = (epoch._asdict() for epoch in result.epochs)
-            steps = [
-                (row.pop("epoch"), {key.replace("_", "/", 1): row[key] for key in row})
-                for row in values
-            ]
-            write_tensorboard(folder / "tensorboard", {"": steps})
-        if not no_picture:
+        if can_draw("the learning curves"):
             title = f"{name}: {settings.target}"
             figure = curves_picture(
                 epoch_curves(result), log=("loss",), mark=best.epoch, title=title

@@ -39,15 +39,12 @@ def commands() -> dict[str, list[str]]:
             "0",
             "1",
             "2",
-            "--no-picture",
         ],
     }
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but times, in locks, curves, PPO's chunks and notes
-    of stages.
-    """
+    """Return what a command left, by path: all but times, in locks, PPO's chunks and notes of stages."""
     found = {
         str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()
     }
@@ -55,7 +52,6 @@ def files(folder: Path) -> dict[str, bytes]:
         name: _without_times(file)
         for name, file in found.items()
         if file.name not in (".lock", "done.yaml", "report.html")
-        and "tensorboard" not in Path(name).parts
     }
 
 

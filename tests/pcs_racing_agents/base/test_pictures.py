@@ -1,13 +1,11 @@
-from itertools import combinations, pairwise
+from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing_agents.base.curves import Curve, curves_picture, write_tensorboard
-from pcs_racing_agents.base.style import new_figure, picture_bytes, place_labels, spread_labels
+from pcs_racing_agents.base.curves import Curve, curves_picture
+from pcs_racing_agents.base.style import new_figure, picture_bytes, place_labels
 
 X = np.arange(5.0)
 FALLING = Curve(X, np.exp(-X), "training", error=np.full(5, 0.01))
@@ -28,43 +26,14 @@ def test_panels_show_what_is_known_and_nothing_to_draw_is_one_clear_error():
     assert loss.yaxis.get_major_formatter()(0.25, 0) == "0.25"
     assert heights(loss, 1) == [1.0, 0.5]  # NaN is left out, and 0 where the axis is logarithmic
     assert heights(share, 0) == [1.0, 0.5, 0.0]
-    assert [text.get_text() for text in loss.texts] == ["training", "validation"]
+    labels = [text.get_text() for text in loss.get_legend().get_texts()]
+    assert labels == ["training", "validation"]
     assert list(loss.lines[-1].get_xdata()) == [2.0, 2.0]
     assert len(loss.collections) == 1  # the band of the standard error
     assert figure.get_suptitle() == "net"
     assert picture_bytes(figure, "png").startswith(b"\x89PNG")
     for panels in [{}, {"loss": []}]:
         refused("no learning curves", curves_picture, panels)
-
-
-def test_curves_for_tensorboard_replace_earlier_ones(tmp_path):
-    reader = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
-    pytest.importorskip("torch")
-    for last in (0.25, 0.125):
-        runs = {
-            "seed-0": [
-                (0, {"loss/a": 0.5, "loss/b": np.nan}),
-                (10, {"loss/a": last, "loss/b": 1.0}),
-            ]
-        }
-        assert write_tensorboard(tmp_path / "curves", runs) == tmp_path / "curves"
-    assert len(list((tmp_path / "curves" / "seed-0").glob("events.out.tfevents.*"))) == 1
-    events = reader.EventAccumulator(str(tmp_path / "curves" / "seed-0")).Reload()
-    assert [(event.step, event.value) for event in events.Scalars("loss/a")] == [
-        (0, 0.5),
-        (10, 0.125),
-    ]
-    assert [event.step for event in events.Scalars("loss/b")] == [10]
-
-
-@given(st.lists(st.floats(-5.0, 5.0), max_size=12), st.floats(0.01, 2.0))
-def test_labels_move_apart_and_keep_their_order(wanted, gap):
-    places = spread_labels(wanted, gap)
-    order = sorted(range(len(wanted)), key=lambda i: wanted[i])
-    moved = [places[i] for i in order]
-    assert all(b - a >= gap - 1e-9 for a, b in pairwise(moved))
-    if all(wanted[b] - wanted[a] >= gap for a, b in pairwise(order)):
-        assert places == pytest.approx(wanted)
 
 
 def test_names_stand_beside_their_points_and_cover_neither_points_nor_each_other():

@@ -42,9 +42,7 @@ PAYOFFS = np.array([[np.nan, 0.9], [0.1, np.nan]])
 DRAWINGS = {
     "differences": lambda table: figures.differences_picture(table),
     "curves": lambda table: curves_picture({str(n): curves(n) for n in range(5)}),
-    "rewards": lambda table: curves_picture(
-        {"ppo": curves()}, x_label="steps", y_label="reward", log=False
-    ),
+    "rewards": lambda table: curves_picture({"ppo": curves()}, x_label="steps", y_label="reward"),
     "payoffs": lambda table: payoffs_picture(["one", "two"], PAYOFFS),
     "ratings": lambda table: ratings_picture(ratings()),
 }
