@@ -2,7 +2,7 @@
 and its entry.
 
     python examples/cleanrl_self_play.py
-    pcs-racing benchmark examples.cleanrl_self_play:make_agent --weights out/cleanrl/actor.safetensors --out out/card
+    pcs-racing benchmark card examples.cleanrl_self_play:make_agent --weights out/cleanrl/actor.safetensors --out out/card
 
 One network moves both cars of every game and learns from both sides. The second command is typed in
 the folder that holds ``examples``. Run with torch 2.13.0.

@@ -2,7 +2,7 @@
 benchmark.
 
     python examples/maskable_ppo.py
-    pcs-racing benchmark examples.maskable_ppo:make_agent --weights out/maskable_ppo/model.zip --out out/cards/maskable
+    pcs-racing benchmark card examples.maskable_ppo:make_agent --weights out/maskable_ppo/model.zip --out out/cards/maskable
 
 Two moves that lead to the same policy are one choice. In training the second one is masked, so that
 the network learns nothing about it; when the agent races, the mask is worked out from the

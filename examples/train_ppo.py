@@ -6,8 +6,7 @@
 
 It prints how the trained player does against the opponent beside players that never look at the
 race, all in the same games, and writes learning_curve.png and the model. The default takes one to
-two minutes on an idle core; the settings for longer trainings, and for all environments, are in
-pcs_racing_agents/data/configurations/sb3_ppo.yaml.
+two minutes on an idle core; settings for the other environments are in examples/clients/rl_zoo3_ppo.yaml.
 """
 
 import argparse

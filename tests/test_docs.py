@@ -44,7 +44,7 @@ RUN_HERE = (
     "docs/write_a_characteristic.md",
 )
 # PPO of SB3 drives at least a rollout.
-SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)", "learn(tuned.steps)": "learn(1)"}
+SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)"}
 
 
 @pytest.mark.usefixtures("own_registry")

@@ -1,11 +1,11 @@
 # /// script
 # dependencies = ["rl_zoo3==2.9.2"]
 # ///
-"""rl_zoo3: its ``train.py`` trains PPO on the match with the tuned settings of the package.
+"""rl_zoo3: its ``train.py`` trains PPO on the match with the settings of rl_zoo3_ppo.yaml.
 
 python examples/clients/rl_zoo3_train.py
 python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \
-        --conf-file pcs_racing_agents/data/configurations/sb3_ppo.yaml
+        --conf-file examples/clients/rl_zoo3_ppo.yaml
 """
 
 import subprocess
@@ -13,7 +13,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from pcs_racing_agents.learning.ppo.tuned import TUNED_FILE
+SETTINGS = Path(__file__).with_name("rl_zoo3_ppo.yaml")
 
 
 def main() -> None:
@@ -22,7 +22,7 @@ def main() -> None:
             "--algo ppo --env pcs_racing/Match-v0 --gym-packages pcs_racing -n 800 --eval-freq -1"
             " --device cpu"
         )
-        files = ["--conf-file", str(TUNED_FILE), "--log-folder", folder]
+        files = ["--conf-file", str(SETTINGS), "--log-folder", folder]
         subprocess.run(
             [sys.executable, "-m", "rl_zoo3.train", *command.split(), *files], check=True
         )

@@ -348,8 +348,6 @@ NAMELESS = {
     "parse_waypoints",  # numbers alone
     # the text of a copy of the gym beside a program that is run anyway: literals alone
     "read_defaults",
-    "tuned_environments",
-    "tuned_ppo",  # a shipped file
     "parse_agent",  # a text, in which an option's value is no name of code
 }
 """Functions that call a reader of files, and need no row."""
@@ -514,7 +512,7 @@ COMMANDS = {
     "view": "view files/raced --no-open",
     "explain": "explain files/raced",
     "situations": "explain files/raced --situations {word}",
-    "benchmark": "benchmark random-moves --protocol files/settings.yaml --out out",
+    "benchmark": "benchmark card random-moves --protocol files/settings.yaml --out out",
 }
 
 

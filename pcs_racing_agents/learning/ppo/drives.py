@@ -10,10 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
-from annotated_types import Interval
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
@@ -44,7 +43,7 @@ from pcs_racing.race.state import take
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
-from pcs_racing_agents.learning.ppo.learner import split_envs
+from pcs_racing_agents.learning.ppo.learner import planner_groups
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 
 ACTION_LIMIT = 10.0  # tanh(ACTION_LIMIT) is 1 - 4e-9
@@ -61,21 +60,13 @@ def _observe(track, state, vehicles, settings, rows, view, inputs, out):
             out[race, k] = inputs[k]
 
 
-@dataclass(frozen=True, eq=False)
-class LearnerOptions(DriveOptions):
-    """Arguments of a learner's races."""
-
-    leading: Annotated[float, Interval(ge=0.0, le=1e6), "Reward for a second in front, m."] = 0.0
-
-
 class LearnerBatch(DriveBatch):
     """Batch of races with network-planner inputs as observations and pre-``tanh`` actions."""
 
-    def __init__(self, episodes: int, *, leading: float, **arguments: Any) -> None:
+    def __init__(self, episodes: int, **arguments: Any) -> None:
         super().__init__(episodes, **arguments)
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(INPUTS),), np.float32)
         self.action_space = spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
-        self._leading = leading * self.options.time_step
         self._view_buffers = np.empty(VIEW_SIZE), np.empty(len(INPUTS))
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -86,12 +77,10 @@ class LearnerBatch(DriveBatch):
         self, actions: NDArray[np.float64], generators: Sequence[np.random.Generator] = ()
     ) -> BatchStep:
         """Advance every race by one step."""
-        _, rewards, terminated, truncated = super().step(actions, generators)
-        # The leading car at the end of a step counts as leading during the whole step.
-        rewards += self._leading * (self.state.lead > 0.0)
         observations = np.empty((self.episodes, len(INPUTS)), np.float32)
+        result = super().step(actions, generators)
         self.observe(self._rows, observations)
-        return BatchStep(observations, rewards, terminated, truncated)
+        return result._replace(observations=observations)
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the network inputs of some races into the same rows of ``out``."""
@@ -106,7 +95,7 @@ class LearnerEnv(BatchVectorEnv):
 
     batch_type = LearnerBatch
     batch: LearnerBatch
-    declared = Declared(LearnerOptions, changed={"top_speed": TOP_SPEED, "look_ahead": (0.0,)})
+    declared = Declared(DriveOptions, changed={"top_speed": TOP_SPEED, "look_ahead": (0.0,)})
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +105,7 @@ class DriveTask:
     settings: DriveSettings
     tracks: tuple[Track, ...]
     rules: tuple[RaceConfig, ...]
-    policies: tuple[Policy, ...]  #: Opponents, in the order of the settings.
+    opponents: Mapping[str, Policy]  #: Opponents by the names of the settings.
 
     activation = "tanh"
     limit = WEIGHT_LIMIT
@@ -132,27 +121,23 @@ class DriveTask:
     def env_groups(self) -> list[LearnerEnv]:
         """Make the training environments: a group for each track, rules and opponent planner."""
         settings = self.settings
-        # A batch has one compiled planner in car 1: each opponent planner needs its own batch.
-        by_planner: dict[str, list[Policy]] = {}
-        for policy, weight in zip(self.policies, settings.opponents.values(), strict=True):
-            by_planner.setdefault(policy.planner.name, []).extend([policy] * weight)
-        shares = split_envs(settings.envs, [len(policies) for policies in by_planner.values()])
+        planners = {name: policy.planner.name for name, policy in self.opponents.items()}
+        groups = planner_groups(settings.envs, settings.opponents, planners)
         return [
             LearnerEnv(
                 share,
                 track=track,
                 race=self.learning_rules(track, config),
-                opponent=policies,
+                opponent=[self.opponents[name] for weight, name in group for _ in range(weight)],
                 time_step=DT * settings.hold,
                 rivalry=settings.rivalry,
-                leading=settings.leading,
                 crash_penalty=settings.crash_penalty,
                 autoreset_mode=AutoresetMode.SAME_STEP,
                 threads=1,
             )
             for track in self.tracks
             for config in self.rules
-            for share, policies in zip(shares, by_planner.values(), strict=True)
+            for share, group in groups
         ]
 
     def learning_rules(self, track: Track, config: RaceConfig) -> RaceConfig:
@@ -165,13 +150,11 @@ class DriveTask:
 
     def evaluate(self, layers: DenseLayers) -> dict[Matchup, MatchupScore]:
         """Race a policy as a planner, without exploration noise, under the unchanged rules."""
-        policy = _learner_planner(layers.hidden, self.settings.hold).policy(
-            layers.flat(), name="learner"
-        )
-        names = list(self.settings.opponents)
+        planner = _learner_planner(layers.hidden, self.settings.hold)
+        policy = planner.policy(layers.flat(), name="learner")
         # An even number, since every start line is raced from both sides.
-        races = 2 * max(1, self.settings.evaluation_races // (2 * len(names)))
-        opponents = [opponent for opponent in self.policies for _ in range(races)]
+        races = 2 * max(1, self.settings.evaluation_races // (2 * len(self.opponents)))
+        opponents = [opponent for opponent in self.opponents.values() for _ in range(races)]
         scores = {}
         for track in self.tracks:
             for config in self.rules:
@@ -180,7 +163,7 @@ class DriveTask:
                 )
                 winner, blamed = result.winner, result.own_crash[:, 0]
                 payoffs = np.where(winner == 0, 1.0, np.where((winner == 1) | blamed, -1.0, 0.0))
-                for k, name in enumerate(names):
+                for k, name in enumerate(self.opponents):
                     rows = np.arange(k * races, (k + 1) * races)
                     scores[Matchup(track.name, config.name, name)] = score_races(
                         payoffs[rows], winner[rows], take(result.state, rows)
@@ -204,5 +187,6 @@ def make_drive_task(settings: DriveSettings) -> DriveTask:
     rules = tuple(load_race_config(race) for race in settings.races)
     if len({config.name for config in rules}) < len(rules):
         raise InputError(f"races is {list(settings.races)}; two of these rules have the same name")
-    policies = tuple(parse_policy(name) for name in settings.opponents)
-    return DriveTask(settings, tracks, rules, policies)
+    return DriveTask(
+        settings, tracks, rules, {name: parse_policy(name) for name in settings.opponents}
+    )

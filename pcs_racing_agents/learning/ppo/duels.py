@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.duel import DuelVectorEnv
@@ -24,12 +23,10 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
-from pcs_racing_agents.learning.ppo.learner import group_seeds, split_envs
+from pcs_racing_agents.learning.ppo.learner import group_seeds, planner_groups
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +37,6 @@ class DuelTask:
     archive: PolicyArchive
     tracks: tuple[Track, ...]
     game: RaceGame  #: Game on the first track; archive, moves and observations are always the same.
-    #: Opponents as pairs of weight and name, with one mixture for each planner.
-    mixtures: tuple[tuple[tuple[int, str], ...], ...]
     batches: Mapping[Matchup, GameBatch] = field(repr=False)  #: Games of the evaluation.
     overrides: Mapping[str, Any]  #: Rules that replace the settings' rules; plain values by name.
     threads: int  #: Threads that simulate the training games; no effect on the results.
@@ -61,23 +56,25 @@ class DuelTask:
         }
 
     def env_groups(self) -> list[DuelVectorEnv]:
-        """Make the training environments."""
-        groups = len(self.tracks) * len(self.mixtures)
-        shares = split_envs(
-            self.settings.envs, [sum(weight for weight, _ in mixture) for mixture in self.mixtures]
-        )
+        """Make the training environments: a group for each track and opponent planner."""
+        opponents = self.settings.opponents
+        planners = {
+            name: (parse_opponents(name, self.game)[0].planner or self.archive.family()).name
+            for name in opponents
+        }
+        groups = planner_groups(self.settings.envs, opponents, planners)
         return [
             DuelVectorEnv(
                 share,
                 track=track,
                 archive=self.archive,
                 race=self.game.config,
-                opponent=list(mixture),
+                opponent=group,
                 autoreset_mode=AutoresetMode.SAME_STEP,
-                threads=max(1, self.threads // groups),
+                threads=max(1, self.threads // (len(self.tracks) * len(groups))),
             )
             for track in self.tracks
-            for share, mixture in zip(shares, self.mixtures, strict=True)
+            for share, group in groups
         ]
 
     def network(
@@ -130,24 +127,18 @@ def make_duel_task(
     """
     overrides = {} if rules is None else {"game": asdict(rules)}
     archive = load_archive(settings.archive) if archive is None else archive
-    tracks = tuple(load_track(name) for name in settings.tracks)
     rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
+    tracks = tuple(load_track(name) for name in settings.tracks)
     games = [make_game(track, archive, rules) for track in tracks]
-    # A batch has one compiled planner in car 1: each opponent planner needs its own batch.
-    by_planner: dict[str, list[tuple[int, str]]] = {}
-    for name, weight in settings.opponents.items():
-        planner = parse_opponents(name, games[0])[0].planner or archive.family()
-        by_planner.setdefault(planner.name, []).append((weight, name))
     each = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
-        Matchup(track.name, games[0].config.race.name, name): GameBatch(
+        Matchup(track.name, rules.race.name, name): GameBatch(
             each, track=track, archive=archive, race=rules, opponent=name, threads=1
         )
         for track in tracks
         for name in settings.opponents
     }
-    mixtures = tuple(tuple(mixture) for mixture in by_planner.values())
-    return DuelTask(settings, archive, tracks, games[0], mixtures, batches, overrides, threads)
+    return DuelTask(settings, archive, tracks, games[0], batches, overrides, threads)
 
 
 def play_duels(batch: GameBatch, network: RegretNetwork, seed: int) -> MatchupScore:

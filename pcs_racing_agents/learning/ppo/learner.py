@@ -6,7 +6,7 @@ their states afterwards.
 
 import random
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -16,15 +16,11 @@ import numpy as np
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.planners.network import INPUTS
 from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
 from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alone
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
-
-FIGURES = ("approx_kl", "clip_fraction", "entropy_loss", "explained_variance", "value_loss")
-"""Recorded figures of every update, with the names of Stable-Baselines3."""
 
 
 def check_packages() -> None:
@@ -65,16 +61,26 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
     return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]
 
 
-def split_envs(envs: int, weights: Sequence[int]) -> list[int]:
-    """Return numbers of environments in proportion to weights, at least 1 for each weight.
+def planner_groups(
+    envs: int, opponents: Mapping[str, int], planners: Mapping[str, str]
+) -> list[tuple[int, list[tuple[int, str]]]]:
+    """Group opponents by planner: a number of environments, and weights and names of opponents.
 
-    Examples
-    --------
-    >>> split_envs(10, [3, 1])
-    [8, 2]
+    A batch has one compiled planner in car 1, so each opponent planner needs its own batch. The
+    numbers of environments are in proportion to the weights, at least 1.
+
+    Parameters
+    ----------
+    opponents, planners : Mapping
+        Weight of each opponent, and the name of its planner.
     """
+    groups: dict[str, list[tuple[int, str]]] = {}
+    for name, weight in opponents.items():
+        groups.setdefault(planners[name], []).append((weight, name))
+    weights = [sum(weight for weight, _ in group) for group in groups.values()]
     edges = np.cumsum([0, *weights]) * envs / sum(weights)
-    return [max(1, round(high) - round(low)) for low, high in pairwise(edges)]
+    shares = [max(1, round(high) - round(low)) for low, high in pairwise(edges)]
+    return list(zip(shares, groups.values(), strict=True))
 
 
 # The model
@@ -104,14 +110,8 @@ def make_model(
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],
     }
-    exploration: dict[str, Any] = {}
     if isinstance(settings, DriveSettings):
-        noise = settings.noise
-        if settings.noise_steps:
-            # One deviation for each neuron of the last hidden layer; typical outputs are near 0.5.
-            noise /= 0.5 * np.sqrt(settings.hidden[-1] if settings.hidden else len(INPUTS))
-            exploration = {"use_sde": True, "sde_sample_freq": settings.noise_steps}
-        policy["log_std_init"] = float(np.log(noise))
+        policy["log_std_init"] = float(np.log(settings.noise))
     steps = settings.rollout * envs.num_envs
     batches = -(-steps // settings.batch_size)
     with warnings.catch_warnings():  # warning about a slightly smaller last batch
@@ -132,14 +132,13 @@ def make_model(
             max_grad_norm=settings.max_gradient,
             policy_kwargs=policy,
             device="cpu",
-            **exploration,
         )
     model.set_logger(Logger(None, []))
     return model
 
 
-def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, float]:
-    """Collect steps, make one update, and return :data:`FIGURES` and the mean reward of a step.
+def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> None:
+    """Collect steps, and make one update.
 
     ``limit``: maximum absolute weight of the policy.
     """
@@ -168,11 +167,6 @@ def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> dict[str, f
             f"a weight is no longer a number after {model.num_timesteps} steps; take a"
             f" learning_rate below {settings.learning_rate:g}"
         )
-    values = model.logger.name_to_value
-    return {
-        **{key: float(values[f"train/{key}"]) for key in FIGURES},
-        "reward": float(np.mean(model.rollout_buffer.rewards)),
-    }
 
 
 def actor_layers(model: "PPO") -> DenseLayers:

@@ -109,8 +109,8 @@ class DuelSettings(PPOSettings):
     ] = 0.5
     opponents: Annotated[
         _Weights,
-        "never-switch, random-moves, always-MOVE, or drivers such as lane-switcher:3, with relative"
-        " frequencies.",
+        "never-switch, random-moves, always-MOVE, or planners such as lane-switcher:3, with"
+        " relative frequencies.",
     ] = field(default_factory=lambda: {"never-switch": 1}, hash=False)
     envs: Annotated[int, Interval(ge=1, le=100_000), "Parallel races for each circuit."] = 64
     rollout: Annotated[
@@ -156,12 +156,6 @@ class DriveSettings(PPOSettings):
         "Share of the opponent's progress that is subtracted from the own progress in the reward: 0"
         " rewards progress, 1 rewards the lead.",
     ] = 0.9
-    leading: Annotated[
-        float,
-        Interval(ge=0.0, le=1e6),
-        "Reward of a second in front, m. (With a penalty for being behind, a crash would avoid"
-        " it.)",
-    ] = 2.0
     crash_penalty: Annotated[
         float, Interval(ge=0.0, le=1e6), "Penalty for a crash by own fault, m."
     ] = 10.0
@@ -170,12 +164,6 @@ class DriveSettings(PPOSettings):
         Interval(ge=1e-3, le=10.0),
         "Initial standard deviation of the exploration noise of actions, before their tanh.",
     ] = 0.5
-    noise_steps: Annotated[
-        int,
-        Interval(ge=0, le=10_000),
-        "Steps between two draws of the exploration noise, which depends on the state (gSDE, Raffin"
-        " et al. 2021); 0 draws independent noise in each step.",
-    ] = 0
     discount: Annotated[float, Interval(ge=0.0, le=1.0), "Discount factor per step."] = 0.998
     reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 0.1
     steps: Annotated[
@@ -192,7 +180,7 @@ class DriveSettings(PPOSettings):
         super().__post_init__()
         if self.hold % 2:
             raise ConfigError(
-                f"hold is {self.hold}; it must be even: drivers are asked every second simulation"
+                f"hold is {self.hold}; it must be even: planners are asked every second simulation"
                 " step"
             )
 

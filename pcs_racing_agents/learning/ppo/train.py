@@ -7,9 +7,9 @@ guarantees no more).
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,6 @@ from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.base.tables import write_csv
 from pcs_racing_agents.base.tasks import in_other_processes
 from pcs_racing_agents.learning.ppo.drives import DriveTask, make_drive_task
 from pcs_racing_agents.learning.ppo.duels import DuelTask, make_duel_task
@@ -37,7 +36,6 @@ from pcs_racing_agents.learning.ppo.evaluation import (
     write_evaluations,
 )
 from pcs_racing_agents.learning.ppo.learner import (
-    FIGURES,
     actor_layers,
     check_packages,
     learn_once,
@@ -52,73 +50,8 @@ from pcs_racing_agents.learning.ppo.settings import (
 )
 
 LearningTask = DuelTask | DriveTask
-
-
-@dataclass
-class SeedRecord:
-    """Evaluations, updates and best policy of a training run."""
-
-    seed: int
-    weights: Mapping[str, int]  #: Relative frequency of each opponent.
-    steps: list[int] = field(default_factory=list)  #: Training steps before each evaluation.
-    scores: list[dict[Matchup, MatchupScore]] = field(default_factory=list)  #: Evaluations.
-    updates: list[tuple[float, ...]] = field(default_factory=list)  #: Steps and figures per update.
-    best: DenseLayers | None = None  #: Policy of the best evaluation; None before any evaluation.
-    seconds: float = 0.0  #: Training time, s.
-
-    @property
-    def curve(self) -> EvaluationCurve:
-        """Learning curve of all evaluations so far."""
-        return EvaluationCurve(self.seed, tuple(self.steps), tuple(self.scores))
-
-    def payoff(self, evaluation: int) -> float:
-        """Return the mean payoff of an evaluation."""
-        return mean_score(self.scores[evaluation], self.weights).worth
-
-    @property
-    def best_at(self) -> int:
-        """Index of the best evaluation; the first one in case of a tie."""
-        return max(range(len(self.scores)), key=self.payoff)
-
-    def add(self, steps: int, scores: dict[Matchup, MatchupScore], layers: DenseLayers) -> None:
-        """Add an evaluation, and store the weights if the evaluation is the best so far."""
-        self.steps.append(steps)
-        self.scores.append(scores)
-        if self.best_at == len(self.scores) - 1:
-            self.best = layers
-
-    def arrays(self) -> Arrays:
-        """Return the record of a finished training run as arrays."""
-        assert self.best is not None
-        return {
-            "steps": np.array(self.steps, np.int64),
-            "matchups": np.array([list(matchup) for matchup in self.scores[0]], np.str_),
-            "scores": np.array(
-                [[list(score) for score in scores.values()] for scores in self.scores]
-            ),
-            "updates": np.array(self.updates, np.float64),
-            "best": np.frombuffer(layers_to_bytes(self.best), np.uint8),
-            "seconds": np.array(self.seconds),
-        }
-
-    @classmethod
-    def from_arrays(cls, seed: int, task: LearningTask, arrays: Arrays) -> "SeedRecord":
-        """Return the record with the contents of such arrays."""
-        matchups = [Matchup(*row) for row in arrays["matchups"].tolist()]
-        scores = [
-            [MatchupScore(int(row[0]), *row[1:]) for row in rows]
-            for rows in arrays["scores"].tolist()
-        ]
-        hidden = list(task.settings.hidden)
-        return cls(
-            seed,
-            task.settings.opponents,
-            steps=arrays["steps"].tolist(),
-            scores=[dict(zip(matchups, rows, strict=True)) for rows in scores],
-            updates=[tuple(row) for row in arrays["updates"].tolist()],
-            best=layers_from_bytes(Path(f"seed {seed}"), arrays["best"].tobytes(), hidden)[0],
-            seconds=float(arrays["seconds"]),
-        )
+Report = Callable[[int, int, float], None]
+"""``report(seed, steps, payoff)``: called after every update with the last evaluation's payoff."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +89,8 @@ def train_ppo(
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         New or empty folder, or the folder of the same training run. Output: ``policy/`` (weights,
-        manifest, and every evaluation in ``curve.csv``), ``updates.csv`` (figures of every update)
-        and the result of each finished seed in ``chunks/``.
+        manifest, and every evaluation in ``curve.csv``) and the result of each finished seed in
+        ``chunks/``.
     name : str, optional
         Name of the policy; by default the name used by the agent ``ppo`` or the planner
         ``ppo-drive``.
@@ -182,40 +115,37 @@ def train_ppo(
     threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else default_threads()
     task = make_task(settings, archive=policies, rules=rules, threads=threads)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
-    steps_of_seeds = 0  # steps of finished seeds
+    total = len(settings.seeds) * settings.steps
 
     def seeds_done(done: int, seeds: int, _: str) -> None:
-        nonlocal steps_of_seeds
-        steps_of_seeds = done * settings.steps
         if progress is not None:
-            progress(steps_of_seeds, seeds * settings.steps, f"{done} of {seeds} seeds")
+            progress(done * settings.steps, total, f"{done} of {seeds} seeds")
 
-    def update_done(record: SeedRecord) -> None:
+    def update_done(seed: int, steps: int, payoff: float) -> None:
         if progress is not None:
-            made = min(int(record.updates[-1][0]), settings.steps)
-            label = f"seed {record.seed}, payoff {record.payoff(-1):.3f}"
-            progress(steps_of_seeds + made, len(settings.seeds) * settings.steps, label)
+            made = settings.seeds.index(seed) * settings.steps + min(steps, settings.steps)
+            progress(made, total, f"seed {seed}, payoff {payoff:.3f}")
 
     train = partial(train_seed, task, update_done if elsewhere is None else None)
     with open_job(folder, "ppo", identity) as job:
         results = job.run("seed", train, settings.seeds, executor=elsewhere, progress=seeds_done)
-        runs = [
-            SeedRecord.from_arrays(seed, task, result)
-            for seed, result in zip(settings.seeds, results, strict=True)
+        curves = tuple(map(_curve, settings.seeds, results))
+        payoffs = [
+            [mean_score(scores, settings.opponents).worth for scores in curve.scores]
+            for curve in curves
         ]
-        run = max(runs, key=lambda run: run.payoff(run.best_at))  # the first one in case of a tie
-        curves = tuple(run.curve for run in runs)
-        _write_updates(runs, job.folder / "updates.csv")
-        assert run.best is not None  # there is an evaluation before the first update
+        best = int(np.argmax([max(row) for row in payoffs]))  # the first one in case of a tie
+        at = int(np.argmax(payoffs[best]))
+        weights = results[best]["best"].tobytes()
         trained = PPOResult(
             settings=settings,
             task=task,
             curves=curves,
-            layers=run.best,
-            seed=run.seed,
-            steps=run.steps[run.best_at],
-            scores=run.scores[run.best_at],
-            seconds=sum(run.seconds for run in runs),
+            layers=layers_from_bytes(job.folder, weights, list(settings.hidden))[0],
+            seed=settings.seeds[best],
+            steps=curves[best].steps[at],
+            scores=curves[best].scores[at],
+            seconds=sum(float(result["seconds"]) for result in results),
             folder=job.folder / "policy",
         )
         task.save(trained.layers, trained.folder, name or task.default_name, _about(trained))
@@ -223,46 +153,61 @@ def train_ppo(
     return trained
 
 
-def train_seed(
-    task: LearningTask, on_update: Callable[[SeedRecord], None] | None, seed: int
-) -> Arrays:
+def train_seed(task: LearningTask, report: Report | None, seed: int) -> Arrays:
     """Train with a seed until the settings' number of steps or the end of their patience.
-
-    Parameters
-    ----------
-    on_update : callable, optional
-        Called with the record after every update.
 
     Returns
     -------
     dict of ndarray
-        Arrays of :meth:`SeedRecord.arrays`. All but the time depend only on task and seed.
+        Steps, matchups and scores of all evaluations, the weights of the best one (the first in
+        case of a tie), and the training time in ``seconds``. All but the time depend only on task
+        and seed.
     """
     settings = task.settings
-    record = SeedRecord(seed, settings.opponents)
     begin = time.monotonic()
+    steps: list[int] = []
+    evaluations: list[dict[Matchup, MatchupScore]] = []
+    payoffs: list[float] = []
     with own_randomness():
         model = make_model(settings, task.env_groups(), seed, task.activation, task.threads)
-        steps, since_best = 0, 0
+        best = actor_layers(model)
         while True:
             # Evaluate before the first update, after each multiple of the interval, and at the end.
             # Updates consist of whole rollouts, so few of them end at a multiple.
-            crossed = (
-                not record.steps
-                or steps // settings.evaluate_every > record.steps[-1] // settings.evaluate_every
-            )
-            if crossed or steps >= settings.steps:
+            done, every = model.num_timesteps, settings.evaluate_every
+            if not steps or done // every > steps[-1] // every or done >= settings.steps:
                 layers = actor_layers(model)
-                record.add(steps, task.evaluate(layers), layers)
-                since_best = len(record.scores) - 1 - record.best_at
-            record.seconds = time.monotonic() - begin
-            if on_update is not None and steps > 0:
-                on_update(record)
-            if steps >= settings.steps or 0 < settings.patience <= since_best:
-                return record.arrays()
-            figures = learn_once(model, settings, task.limit)
-            steps = model.num_timesteps
-            record.updates.append((float(steps), *figures.values()))
+                steps.append(done)
+                evaluations.append(task.evaluate(layers))
+                payoffs.append(mean_score(evaluations[-1], settings.opponents).worth)
+                if np.argmax(payoffs) == len(payoffs) - 1:
+                    best = layers
+            if report is not None and done > 0:
+                report(seed, done, payoffs[-1])
+            since_best = len(payoffs) - 1 - int(np.argmax(payoffs))
+            if done >= settings.steps or 0 < settings.patience <= since_best:
+                break
+            learn_once(model, settings, task.limit)
+    return {
+        "steps": np.array(steps, np.int64),
+        "matchups": np.array([list(matchup) for matchup in evaluations[0]], np.str_),
+        "scores": np.array([[list(score) for score in one.values()] for one in evaluations]),
+        "best": np.frombuffer(layers_to_bytes(best), np.uint8),
+        "seconds": np.array(time.monotonic() - begin),
+    }
+
+
+def _curve(seed: int, result: Arrays) -> EvaluationCurve:
+    """Return the learning curve in the result of :func:`train_seed`."""
+    matchups = [Matchup(*row) for row in result["matchups"].tolist()]
+    scores = [
+        {
+            matchup: MatchupScore(int(row[0]), *row[1:])
+            for matchup, row in zip(matchups, rows, strict=True)
+        }
+        for rows in result["scores"].tolist()
+    ]
+    return EvaluationCurve(seed, tuple(result["steps"].tolist()), tuple(scores))
 
 
 def make_task(
@@ -296,19 +241,6 @@ def _named(
         epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
         settings = replace(settings, race=rules.race.name, epsilon=epsilon)
     return settings
-
-
-# Reports
-
-
-def _write_updates(runs: Sequence[SeedRecord], file: Path) -> None:
-    rows: list[tuple[object, ...]] = [("seed", "steps", *FIGURES, "reward")]
-    for run in runs:
-        rows += [
-            (run.seed, int(steps), *(f"{value:.6g}" for value in figures))
-            for steps, *figures in run.updates
-        ]
-    write_csv(rows, file)
 
 
 def _about(trained: PPOResult) -> dict[str, str | int | float | bool]:
