@@ -112,7 +112,8 @@ def read_card(path: Path) -> Card:
         values = parse_json(file, read_limited(file, LARGEST, "a card"))
     except OSError as error:
         raise InputError(
-            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark' wrote"
+            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark card'"
+            " wrote"
         ) from None
     if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
         raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
@@ -191,7 +192,7 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
     cards = [read_card(path) for path in files]
     if not cards:
         raise InputError(
-            "there are no cards; give at least one folder that 'pcs-racing benchmark' wrote"
+            "there are no cards; give at least one folder that 'pcs-racing benchmark card' wrote"
         )
     # Scores are comparable only under the same protocol, archive and opponents.
     first, names = cards[0], set()

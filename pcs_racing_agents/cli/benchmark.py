@@ -1,4 +1,4 @@
-"""``pcs-racing benchmark``, ``leaderboard``, ``overtaking``: score cards, ranking, overtaking."""
+"""``pcs-racing benchmark``: score cards, their leaderboard, and an overtaking protocol."""
 
 import csv
 import io
@@ -11,7 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.commands import Command, Option, command
 from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     TRACK_HELP,
@@ -35,34 +35,36 @@ REPLY_RACES = 4000
 LEARNER = "best-reply"  # configuration of the best-response learner
 
 
-@command(
+group = Command(
     "benchmark",
-    "pcs-racing benchmark best-fixed --out out/cards/best-fixed",
-    "pcs-racing benchmark my_model.zip --out out/cards/mine",
-    "pcs-racing benchmark my_package.my_module:make_agent --weights net.pt --out out/cards/mine",
-    "pcs-racing benchmark ppo-drive --drive --out out/cards/ppo-drive",
-    "pcs-racing benchmark best-fixed psro self-play --out out/cards/zoo",
+    "Race agents by fixed protocols, and rank their score cards.",
+    ("pcs-racing benchmark card best-fixed --out out/cards/best-fixed",),
+)
+
+
+@command(
+    "benchmark card",
+    "pcs-racing benchmark card best-fixed --out out/cards/best-fixed",
+    "pcs-racing benchmark card my_model.zip --out out/cards/mine",
+    "pcs-racing benchmark card my_package.my_module:make_agent --weights net.pt --out"
+    " out/cards/mine",
+    "pcs-racing benchmark card ppo-drive --drive --out out/cards/ppo-drive",
+    "pcs-racing benchmark card best-fixed psro self-play --out out/cards/zoo",
 )
 def run(
     agents: Annotated[
         Sequence[str],
         Option(
-            "a name of the zoo, module:function (called with the game spec, and the path of the"
-            " weights if "
-            "there is one), or a .zip file of Stable-Baselines3; of several each gets a card in a"
-            " folder of its own, "
-            "and the baselines are raced only once",
+            "name of an agent, module:function (called with the game spec, and the path of the"
+            " weights if there is one), or a .zip file of Stable-Baselines3; each of several agents"
+            " gets a card in its own folder",
             "AGENT",
         ),
     ],
     *,
-    drive: Annotated[
-        bool, Option("AGENT is a driver at control level: its name or folder")
-    ] = False,
-    weights: Annotated[
-        Path | None, Option("file that is handed to module:function", "FILE")
-    ] = None,
-    name: Annotated[str | None, Option("name on the card (default: that of the agent)")] = None,
+    drive: Annotated[bool, Option("AGENT is a planner: its name or folder")] = False,
+    weights: Annotated[Path | None, Option("weights for module:function", "FILE")] = None,
+    name: Annotated[str | None, Option("name on the card (default: name of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
     full: Annotated[
         bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")
@@ -184,7 +186,10 @@ def _best_reply(
     return ReplyLoss(loss.mean, low, high, settings.starts, settings.rounds, loss.units)
 
 
-@command("leaderboard", "pcs-racing leaderboard out/cards/mine out/cards/zoo --out out/leaderboard")
+@command(
+    "benchmark leaderboard",
+    "pcs-racing benchmark leaderboard out/cards/mine out/cards/zoo --out out/leaderboard",
+)
 def run_board(
     cards: Annotated[
         Sequence[Path], Option("folders of cards, or folders that hold such folders", "FOLDER")
@@ -212,14 +217,14 @@ def run_board(
 
 
 @command(
-    "overtaking",
-    "pcs-racing overtaking --drivers spliner mppi --track Tarnfjord Pipkin",
-    "pcs-racing overtaking --drivers spliner:pace=1 --track maps/Austin maps/Hockenheim --lines"
-    " lines",
+    "benchmark overtaking",
+    "pcs-racing benchmark overtaking --policies spliner mppi --track Tarnfjord Pipkin",
+    "pcs-racing benchmark overtaking --policies spliner:pace=1 --track maps/Austin maps/Hockenheim"
+    " --lines lines",
 )
 def run_overtaking(
     *,
-    drivers: Annotated[Sequence[str], Option(f"drivers of the ego: {POLICY_HELP}", "POLICY")],
+    policies: Annotated[Sequence[str], Option(f"policies of the ego: {POLICY_HELP}", "POLICY")],
     track: Annotated[Sequence[str], Option(f"{TRACK_HELP} (default: all that ship)", "T")] = (),
     lines: Annotated[
         Path | None,
@@ -242,11 +247,11 @@ def run_overtaking(
     )
 
     target = output_file(out, ".csv") if out else None
-    policies = [parse_driver(text) for text in drivers]
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
     found = [
-        joined([race_scenarios(one, policy, seed=seed) for one in given]) for policy in policies
+        joined([race_scenarios(one, parse_driver(text), seed=seed) for one in given])
+        for text in policies
     ]
     print("\n".join([f"{len(found[0].start)} scenarios", "", *summary(found), "", *detail(found)]))
     if target is not None:

@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 MOST = 16
 """Default size of a pool: all pairs of its policies race in less than a minute per track."""
-NOTE = """H: value of knowing the opponent before the start, in races won, over the best fixed policy; low: a bound
-from below; opponents, pool: standard errors over opponents and over draws of the pool; transitive: share of the
-payoffs' variance that ratings explain, noise removed"""
+NOTE = """H: value of knowing the opponent before the start, in races won, over the best fixed
+policy; low: a lower bound; opponents, pool: standard errors over opponents and over draws of the
+pool; transitive: share of the payoffs' variance that ratings explain, noise removed"""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,27 +44,15 @@ FILES = {
         "headroom",
         "race all pairs of an archive's policies, and print the value of knowing the opponent",
     ),
-    "benchmark": (
-        "benchmark",
-        "race an agent by the fixed protocol of the benchmark, and write its score card",
-    ),
-    "leaderboard": (
-        "benchmark",
-        "rank score cards of one protocol, and write the page that shows them",
-    ),
-    "overtaking": (
-        "benchmark",
-        "race the scenarios of the End2Race overtaking protocol, 600 a circuit",
-    ),
+    "benchmark": ("benchmark", "race agents by fixed protocols, and rank their score cards"),
     "tree": (
         "trees",
         "build game trees: simulate all moves of both players, for pairs of starting policies",
     ),
     "solve": (
         "trees",
-        "solve game trees exactly and by regret minimisation",
+        "solve game trees exactly and by regret minimisation, or export a tree",
     ),
-    "export": ("trees", "write a game tree as a file that OpenSpiel and Gambit load"),
     "train": (
         "train",
         "train a network that predicts counterfactual regrets from observations",
@@ -72,10 +60,6 @@ FILES = {
     "learn": (
         "learn",
         "train an agent in branched races: a response to opponents, PSRO, or CFR in self-play",
-    ),
-    "best-reply": (
-        "learn",
-        "train an opponent against one agent alone, and print the agent's loss",
     ),
     "ppo": (
         "learn",
@@ -105,10 +89,9 @@ NAMING = {
     "race": {"--ego": "planner", "--opponent": "planner"},
     "tournament": {"--policies": "planner", "--agents": "agent"},
     "headroom": {"--policies": "planner"},
-    "overtaking": {"--drivers": "planner"},
+    "benchmark": {"--policies": "planner"},
     "policies": {"": "planner"},
     "learn": {"--pool": "agent"},
-    "best-reply": {"": "agent"},
     "explain": {"--agents": "agent"},
     "play": {"--opponent": "agent"},
 }

@@ -16,28 +16,26 @@ from pcs_racing_agents.cli.options import TRACK_HELP, Workers
     "pcs-racing study paper --out out/paper",
     "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
     "pcs-racing study contest-table --archive out/my-archive --seed 1 --out out/table",
-    "pcs-racing study contest-wide --unseen maps/Monza maps/Spielberg --out out/wide",
+    "pcs-racing study contest-wide --test-track maps/Monza maps/Spielberg --out out/wide",
 )
 def run(
     config: Annotated[
         str, Option(f"settings: {', '.join(shipped_configs('study'))} or a YAML file")
     ],
     *,
-    out: Annotated[
-        Path, Option("folder of the study; a study that was stopped resumes in its folder", "DIR")
-    ],
+    out: Annotated[Path, Option("folder of the study; an interrupted run resumes here", "DIR")],
     stage: Annotated[
-        Sequence[str] | None, Option("stages to run (default: all that are not finished)", "NAME")
+        Sequence[str] | None, Option("stages to run (default: all unfinished stages)", "NAME")
     ] = None,
     seed: Annotated[
-        int | None, Option("seed of all random draws (default: that of the settings)")
+        int | None, Option("seed of all random draws (default: seed of the settings)")
     ] = None,
     archive: Annotated[
         str | None,
-        Option("name or folder of an archive to use instead of that of the settings", "A"),
+        Option("name or folder of an archive to use in place of the search of the settings", "A"),
     ] = None,
-    unseen: Annotated[
-        Sequence[str], Option(f"further circuits of the main table: {TRACK_HELP}", "T")
+    test_track: Annotated[
+        Sequence[str], Option(f"further test circuits of the main table: {TRACK_HELP}", "T")
     ] = (),
     workers: Workers,
 ) -> None:
@@ -49,8 +47,8 @@ def run(
     if archive is not None:
         changes |= {"synthesis": None, "archive": archive}
     settings = load_study_config(config, **changes)
-    if unseen:
-        tracks = (*settings.table.tracks, *unseen)
+    if test_track:
+        tracks = (*settings.table.tracks, *test_track)
         settings = replace(settings, table=replace(settings.table, tracks=tracks))
     with workers.start() as executor:
         study = run_study(settings, out, only=stage, executor=executor)

@@ -1,4 +1,4 @@
-"""``pcs-racing tree``, ``solve`` and ``export``: build, solve and export game trees."""
+"""``pcs-racing tree`` and ``solve``: build, solve and export game trees."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.config import UTILITIES, load_game_config
+from pcs_racing.game.config import load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.tables import aligned, write_csv
@@ -45,17 +45,6 @@ def run(
     step: Annotated[
         float | None, Option("mean time of a move in s (default: that of the rules)", "S")
     ] = None,
-    epsilon: Annotated[
-        Sequence[float] | None,
-        Option("length of a move in normalised coordinates (default: 0.5)", "E"),
-    ] = None,
-    utility: Annotated[
-        str | None,
-        Option("utility at the end of a game (default: that of the preset)", choices=UTILITIES),
-    ] = None,
-    stay: Annotated[
-        bool | None, Option("whether the game has a move that keeps the policy")
-    ] = None,
     pairs: Annotated[int, Option("number of pairs of starting policies")] = 20,
     seeds: Annotated[
         int | None, Option("noise realisations per pair (default: 4 with noise, else 1)", "S")
@@ -65,15 +54,8 @@ def run(
     workers: Workers,
 ) -> None:
     """Build game trees: simulate all moves of both players, for pairs of starting policies."""
-    lengths = None if epsilon is None else tuple(epsilon)
-    options = {
-        "moves": moves,
-        "step_seconds": step,
-        "epsilon": lengths,
-        "utility": utility,
-        "stay": stay,
-    }
-    changes: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
+    stated = {"moves": moves, "step_seconds": step}
+    changes: dict[str, Any] = {key: value for key, value in stated.items() if value is not None}
     config = load_game_config(rules, **changes)
     game = make_game(track, archive_for(archive, config.race), config)
     count = len(game.move_names)
@@ -157,9 +139,9 @@ def _shares(s: TreeStatistics) -> tuple[str, ...]:
     )
 
 
-NOTE = """value: what car 0 gets; exploitability: half of what both could gain by best responses; units of the utility
-agreement: decisions whose likeliest move is a best one against the exact solution; on path: the same, each as often
-as the exact solution leads to it; decisions at which all moves have the same value do not count"""
+NOTE = """value: utility of car 0; exploitability: half of the gain of both by best responses
+agreement: decisions whose likeliest move is a best one against the exact solution; on path: the
+same, weighted by the reach of the exact solution; decisions with equal values do not count"""
 
 
 class _SolvedTree(NamedTuple):
@@ -171,17 +153,15 @@ class _SolvedTree(NamedTuple):
     rows: list[MethodRow]
 
 
-Trees = Annotated[Path, Option("folder of game trees, written by 'pcs-racing tree'", "DIR")]
-
-
 @command(
     "solve",
     "pcs-racing solve out/trees",
     "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out"
     " out/solved.csv",
+    "pcs-racing solve out/trees --export out/tree3.efg --tree 3",
 )
 def run_solve(
-    trees: Trees,
+    trees: Annotated[Path, Option("folder of game trees, written by 'pcs-racing tree'", "DIR")],
     *,
     iterations: Annotated[int, Option("number of iterations of CFR")] = 100,
     methods: Annotated[
@@ -189,15 +169,24 @@ def run_solve(
         Option(f"one or more of {', '.join(METHODS)} (default: all)", "M", choices=METHODS),
     ] = (),
     out: Annotated[Path | None, Option("file for the table (.csv)", "FILE")] = None,
+    export: Annotated[
+        Path | None,
+        Option("file for one tree (.efg), which OpenSpiel and Gambit load; solves nothing", "FILE"),
+    ] = None,
+    tree: Annotated[int, Option("number of the tree to export")] = 0,
 ) -> None:
-    """Solve game trees exactly and by regret minimisation."""
+    """Solve game trees exactly and by regret minimisation, or export a tree."""
     target = output_file(out, ".csv") if out else None
+    exported = output_file(export, ".efg") if export else None
     stored = load_trees(trees)
+    if exported is not None:
+        _export(stored, tree, exported)
+        return
     solved = []
-    for number, tree in enumerate(stored):
-        first, second = (int(policy) for policy in tree.policies)
-        rows = compare_methods(tree.game_tree(), iterations, methods or METHODS)
-        solved.append(_SolvedTree(number, (first, second), len(tree.seeds), rows))
+    for number, one in enumerate(stored):
+        first, second = (int(policy) for policy in one.policies)
+        rows = compare_methods(one.game_tree(), iterations, methods or METHODS)
+        solved.append(_SolvedTree(number, (first, second), len(one.seeds), rows))
     names = {key: stored.settings[key]["name"] for key in ("archive", "track")}
     print(
         f"{len(stored)} trees of archive {names['archive']} on {names['track']}, preset"
@@ -244,29 +233,14 @@ def _csv_rows(solved: Sequence[_SolvedTree]) -> Iterator[tuple[object, ...]]:
             yield (tree.number, *tree.policies, tree.seeds, row.method, *numbers)
 
 
-@command(
-    "export",
-    "pcs-racing export out/trees --format efg --out out/tree.efg",
-    "pcs-racing export out/trees --tree 3 --format efg --out out/tree3.efg",
-)
-def run_export(
-    trees: Trees,
-    *,
-    tree: Annotated[int, Option("number of the tree in the folder")] = 0,
-    format: Annotated[  # noqa: A002
-        str, Option("format: efg, the extensive form of Gambit as text", choices=("efg",))
-    ] = "efg",
-    out: Annotated[Path, Option("file to write (.efg)", "FILE")],
-) -> None:
-    """Write a game tree as a file that OpenSpiel and Gambit load."""
-    target = output_file(out, ".efg")
-    stored = load_trees(trees)
-    if not 0 <= tree < len(stored):
-        raise InputError(f"there is no tree {tree} in {trees}; it holds 0 to {len(stored) - 1}")
-    played = stored[tree]
-    first, second = (int(policy) for policy in played.policies)
+def _export(stored: StoredTrees, number: int, target: Path) -> None:
+    """Write a tree as Gambit's extensive form."""
+    if not 0 <= number < len(stored):
+        raise InputError(f"there is no tree {number}; there are trees 0 to {len(stored) - 1}")
+    tree = stored[number]
+    first, second = (int(policy) for policy in tree.policies)
     names = stored.settings["move_names"]
-    game = played.game_tree()
+    game = tree.game_tree()
     title = (
         f"pcs-racing: {stored.settings['archive']['name']} {first} and {second} on"
         f" {stored.settings['track']['name']}"

@@ -6,7 +6,7 @@ lower bound of a perfect opponent's result: a loss is always reported with the l
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, Unpack
 
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.from_network import network_agent
@@ -24,13 +23,14 @@ from pcs_racing_agents.base.tables import aligned, interval_text, write_csv
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 LINES = 5
 """Start lines of each pair of variants, each raced from both sides."""
-FEWEST = 2 * 2 * 2 * LINES
+MIN_RACES = 2 * 2 * 2 * LINES
 """Minimum number of races on a track: two variants of each car, all lines, both sides."""
 RACE_SEED = 9_000_000
 """Offset of the settings' seed, so that start policies, lines and noise differ from training."""
@@ -73,52 +73,32 @@ def best_reply(
     part : str
         Prefix of the names of this work in the job.
     """
-    check_whole("races", races, FEWEST * len(games))
+    check_races(races, len(games))
     reply = learn_response(
         games, [agent], spec, settings, job, name="best-reply", part=f"{part}reply-", **workers
     )
     pilot = network_agent(reply, spec, settings.seed)
-    table = race_on_circuits(
-        games, pilot, agent, races, settings.seed, job, name=f"{part}races", **workers
-    )
-    return BestReply(reply, table, excess_estimate(table))
-
-
-def race_on_circuits(
-    games: Sequence[RaceGame],
-    ego: Competitor,
-    opponent: Competitor,
-    races: int,
-    seed: int,
-    job: Job,
-    *,
-    name: str,
-    **workers: Unpack[Workers],
-) -> RaceTable:
-    """Race two competitors on several tracks: crossed design, about ``races`` races in total."""
     # Crossed: every start policy of one car meets every start policy of the other car, from all
     # lines and both sides.
-    each = check_whole("races", races, FEWEST * len(games)) / len(games)
-    count = max(2, round(math.sqrt(each / (2 * LINES))))
-    rng = np.random.default_rng(np.random.SeedSequence(seed + RACE_SEED, spawn_key=(0,)))
+    count = max(2, round(math.sqrt(races / len(games) / (2 * LINES))))
+    seed = settings.seed + RACE_SEED
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     # Both cars have the same start policies: an agent against itself wins as often as it loses.
     policies = np.sort(rng.permutation(len(games[0].archive))[:count]).tolist()
-    variants: list[int | list[int]] = [
-        count if isinstance(car, Driver) else policies for car in (ego, opponent)
-    ]
+    opponents = count if isinstance(agent, Driver) else policies
     pairings = [
         cross_pairing(
-            game,
-            ego,
-            opponent,
-            egos=variants[0],
-            opponents=variants[1],
-            lines=LINES,
-            seed=seed + RACE_SEED + i,
+            game, pilot, agent, egos=policies, opponents=opponents, lines=LINES, seed=seed + i
         )
         for i, game in enumerate(games)
     ]
-    return concatenate_races(play_pairings(pairings, name=name, job=job, **workers))
+    table = concatenate_races(play_pairings(pairings, name=f"{part}races", job=job, **workers))
+    return BestReply(reply, table, excess_estimate(table))
+
+
+def check_races(races: int, tracks: int) -> int:
+    """Check the number of races on all tracks together."""
+    return check_whole("races", races, MIN_RACES * tracks)
 
 
 def excess_estimate(races: RaceTable) -> Estimate:
@@ -127,8 +107,6 @@ def excess_estimate(races: RaceTable) -> Estimate:
     The interval is cluster-robust. Races with a common start policy, planner policy or start line
     form clusters.
     """
-    if len(races) == 0:
-        raise InputError("there are no races; an estimate needs some")
     ego, opponent = races.variants.T.astype(np.int64)
     place = np.stack([races.track.codes.astype(np.float64), races.start_s.round(4)], axis=1)
     line = np.unique(place, axis=0, return_inverse=True)[1].reshape(-1).astype(np.int64)
@@ -163,20 +141,9 @@ def _without_policies(
     return excess - np.where(balanced, 0.5 * (mean[cells] - mean[mirrored]), 0.0)
 
 
-ALL = "all"
-REPLY_HEAD = (
-    "agent",
-    "circuit",
-    "loss",
-    "95 % interval",
-    "races",
-    "reply won",
-    "agent won",
-    "agent's own crashes",
-)
-REPLY_NOTE = """loss: half of the reply's wins minus the agent's, as a share of the races; 0.1 means that the reply
-won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a better reply. The interval is robust
-to clusters of start policies and start lines."""
+REPLY_NOTE = """loss: half of the reply's wins minus the agent's wins, as a share of the races; 0.1 means
+that the reply won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a
+better reply. The interval is robust to clusters of start policies and start lines."""
 COLUMNS = (
     "agent",
     "track",
@@ -192,47 +159,46 @@ COLUMNS = (
 )
 
 
-def reply_text(replies: Mapping[str, BestReply], settings: ResponseSettings) -> str:
-    """Return the table of losses of several agents, with the learner's budget."""
+def reply_text(agent: str, reply: BestReply, settings: ResponseSettings) -> str:
+    """Return the table of an agent's loss, with the learner's budget."""
+    rows = [
+        (
+            "agent",
+            "circuit",
+            "loss",
+            "95 % interval",
+            "races",
+            "reply won",
+            "agent won",
+            "own crashes",
+        )
+    ]
+    for track, loss, shares in _lines(reply):
+        numbers = (f"{loss.mean:+.3f}", interval_text(loss.low, loss.high), str(loss.units))
+        wins = (f"{share:.3f}" for share in shares[:2])
+        rows.append((agent, track, *numbers, *wins, f"{shares[2]:.1%}"))
     budget = (
         f"learner: {settings.starts} games branched at every step and on each circuit,"
         f" {settings.rounds} rounds, {settings.members} networks"
     )
-    return "\n".join([*aligned([REPLY_HEAD, *reply_rows(replies)]), "", REPLY_NOTE, budget])
+    return "\n".join([*aligned(rows), "", REPLY_NOTE, budget])
 
 
-def reply_rows(replies: Mapping[str, BestReply]) -> list[tuple[str, ...]]:
-    """Return the table rows: each agent on each track, and on all tracks if there are several."""
-    return [
-        (
-            agent,
-            track,
-            f"{loss.mean:+.3f}",
-            interval_text(loss.low, loss.high),
-            str(loss.units),
-            *(f"{share:.3f}" for share in shares[:2]),
-            f"{shares[2]:.1%}",
-        )
-        for agent, track, loss, shares in _lines(replies)
-    ]
-
-
-def write_replies(replies: Mapping[str, BestReply], path: Path) -> Path:
-    """Write a CSV line for each agent and track, and a total over tracks if there are several."""
+def write_reply(agent: str, reply: BestReply, folder: Path) -> Path:
+    """Write ``best_reply.csv``, a line for each track and all tracks, and the ``results.csv``."""
     lines: list[tuple[object, ...]] = [COLUMNS]
-    for agent, track, loss, shares in _lines(replies):
+    for track, loss, shares in _lines(reply):
         numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
-        lines.append(
-            (agent, track, *numbers, loss.df, loss.units, *(f"{share:.6g}" for share in shares))
-        )
-    return write_csv(lines, path)
+        wins = (f"{share:.6g}" for share in shares)
+        lines.append((agent, track, *numbers, loss.df, loss.units, *wins))
+    write_results(reply.races, folder / "results.csv")
+    return write_csv(lines, folder / "best_reply.csv")
 
 
-def _lines(replies: Mapping[str, BestReply]) -> Iterator[tuple[str, str, Estimate, list[float]]]:
-    """Yield agent, track, loss, and the shares of response wins, agent wins and agent crashes."""
-    for agent, reply in replies.items():
-        words, codes = reply.races.track
-        parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
-        for track, races in parts if len(parts) == 1 else [*parts, (ALL, reply.races)]:
-            shares = (races.winner == 0, races.winner == 1, races.fault[:, 1] > 0)
-            yield agent, track, excess_estimate(races), [float(np.mean(share)) for share in shares]
+def _lines(reply: BestReply) -> Iterator[tuple[str, Estimate, list[float]]]:
+    """Yield track, loss, and the shares of response wins, agent wins and agent crashes."""
+    words, codes = reply.races.track
+    parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
+    for track, races in parts if len(parts) == 1 else [*parts, ("all", reply.races)]:
+        shares = (races.winner == 0, races.winner == 1, races.fault[:, 1] > 0)
+        yield track, excess_estimate(races), [float(np.mean(share)) for share in shares]

@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.rules import RaceGame
@@ -86,8 +85,6 @@ class Branches(NamedTuple):
 
 def outcome(game: RaceGame, state: GameState, payoff: str = "win") -> NDArray[np.float64]:
     """Return the payoff of finished games for car 0, shape (B,)."""
-    if payoff not in PAYOFFS:
-        raise InputError(f"payoff is {payoff!r}; it must be one of {', '.join(PAYOFFS)}")
     if payoff == "utility":
         return game.reward(state)[:, 0]
     winner = game.winner(state)
@@ -125,8 +122,6 @@ def branch_games(
     count : int, optional
         Number of moves to try, starting with the first; by default all.
     """
-    if not 0 <= step < game.config.moves:
-        raise InputError(f"step is {step}; it must lie in 0 to {game.config.moves - 1}")
     numbers = np.asarray(keys, np.uint64)
     policies = None
     if isinstance(opponent, Driver):

@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.dense import DenseLayers
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.dense import DenseLayers, layers_from_bytes, layers_to_bytes
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.fingerprint import fingerprint
@@ -25,27 +25,10 @@ from pcs_racing_agents.networks.settings import TrainSettings
 
 
 def merge_networks(networks: Sequence[RegretNetwork], name: str) -> RegretNetwork:
-    """Return a network that outputs the mean of the outputs of several networks."""
+    """Return a network that outputs the mean of the outputs of networks of one kind and shape."""
     from scipy.linalg import block_diag
 
-    if len(networks) == 0:
-        raise InputError("there is no network to merge; give at least one")
     first = networks[0]
-    for network in networks:
-        for key in ("identity", "target", "clipped"):
-            if getattr(network, key) != getattr(first, key):
-                raise InputError(
-                    f"networks {first.name!r} and {network.name!r} differ in {key}; they can't be"
-                    " merged"
-                )
-        if len(network.layers.weights) != len(first.layers.weights):
-            raise InputError(
-                f"networks {first.name!r} and {network.name!r} have different numbers of layers"
-            )
-    if first.clipped and len(networks) > 1:
-        raise InputError(
-            "the mean of clipped networks is no network; merge networks that are not clipped"
-        )
     weights, biases = [], []
     last = len(first.layers.weights) - 1
     for layer in range(last + 1):
@@ -110,29 +93,31 @@ def train_kept(
     kept = job.run(
         part, partial(_learn, rows, identity, name), tasks, executor=in_other_processes(executor)
     )
-    return [_unpacked(arrays, identity, name) for arrays in kept]
+    return [
+        _unpacked(arrays, identity, name, one) for arrays, one in zip(kept, settings, strict=True)
+    ]
 
 
 def _learn(rows: Rows, identity: GameIdentity, name: str, task: _NetworkTask) -> Arrays:
     network, _ = train_network(rows, identity, task.settings, name=name, target="advantage")
-    layers = network.layers
-    arrays = {f"weights_{i}": weights for i, weights in enumerate(layers.weights)}
-    arrays |= {f"biases_{i}": biases for i, biases in enumerate(layers.biases)}
-    training = np.array(json.dumps(dict(network.training)))
-    return {**arrays, "mean": network.mean, "scale": network.scale, "training": training}
+    return {
+        "layers": np.frombuffer(layers_to_bytes(network.layers), np.uint8),
+        "mean": network.mean,
+        "scale": network.scale,
+        "training": np.array(json.dumps(dict(network.training))),
+    }
 
 
-def _unpacked(arrays: Arrays, identity: GameIdentity, name: str) -> RegretNetwork:
-    count = sum(key.startswith("weights_") for key in arrays)
-    weights, biases = (
-        tuple(arrays[f"{kind}_{i}"] for i in range(count)) for kind in ("weights", "biases")
-    )
+def _unpacked(
+    arrays: Arrays, identity: GameIdentity, name: str, settings: TrainSettings
+) -> RegretNetwork:
+    content = arrays["layers"].tobytes()
     return RegretNetwork(
         name=name,
         identity=identity,
         target="advantage",
         clipped=False,
-        layers=DenseLayers(weights, biases),
+        layers=layers_from_bytes(Path(name), content, list(settings.hidden))[0],
         mean=arrays["mean"],
         scale=arrays["scale"],
         training=json.loads(str(arrays["training"])),  # losses may be NaN

@@ -272,6 +272,7 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
         main(
             [
                 "benchmark",
+                "card",
                 "always-restraint+",
                 "--full",
                 "--protocol",
@@ -291,7 +292,15 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):
     def benchmark(*arguments: str, out: str) -> int:
         return main(
-            ["benchmark", *arguments, "--protocol", protocol_file, "--out", str(tmp_path / out)]
+            [
+                "benchmark",
+                "card",
+                *arguments,
+                "--protocol",
+                protocol_file,
+                "--out",
+                str(tmp_path / out),
+            ]
         )
 
     assert benchmark("always-restraint+", out="card") == 0
@@ -305,7 +314,10 @@ def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_
     assert driver.score().races == one.score().races  # one policy, so more start lines
     assert driver.gains == {}  # on other races than those of the baseline
     capsys.readouterr()
-    assert main(["leaderboard", str(tmp_path / "two"), "--out", str(tmp_path / "board")]) == 0
+    assert (
+        main(["benchmark", "leaderboard", str(tmp_path / "two"), "--out", str(tmp_path / "board")])
+        == 0
+    )
     board = capsys.readouterr().out
     assert all(name in board for name in both)
     assert (tmp_path / "board" / "leaderboard.html").is_file()

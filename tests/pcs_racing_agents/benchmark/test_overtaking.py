@@ -133,7 +133,7 @@ def test_a_link_to_a_line_elsewhere_is_not_followed(lines, tmp_path):
 def test_the_command_prints_the_tables_and_writes_the_scenarios(tmp_path, printed):
     out = tmp_path / "scenarios.csv"
     assert "without collision" in printed(
-        "overtaking", "--drivers", "stanley", "--track", "Pipkin", "--out", out
+        "benchmark", "overtaking", "--policies", "stanley", "--track", "Pipkin", "--out", out
     )
     rows = list(csv.DictReader(out.read_text().splitlines()))
     assert len(rows) == 600

@@ -13,15 +13,15 @@ from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.tables import interval_text
-from pcs_racing_agents.learning.responses import best_reply, kept_networks, load_response_settings
-from pcs_racing_agents.learning.responses.best_reply import (
+from pcs_racing_agents.learning.responses import (
     BestReply,
-    excess_estimate,
-    reply_rows,
+    best_reply,
+    kept_networks,
+    load_response_settings,
     reply_text,
-    write_replies,
+    write_reply,
 )
+from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.statistics import clustered_mean
@@ -30,16 +30,8 @@ SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epo
 
 
 def test_networks_of_other_seeds_and_members_begin_with_other_seeds():
-    assert (
-        len(
-            {
-                one.train_settings(i).seed
-                for one in (SMALL, replace(SMALL, seed=1))
-                for i in range(32)
-            }
-        )
-        == 64
-    )
+    settings = (SMALL, replace(SMALL, seed=1))
+    assert len({one.train_settings(i).seed for one in settings for i in range(32)}) == 64
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +66,6 @@ def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_los
     assert not set(np.round(reply.races.start_s, 6)) & set(np.round(games[0].start_lines, 6))
     even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
     assert excess_estimate(even).mean == 0.0
-    refused("no races", excess_estimate, even.take([]))
 
 
 def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
@@ -109,16 +100,11 @@ def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, spec,
 
 
 def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
-    """Races of made-up ends: on s the reply wins 2 of 4 and the agent 1, on t the agent wins all
+    """Races of made-up ends: on s the reply wins 2 of 4 and the agent 1, on t the agent wins both
     and crashes once.
     """
-    ends = [
-        ("s", "ego", "none"),
-        ("s", "ego", "none"),
-        ("s", "opponent", "ego"),
-        ("s", "none", "none"),
-    ]
-    ends += [("t", "opponent", "both"), ("t", "opponent", "none")]
+    ends = [("s", "ego", "none"), ("s", "ego", "none"), ("s", "opponent", "ego")]
+    ends += [("s", "none", "none"), ("t", "opponent", "both"), ("t", "opponent", "none")]
     rows = [
         RaceRow(
             ego="best-reply",
@@ -138,63 +124,30 @@ def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
         for k, (track, winner, fault) in enumerate(ends)
     ]
     table = race_table(rows)
-    tracks = np.array([track for track, *_ in ends])
-    parts = [("s", table.take(tracks == "s")), ("t", table.take(tracks == "t")), ("all", table)]
-    shares = ((0.5, 0.25, 0.0), (0.0, 1.0, 0.5), (2 / 6, 0.5, 1 / 6))
-    replies, losses = (
-        {"a": BestReply(None, table, None)},
-        [excess_estimate(part) for _, part in parts],
+    reply = BestReply(None, table, excess_estimate(table))
+    lines = reply_text("a", reply, SMALL).splitlines()
+    assert [line.split()[:3] for line in lines[1:4]] == [
+        ["a", "s", "+0.125"],
+        ["a", "t", "-0.500"],
+        ["a", "all", "-0.083"],
+    ]
+    assert [line.split()[-4:] for line in lines[1:4]] == [
+        ["4", "0.500", "0.250", "0.0%"],
+        ["2", "0.000", "1.000", "50.0%"],
+        ["6", "0.333", "0.500", "16.7%"],
+    ]
+    assert lines[-1].startswith("learner: 192 games branched at every step and on each circuit, 1")
+    written = write_reply("a", reply, tmp_path).read_text().splitlines()
+    whole = dict(zip(*csv.reader([written[0], written[-1]]), strict=True))
+    assert (whole["agent"], whole["track"], whole["races"]) == ("a", "all", "6")
+    assert [float(whole[key]) for key in ("loss", "low", "high", "se")] == pytest.approx(
+        [reply.loss.mean, reply.loss.low, reply.loss.high, reply.loss.se], rel=1e-5
     )
-    assert [loss.mean for loss in losses] == pytest.approx([0.125, -0.5, -0.5 / 6])
-    assert reply_rows(replies) == [
-        (
-            "a",
-            track,
-            f"{loss.mean:+.3f}",
-            interval_text(loss.low, loss.high),
-            str(len(part)),
-            f"{won:.3f}",
-            f"{lost:.3f}",
-            f"{own:.1%}",
-        )
-        for (track, part), loss, (won, lost, own) in zip(parts, losses, shares, strict=True)
-    ]
-    text = reply_text(replies, SMALL).splitlines()
-    assert text[0].split("  ")[0] == "agent"
-    assert (
-        text[-1]
-        == "learner: 192 games branched at every step and on each circuit, 1 rounds, 1 networks"
+    assert [float(whole[key]) for key in ("reply_won", "agent_won", "agent_own_crash")] == (
+        pytest.approx([2 / 6, 0.5, 1 / 6], rel=1e-5)
     )
-    written = csv.reader(write_replies(replies, tmp_path / "replies.csv").read_text().splitlines())
-    assert list(written) == [
-        [
-            "agent",
-            "track",
-            "loss",
-            "low",
-            "high",
-            "se",
-            "df",
-            "races",
-            "reply_won",
-            "agent_won",
-            "agent_own_crash",
-        ],
-        *(
-            [
-                "a",
-                track,
-                *(f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)),
-                str(loss.df),
-                str(len(part)),
-                *(f"{share:.6g}" for share in all_shares),
-            ]
-            for (track, part), loss, all_shares in zip(parts, losses, shares, strict=True)
-        ),
-    ]
-    assert [row[1] for row in reply_rows({"a": BestReply(None, race_table(rows[:4]), None)})] == [
-        "s"
-    ]
+    alone = BestReply(None, race_table(rows[:4]), None)
+    assert "all" not in reply_text("a", alone, SMALL)
 
 
 def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_bring(slow):
@@ -235,26 +188,20 @@ def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_brin
 def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):
     pytest.importorskip("torch", reason="torch is not installed")
     config = tmp_path / "small.yaml"
-    config.write_text("rounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n", encoding="utf-8")
+    config.write_text("starts: 8\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n")
     out = tmp_path / "reply"
-    command = [
-        "best-reply",
-        "never-switch",
-        "--track",
-        "Tarnfjord",
-        "Pipkin",
-        "--duration",
-        2.5,
-        "--starts",
-        8,
-    ]
-    command += ["--config", config, "--out", out, "--races"]
-    text = printed(*command, 80)
+    command = ["learn", "best-reply", "--track", "Tarnfjord", "Pipkin", "--duration", 2.5]
+    command += ["--config", config, "--out", out]
+    one = [*command, "--pool", "never-switch", "--races"]
+    text = printed(*one, 80)
     assert "learner: 8 games branched at every step" in text
     lines = (out / "best_reply.csv").read_text(encoding="utf-8").splitlines()
     rows = {row["track"]: row for row in csv.DictReader(lines)}
     assert list(rows) == ["Tarnfjord", "Pipkin", "all"]
     assert int(rows["all"]["races"]) == 80
     assert f"{float(rows['all']['loss']):+.3f}" in text
-    assert (out / "reply" / "manifest.yaml").is_file()
-    assert "races" in told(*command, 81)  # another run
+    assert (out / "results.csv").is_file()
+    assert text.endswith(f"race it as response:network={out / 'agent'}\n")
+    assert "races" in told(*one, 81)  # another run
+    assert "races is 79" in told(*one, 79)
+    assert "against one agent; --pool names 2" in told(*command)
