@@ -13,15 +13,17 @@ from repository import REPOSITORY
 
 # The first example of a compiled function includes its compilation: timing examples would test the
 # machine. The same examples are drawn everywhere, and none are kept in a folder that may be
-# read-only; `make fuzz` looks for new ones.
-settings.register_profile(
-    "everywhere",
-    deadline=None,
-    derandomize=True,
-    database=None,
-    suppress_health_check=[HealthCheck.too_slow],
-)
-settings.load_profile("everywhere")
+# read-only. The profile "long" draws new ones, a hundred times as many.
+for name, examples in (("everywhere", 100), ("long", 10_000)):
+    settings.register_profile(
+        name,
+        deadline=None,
+        derandomize=name == "everywhere",
+        max_examples=examples,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow],
+    )
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "everywhere"))
 
 
 def _folder(variable: str, default: Path, what: str) -> Path:

@@ -9,7 +9,7 @@ def test_a_change_is_tested_in_its_rooms_and_by_the_pages_that_name_it():
         "pcs_racing/car/lidar.py",
         "pcs_racing_agents/learning/ppo/train.py",
         "docs/view.md",
-        "dev/tools/fuzz.py",
+        "dev/tools/quick.py",
     ]
     rooms = ["tests/pcs_racing/car", "tests/pcs_racing_agents/learning/ppo", "tests/test_docs.py"]
     assert quick.select(changed) == [*quick.ALWAYS, *rooms]

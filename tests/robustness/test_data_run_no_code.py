@@ -118,7 +118,7 @@ def settings(name: str, values: Any) -> Callable[[Path], Path]:
 
 
 def shipped(folder: str, file: str) -> Callable[[Path], Path]:
-    """Return a function that copies the folder of a shipped file, and returns the copy of the file."""
+    """Return a function that copies the folder of a shipped file and returns the copied file."""
     source = REPOSITORY / folder / file
     return lambda here: (
         shutil.copytree(source.parent, here / "copy" / source.parent.name) / source.name

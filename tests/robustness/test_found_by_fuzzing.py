@@ -1,5 +1,4 @@
-"""Inputs that fuzzing found (`dev/tools/fuzz.py`), which ended in another error than ours once, and
-hostile ones.
+"""Inputs that fuzzing found, which ended in another error than ours once, and hostile ones.
 
 Nothing that is read runs code, leaves the map's folder, or takes memory or time out of proportion.
 """
