@@ -122,10 +122,9 @@ class Planner:
 
     def pointers(self) -> tuple[Any, Any]:
         """Return the addresses of the compiled ``plan`` and ``control``, for the race kernel."""
-        plan, control = (
-            (self.plan, self.control) if self.drive is None else (leave_path, hold_command)
-        )
-        return plan_address(plan), control_address(control)
+        if self.drive is not None:
+            return held_command()
+        return plan_address(self.plan), control_address(self.control)
 
     def indices(self, names: Sequence[str]) -> NDArray[np.int64]:
         """Return the indices of parameters in ``theta``, by name."""
@@ -184,6 +183,11 @@ class Planner:
         if isinstance(parameters, Mapping):
             parameters = self._vector(parameters)
         return Policy(self, np.asarray(parameters, dtype=np.float64), name or self.name)
+
+
+def held_command() -> tuple[Any, Any]:
+    """Return the addresses of plan and control for a car whose memory begins with its command."""
+    return plan_address(leave_path), control_address(hold_command)
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lanes import LANES
 from pcs_racing.car.vehicle import STEER_DELAY, VehicleParams
-from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.planner import Planner, Policy, held_command
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
@@ -59,9 +59,20 @@ def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]
     return theta
 
 
-def pointers_of(planners: Sequence[Planner]) -> Any:
+def largest_theta(planners: Sequence[Planner | None]) -> int:
+    """Return the maximum length of the planners' parameter vectors, at least 1."""
+    return max([1, *(len(planner.parameters) for planner in planners if planner is not None)])
+
+
+def largest_scratch(planners: Sequence[Planner | None]) -> int:
+    """Return the maximum size of the planners' scratch buffers, at least 1."""
+    return max([1, *(planner.scratch_size for planner in planners if planner is not None)])
+
+
+def pointers_of(planners: Sequence[Planner | None]) -> Any:
     """Return the addresses of plan and control of each car, in the form that the kernel takes."""
-    addresses = [address for planner in planners for address in planner.pointers()]
+    pairs = [held_command() if planner is None else planner.pointers() for planner in planners]
+    addresses = [address for pair in pairs for address in pair]
     # From a tuple the kernel knows the number of cars at compile time: it is compiled once for one
     # car, once for two cars, and once for any other number.
     return tuple(addresses) if len(planners) <= 2 else np.array(addresses)
@@ -70,7 +81,7 @@ def pointers_of(planners: Sequence[Planner]) -> Any:
 def drive(
     track: Track,
     settings: KernelSettings,
-    planners: tuple[Planner, ...],
+    planners: tuple[Planner | None, ...],
     vehicles: tuple[VehicleParams, ...],
     state: RaceState,
     theta: NDArray[np.float64],
@@ -87,15 +98,12 @@ def drive(
     steps. (:class:`pcs_racing.envs.models.ModelDriver` has both.)
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
-    if all(planner.drive is None for planner in planners):
+    in_python = [planner.drive for planner in planners if planner is not None and planner.drive]
+    if not in_python:
         _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
         return
     # The compiled loop stops before every command, so that Python can give the command.
-    holds = [
-        getattr(planner.drive, "hold", CONTROL_EVERY)
-        for planner in planners
-        if planner.drive is not None
-    ]
+    holds = [getattr(function, "hold", CONTROL_EVERY) for function in in_python]
     while ticks > 0:
         for run in runs:
             _ask_python_drivers(run, settings, planners, cars, state, theta)
@@ -108,7 +116,7 @@ def drive(
 def _drive_compiled(
     runs: list[Run],
     settings: KernelSettings,
-    planners: tuple[Planner, ...],
+    planners: tuple[Planner | None, ...],
     cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
@@ -116,13 +124,13 @@ def _drive_compiled(
     threads: int | None,
 ) -> None:
     races = state.races
-    wanted = (races, len(planners), max(1, *(len(planner.parameters) for planner in planners)))
+    wanted = (races, len(planners), largest_theta(planners))
     if theta.shape != wanted or theta.dtype != np.float64 or not theta.flags.c_contiguous:
         raise InputError(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64"
             f" of shape {wanted}"
         )
-    size = max(1, *(planner.scratch_size for planner in planners))
+    size = largest_scratch(planners)
 
     def part(arrays: TrackArrays, first: int, last: int) -> None:  # `drivers` is bound below
         scratch, work = np.empty(size), np.zeros(WORK_SIZE)
@@ -151,13 +159,13 @@ def _drive_compiled(
 
 
 def driver_error(
-    error: Exception, planners: Sequence[Planner], work: NDArray[np.float64]
+    error: Exception, planners: Sequence[Planner | None], work: NDArray[np.float64]
 ) -> InputError:
     """Return an error with race, car and planner for an exception of a compiled planner."""
     race, car = map(int, work[ASKED:])
     return InputError(
-        f"race {race}, car {car}: planner {planners[car].name!r} raised {type(error).__name__}:"
-        f" {error}"
+        f"race {race}, car {car}: planner {getattr(planners[car], 'name', None)!r} raised"
+        f" {type(error).__name__}: {error}"
     )
 
 
@@ -186,7 +194,7 @@ def _pieces(
 def _ask_python_drivers(
     run: Run,
     settings: KernelSettings,
-    planners: tuple[Planner, ...],
+    planners: tuple[Planner | None, ...],
     cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
@@ -195,7 +203,7 @@ def _ask_python_drivers(
     view, part = np.zeros(VIEW_SIZE), slice(first, last)
     going = (state.tick[part] < settings.end_tick) & ~state.crash[part].any(axis=1)
     for car, planner in enumerate(planners):
-        if planner.drive is None:
+        if planner is None or planner.drive is None:
             continue
         hold = getattr(planner.drive, "hold", CONTROL_EVERY)
         rows = first + np.flatnonzero(going & (state.tick[part] % hold == 0))

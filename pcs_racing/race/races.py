@@ -12,11 +12,12 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig
-from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
+from pcs_racing.race.driving import drive, kernel_settings, largest_theta, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
 from pcs_racing.race.start_places import places_of, split_places
@@ -35,34 +36,40 @@ class RaceSetup:
 
     track: Track
     config: RaceConfig
-    planners: tuple[Planner, ...]  #: Planner of each car, car 0 first.
+    planners: tuple[Planner, ...]  #: Planner of each car that is not steered, in order.
     vehicles: tuple[VehicleParams, ...] = ()  #: Vehicle of each car; F1TENTH's if empty.
     #: Maximum ``steer_delay`` of a car in races with their own cars (:class:`RaceConditions`), s.
     most_delay: float = 0.0
+    #: Number of cars that are steered from outside, the first ones: their memory begins with the
+    #: command, a steering angle (rad) and a speed (m/s).
+    steered: int = 0
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.planners) <= MOST_CARS or len(self.vehicles) not in (
-            0,
-            len(self.planners),
-        ):
+        cars = self.steered + len(self.planners)
+        if not 1 <= cars <= MOST_CARS or len(self.vehicles) not in (0, cars):
             raise InputError(
-                f"there are {len(self.planners)} planners and {len(self.vehicles)} cars; a race has"
+                f"there are {cars} planners and {len(self.vehicles)} cars; a race has"
                 f" 1 to {MOST_CARS} planners, and a car for each of them"
             )
-        object.__setattr__(self, "vehicles", self.vehicles or (F1TENTH,) * len(self.planners))
+        object.__setattr__(self, "vehicles", self.vehicles or (F1TENTH,) * cars)
+
+    @property
+    def car_planners(self) -> tuple[Planner | None, ...]:
+        """Planner of each car; None for a car that is steered from outside."""
+        return (None,) * self.steered + self.planners
 
     @cached_property
     def memory_size(self) -> int:
         """Size of each car's memory in the state: planner memory and queue of delayed commands."""
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
-        return max(planner.memory_total for planner in self.planners) + round(
-            delay / COMMAND_PERIOD
-        )
+        command = COMMAND_SLOTS if self.steered else 0
+        sizes = [command, *(planner.memory_total for planner in self.planners)]
+        return max(sizes) + round(delay / COMMAND_PERIOD)
 
     @cached_property
     def theta_size(self) -> int:
         """Maximum length of the planners' parameter vectors."""
-        return max(1, *(len(planner.parameters) for planner in self.planners))
+        return largest_theta(self.planners)
 
     @cached_property
     def speed_range(self) -> tuple[float, float]:
@@ -206,7 +213,7 @@ def advance(
     if ticks < 0 or ticks % CONTROL_EVERY:
         raise InputError(f"ticks is {ticks}; it must be an even number from 0")
     settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
-    fixed = (setup.track, settings, setup.planners, setup.vehicles)
+    fixed = (setup.track, settings, setup.car_planners, setup.vehicles)
     drive(*fixed, state, theta, ticks, threads=threads, conditions=conditions)
 
 
