@@ -13,6 +13,11 @@ import os
 import re
 import sys
 from pathlib import Path
+from typing import Any
+
+from pcs_racing.base.settings import listed_settings
+from pcs_racing.envs.game_batch import GameOptions
+from pcs_racing.game.config import GameConfig
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -111,29 +116,34 @@ def environment_page(name: str) -> str:
     module, class_name, title = ENVIRONMENTS[name]
     described = getattr(importlib.import_module(module), class_name)
     text = inspect.getdoc(described) or ""
-    defaults = {
-        name: f"default `{parameter.default!r}`"
-        for name, parameter in inspect.signature(described).parameters.items()
-        if parameter.default is not parameter.empty
-    }
     summary, _, rest = text.partition("\n")
     head = f"# {title}\n\n{summary}\n\n{NAMES[name]}; the class is `{module}.{class_name}`.\n"
-    return head + _to_markdown(rest, defaults) + "\n"
+    listed = ["Parameters", "----------", *_arguments(described.options_type)]
+    before, mark, after = rest.partition("## Vectorized environment")
+    return head + _to_markdown("\n".join([before, *listed, "", mark + after])) + "\n"
 
 
-def _to_markdown(text: str, defaults: dict[str, str] | None = None) -> str:
-    """Turn what is reStructuredText in a docstring into Markdown; add the defaults of parameters."""
+def _arguments(options: Any) -> list[str]:
+    """Return lines about the arguments of an environment, from its configuration."""
+    listed = listed_settings(options, defaults=True)
+    if issubclass(options, GameOptions):
+        listed += listed_settings(GameConfig, *options.unused, defaults=True)
+    return listed
+
+
+def _to_markdown(text: str) -> str:
+    """Turn what is reStructuredText in a docstring into Markdown."""
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
     text = text.replace("``", "`")
     parts = re.split(r"^(Parameters|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
     made = [parts[0]]
     for heading, body in zip(parts[1::2], parts[2::2], strict=True):
         numpydoc, mark, after = body.partition("\n## ")
-        made.append(_numpydoc_section(heading, numpydoc, defaults or {}) + mark + after)
+        made.append(_numpydoc_section(heading, numpydoc) + mark + after)
     return "".join(made)
 
 
-def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
+def _numpydoc_section(heading: str, body: str) -> str:
     if heading == "Examples":
         return f"## Examples\n\n```pycon\n{body.strip()}\n```\n"
     items = [f"**{heading}**\n"]
@@ -142,8 +152,7 @@ def _numpydoc_section(heading: str, body: str, defaults: dict[str, str]) -> str:
         names, _, kind = first.partition(" : ")
         kind = kind.strip().removesuffix(", optional")
         names = ", ".join(f"`{name}`" for name in names.split(", "))
-        known = [part for part in (kind, defaults.get(names.strip("`"), "")) if part]
-        told = names + (f" ({', '.join(known)})" if known else "")
+        told = names + (f" ({kind})" if kind else "")
         meaning = " ".join(inspect.cleandoc(f"\n{meaning}").split()).replace("<", r"\<")
         items.append(f"- {told}: {meaning}" if meaning else f"- {told}")
     return "\n".join(["", *items, ""])

@@ -211,7 +211,7 @@ def test_environment_pages_have_all_headings_and_copied_pages_their_links(site, 
             assert f"\n## {heading}\n" in page, f"{name}: {heading}"
         assert "``" not in page.replace("```", "")
         assert ":class:" not in page
-    assert "- `beams` (int, default `0`): Beams of the lidar" in site.environment_page("drive")
+    assert "- `beams` (int): Beams of the lidar" in site.environment_page("drive")
     for source in site.COPIES.values():
         for link in re.findall(r"\]\(([^)\s#]+)", site.copied_page(source)):
             if "://" not in link and link not in made:

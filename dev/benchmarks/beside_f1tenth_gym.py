@@ -31,6 +31,7 @@ from pcs_racing import load_track
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_batch import DriveBatch
+from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.track.track import Track
 
 GAP = 3.0  # m between the cars along the line
@@ -120,17 +121,15 @@ def ours(track: Track, task: dict[str, Any], races: int) -> tuple[float, float, 
     """
     shared: dict[str, Any] = {"ahead": task["ahead"]}
     exec(PURSUIT, shared)  # our own text, above
-    batch = DriveBatch(
-        races,
-        players=2,
+    options = DriveOptions(
         opponent=None,
         track=track,
         time_step=0.02,
         top_speed=2.0 * SPEED,  # so that the action 0 is the speed to hold
         beams=BEAMS,
         fov=FOV,
-        threads=1,
     )
+    batch = DriveBatch(races, options, players=2, threads=1)
     rows, generators = np.arange(races), [np.random.default_rng(0) for _ in range(races)]
     poses = {"poses": [[*pose, SPEED] for pose in task["poses"]]}
     batch.restart(rows, generators, poses)

@@ -102,7 +102,7 @@ def measured() -> dict[str, tuple[Callable[[], object], int]]:
     envs = DriveVectorEnv(64, track=track, opponent=None, threads=1)
     envs.reset(seed=0)
     straight = np.tile(np.array([0.0, -0.75], np.float32), (64, 1))
-    env = DriveEnv(track, "pure-pursuit", time_step=0.02)
+    env = DriveEnv(track=track, opponent="pure-pursuit", time_step=0.02)
     tree = GameTree.from_payoffs(np.random.default_rng(0).normal(size=(4,) * 4))
 
     def calls() -> None:

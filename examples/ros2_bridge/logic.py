@@ -34,8 +34,8 @@ class Bridge:
 
     def __post_init__(self) -> None:
         self.env = DriveHeadToHeadEnv(
-            self.track,
-            self.race,
+            track=self.track,
+            race=self.race,
             opponent=self.opponent,
             time_step=TIME_STEP,
             normalized=False,

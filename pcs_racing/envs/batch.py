@@ -9,13 +9,14 @@ numbers. :class:`pcs_racing.envs.single.SingleEnv` and
 :class:`pcs_racing.envs.vector.BatchVectorEnv`, not the batch, handle the end of an episode.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_whole
+from pcs_racing.base.checks import as_array, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -39,6 +40,45 @@ MAX_RATE = 1e4  # max speed, yaw rate and angles of a car in a state
 
 FREE: Any = object()
 """Part of a state's template that matches any value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Step of all episodes of a batch, as the input of a reward.
+
+    The states are copies: a :class:`pcs_racing.race.state.RaceState` in Drive, a
+    :class:`pcs_racing.game.state.GameState` in Duel, a :class:`pcs_racing.game.match.MatchState` in
+    Match. The first axis of their arrays counts the episodes; a scalar environment has one.
+    """
+
+    before: Any  #: State before the step.
+    #: shape (episodes, players), moves; in Drive (episodes, players, 2), shares of the limits of
+    #: steering angle and speed, in [-1, 1] if the action is in the action space.
+    actions: NDArray[Any]
+    after: Any  #: State after the step.
+    reward: NDArray[np.float64]  #: shape (episodes, players): Reward of the environment itself.
+
+
+Reward = Callable[[Step], NDArray[np.float64]]
+"""Function of a step that returns the reward of each player, shape (episodes, players)."""
+
+
+def check_reward(
+    values: Any, shape: tuple[int, ...], running: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Return own rewards as an array (environments,); they must be finite in running episodes."""
+    given = as_array(values)
+    if given.shape != shape or given.dtype.kind not in "bif":
+        raise InputError(
+            f"the reward has shape {given.shape} and type {given.dtype}; it must be numbers of shape"
+            f" {shape}: episodes and players"
+        )
+    wrong = np.flatnonzero(running & ~np.isfinite(given).all(axis=1))
+    if len(wrong):
+        raise InputError(
+            f"the reward of episode {wrong[0]} is {given[wrong[0]].tolist()}; it must be finite"
+        )
+    return given.astype(np.float64).reshape(-1)
 
 
 class BatchStep(NamedTuple):

@@ -1,28 +1,27 @@
 """Control-level environments: one car alone or against others, or an agent in each car."""
 
-from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Any, Unpack
 
 import numpy as np
-from annotated_types import Interval
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_batch import DriveBatch
-from pcs_racing.envs.drive_options import DriveOptions, drive_elements, rivals_of
-from pcs_racing.envs.over_batch import Declared
+from pcs_racing.envs.drive_options import (
+    DriveArguments,
+    DriveOptions,
+    HeadToHeadArguments,
+    HeadToHeadOptions,
+    rivals_of,
+)
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.observation import observation_table
-from pcs_racing.race.state import MOST_CARS
 
 
-class DriveEnv(
-    ScalarEnv, observation_table=observation_table(drive_elements(DriveOptions(beams=1)))
-):
+class DriveEnv(ScalarEnv):
     """Control of one car against motion planners, or alone on the track.
 
     ## Description
@@ -52,7 +51,32 @@ class DriveEnv(
     of every element. Values are clipped to the bounds. With ``normalize=True`` the bounds are
     mapped to -1 and 1. The default has 41 elements. Each lidar beam adds one, up to ``max_range``:
 
-    {observation_table}
+    Here # is a distance of ``look_ahead`` (0, 1, 2, 4, 6 and 9 m) or the number of a beam:
+
+    | index | name | unit | low | high | meaning |
+    | --- | --- | --- | --- | --- | --- |
+    | 0 | speed | m/s | -5 | 20 | own speed |
+    | 1 | steering | rad | -0.4189 | 0.4189 | own steering angle, positive to the left |
+    | 2 | yaw rate | rad/s | -20 | 20 | own yaw rate |
+    | 3 | slip | rad | -3.14159 | 3.14159 | own slip angle: course minus heading |
+    | 4 | target steering | rad | -0.4189 | 0.4189 | steering of the last action |
+    | 5 | target speed | m/s | 0 | 20 | speed of the last action |
+    | 6 | offset | m | -10 | 10 | distance from the race line, positive to the left |
+    | 7 | heading error | rad | -3.14159 | 3.14159 | own heading minus heading of the race line |
+    | 8 + 4i | curvature # m ahead | 1/m | -5 | 5 | of the race line, positive to the left |
+    | 9 + 4i | line speed # m ahead | m/s | 0 | 20 | of the race line, at speed scale 1 |
+    | 10 + 4i | left # m ahead | m | 0 | 10 | free width left of the race line |
+    | 11 + 4i | right # m ahead | m | 0 | 10 | free width right of the race line |
+    | 32 | opponent | 1 | 0 | 1 | 1 if there is an opponent (in sight), else all nine are 0 |
+    | 33 | opponent gap | m | -30 | 30 | lead of the opponent along the line, the short way |
+    | 34 | opponent offset | m | -20 | 20 | offset of the opponent minus own offset |
+    | 35 | opponent x | m | -30 | 30 | position in the own car's frame, forward |
+    | 36 | opponent y | m | -30 | 30 | position in the own car's frame, to the left |
+    | 37 | opponent heading | rad | -3.14159 | 3.14159 | heading of the opponent minus own heading |
+    | 38 | opponent vx | m/s | -30 | 30 | velocity minus own velocity, forward in the own frame |
+    | 39 | opponent vy | m/s | -30 | 30 | velocity minus own velocity, to the left |
+    | 40 | lead | m | -1000 | 1000 | own progress minus progress of the opponent |
+    | 41 + i | beam # | m | 0 | 30 | range of a beam, counted counter-clockwise |
 
     The observation does not contain the position on the track, so a policy trained on one track can
     drive on another. Beams see all opponents. With several opponents the nine elements about the
@@ -66,7 +90,7 @@ class DriveEnv(
     step of a crash by the agent's own fault, into a wall or a car, ``-crash_penalty`` (-10) is
     added. With ``rivalry=1`` the return is the lead. At the end of a race, ``win_reward`` (0) is
     added for a win and subtracted for a defeat. The preset determines the winner after a crash. A
-    single car gets no ``win_reward``.
+    single car gets no ``win_reward``. The argument ``reward`` gives another reward.
 
     ## Starting State
 
@@ -116,7 +140,7 @@ class DriveEnv(
 
     ## Arguments
 
-    {arguments}
+    :class:`pcs_racing.envs.drive_options.DriveOptions` lists them; all are given by name.
 
     ## Vectorized environment
 
@@ -133,7 +157,10 @@ class DriveEnv(
     """
 
     batch_type = DriveBatch
-    declared = Declared(DriveOptions, positional=("track", "opponent", "race"))
+    options_type = DriveOptions
+
+    def __init__(self, **arguments: Unpack[DriveArguments]) -> None:
+        super().__init__(**arguments)
 
 
 class DriveVectorEnv(BatchVectorEnv):
@@ -152,36 +179,37 @@ class DriveVectorEnv(BatchVectorEnv):
     """
 
     batch_type = DriveBatch
-    declared = replace(DriveEnv.declared, positional=())
+    options_type = DriveOptions
+
+    def __init__(
+        self,
+        num_envs: int | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        **arguments: Unpack[DriveArguments],
+    ) -> None:
+        super().__init__(
+            num_envs,
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            **arguments,
+        )
 
 
-@dataclass(frozen=True, eq=False)
-class HeadToHeadOptions(DriveOptions):
-    """Arguments of the environments with an agent in several cars."""
-
-    cars: Annotated[int, Interval(ge=1, le=MOST_CARS), "Cars in a race."] = 2
-
-
-class _SeveralAgents:
-    """Mixin of environments with an agent in each car without an opponent."""
-
-    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
-        own = {name: value for name, value in arguments.items() if name != "cars"}
-        cars = check_whole("cars", arguments["cars"], 1, MOST_CARS)
-        if arguments["opponent"] is not None and isinstance(self, BatchVectorEnv):
-            raise InputError(
-                f"opponent is {arguments['opponent']!r}; it must be None here, give opponents"
-                " instead"
-            )
-        opponents = len(rivals_of(arguments["opponent"], arguments["opponents"]))
-        if opponents >= cars:
-            raise InputError(
-                f"cars is {cars}, and there are {opponents} opponents; leave a car to an agent"
-            )
-        return own, cars - opponents
+def _count_agents(options: HeadToHeadOptions) -> int:
+    """Return the number of cars without an opponent."""
+    opponents = len(rivals_of(options.opponent, options.opponents))
+    if opponents >= options.cars:
+        raise InputError(
+            f"cars is {options.cars}, and there are {opponents} opponents; leave a car to an agent"
+        )
+    return options.cars - opponents
 
 
-class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
+class DriveHeadToHeadEnv(ParallelBatchEnv):
     """Races of two to eight cars; each agent steers one car, fifty times a second.
 
     ## Description
@@ -206,8 +234,8 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     | part | numbers | switch |
     | --- | --- | --- |
     | own car: speeds, angles, place on the race line | 8 | `own_state` |
-    | race line ahead: curvature, speed, free widths | 4 for each distance | `look_ahead`; `()` for none |
-    | opponent: gap, position, heading, velocity, lead | 9 | `see_opponent`: `"always"`, `"in sight"`, `"never"` |
+    | race line: curvature, speed, free widths | 4 for each distance | `look_ahead`; `()` for none |
+    | opponent: gap, position, heading, velocity, lead | 9 | `see_opponent`; `"never"` for none |
     | remaining share of the race | 1 | `time_left` |
     | lidar, including the opponent | `beams` | `beams`; 0 for none |
 
@@ -239,9 +267,9 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     ## Arguments
 
     Agents are `car_0` to `car_7`. Opponents replace agents: `opponent` takes the last car,
-    `opponents` the last cars.
-
-    {arguments}
+    `opponents` the last cars. :class:`pcs_racing.envs.drive_options.HeadToHeadOptions` lists all
+    arguments; they are given by name. `max_cycles` is the number of steps after which an episode is
+    truncated.
 
     ## Vectorized environment
 
@@ -257,20 +285,21 @@ class DriveHeadToHeadEnv(_SeveralAgents, ParallelBatchEnv):
     {'car_0': (68,), 'car_1': (68,)}
     """
 
-    metadata: dict[str, Any] = {
-        **ParallelBatchEnv.metadata,
-        "name": "drive_head_to_head_v0",
-    }  # noqa: RUF012
+    metadata: dict[str, Any] = ParallelBatchEnv.metadata | {"name": "drive_head_to_head_v0"}
     batch_type = DriveBatch
     batch: DriveBatch
-    declared = Declared(
-        HeadToHeadOptions,
-        positional=("track", "race"),
-        changed={"opponent": None, "time_step": 0.02, "rivalry": 1.0},
-    )
+    options_type = HeadToHeadOptions
+
+    def __init__(
+        self, *, max_cycles: int | None = None, **arguments: Unpack[HeadToHeadArguments]
+    ) -> None:
+        super().__init__(max_cycles=max_cycles, **arguments)
+
+    def _count_players(self, options: HeadToHeadOptions) -> int:
+        return _count_agents(options)
 
 
-class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
+class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     """Vector environment of :class:`DriveHeadToHeadEnv`, with the same numbers for the same seeds.
 
     Environments ``2 i`` and ``2 i + 1`` are cars 0 and 1 of race ``i``; N agents in a race have the
@@ -289,17 +318,43 @@ class DriveHeadToHeadVectorEnv(_SeveralAgents, BatchVectorEnv):
     """
 
     batch_type = DriveBatch
-    declared = replace(DriveHeadToHeadEnv.declared, positional=())
+    options_type = HeadToHeadOptions
     players = 2
+
+    def __init__(
+        self,
+        num_envs: int | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        **arguments: Unpack[HeadToHeadArguments],
+    ) -> None:
+        super().__init__(
+            num_envs,
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            **arguments,
+        )
+
+    def _count_players(self, options: HeadToHeadOptions) -> int:
+        if options.opponent is not None:
+            raise InputError(
+                f"opponent is {options.opponent!r}; it must be None here, give opponents instead"
+            )
+        return _count_agents(options)
 
 
 parallel_env = DriveHeadToHeadEnv
 """PettingZoo's name for the constructor of a parallel environment."""
 
 
-def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], Any]:
+def env(
+    *, max_cycles: int | None = None, **arguments: Unpack[HeadToHeadArguments]
+) -> AECEnv[str, NDArray[np.float32], Any]:
     """Make the same environment with PettingZoo's AEC interface.
 
     All agents act, then a step is driven.
     """
-    return parallel_to_aec(parallel_env(**arguments))
+    return parallel_to_aec(parallel_env(max_cycles=max_cycles, **arguments))

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -29,6 +29,12 @@ from pcs_racing.envs.batch import (
 )
 from pcs_racing.envs.drive_kernel import (
     SEEN_SHAPE,
+    Buffers,
+    Inputs,
+    Limits,
+    Orders,
+    Races,
+    RewardTerms,
     Sight,
     StepResults,
     observe_races,
@@ -56,6 +62,7 @@ from pcs_racing.envs.infos import (
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import (
     MovingOpponents,
+    Opponent,
     draw_opponent,
     drive_opponents,
     shared_planner,
@@ -64,21 +71,21 @@ from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.planner import Planner
-from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command, leave_path
 from pcs_racing.race.conditions import runs_of
-from pcs_racing.race.config import load_race_config
-from pcs_racing.race.driving import default_threads, drive, driver_error, pointers_of
-from pcs_racing.race.kernel import WORK_SIZE, KernelSettings
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.driving import (
+    default_threads,
+    drive,
+    driver_error,
+    largest_scratch,
+    pointers_of,
+)
+from pcs_racing.race.kernel import WORK_SIZE
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import LAPS, RaceState, take
-from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
-
-EXTERNAL = Planner("external", (), leave_path, hold_command, memory_size=COMMAND_SLOTS)
-"""Planner of a car driven from outside; its memory holds the target steering angle and speed."""
 
 US_OF_A_THREAD = 250.0  # min work of a thread in a step, us; less is not worth a handover
 TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # approximate times of a tick, a scan and a beam
@@ -86,67 +93,152 @@ MOST_NUMBERS = 250_000_000  # max size of all observations together: 1 GB
 KEPT = 64  # number of cached tracks without a race
 
 
-class KernelInputs(NamedTuple):
-    """Inputs of the kernel for a run of races: track, rules, and the players' observation."""
+@dataclass(frozen=True, eq=False)
+class DriveRules:
+    """Everything about a batch of races that never changes."""
 
-    arrays: TrackArrays
-    settings: KernelSettings
-    sight: Sight
+    options: DriveOptions
+    players: int  #: Number of agents in each race; they steer the first cars.
+    cars: int  #: Number of cars in each race.
+    #: Opponents of each car without an agent; one is drawn for each episode.
+    rivals: tuple[list[Opponent], ...]
+    game: RaceGame | None  #: Game of the opponents that make moves; None if there are none.
+    setup: RaceSetup  #: Rules, planners and cars, on the first track.
+    elements: list[Any]  #: Elements of an observation.
+    sight: Sight  #: Observation of the players; its ``ahead`` depends on the track.
+    limits: Limits  #: Ends of the range of an action.
+    terms: RewardTerms  #: Terms of the reward.
+
+    @property
+    def opponents(self) -> list[Opponent]:
+        """Opponents of the only car without an agent; with several such cars none is drawn."""
+        return self.rivals[0] if len(self.rivals) == 1 else []
+
+    def spaces(self) -> tuple[spaces.Box, spaces.Box]:
+        """Return the spaces of observations and actions."""
+        sight = self.sight
+        low, high = (bound * sight.gain + sight.shift for bound in (sight.low, sight.high))
+        turn, low_speed, top = self.limits
+        units = [[-turn, low_speed], [turn, top]]
+        normalized = self.options.normalized
+        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if normalized else units, np.float32)
+        return (
+            spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32),
+            spaces.Box(ends[0], ends[1], dtype=np.float32),
+        )
 
 
-class CircuitSetup(NamedTuple):
+def drive_rules(
+    options: DriveOptions, players: int, randomization: EpisodeRandomization
+) -> DriveRules:
+    """Return the rules of a batch of races; load planners, models and archives of opponents."""
+    given = rivals_of(options.opponent, options.opponents)
+    cars, track = players + len(given), randomization.circuits.track(0)
+    changes: dict[str, Any] = {"start_lines": options.start_lines}
+    if options.duration is not None:
+        changes["duration"] = options.duration
+    config = load_race_config(options.race, **changes)
+
+    def make_game() -> RaceGame:
+        rules = load_game_config(options.race)
+        return RaceGame(
+            track, load_archive(options.archive), rules, vehicles=randomization.cars[:2]
+        )
+
+    rivals = tuple(drive_opponents(one, make_game, options, cars) for one in given)
+    moving = any(not one.policies for several in rivals for one in several)
+    if cars > 2 and (moving or any(len(several) > 1 for several in rivals)):
+        raise InputError(
+            f"opponents is {list(given)!r:.120}; in a race of {cars} cars each is one"
+            " driver, no list, and none makes moves"
+        )
+    game = make_game() if moving else None
+    planners = tuple(shared_planner(several, game) for several in rivals)
+    # The memory of late commands has the size of the longest delay, for all episodes.
+    delay = randomization.ranges.most_delay
+    setup = RaceSetup(track, config, planners, randomization.cars, delay, steered=players)
+    elements = drive_elements(options, cars)
+    if randomization.episodes * players * len(elements) > MOST_NUMBERS:
+        raise InputError(
+            f"{randomization.episodes * players} environments observe {len(elements)} numbers each;"
+            f" take fewer environments or beams: {MOST_NUMBERS} numbers are the limit"
+        )
+    noise = randomization.drawn.get("lidar_noise")
+    if noise is None:
+        noise = np.full(randomization.episodes, float(options.lidar_noise))
+    sight = make_sight(options, cars, players, track)._replace(end_tick=config.ticks, noise=noise)
+    turn = max(car.steer_max for car in setup.vehicles[:players])
+    return DriveRules(
+        options=options,
+        players=players,
+        cars=cars,
+        rivals=rivals,
+        game=game,
+        setup=setup,
+        elements=elements,
+        sight=sight,
+        limits=options.limits._replace(steer_max=turn),
+        terms=_reward_terms(options, config),
+    )
+
+
+def _reward_terms(options: DriveOptions, config: RaceConfig) -> RewardTerms:
+    weights = options.progress_reward, options.rivalry, options.crash_penalty
+    return RewardTerms(
+        weights=(float(weights[0]), float(weights[1]), float(weights[2])),
+        win=float(options.win_reward),
+        fault_loses=config.crash_rule == "fault-loses",
+        laps=np.inf if options.laps is None else float(options.laps),
+    )
+
+
+class Circuit(NamedTuple):
     """A track, with the data shared by all races on it."""
 
     setup: RaceSetup
     grid: RaceState  #: Races at all start places of episodes.
-    inputs: KernelInputs  #: Inputs of races without obstacles.
+    inputs: Inputs  #: Inputs of races without obstacles.
+
+
+def make_circuit(rules: DriveRules, track: Track) -> Circuit:
+    """Return the data of a track."""
+    setup = replace(rules.setup, track=track)
+    lines = start_lines(track, setup.config, 0, split="train")
+    count = places_of_grid(rules.cars)
+    places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
+    grid = start_races(setup, places, np.zeros(len(places), np.uint64))
+    settings = setup.settings
+    # Time to collision is slow to compute; only opponents that observe characteristics need it.
+    if rules.game is None:
+        settings = settings._replace(ittc_horizon=0.0)
+    sight = rules.sight._replace(ahead=samples_ahead(rules.options, track))
+    return Circuit(setup, grid, Inputs(track.arrays, settings, sight))
 
 
 class DriveBatch:
     """Batch of races; agents drive the first ``players`` cars of each race, opponents the others.
 
-    Up to ``threads`` threads share a step (default: the number of cores). The other arguments are
-    the fields of :class:`pcs_racing.envs.drive_options.DriveOptions`.
+    Up to ``threads`` threads share a step (default: the number of cores). ``rules`` never change;
+    the state of the batch is in ``races``, ``drawn``, ``randomization`` and the games of opponents
+    that make moves.
     """
 
     reset_options: tuple[str, ...] = ("start", "poses", "obstacles")  #: Options of :meth:`restart`.
 
     def __init__(
-        self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any
+        self,
+        episodes: int,
+        options: DriveOptions,
+        *,
+        threads: int | None = None,
+        players: int = 1,
     ) -> None:
         check_batch_size(episodes, threads)
-        options = DriveOptions(**arguments)
         self.episodes, self.players, self.options = int(episodes), players, options
-        given = rivals_of(options.opponent, options.opponents)
-        self.cars = players + len(given)  #: Number of cars in each race.
+        self.cars = players + len(rivals_of(options.opponent, options.opponents))
         self.randomization = EpisodeRandomization(self.episodes, options, cars=self.cars)
-        changes: dict[str, Any] = {"start_lines": options.start_lines}
-        if options.duration is not None:
-            changes["duration"] = options.duration
-        config = load_race_config(options.race, **changes)
-        self.alone = self.cars == 1
-        #: Opponents of each car without an agent; one is drawn for each episode.
-        self.rivals = [drive_opponents(one, self._make_game, options, self.cars) for one in given]
-        movers = [one for rivals in self.rivals for one in rivals if not one.policies]
-        if self.cars > 2 and (movers or any(len(rivals) > 1 for rivals in self.rivals)):
-            raise InputError(
-                f"opponents is {list(given)!r:.120}; in a race of {self.cars} cars each is one"
-                " driver, no list, and none makes moves"
-            )
-        self._moving = MovingOpponents(self.episodes, self._make_game()) if movers else None
-        #: Opponents of the only such car; with several cars nothing is drawn.
-        self.opponents = self.rivals[0] if len(self.rivals) == 1 else []
-        game = self._moving.game if self._moving else None
-        planners = [EXTERNAL] * players + [shared_planner(rivals, game) for rivals in self.rivals]
-        # The memory of late commands has the size of the longest delay, for all episodes.
-        delay = self.randomization.ranges.most_delay
-        self.setup = RaceSetup(
-            self.randomization.circuits.track(0),
-            config,
-            tuple(planners),
-            self.randomization.cars,
-            delay,
-        )
+        self.rules = rules = drive_rules(options, players, self.randomization)
+        self.setup, self.elements, self.opponents = rules.setup, rules.elements, rules.opponents
         #: Number of steps of an episode without an early end.
         self.horizon = -(-self.setup.config.ticks // options.ticks)
         #: Number of steps in a second of racing.
@@ -155,110 +247,65 @@ class DriveBatch:
             **common_codes(opponent.name for opponent in self.opponents),
             **self.randomization.codes,
         }
-        self.elements = drive_elements(options, self.cars)
-        # Refuse before arrays of this size are made.
-        environments = self.episodes * players
-        if environments * len(self.elements) > MOST_NUMBERS:
-            raise InputError(
-                f"{environments} environments observe {len(self.elements)} numbers each; take fewer"
-                f" environments or beams: {MOST_NUMBERS} numbers are the limit"
-            )
-        noise = self.randomization.drawn.get(
-            "lidar_noise", np.full(self.episodes, float(options.lidar_noise))
-        )
-        sight = make_sight(options, self.cars, players, self.setup.track)
-        # Observation of the players; its ``ahead`` depends on the track.
-        self._sight = sight._replace(end_tick=self.setup.config.ticks, noise=noise)
-        self._prepare_races(threads)
-        low, high = (
-            bound * self._sight.gain + self._sight.shift
-            for bound in (self._sight.low, self._sight.high)
-        )
-        self.observation_space = spaces.Box(
-            low.astype(np.float32), high.astype(np.float32), dtype=np.float32
-        )
-        turn, low_speed, top = self._limits
-        units = [[-turn, low_speed], [turn, top]]
-        ends = np.array([[-1.0, -1.0], [1.0, 1.0]] if options.normalized else units, np.float32)
-        self.action_space = spaces.Box(ends[0], ends[1], dtype=np.float32)
+        self.observation_space, self.action_space = rules.spaces()
+        self._begin()
+        self._hire(threads)
 
-    def _make_game(self) -> RaceGame:
-        """Make the game of moves for opponents that change their policy during a race."""
-        track, archive = self.randomization.circuits.track(0), load_archive(self.options.archive)
-        rules = load_game_config(self.options.race)
-        return RaceGame(
-            track, archive, rules, ego_planner=EXTERNAL, vehicles=self.randomization.cars[:2]
+    def _begin(self) -> None:
+        """Make the state: a race on the first start place of the first track for each episode."""
+        races, randomization, opponents = self.episodes, self.randomization, self.opponents
+        #: Data of the tracks by number. At most as many tracks are in use as there are races.
+        self.circuit = lru_cache(maxsize=KEPT + races)(
+            lambda number: make_circuit(self.rules, randomization.circuits.track(number))
         )
+        circuit = self.circuit(0)
+        self._inputs = [circuit.inputs] * races  # inputs of each race
+        self._uniform = not randomization.circuits.several  # False from the first obstacle on
+        #: State, policies and cars of all races; `restart` and `step` write to their arrays.
+        self.races = Races(
+            take(circuit.grid, np.zeros(races, np.intp)),
+            np.zeros((races, self.cars, self.setup.theta_size)),
+            randomization.vehicles,
+        )
+        self.state, self.theta, _ = self.races
+        self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
+        # Equal weights draw a whole number, others a share; the draw is part of a seed's meaning.
+        weights = np.array([opponent.weight for opponent in opponents] or [1.0])
+        self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
+        #: shape (races, cars): Faults already penalised, except a race-ending fault.
+        self._paid = np.zeros((races, self.cars), np.int8)
+        self._moving = None if self.rules.game is None else MovingOpponents(races, self.rules.game)
+        self._rows = np.arange(races)
+
+    def _hire(self, threads: int | None) -> None:
+        """Start the threads that share a step, each with enough work, and compile the step."""
+        planners, options = self.setup.planners, self.options
+        self._in_python = any(planner.drive is not None for planner in planners)
+        scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
+        work = self.episodes * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans)
+        #: Number of threads that share a step.
+        self.threads = min(threads or default_threads(), max(1, int(work / US_OF_A_THREAD)))
+        if self._in_python:
+            self.threads = 1
+        size = largest_scratch(planners)
+        shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
+        self._buffers = [Buffers(*map(np.zeros, shapes)) for _ in range(self.threads)]
+        self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
+        self._compiled: Callable[..., None] | None = None
+        with first_call(step_races, "the control-level environment", 20) as compiling:
+            self._pointers = pointers_of(self.setup.car_planners)
+            if compiling:
+                actions = np.empty((self.episodes, self.players, 2))
+                self._step_part(self._orders(actions, 0), 0, 0, 0, self._results())
 
     @property
     def track(self) -> Track:
         """Track of the first race."""
         return self.randomization.track(0)
 
-    def _make_circuit(self, number: int) -> CircuitSetup:
-        setup = replace(self.setup, track=self.randomization.circuits.track(number))
-        lines = start_lines(setup.track, setup.config, 0, split="train")
-        count = places_of_grid(self.cars)
-        places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
-        grid = start_races(setup, places, np.zeros(len(places), np.uint64))
-        settings = setup.settings
-        ahead = samples_ahead(self.options, setup.track)
-        # Time to collision is slow to compute; only opponents that observe characteristics need it.
-        if self._moving is None:
-            settings = settings._replace(ittc_horizon=0.0)
-        return CircuitSetup(
-            setup,
-            grid,
-            KernelInputs(setup.track.arrays, settings, self._sight._replace(ahead=ahead)),
-        )
-
-    def _prepare_races(self, threads: int | None) -> None:
-        setup, races, options = self.setup, self.episodes, self.options
-        #: Tracks by number. The number of tracks in use is at most the number of races.
-        self.circuit = lru_cache(maxsize=KEPT + races)(self._make_circuit)
-        circuit = self.circuit(0)
-        self._inputs = [circuit.inputs] * races  # inputs of each race
-        #: State of all races; `restart` and `step` write to it.
-        self.state = take(circuit.grid, np.zeros(races, np.intp))
-        self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
-        # Equal weights draw a whole number, others a share; the draw is part of a seed's meaning.
-        weights = np.array([opponent.weight for opponent in self.opponents] or [1.0])
-        self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
-        self.theta = np.zeros((races, self.cars, setup.theta_size))
-        #: shape (races, cars): Faults already penalised, except a race-ending fault.
-        self._paid = np.zeros((races, self.cars), np.int8)
-        self.vehicles = self.randomization.vehicles
-        self._limits = (
-            max(car.steer_max for car in setup.vehicles[: self.players]),
-            *options.limits[1:],
-        )
-        paid = ("progress_reward", "rivalry", "crash_penalty", "win_reward")
-        fault_loses = setup.config.crash_rule == "fault-loses"
-        laps = np.inf if options.laps is None else float(options.laps)
-        self._weights = (*(float(getattr(options, name)) for name in paid), fault_loses, laps)
-        self._rows = np.arange(races)
-        randomization = self.randomization
-        self._uniform = not randomization.circuits.several  # False from the first obstacle on
-        self._varied = bool(randomization.codes or randomization.drawn or randomization.obstacles)
-        self._in_python = any(planner.drive is not None for planner in setup.planners)
-        scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
-        enough_for = int(
-            races * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans) / US_OF_A_THREAD
-        )
-        #: Number of threads that share a step; each has enough work.
-        self.threads = (
-            1 if self._in_python else min(threads or default_threads(), max(1, enough_for))
-        )
-        size = max(1, *(planner.scratch_size for planner in setup.planners))
-        shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
-        self._buffers = [tuple(np.zeros(shape) for shape in shapes) for _ in range(self.threads)]
-        self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
-        self._compiled: Callable[..., None] | None = None
-        with first_call(step_races, "the control-level environment", 20) as compiling:
-            self._pointers = pointers_of(setup.planners)
-            if compiling:
-                actions, results = np.empty((races, self.players, 2)), self._results()
-                self._step_part(actions, 0, 0, 0, 0, results)
+    def value(self) -> RaceState:
+        """Return the state of the races."""
+        return self.state
 
     def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
         """Begin new episodes in some races, with options for each or for all.
@@ -320,13 +367,13 @@ class DriveBatch:
         if len(wrong):
             raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
 
-    def _set_inputs(self, rows: Rows, inputs: KernelInputs) -> None:
+    def _set_inputs(self, rows: Rows, inputs: Inputs) -> None:
         """Set the kernel inputs of some races on the same track."""
         for row in rows:
             arrays = self.randomization.track(int(row)).arrays
             # Races with obstacles have their own arrays and are stepped separately.
-            own = arrays is not inputs.arrays
-            self._inputs[row] = inputs._replace(arrays=arrays) if own else inputs
+            own = arrays is not inputs.track
+            self._inputs[row] = inputs._replace(track=arrays) if own else inputs
             self._uniform &= not own
 
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
@@ -334,7 +381,7 @@ class DriveBatch:
             self.drawn[row] = generator.integers(max(1, len(self.opponents)))
         else:
             self.drawn[row] = draw_opponent(self._edges, generator)
-        for car, rivals in enumerate(self.rivals, self.players):
+        for car, rivals in enumerate(self.rules.rivals, self.players):
             # With several opponent cars, each has a single opponent.
             opponent = rivals[self.drawn[row] if self.opponents else 0]
             policy = opponent.draw_policy(generator)
@@ -362,11 +409,9 @@ class DriveBatch:
     def _see(self, rows: NDArray[np.int64], players: int, out: NDArray[np.float32]) -> None:
         inputs = [self._inputs[row] for row in rows]
         for first, last in runs_of(inputs):
-            one = inputs[first]
-            sight, work = one.sight._replace(players=players), self._buffers[0][2:]
-            observe_races(
-                one.arrays, self.state, self.vehicles, sight, rows, first, last, *work, out
-            )
+            sight = inputs[first].sight._replace(players=players)
+            one = inputs[first]._replace(sight=sight)
+            observe_races(one, self.races, rows[first:last], self._buffers[0], out)
 
     def check_actions(self, actions: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.float64]:
         """Return actions as float64 of shape (B, players, 2).
@@ -396,29 +441,27 @@ class DriveBatch:
                 f"action{where} is {rows[i].tolist()}; steering and speed must be finite, in"
                 " [-1, 1]"
             )
-        return values if self.options.normalized else shares(values, self._limits)
+        return values if self.options.normalized else shares(values, self.rules.limits)
 
     def step(self, actions: NDArray[np.float64], generators: Generators = ()) -> BatchStep:
         """Advance every race by one step."""
-        races, ticks = self.episodes, self.options.ticks
-        results = self._results()
+        races, ticks, results = self.episodes, self.options.ticks, self._results()
         if self._in_python:
             # The kernel then only computes rewards and observations: 0 ticks.
-            set_commands(actions, self._limits, self.state, self.vehicles, 0, races)
+            set_commands(actions, self.rules.limits, self.races, 0, races)
             self._advance_in_python(ticks)
             ticks = 0
+        orders = self._orders(actions, ticks)
         if self.threads == 1:
-            self._step_part(actions, ticks, 0, races, 0, results)
+            self._step_part(orders, 0, races, 0, results)
         else:
             edges = [races * k // self.threads for k in range(self.threads + 1)]
             parts = [
-                self._pool.submit(
-                    self._step_part, actions, ticks, edges[k], edges[k + 1], k, results
-                )
+                self._pool.submit(self._step_part, orders, edges[k], edges[k + 1], k, results)
                 for k in range(1, self.threads)
             ]
             # This thread does the first part: waking another takes as long as stepping some races.
-            self._step_part(actions, ticks, 0, edges[1], 0, results)
+            self._step_part(orders, 0, edges[1], 0, results)
             for part in parts:
                 part.result()
         if self._moving is not None:
@@ -426,6 +469,9 @@ class DriveBatch:
         return BatchStep(
             results.observations, results.reward, results.terminated, results.truncated
         )
+
+    def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
+        return Orders(self._pointers, ticks, actions, self.rules.limits, self.rules.terms)
 
     def _results(self) -> StepResults:
         count = self.episodes * self.players
@@ -438,48 +484,23 @@ class DriveBatch:
         )
 
     def _step_part(
-        self,
-        actions: NDArray[np.float64],
-        ticks: int,
-        first: int,
-        last: int,
-        worker: int,
-        results: StepResults,
+        self, orders: Orders, first: int, last: int, worker: int, results: StepResults
     ) -> None:
         """Step a part of the races, on one thread."""
         # One kernel call steps a run of consecutive races on the same track.
-        runs = (
-            [(0, last - first)]
-            if self._uniform or first == last
-            else runs_of(self._inputs[first:last])
-        )
+        one = self._uniform or first == last
+        runs = [(0, last - first)] if one else runs_of(self._inputs[first:last])
+        buffers = self._buffers[worker]
         for low, high in runs:
             inputs = self._inputs[first + low]
-            arguments = (
-                inputs.arrays,
-                self.state,
-                self.theta,
-                self.vehicles,
-                self._pointers,
-                inputs.settings,
-                ticks,
-                actions,
-                self._limits,
-                self._weights,
-                inputs.sight,
-                self._rows,
-                first + low,
-                first + high,
-                self._buffers[worker],
-                results,
-            )
+            arguments = inputs, self.races, orders, first + low, first + high, buffers, results
             # Looked up once: finding the machine code by all argument types is slower than a step.
             if self._compiled is None:
                 self._compiled = compiled_for(step_races, arguments)
             try:
                 self._compiled(*arguments)
             except Exception as error:
-                raise driver_error(error, self.setup.planners, self._buffers[worker][1]) from error
+                raise driver_error(error, self.setup.car_planners, buffers.work) from error
 
     def _advance_in_python(self, ticks: int) -> None:
         """Advance every race against an opponent in plain Python."""
@@ -488,7 +509,7 @@ class DriveBatch:
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = self.randomization.conditions(np.arange(first, last))
             setup = self.circuit(int(circuits[first])).setup
-            fixed = (setup.track, setup.settings, setup.planners, setup.vehicles)
+            fixed = (setup.track, setup.settings, setup.car_planners, setup.vehicles)
             drive(*fixed, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
@@ -519,7 +540,7 @@ class DriveBatch:
             return result
         rows = np.flatnonzero(over)
         ended = take(state, rows)
-        if self.alone:
+        if self.cars == 1:
             result[rows, 0] = np.where(ended.crashed, Result.CRASH, Result.WIN)
             return result
         result[rows] = race_results(winners(config, ended), ended.crashed, self.players)
@@ -543,9 +564,7 @@ class DriveBatch:
             if car == 0
             else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)])
         )
-        if self._varied:
-            info.update(self.randomization.info(race))
-        return info
+        return info | self.randomization.info(race)
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw the current state of a race."""
@@ -554,14 +573,16 @@ class DriveBatch:
         info = self.info(race * self.players)
         text = f"{info['time']:.1f} s    {info['progress']:.1f} m"
         names = [f"car_{car}" for car in range(self.players)] if self.players > 1 else ["you"]
-        names += [rivals[max(info["opponent"], 0)].name for rivals in self.rivals]
-        if not self.alone:
+        names += [rivals[max(info["opponent"], 0)].name for rivals in self.rules.rivals]
+        if self.cars > 1:
             text += f"    lead of {names[0]} {info['lead']:+.1f} m"
         plans = [np.full((1, 2), np.nan)] * self.players + list(
             self.state.path[race, self.players :]
         )
-        renderer.show(self.randomization.track(race), half_sizes(self.vehicles[race]))
-        return renderer.render(cars, plans=plans if self.rivals else None, names=names, text=text)
+        renderer.show(self.randomization.track(race), half_sizes(self.races.vehicles[race]))
+        return renderer.render(
+            cars, plans=plans if self.rules.rivals else None, names=names, text=text
+        )
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of the races and of the opponents' indices, parameters and moves."""

@@ -16,11 +16,11 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward, win_sign
 from pcs_racing.race.config import CONTROL_EVERY
-from pcs_racing.race.kernel import advance_races
+from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to
-from pcs_racing.race.state import LAPS, MOST_CARS
+from pcs_racing.race.state import LAPS, MOST_CARS, RaceState
 from pcs_racing.race.steering import steering_noise
-from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between
+from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, TrackArrays, angle_between
 from pcs_racing.track.grid import cast
 
 OWN_ELEMENTS = 8  # numbers about the own car
@@ -57,6 +57,59 @@ class Sight(NamedTuple):
     high: NDArray[Any]  #: shape (n,): Upper bounds of the elements.
     gain: NDArray[Any]  #: shape (n,): Factor; the output is ``gain * clipped value + shift``.
     shift: NDArray[Any]  #: shape (n,): Offset of the output.
+
+
+class Inputs(NamedTuple):
+    """Inputs of the kernel that are the same for races on one track."""
+
+    track: TrackArrays
+    settings: KernelSettings
+    sight: Sight
+
+
+class Races(NamedTuple):
+    """Races of a batch: their state, the policies and the parameters of their cars."""
+
+    state: RaceState
+    theta: NDArray[np.float64]  #: shape (B, N, P): Policy parameters.
+    vehicles: NDArray[np.float64]  #: shape (B, N, 18): Parameter rows of the cars.
+
+
+class Limits(NamedTuple):
+    """Ends of the range of an action."""
+
+    steer_max: float  #: Maximum steering angle, rad.
+    min_speed: float  #: Target speed of the action -1, m/s.
+    top_speed: float  #: Target speed of the action 1, m/s.
+
+
+class RewardTerms(NamedTuple):
+    """Terms of the reward, and the ends of a race that it depends on."""
+
+    weights: tuple[float, float, float]  #: As in :func:`pcs_racing.game.reward.step_reward`.
+    win: float  #: Reward of a win.
+    fault_loses: bool  #: Flag: a car at fault for a crash loses the race.
+    laps: float  #: Number of laps of a race; infinite if laps do not end it.
+
+
+class Orders(NamedTuple):
+    """Orders of a step: how long to drive, and who drives how."""
+
+    drivers: Any  #: Addresses of plan and control of each car.
+    ticks: int  #: Number of simulation steps.
+    actions: NDArray[np.float64]  #: shape (B, players, 2): Steering and speed, in [-1, 1].
+    limits: Limits
+    terms: RewardTerms
+
+
+class Buffers(NamedTuple):
+    """Scratch memory of a thread; its contents are undefined after a call."""
+
+    scratch: NDArray[np.float64]  #: Scratch memory of the planners.
+    work: NDArray[np.float64]  #: shape (``WORK_SIZE``,): Scratch memory of the races.
+    row: NDArray[np.float64]  #: shape (n,): Observation of a car.
+    seen: NDArray[np.float64]  #: shape `SEEN_SHAPE`: Velocities, gaps and order of the cars.
+    scan: NDArray[np.float64]  #: shape ``WORK_SHAPE``: Scratch memory of the lidar.
 
 
 class StepResults(NamedTuple):
@@ -158,8 +211,10 @@ def _sort_opponents(length, frenet, race, car, seen):
 
 
 @inner_kernel(forceinline=True)
-def _observe(track, state, vehicles, sight, race, car, row, seen, work):
+def _observe(inputs, races, race, car, buffers):
     """Write the observation of a car, in the units of the elements."""
+    track, sight, state, vehicles = inputs.track, inputs.sight, races.state, races.vehicles
+    row, seen, work = buffers.row, buffers.seen, buffers.scan
     cars, frenet = state.cars, state.frenet
     number = cars.shape[1]
     k = 0
@@ -255,46 +310,47 @@ def _see_velocities(cars, race, seen):
         seen[_VY, car] = cars[race, car, _vehicle.V] * sine
 
 
-@kernel
-def observe_races(track, state, vehicles, sight, rows, first, last, row, seen, work, out):
-    """Write the observations of the players of the races ``rows[first:last]`` to ``out``.
-
-    Each player has its own row of ``out``. The scratch arrays ``row`` (shape (n,)), ``seen``
-    (`SEEN_SHAPE`) and ``work`` (the lidar's ``WORK_SHAPE``) are undefined afterwards.
-    """
-    for i in range(first, last):
-        race = rows[i]
-        _see_velocities(state.cars, race, seen)
-        for car in range(sight.players):
-            _observe(track, state, vehicles, sight, race, car, row, seen, work)
-            _write(row, sight, out[race * sight.players + car])
+@inner_kernel(forceinline=True)
+def _observe_players(inputs, races, race, buffers, out):
+    """Write the observations of a race's players to their rows of ``out``."""
+    players = inputs.sight.players
+    _see_velocities(races.state.cars, race, buffers.seen)
+    for car in range(players):
+        _observe(inputs, races, race, car, buffers)
+        _write(buffers.row, inputs.sight, out[race * players + car])
 
 
 @kernel
-def observe_car(track, state, vehicles, sight, rows, car, row, seen, work, out):
+def observe_races(inputs, races, rows, buffers, out):
+    """Write the observations of the players of the races ``rows`` to their rows of ``out``."""
+    for race in rows:
+        _observe_players(inputs, races, race, buffers, out)
+
+
+@kernel
+def observe_car(inputs, races, rows, car, buffers, out):
     """Write the observation of one car of the races ``rows`` to successive rows of ``out``.
 
     The car is observed as if a player drove it.
     """
     for i in range(rows.shape[0]):
-        _see_velocities(state.cars, rows[i], seen)
-        _observe(track, state, vehicles, sight, rows[i], car, row, seen, work)
-        _write(row, sight, out[i])
+        _see_velocities(races.state.cars, rows[i], buffers.seen)
+        _observe(inputs, races, rows[i], car, buffers)
+        _write(buffers.row, inputs.sight, out[i])
 
 
 @kernel
-def set_commands(actions, limits, state, vehicles, first, last):
-    """Convert actions in [-1, 1] to target steering angles and speeds in the planners' memory.
+def set_commands(actions, limits, races, first, last):
+    """Write actions in [-1, 1] as target steering angles and speeds to the cars' memory.
 
-    ``actions`` has the shape (B, players, 2). ``limits`` are the max steering angle (rad), and the
-    min and max speed (m/s).
+    ``actions`` has the shape (B, players, 2).
     """
+    state, vehicles = races.state, races.vehicles
     steer_max, min_speed, top_speed = limits
     for race in range(first, last):
-        # Planners run every second tick; in the other ticks a command takes effect from here.
+        # Cars get commands every second tick; in the other ticks a command takes effect from here.
         now = state.tick[race] % CONTROL_EVERY != 0
         for car in range(actions.shape[1]):
-            # The planner of a player's car only holds the command in its memory.
             memory, command = state.memory[race, car], state.command[race, car]
             memory[0] = steer_max * min(max(actions[race, car, 0], -1.0), 1.0)
             memory[1] = min_speed + 0.5 * (top_speed - min_speed) * (
@@ -361,20 +417,19 @@ def _won(state, race, car, crashed, fault_loses):
 
 
 @inner_kernel
-def _end_step(state, end_tick, weights, sight, results, first, last):
+def _end_step(state, end_tick, terms, players, results, first, last):
     """Write rewards and ends of a step, from the progress before it and the state after it."""
-    per_metre, rivalry, penalty, win, fault_loses, goal = weights
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
     number = progress.shape[1]
     for race in range(first, last):
         crashed, finished = False, False
         for car in range(number):
             crashed |= crash[race, car] != 0
-            finished |= state.laps[race, car, LAPS] >= goal
+            finished |= state.laps[race, car, LAPS] >= terms.laps
         late = state.tick[race] >= end_tick
         # With a reward for winning, the end of the time terminates a race.
-        ended = crashed or finished or (late and win > 0.0)
-        for car in range(sight.players):
+        ended = crashed or finished or (late and terms.win > 0.0)
+        for car in range(players):
             own = progress[race, car] - before[race, car]
             opponents = 0.0
             for other in range(number):
@@ -382,54 +437,26 @@ def _end_step(state, end_tick, weights, sight, results, first, last):
                     opponents += progress[race, other] - before[race, other]
             rival = opponents / max(1, number - 1)
             blamed = 1 if fault[race, car] > results.faults[race, car] else 0
-            reward = step_reward(own, rival, blamed, (per_metre, rivalry, penalty))
-            if win > 0.0 and number > 1 and (ended or late):
-                reward += win * _won(state, race, car, crashed, fault_loses)
-            player = race * sight.players + car
+            reward = step_reward(own, rival, blamed, terms.weights)
+            if terms.win > 0.0 and number > 1 and (ended or late):
+                reward += terms.win * _won(state, race, car, crashed, terms.fault_loses)
+            player = race * players + car
             results.reward[player] = reward
             results.terminated[player] = ended
             results.truncated[player] = late and not ended
 
 
 @kernel
-def step_races(
-    track,
-    state,
-    theta,
-    vehicles,
-    drivers,
-    settings,
-    ticks,
-    actions,
-    limits,
-    weights,
-    sight,
-    rows,
-    first,
-    last,
-    buffers,
-    results,
-):
-    """Step races ``first`` to ``last - 1``: drive for ``ticks`` ticks, then reward and observe.
-
-    - ``actions``, shape (B, players, 2): steering and speed, clipped to [-1, 1];
-    - ``limits``: as in :func:`set_commands`;
-    - ``weights``: reward for a metre, subtracted share of the opponent's progress, penalty
-      (:func:`pcs_racing.game.reward.step_reward`), reward of a win, flag that a fault loses the
-      race, and number of laps of a race;
-    - ``rows``: numbers from 0 to B - 1;
-    - ``buffers``: ``scratch`` and ``work`` of the races, ``row``, ``seen`` and ``work`` of the
-      observations, undefined afterwards;
-    - ``results``: :class:`StepResults`.
-
-    The other arguments are as in :func:`pcs_racing.race.kernel.advance_races`.
-    """
-    scratch, work, row, seen, scan_work = buffers
-    set_commands(actions, limits, state, vehicles, first, last)
+def step_races(inputs, races, orders, first, last, buffers, results):
+    """Step races ``first`` to ``last - 1``: drive, then reward and observe."""
+    track, settings, sight = inputs
+    state, theta, vehicles = races
+    drivers, ticks, actions, limits, terms = orders
+    set_commands(actions, limits, races, first, last)
+    scratch, work = buffers.scratch, buffers.work
     advance_races(
         track, state, theta, vehicles, drivers, settings, ticks, first, last, scratch, work
     )
-    _end_step(state, settings.end_tick, weights, sight, results, first, last)
-    observe_races(
-        track, state, vehicles, sight, rows, first, last, row, seen, scan_work, results.observations
-    )
+    _end_step(state, settings.end_tick, terms, sight.players, results, first, last)
+    for race in range(first, last):
+        _observe_players(inputs, races, race, buffers, results.observations)

@@ -3,6 +3,7 @@ observations.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,9 +17,9 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, Checked, OneOf
 from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS, Lidar
 from pcs_racing.car.lidar_kernel import Beams
-from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.drive_kernel import Sight
-from pcs_racing.envs.randomization import EpisodeOptions
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams
+from pcs_racing.envs.drive_kernel import Limits, Sight
+from pcs_racing.envs.randomization import EpisodeArguments, EpisodeOptions
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import DT, RaceConfig
@@ -61,22 +62,67 @@ def rivals_of(opponent: Any, opponents: Any) -> tuple[Any, ...]:
     return () if len(given) == 1 and given[0] is None else given
 
 
+class DriveArguments(EpisodeArguments, total=False):
+    """Types of the arguments of :class:`DriveOptions`, for editors."""
+
+    opponent: Any
+    opponents: Sequence[Any] | None
+    race: str | Path | RaceConfig
+    duration: float | None
+    laps: int | None
+    time_step: float
+    min_speed: float
+    top_speed: float
+    normalized: bool
+    beams: int
+    fov: float
+    max_range: float
+    lidar_noise: float
+    look_ahead: Sequence[float]
+    own_state: bool
+    own_pose: bool
+    see_opponent: str
+    time_left: bool
+    normalize: bool
+    progress_reward: float
+    rivalry: float
+    crash_penalty: float
+    win_reward: float
+    start_lines: int
+    archive: str | Path | PolicyArchive
+
+
+class HeadToHeadArguments(DriveArguments, total=False):
+    """Types of the arguments of :class:`HeadToHeadOptions`, for editors."""
+
+    cars: int
+
+
+Rival = Annotated[
+    Any,
+    ANYTHING,
+    '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a planner; a model that was'
+    ' trained here, or its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or'
+    " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
+    ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list,'
+    " in which entries may be (weight, opponent), one is drawn for each episode; all must drive"
+    " with the same planner. With None there is none: the agent is alone on the track, and the"
+    " elements of the second car are 0. With two agents or more it takes the last one's"
+    " place.",
+]
+TimeStep = Annotated[
+    float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."
+]
+Rivalry = Annotated[
+    float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress that is taken off."
+]
+
+
 @dataclass(frozen=True, eq=False)
 class DriveOptions(EpisodeOptions):
     """Arguments of the control-level environments."""
 
-    opponent: Annotated[
-        Any,
-        ANYTHING,
-        '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a driver; a model that was'
-        ' trained here, or its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or'
-        " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
-        ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list,'
-        " in which entries may be (weight, opponent), one is drawn for each episode; all must drive"
-        " with the same planner. With None there is none: the agent is alone on the track, and the"
-        " elements of the second car are 0. With two agents or more it takes the last one's"
-        " place.",
-    ] = "lattice"
+    opponent: Rival = "lattice"
     opponents: Annotated[
         tuple[Any, ...] | None,
         Checked(_opponents, "at most 7"),
@@ -98,9 +144,7 @@ class DriveOptions(EpisodeOptions):
         Interval(ge=1, le=1000),
         "Laps from the start line after which the first car ends a race; none by default.",
     ] = None
-    time_step: Annotated[
-        float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."
-    ] = 0.1
+    time_step: TimeStep = 0.1
     min_speed: Annotated[
         float,
         Interval(ge=F1TENTH.v_min, le=0.0),
@@ -148,9 +192,7 @@ class DriveOptions(EpisodeOptions):
     progress_reward: Annotated[
         float, Interval(ge=-1e6, le=1e6), "Reward for a metre of progress."
     ] = 1.0
-    rivalry: Annotated[
-        float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress that is taken off."
-    ] = 0.0
+    rivalry: Rivalry = 0.0
     crash_penalty: Annotated[
         float, Interval(ge=0.0, le=1e6), "Penalty of a crash by own fault."
     ] = 10.0
@@ -183,15 +225,30 @@ class DriveOptions(EpisodeOptions):
         return round(self.time_step / DT)
 
     @property
-    def limits(self) -> tuple[float, float, float]:
-        """Largest steering angle (rad), and lowest and highest speed (m/s) that an action asks for."""
-        cars = self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
-        return max(car.steer_max for car in cars), float(self.min_speed), float(self.top_speed)
+    def cars_given(self) -> tuple[VehicleParams, ...]:
+        """Parameters of the cars: one for all, or one for each."""
+        return self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
+
+    @property
+    def limits(self) -> Limits:
+        """Ends of the range of an action, for the car with the largest steering angle."""
+        turn = max(car.steer_max for car in self.cars_given)
+        return Limits(turn, float(self.min_speed), float(self.top_speed))
+
+
+@dataclass(frozen=True, eq=False)
+class HeadToHeadOptions(DriveOptions):
+    """Arguments of the environments with an agent in several cars."""
+
+    opponent: Rival = None
+    time_step: TimeStep = 0.02
+    rivalry: Rivalry = 1.0
+    cars: Annotated[int, Interval(ge=1, le=MOST_CARS), "Cars in a race."] = 2
 
 
 def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
-    """Every element of the observation, in order; values beyond the bounds are clipped to them."""
-    vehicles = options.vehicle if isinstance(options.vehicle, tuple) else (options.vehicle,)
+    """Return each element of the observation, in order; values are clipped to the bounds."""
+    vehicles = options.cars_given
     pi = float(np.pi)
     top = max(F1TENTH.v_max, *(car.v_max for car in vehicles))
     turn = max(F1TENTH.steer_max, *(car.steer_max for car in vehicles))

@@ -1,22 +1,25 @@
 """Strategy-level environment: moves of one car against an opponent, or of both cars."""
 
 from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.game_batch import DrivenStep, GameBatch, GameOptions
+from pcs_racing.envs.game_batch import (
+    DrivenStep,
+    GameArguments,
+    GameBatch,
+    GameOptions,
+    TwoPlayerOptions,
+)
 from pcs_racing.envs.opponents import Opponent
-from pcs_racing.envs.over_batch import Declared, OverBatch
+from pcs_racing.envs.over_batch import OverBatch
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.config import GameConfig
-from pcs_racing.game.observation import observation_elements, observation_table
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.rendering import MODES
 
@@ -25,17 +28,12 @@ FILM_RATE = 25  # frames of a film for each second of racing
 FILM_TICKS = 4  # simulation steps between two frames of a film
 WINDOW_TICKS = 16  # simulation steps between two frames of a window: 4 times real time at 25 fps
 
-AXES = get_characteristics(("aggressiveness", "restraint"))
-"""Characteristics of the archive "default", for the tables in the class docstrings."""
-
-_MOVES = GameConfig().moves
-_TABLE = observation_table(observation_elements(AXES, _MOVES), _MOVES)
-
 
 class OverGames(OverBatch):
     """Common parts of environments of the game of moves; their long steps are filmed."""
 
-    batch_type = GameBatch
+    batch_type: ClassVar[type[GameBatch]] = GameBatch
+    options_type: ClassVar[type[GameOptions]] = GameOptions
     batch: GameBatch
 
     @property
@@ -55,7 +53,7 @@ class OverGames(OverBatch):
         return FILM_RATE if self.render_mode in (FILM, "human") else self.batch.frame_rate
 
 
-class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
+class DuelEnv(OverGames, ScalarEnv):
     """Game of moves in the Policy Characteristic Space against an opponent.
 
     ## Description
@@ -84,14 +82,25 @@ class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
     the players only watch; step ``k`` follows move ``k``. "Range" means that 0 is the archive's
     min value and 1 its max value. Values beyond the bounds are clipped.
 
-    {observation_table}
+    Here # is the step k:
+
+    | index | name | unit | low | high | meaning |
+    | --- | --- | --- | --- | --- | --- |
+    | 6k | own_aggressiveness_# | range | -1 | 2 | own policy's, in the archive |
+    | 6k + 1 | own_restraint_# | range | -1 | 2 | own policy's, in the archive |
+    | 6k + 2 | opponent_aggressiveness_# | range | -1 | 2 | measured in step k alone |
+    | 6k + 3 | opponent_restraint_# | range | -1 | 2 | measured in step k alone |
+    | 6k + 4 | lead_# | 20 m | -5 | 5 | own lead at the end of step k |
+    | 6k + 5 | seen_# | 1 | 0 | 1 | 1 after step k; before, all six are 0 |
+    | 30 | step | 1 | 0 | 1 | share of the moves that were made |
 
     ## Rewards
 
     The reward is 0 until the end of the game, then the utility: by default the own lead in m, and 0
     after a crash (``utility="lead"``); or the lead even after a crash (``"lead-at-crash"``); or 1
     for a win and -1 for a defeat (``"win"``). The car to blame for a crash pays a ``fault_penalty``
-    to the other car. A ``discount`` multiplies the utility once for each move made.
+    to the other car. A ``discount`` multiplies the utility once for each move made. The argument
+    ``reward`` gives another reward.
 
     ## Starting State
 
@@ -121,7 +130,8 @@ class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
 
     ## Arguments
 
-    {arguments}
+    :class:`pcs_racing.envs.game_batch.GameOptions` and :class:`pcs_racing.GameConfig` list them;
+    all are given by name.
 
     ## Vectorized environment
 
@@ -137,11 +147,11 @@ class DuelEnv(OverGames, ScalarEnv, observation_table=_TABLE):
     (31,)
     """
 
-    metadata: dict[str, Any] = {**ScalarEnv.metadata, "render_modes": [*MODES, FILM]}  # noqa: RUF012
-    declared = Declared(
-        GameOptions, positional=("track", "archive", "opponent", "race"), more=GameConfig
-    )
+    metadata: dict[str, Any] = ScalarEnv.metadata | {"render_modes": [*MODES, FILM]}
     _unseen: tuple[DrivenStep, ...] = ()  # steps not yet returned by `render`
+
+    def __init__(self, **arguments: Unpack[GameArguments]) -> None:
+        super().__init__(**arguments)
 
     @property
     def opponents(self) -> list[Opponent]:
@@ -186,7 +196,22 @@ class DuelVectorEnv(OverGames, BatchVectorEnv):
     (4, 31)
     """
 
-    declared = replace(DuelEnv.declared, positional=())
+    def __init__(
+        self,
+        num_envs: int | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        **arguments: Unpack[GameArguments],
+    ) -> None:
+        super().__init__(
+            num_envs,
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            **arguments,
+        )
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the mask of valid moves, shape (num_envs, M), for sb3-contrib's MaskablePPO."""
@@ -198,14 +223,14 @@ class SelfPlayVectorEnv(DuelVectorEnv):
 
     A policy acting in all environments plays against itself. The rewards of a pair add up to zero.
     ``reset(seed=...)`` takes one seed for each game. The class takes the arguments of
-    :class:`DuelVectorEnv`, without ``opponent``.
+    :class:`DuelVectorEnv`; ``opponent`` must be None.
     """
 
-    declared = replace(DuelVectorEnv.declared, changed={"opponent": None})
+    options_type: ClassVar[type[GameOptions]] = TwoPlayerOptions
     players = 2
 
 
-class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
+class HeadToHeadEnv(OverGames, ParallelBatchEnv):
     """Race of two cars whose players change aggressiveness and restraint move by move.
 
     ## Description
@@ -222,8 +247,6 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
 
     `Box(float32)` with `(moves + 1) (2 G + 2) + 1` elements, 31 by default: the elements of
     `DuelEnv`, seen from the own car.
-
-    {observation_table}
 
     `state()` is the observation of `car_0`, followed by the observation of `car_1`.
 
@@ -248,7 +271,8 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
 
     ## Arguments
 
-    {arguments}
+    The arguments of `DuelEnv`. `max_cycles` is the number of steps after which an episode is
+    truncated.
 
     ## Vectorized environment
 
@@ -257,13 +281,13 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv, observation_table=_TABLE):
     single-agent view of such a batch.
     """
 
-    metadata: dict[str, Any] = {**ParallelBatchEnv.metadata, "name": "head_to_head_v1"}  # noqa: RUF012
-    declared = Declared(
-        GameOptions,
-        positional=("track", "archive", "race"),
-        more=GameConfig,
-        changed={"opponent": None},
-    )
+    metadata: dict[str, Any] = ParallelBatchEnv.metadata | {"name": "head_to_head_v1"}
+    options_type: ClassVar[type[GameOptions]] = TwoPlayerOptions
+
+    def __init__(
+        self, *, max_cycles: int | None = None, **arguments: Unpack[GameArguments]
+    ) -> None:
+        super().__init__(max_cycles=max_cycles, **arguments)
 
     def frames(self) -> Iterator[NDArray[np.uint8] | None]:
         """Drive the last step again and yield 25 frames a second, as from `render`, for videos."""
@@ -278,9 +302,11 @@ parallel_env = HeadToHeadEnv
 """PettingZoo's name for the constructor of a parallel environment."""
 
 
-def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
+def env(
+    *, max_cycles: int | None = None, **arguments: Unpack[GameArguments]
+) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment with PettingZoo's AEC interface.
 
     Both cars move, then a step is driven.
     """
-    return parallel_to_aec(parallel_env(**arguments))
+    return parallel_to_aec(parallel_env(max_cycles=max_cycles, **arguments))

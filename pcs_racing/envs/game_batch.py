@@ -1,11 +1,11 @@
 """Batch of games for the strategy-level environments."""
 
 import copy
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -40,7 +40,11 @@ from pcs_racing.envs.opponents import (
     replies,
     shared_planner,
 )
-from pcs_racing.envs.randomization import EpisodeOptions, EpisodeRandomization
+from pcs_racing.envs.randomization import (
+    EpisodeArguments,
+    EpisodeOptions,
+    EpisodeRandomization,
+)
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
@@ -67,6 +71,25 @@ class DrivenStep(NamedTuple):
     #: Initial state of each piece of driving, as a batch of one race, and its policy parameters.
     pieces: list[tuple[RaceState, NDArray[np.float64]]]
     moves: NDArray[np.int64]  #: shape (2,): Moves at the start of the step.
+
+
+class GameArguments(EpisodeArguments, total=False):
+    """Types of the arguments of games of moves, for editors."""
+
+    archive: PolicyArchive | str | Path
+    opponent: Any
+    race: GameConfig | RaceConfig | str | Path
+    deterministic_opponent: bool
+    moves: int
+    step_seconds: float
+    first_steps: Sequence[float]
+    epsilon: float | Sequence[float]
+    stay: bool
+    utility: str
+    fault_penalty: float
+    discount: float
+    characteristics: Sequence[str] | None
+    mask_duplicates: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,31 +126,52 @@ class GameOptions(EpisodeOptions):
         " which no seed of this environment reaches.",
     ] = True
 
+    #: Fields of the rules that are no arguments.
+    unused: ClassVar[tuple[str, ...]] = ("race",)
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names of all arguments: own fields and fields of the rules."""
+        rules = [one.name for one in fields(GameConfig) if one.name not in cls.unused]
+        return [*super().names(), *rules]
+
+    @classmethod
+    def read(cls, arguments: Mapping[str, Any]) -> Self:
+        """Return the configuration with these arguments; fields of the rules change ``race``."""
+        own = {one.name for one in fields(cls)}
+        options = cls(**{name: value for name, value in arguments.items() if name in own})
+        rules = {name: value for name, value in arguments.items() if name not in own}
+        return replace(options, race=load_game_config(options.race, **rules))
+
+
+@dataclass(frozen=True, eq=False)
+class TwoPlayerOptions(GameOptions):
+    """Arguments of the environments with a second agent in car 1."""
+
+    opponent: Annotated[Any, ANYTHING, "An opponent in place of the second agent."] = None
+
 
 KEPT = 64  # number of cached games on tracks without an episode
 
 
 class GameBatch:
-    """Batch of games of moves; car 0 belongs to a player, car 1 to an opponent or a second player.
+    """Batch of games of moves; car 1 belongs to an opponent or to a second player."""
 
-    The arguments are the fields of :class:`GameOptions` and, to change the rules, of
-    :class:`pcs_racing.game.config.GameConfig`.
-    """
-
-    options_type: ClassVar[type[GameOptions]] = GameOptions
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1  #: Rate of single frames: a step is longer than a second.
     cars = 2
     played_in = "games"  #: Noun for the games in messages.
 
     def __init__(
-        self, episodes: int, *, threads: int | None = None, players: int = 1, **arguments: Any
+        self,
+        episodes: int,
+        options: GameOptions,
+        *,
+        threads: int | None = None,
+        players: int = 1,
     ) -> None:
         check_batch_size(episodes, threads)
-        own = {one.name for one in fields(self.options_type)}
-        options: Any = self.options_type(
-            **{name: value for name, value in arguments.items() if name in own}
-        )
+        self.options, self._threads = options, threads
         if (options.opponent is None) is (players == 1):
             raise InputError(
                 f"opponent is {options.opponent!r}; "
@@ -143,17 +187,14 @@ class GameBatch:
             raise ConfigError(
                 "randomize holds lidar_noise; the cars of this environment have no lidar"
             )
-        rules = load_game_config(
-            options.race, **{name: value for name, value in arguments.items() if name not in own}
-        )
-        self._made_of = load_archive(options.archive), rules, options.opponent, threads
+        self._archive = load_archive(options.archive)
+        self._rules = load_game_config(options.race)
         #: Game and opponents on a track, by the track's number.
         self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
         # The game on the first track; the rules are the same on the other tracks.
         self.game, self.opponents = self.game_on(0)
         weights = np.array([each.weight for each in self.opponents] or [1.0])
         self._edges = np.cumsum(weights) / weights.sum()
-        self._deterministic = options.deterministic_opponent
         moves = {NO_MOVE: "none", **dict(enumerate(self.game.competitor_moves))}
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(each.name for each in self.opponents),
@@ -161,7 +202,7 @@ class GameBatch:
             "opponent_move": moves,
             **self.randomization.codes,
         }
-        self._set_rules(options)
+        self._set_rules()
         low, high = (
             np.array([getattr(e, end) for e in self.elements], np.float32)
             for end in ("low", "high")
@@ -180,7 +221,7 @@ class GameBatch:
         # Key and start of the first game, for films; None after its first move.
         self._begun: tuple[NDArray[np.uint64], Starts | None] | None = None
 
-    def _set_rules(self, options: Any) -> None:
+    def _set_rules(self) -> None:
         """Set the observation elements, the names of the actions and the steps of an episode."""
         self.elements: tuple[ObservationElement, ...] = self.game.observation_elements
         self.actions, self.horizon = self.game.move_names, self.game.config.moves
@@ -191,12 +232,12 @@ class GameBatch:
         return self.randomization.track(0)
 
     def _make_game(self, circuit: int) -> tuple[RaceGame, list[Opponent]]:
-        archive, rules, opponent, threads = self._made_of
+        opponent = self.options.opponent
         game = RaceGame(
             self.randomization.circuits.track(circuit),
-            archive,
-            rules,
-            threads=threads,
+            self._archive,
+            self._rules,
+            threads=self._threads,
             vehicles=self.randomization.cars,
             most_delay=self.randomization.ranges.most_delay,
         )
@@ -331,7 +372,7 @@ class GameBatch:
         asked = {
             "observation": seen,
             "memories": self.memories,
-            "deterministic": self._deterministic,
+            "deterministic": self.options.deterministic_opponent,
         }
         moves = np.zeros(self.episodes, np.int64)
         for circuit, some in self.randomization.groups(rows):

@@ -1,17 +1,23 @@
 """Environment of a series of races: one or two agents choose a policy before each race."""
 
-from dataclasses import replace
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
-from pcs_racing.envs.duel import AXES, DuelEnv, DuelVectorEnv, HeadToHeadEnv, OverGames
-from pcs_racing.envs.match_batch import UNUSED, MatchBatch, MatchOptions
+from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, OverGames
+from pcs_racing.envs.match_batch import (
+    MatchArguments,
+    MatchBatch,
+    MatchOptions,
+    TwoPlayerMatchOptions,
+)
+from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
+from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.match import MatchGame
-from pcs_racing.game.observation import match_elements, observation_table
 
 
 class OverMatches(OverGames):
@@ -26,11 +32,7 @@ class OverMatches(OverGames):
         return self.batch.match
 
 
-class MatchEnv(
-    OverMatches,
-    DuelEnv,
-    observation_table=observation_table(match_elements(AXES, MatchOptions().races)),
-):
+class MatchEnv(OverMatches, DuelEnv):
     """Match of several races against one opponent; the player chooses a policy before each race.
 
     ## Description
@@ -60,7 +62,19 @@ class MatchEnv(
     from 0. "Range" means that 0 is the archive's min value and 1 its max value. All numbers of
     future races are 0.
 
-    {observation_table}
+    Here # is the race r:
+
+    | index | name | unit | low | high | meaning |
+    | --- | --- | --- | --- | --- | --- |
+    | 7r | race_#_own_aggressiveness | range | -1 | 2 | own policy's, in the archive |
+    | 7r + 1 | race_#_own_restraint | range | -1 | 2 | own policy's, in the archive |
+    | 7r + 2 | race_#_opponent_aggressiveness | range | -1 | 2 | measured over race r |
+    | 7r + 3 | race_#_opponent_restraint | range | -1 | 2 | measured over race r |
+    | 7r + 4 | race_#_lead | 20 m | -5 | 5 | own lead at the end of race r |
+    | 7r + 5 | race_#_score | 1 | 0 | 1 | 1 for a win, 0.5 for a tie |
+    | 7r + 6 | race_#_driven | 1 | 0 | 1 | driven share of its duration |
+    | 21 | races_left | 1 | 0 | 1 | share of the races that are not over |
+    | 22 | front | 1 | 0 | 1 | 1 if the own car starts the next race on the left or in front |
 
     After a crash a race lasted less than its duration. With ``race_moves`` more elements follow:
     ``racing``, 1 during a race, and the observation of :class:`pcs_racing.envs.duel.DuelEnv` in
@@ -69,7 +83,7 @@ class MatchEnv(
     ## Rewards
 
     The score of each race at its end: 1 for a win, 1/2 for a tie, else 0. The sum is the number of
-    races won.
+    races won. The argument ``reward`` gives another reward.
 
     ## Starting State
 
@@ -101,7 +115,9 @@ class MatchEnv(
 
     ## Arguments
 
-    {arguments}
+    :class:`pcs_racing.envs.match_batch.MatchOptions` and :class:`pcs_racing.GameConfig` list them;
+    all are given by name. ``utility``, ``fault_penalty`` and ``discount`` are no arguments: a match
+    has its own reward.
 
     ## Vectorized environment
 
@@ -117,7 +133,10 @@ class MatchEnv(
     ((23,), True)
     """
 
-    declared = replace(DuelEnv.declared, options=MatchOptions, without=UNUSED)
+    options_type = MatchOptions
+
+    def __init__(self, **arguments: Unpack[MatchArguments]) -> None:
+        ScalarEnv.__init__(self, **arguments)
 
 
 class MatchVectorEnv(OverMatches, DuelVectorEnv):
@@ -134,14 +153,32 @@ class MatchVectorEnv(OverMatches, DuelVectorEnv):
     (4, 16)
     """
 
-    declared = replace(MatchEnv.declared, positional=())
+    options_type = MatchOptions
+
+    def __init__(
+        self,
+        num_envs: int | None = None,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        threads: int | None = None,
+        **arguments: Unpack[MatchArguments],
+    ) -> None:
+        BatchVectorEnv.__init__(
+            self,
+            num_envs,
+            autoreset_mode=autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+            **arguments,
+        )
 
 
 class SelfPlayMatchVectorEnv(MatchVectorEnv):
     """Self-play matches: environments ``2 i`` and ``2 i + 1`` are cars 0 and 1 of match ``i``.
 
     A policy acting in all environments plays against itself. ``reset(seed=...)`` takes one seed for
-    each match. The class takes the arguments of :class:`MatchVectorEnv`, without ``opponent``.
+    each match. The class takes the arguments of :class:`MatchVectorEnv`; ``opponent`` must be None.
 
     Examples
     --------
@@ -151,7 +188,7 @@ class SelfPlayMatchVectorEnv(MatchVectorEnv):
     (4, 23)
     """
 
-    declared = replace(MatchVectorEnv.declared, changed={"opponent": None})
+    options_type = TwoPlayerMatchOptions
     players = 2
 
 
@@ -195,7 +232,8 @@ class HeadToHeadMatchEnv(OverMatches, HeadToHeadEnv):
 
     ## Arguments
 
-    {arguments}
+    The arguments of `MatchEnv`. `max_cycles` is the number of steps after which an episode is
+    truncated.
 
     ## Vectorized environment
 
@@ -205,17 +243,24 @@ class HeadToHeadMatchEnv(OverMatches, HeadToHeadEnv):
     plays both cars.
     """
 
-    metadata: dict[str, Any] = {**HeadToHeadEnv.metadata, "name": "head_to_head_match_v0"}  # noqa: RUF012
-    declared = replace(HeadToHeadEnv.declared, options=MatchOptions, without=UNUSED)
+    metadata: dict[str, Any] = HeadToHeadEnv.metadata | {"name": "head_to_head_match_v0"}
+    options_type = TwoPlayerMatchOptions
+
+    def __init__(
+        self, *, max_cycles: int | None = None, **arguments: Unpack[MatchArguments]
+    ) -> None:
+        ParallelBatchEnv.__init__(self, max_cycles=max_cycles, **arguments)
 
 
 parallel_env = HeadToHeadMatchEnv
 """PettingZoo's name for the constructor of a parallel environment."""
 
 
-def env(**arguments: Any) -> AECEnv[str, NDArray[np.float32], int | None]:
+def env(
+    *, max_cycles: int | None = None, **arguments: Unpack[MatchArguments]
+) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment with PettingZoo's AEC interface.
 
     Both players choose, then a race is driven.
     """
-    return parallel_to_aec(parallel_env(**arguments))
+    return parallel_to_aec(parallel_env(max_cycles=max_cycles, **arguments))

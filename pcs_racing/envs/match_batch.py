@@ -1,27 +1,46 @@
 """Batch of matches for the environments of a series of races."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING
 from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_within
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Result, codes, of_players
+from pcs_racing.envs.randomization import EpisodeArguments
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.competitor import Chooser
+from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import KEEP, MatchGame, MatchState, ask_choices, put_matches
 from pcs_racing.game.rules import OUTSIDE
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 
-UNUSED = ("utility", "fault_penalty", "discount")
-"""Reward rules of a single game; the reward of a match is the number of races won."""
+
+class MatchArguments(EpisodeArguments, total=False):
+    """Types of the arguments of matches, for editors."""
+
+    archive: PolicyArchive | str | Path
+    opponent: Any
+    race: GameConfig | RaceConfig | str | Path
+    deterministic_opponent: bool
+    races: int
+    race_moves: bool
+    moves: int
+    step_seconds: float
+    first_steps: Sequence[float]
+    epsilon: float | Sequence[float]
+    stay: bool
+    characteristics: Sequence[str] | None
+    mask_duplicates: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,32 +59,36 @@ class MatchOptions(GameOptions):
     races: Annotated[int, Interval(ge=1, le=100), "Races of a match."] = 3
     race_moves: Annotated[bool, "Whether the player also makes the moves of the races."] = False
 
+    # The reward of a match is the number of races won.
+    unused: ClassVar[tuple[str, ...]] = ("race", "utility", "fault_penalty", "discount")
+
+
+@dataclass(frozen=True, eq=False)
+class TwoPlayerMatchOptions(MatchOptions):
+    """Arguments of the environments of matches with a second agent in car 1."""
+
+    opponent: Annotated[Any, ANYTHING, "An opponent in place of the second agent."] = None
+
 
 class MatchBatch(GameBatch):
     """Batch of matches; car 0 belongs to a player, car 1 to an opponent or a second player.
 
     A step is a whole race, unless the players also make the moves of the races. Track, cars and
-    obstacles are drawn for the match and stay the same in its races. The class takes the arguments
-    of :class:`pcs_racing.envs.game_batch.GameBatch` and the fields of :class:`MatchOptions`.
+    obstacles are drawn for the match and stay the same in its races.
     """
 
-    options_type = MatchOptions
+    options: MatchOptions
     played_in = "matches"
 
-    def __init__(self, episodes: int, **arguments: Any) -> None:
-        for name in UNUSED:
-            if name in arguments:
-                raise InputError(
-                    f"{name} does not count in a match, which pays the score of each race; leave"
-                    " it out"
-                )
-        super().__init__(episodes, **arguments)
+    def __init__(self, episodes: int, options: MatchOptions, **more: Any) -> None:
+        super().__init__(episodes, options, **more)
         self.codes = {**self.codes, "race_result": codes(Result)}
         self.played: MatchState | None = None  #: Matches; None before `restart`.
         #: Initial states and policy parameters of the last step's driving, in a batch of one match.
         self.driven: list[tuple[RaceState, NDArray[np.float64]]] = []
 
-    def _set_rules(self, options: MatchOptions) -> None:
+    def _set_rules(self) -> None:
+        options = self.options
         self.match = MatchGame(self.game, options.races, options.race_moves)
         self.elements = self.match.observation_elements
         self.actions = tuple(f"policy {i}" for i in range(len(self.game.archive)))

@@ -18,7 +18,7 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Sight, observe_car
+from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Buffers, Inputs, Races, Sight, observe_car
 from pcs_racing.envs.drive_options import (
     DriveOptions,
     drive_elements,
@@ -144,9 +144,12 @@ class ModelDriver:
         noise = np.full(state.races, float(self.options.lidar_noise))
         ahead = samples_ahead(self.options, track)
         sight = self._sight._replace(ahead=ahead, noise=noise, end_tick=settings.end_tick)
-        seen = np.empty((len(rows), len(sight.low)), np.float32)
-        buffers = np.empty(len(sight.low)), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
-        observe_car(track.arrays, state, vehicles, sight, rows, car, *buffers, seen)
+        count, nothing = len(sight.low), np.empty(0)
+        seen = np.empty((len(rows), count), np.float32)
+        scratch = np.empty(count), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
+        inputs, buffers = Inputs(track.arrays, settings, sight), Buffers(nothing, nothing, *scratch)
+        races = Races(state, np.empty((0, 0, 0)), vehicles)
+        observe_car(inputs, races, rows, car, buffers, seen)
         turn, low, top = self.options.limits
         kept = np.clip(self._answers(seen), -1.0, 1.0)
         return np.stack([turn * kept[:, 0], low + 0.5 * (top - low) * (1.0 + kept[:, 1])], axis=1)

@@ -1,18 +1,19 @@
-"""Common base of all environments: views of a batch, with arguments declared once."""
+"""Common base of all environments: views of a batch."""
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
-from functools import cached_property
-from inspect import Parameter, Signature, signature
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Union
 
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
+from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import InputError, UnknownNameError, choices, unknown_argument
-from pcs_racing.base.settings import listed_argument, listed_settings, type_name
+from pcs_racing.envs.batch import BatchStep, Generators, Step, check_reward
+from pcs_racing.envs.randomization import EpisodeOptions
 from pcs_racing.race.rendering import MODES, Renderer, views
 from pcs_racing.track.track import Track
 
@@ -23,162 +24,50 @@ if TYPE_CHECKING:  # so that an environment imports its own batch alone
 Batch = Union["DriveBatch", "GameBatch"]
 """Batch below an environment."""
 
+METADATA = {"render_modes": list(MODES), "render_fps": 1}
+
 REBUILDING = ("track", "opponent")
 """Options of a reset that replace arguments of the environment."""
 
-_BY_PLACE, _BY_NAME = Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY
-
-
-@dataclass(frozen=True)
-class Declared:
-    """Batch arguments of an environment class."""
-
-    options: type[Any]  #: Dataclass of the batch's arguments, with their defaults.
-    positional: tuple[str, ...] = ()  #: Positional arguments, in order.
-    more: type[Any] | None = None  #: Dataclass with further arguments.
-    without: tuple[str, ...] = ()  #: Fields of ``more`` that are no arguments.
-    changed: Mapping[str, Any] = field(default_factory=dict)  #: Changed defaults, by name.
-
-    @cached_property
-    def defaults(self) -> dict[str, Any]:
-        """Default of each argument."""
-        return {one.name: one.default for one in fields(self.options)} | dict(self.changed)
-
-    def signature(self, begin: Callable[..., Any], players: int) -> Signature:
-        """Return the signature of a class: arguments of the batch and of its method ``begin``.
-
-        The argument ``arguments`` of ``begin`` is left out.
-        """
-        own = [
-            one
-            for name, one in signature(begin).parameters.items()
-            if name not in ("self", "arguments")
-        ]
-        listed = [name for name in self.defaults if name not in self.positional]
-        kinds = {one.name: one.type for one in fields(self.options)}
-        # Positional arguments come first: the number of environments, the track, the opponent.
-        parameters = [
-            one.replace(kind=_BY_PLACE, default=players) for one in own if one.name == "num_envs"
-        ]
-        for names, way in ((self.positional, _BY_PLACE), (listed, _BY_NAME)):
-            parameters += [
-                Parameter(name, way, default=self.defaults[name], annotation=kinds[name])
-                for name in names
-            ]
-        parameters += [one.replace(kind=_BY_NAME) for one in own if one.name != "num_envs"]
-        if self.more is not None:
-            parameters.append(Parameter("settings", Parameter.VAR_KEYWORD, annotation=Any))
-        return Signature(parameters)
-
-    def sort(
-        self, kind: type[Any], given: tuple[Any, ...], named: dict[str, Any]
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return the arguments of the batch, with defaults, and the environment's own arguments."""
-        own = kind.__signature__.parameters.keys() - self.defaults.keys() - {"settings"}
-        more = () if self.more is None else (one.name for one in fields(self.more))
-        known = dict.fromkeys([*kind.__signature__.parameters, *more])
-        known.pop("settings", None)
-        # Check before binding: Python's own error would not suggest the right name.
-        for name in named:
-            if name not in known:
-                raise unknown_argument(kind.__name__, name, known)
-        bound = kind.__signature__.bind(*given, **named).arguments
-        bound |= bound.pop("settings", {})
-        return (
-            {**self.defaults, **{name: value for name, value in bound.items() if name not in own}},
-            {name: value for name, value in bound.items() if name in own},
-        )
-
-
-LOOKS = {
-    "render_mode": (
-        '"rgb_array", for frames of `render`, or "human", for a window. In a duel a frame shows how'
-        ' a step ended; with "rgb_array_list" it gets all frames since it was last called, or since'
-        " the reset, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes"
-        " a video of them)."
-    ),
-    "view": '"track", "both" (all cars stay in sight), or "car_0" to "car_7": what a frame shows.',
-    "render_size": "Width and height of a frame in pixels.",
-    "max_cycles": "Steps after which an episode is truncated.",
-}
-"""Meanings of the environment's own arguments."""
-
-
-def _listed(kind: Any) -> str:
-    """Return the docstring section with the arguments of a class and their meanings."""
-    declared, parameters = kind.declared, kind.__signature__.parameters
-    lines = ["Parameters", "----------", *listed_settings(declared.options)]
-    for name, meaning in LOOKS.items():
-        if name in parameters:
-            lines += listed_argument(name, type_name(parameters[name].annotation), meaning)
-    if declared.more is not None:
-        lines += listed_settings(
-            declared.more, *declared.defaults, *declared.without, defaults=True
-        )
-    return "\n".join(lines)
-
 
 class OverBatch:
-    """Base class of environments over a batch: construction, copies, and frames.
+    """Base class of environments over a batch: configuration, rewards, copies, and frames."""
 
-    Placeholders in braces in the docstring of a class are replaced by its arguments and its
-    ``observation_table``.
-    """
-
-    batch_type: ClassVar[type[Batch]]
-    declared: ClassVar[Declared]  #: Arguments of the batch.
-    __signature__: ClassVar[Signature]  #: Signature of the class in Python's help.
+    batch_type: ClassVar[type[Any]]
+    options_type: ClassVar[type[EpisodeOptions]]
     players: int = 1  #: Number of environments of an episode: 2 for both cars of a race.
-    batch: Batch
-    metadata: dict[str, Any] = {"render_modes": list(MODES), "render_fps": 1}  # noqa: RUF012
+    batch: Any
+    options: Any  #: Configuration of the environment: an instance of ``options_type``.
+    metadata: dict[str, Any] = METADATA
     render_mode: str | None
-    view: str
-    render_size: tuple[int, int]  #: Width and height of a frame in pixels.
-    _arguments: dict[str, Any]  # arguments of the batch
+    _own: dict[str, Any]  # arguments of the constructor beside the configuration
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 
-    def __init_subclass__(cls, observation_table: str = "", **options: Any) -> None:
-        super().__init_subclass__(**options)
-        if hasattr(cls, "declared"):
-            cls.__signature__ = cls.declared.signature(cls._begin, cls.players)
-            doc = cls.__doc__ or ""  # there is none with ``python -OO``
-            if "{arguments}" in doc:
-                for mark, text in (
-                    ("{observation_table}", observation_table),
-                    ("{arguments}", _listed(cls)),
-                ):
-                    doc = doc.replace(mark, text.replace("\n", "\n    "))
-                cls.__doc__ = doc
+    def _configure(self, arguments: Mapping[str, Any], **own: Any) -> None:
+        """Make the batch from the arguments of the configuration; ``own`` are all others."""
+        known = self.options_type.names()
+        for name in arguments:
+            if name not in known:
+                raise unknown_argument(type(self).__name__, name, [*own, *known])
+        options = self.options_type.read(arguments)
+        if options.render_mode is not None:
+            check_choice("render_mode", options.render_mode, self.metadata["render_modes"])
+        self._own, self.render_mode = own, options.render_mode
+        self._use(self._make_batch(options), options)
 
-    def __init__(self, *given: Any, **named: Any) -> None:
-        arguments, own = self.declared.sort(type(self), given, named)
-        self._begin(arguments=arguments, **own)
-
-    def _begin(self, *args: Any, **kwargs: Any) -> None:
-        """Make the batch from its ``arguments``, and the environment from the other arguments.
-
-        Each other argument is stored as an attribute with the same name, for copies.
-        """
+    def _make_batch(self, options: Any) -> Batch:
         raise NotImplementedError
 
-    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
-        raise NotImplementedError
+    def _count_players(self, options: Any) -> int:
+        """Return the number of agents in an episode."""
+        return self.players
 
-    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
-        """Return the batch's own arguments and its number of players."""
-        return arguments, self.players
-
-    def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
-        check_choice("view", self.view, views(batch.cars))
-        self.batch, self._arguments = batch, arguments
+    def _use(self, batch: Batch, options: EpisodeOptions) -> None:
+        check_choice("view", options.view, views(batch.cars))
+        self.batch, self.options = batch, options
         own = {"render_fps": self._frames_per_second(), "codes": batch.codes}
         self.metadata = {**type(self).metadata, **own}
-
-    def _set_looks(self, render_mode: str | None, view: str, render_size: tuple[int, int]) -> None:
-        if render_mode is not None:
-            check_choice("render_mode", render_mode, self.metadata["render_modes"])
-        self.render_mode, self.view, self.render_size = render_mode, view, render_size
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -205,9 +94,35 @@ class OverBatch:
         """Track of the environment."""
         return self.batch.track
 
+    # Steps
+
+    def reward(self, step: Step) -> NDArray[Any]:
+        """Return the reward of each player in a step, shape (episodes, players).
+
+        A subclass may override this method, or the argument ``reward`` replace it. The reward of
+        the environment itself is ``step.reward``.
+        """
+        own = self.options.reward
+        return step.reward if own is None else own(step)
+
+    def _step_batch(
+        self, actions: NDArray[Any], generators: Generators, running: NDArray[np.bool_]
+    ) -> BatchStep:
+        """Step the batch, and replace the rewards if there is an own reward.
+
+        ``running`` marks the episodes that are not over; only their rewards must be finite.
+        """
+        if self.options.reward is None and type(self).reward is OverBatch.reward:
+            return self.batch.step(actions, generators)
+        before = self.batch.value().copy()
+        result = self.batch.step(actions, generators)
+        usual = result.rewards.reshape(self.batch.episodes, -1)
+        step = Step(before, actions, self.batch.value().copy(), usual)
+        return result._replace(rewards=check_reward(self.reward(step), usual.shape, running))
+
     # Resets
 
-    def _options(self, options: Any, *more: str) -> dict[str, Any]:
+    def _reset_options(self, options: Any, *more: str) -> dict[str, Any]:
         """Return the options of a reset except None; ``more`` are further known names."""
         if options is None:
             return {}
@@ -221,23 +136,23 @@ class OverBatch:
                 )
         return {name: value for name, value in options.items() if value is not None}
 
-    def _batch_for(self, options: dict[str, Any]) -> tuple[Batch, dict[str, Any]]:
-        """Return the batch of a reset and its arguments.
+    def _batch_for(self, given: dict[str, Any]) -> tuple[Batch, EpisodeOptions]:
+        """Return the batch of a reset and its configuration.
 
-        Options that replace arguments are removed from ``options``.
+        Options that replace arguments are removed from ``given``.
         """
-        changes = {name: options.pop(name) for name in REBUILDING if name in options}
-        arguments = {**self._arguments, **changes}
-        return (self._make_batch(arguments) if changes else self.batch), arguments
+        changes = {name: given.pop(name) for name in REBUILDING if name in given}
+        options = replace(self.options, **changes)
+        return (self._make_batch(options) if changes else self.batch), options
 
-    def _change_to(self, batch: Batch, arguments: dict[str, Any]) -> None:
+    def _change_to(self, batch: Batch, options: EpisodeOptions) -> None:
         """Switch to another batch after the start of its first episode.
 
         An earlier error leaves the environment unchanged.
         """
         if batch is not self.batch:
             self._close_renderer()  # it shows the former track
-            self._use(batch, arguments)
+            self._use(batch, options)
 
     def _check_started(self) -> None:
         """Raise an :class:`InputError` before the first reset."""
@@ -246,11 +161,11 @@ class OverBatch:
     @contextmanager
     def unless_refused(self) -> Iterator[None]:
         """Restore the environment if a reset within the context is refused after random draws."""
-        batch, arguments, state = self.batch, self._arguments, self.get_state()
+        batch, options, state = self.batch, self.options, self.get_state()
         try:
             yield
         except Exception:
-            self._change_to(batch, arguments)
+            self._change_to(batch, options)
             self.set_state(state)
             raise
 
@@ -265,12 +180,12 @@ class OverBatch:
         raise NotImplementedError
 
     def __reduce__(self) -> tuple[Any, ...]:
-        own = {
-            name: getattr(self, name)
-            for name in signature(self._begin).parameters
-            if name != "arguments"
-        }
-        return _rebuild, (type(self), {**self._arguments, **own}, self.get_state(), self._spec)
+        return _rebuild, (
+            type(self),
+            {**vars(self.options), **self._own},
+            self.get_state(),
+            self.spec,
+        )
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         function, arguments = self.__reduce__()
@@ -287,9 +202,11 @@ class OverBatch:
             )
         self._check_started()
         if self._renderer is None:
-            fps = float(self.metadata["render_fps"])
+            (width, height), fps = self.options.render_size, float(self.metadata["render_fps"])
             mode = "human" if self.render_mode == "human" else "rgb_array"
-            self._renderer = Renderer(self.track, *self.render_size, mode, view=self.view, fps=fps)
+            self._renderer = Renderer(
+                self.track, width, height, mode, view=self.options.view, fps=fps
+            )
         return self._renderer
 
     def _show_step(self) -> None:

@@ -1,9 +1,9 @@
 """Domain randomization of the episodes of a batch: track, obstacles, cars, sensors."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Self, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pcs_racing.car.vehicle import (
     load_vehicle,
     load_vehicles,
 )
-from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_within
+from pcs_racing.envs.batch import FREE, Generators, Reward, Rows, check_part, check_within
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
@@ -134,9 +134,28 @@ def _vehicles(_: str, value: Any) -> Any:
     )
 
 
+def _function(name: str, value: Any) -> Any:
+    if value is not None and not callable(value):
+        raise ConfigError(f"{name} is {value!r:.80}; it must be a function of a step")
+    return value
+
+
+class EpisodeArguments(TypedDict, total=False):
+    """Types of the arguments that all environments share, for editors."""
+
+    track: Any
+    vehicle: Any
+    randomize: Any
+    obstacles: Any
+    reward: Reward | None
+    render_mode: str | None
+    view: str
+    render_size: tuple[int, int]
+
+
 @dataclass(frozen=True, eq=False)
 class EpisodeOptions(Settings):
-    """Arguments of all environments: domain randomization of the episodes."""
+    """Arguments that all environments share."""
 
     track: Annotated[
         Any,
@@ -169,6 +188,39 @@ class EpisodeOptions(Settings):
         " lidar sees them, a car that touches one has crashed as into a wall, and the lattice"
         " planner avoids most.",
     ] = None
+    reward: Annotated[
+        Callable[..., Any] | None,
+        Checked(_function),
+        "Function of a step (:class:`pcs_racing.envs.batch.Step`) that returns the reward of each"
+        " player, shape (episodes, players), in place of the environment's reward.",
+    ] = None
+    render_mode: Annotated[
+        str | None,
+        ANYTHING,
+        '"rgb_array", for frames of `render`, or "human", for a window. In a duel a frame shows how'
+        ' a step ended; with "rgb_array_list" it gets all frames since it was last called, or since'
+        " the reset, 25 for each second of racing (:class:`pcs_racing.envs.video.RecordRaces` makes"
+        " a video of them).",
+    ] = None
+    view: Annotated[
+        str,
+        ANYTHING,
+        '"track", "both" (all cars stay in sight), or "car_0" to "car_7": content of a frame.',
+    ] = "both"
+    render_size: Annotated[tuple[int, int], ANYTHING, "Width and height of a frame in pixels."] = (
+        960,
+        640,
+    )
+
+    @classmethod
+    def names(cls) -> list[str]:
+        """Return the names of all arguments."""
+        return [one.name for one in fields(cls)]
+
+    @classmethod
+    def read(cls, arguments: Mapping[str, Any]) -> Self:
+        """Return the configuration with these arguments, whose names are known."""
+        return cls(**arguments)
 
 
 class EpisodeRandomization:

@@ -48,7 +48,7 @@ KINDS: dict[str, type[Any]] = {
 }
 """Vector environments by name."""
 
-SHARED = ("elements", "game", "metadata", "opponents", "render_mode", "render_size", "spec", "view")
+SHARED = ("elements", "game", "metadata", "opponents", "options", "render_mode", "spec")
 """Attributes shared by the environments of a batch."""
 
 

@@ -35,23 +35,24 @@ class SingleEnv(OverBatch):
 
     ignored_options: ClassVar[tuple[str, ...]] = ()  #: Options of a reset without effect.
     _row: ClassVar[NDArray[np.int64]] = np.zeros(1, np.int64)
+    _always: ClassVar[NDArray[np.bool_]] = np.ones(1, np.bool_)
     _steps: int | None = None
     _running = False
     # Names required by Gymnasium's checker and wrappers.
     _np_random: np.random.Generator | None = None
     _np_random_seed: int | None = None
 
-    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
-        return self.batch_type(1, threads=1, **arguments)
+    def _make_batch(self, options: Any) -> Batch:
+        return self.batch_type(1, options, threads=1, players=self._count_players(options))
 
     def _restart(self, seed: Any, options: Any) -> None:
         """Begin a new episode, or continue from the option "state"."""
         number = None if seed is None else check_seed(seed)
-        given = self._options(options, "state", *self.ignored_options)
+        given = self._reset_options(options, "state", *self.ignored_options)
         for name in self.ignored_options:
             given.pop(name, None)
         # All refusals come before the environment changes.
-        batch, arguments = self._batch_for(given)
+        batch, changed = self._batch_for(given)
         state = given.pop("state", None)
         if state is None:
             generator = self._np_random
@@ -61,7 +62,7 @@ class SingleEnv(OverBatch):
                 if number is not None:
                     batch.randomization.circuits.forget(self._row)
                 batch.restart(self._row, [generator], given)
-                self._change_to(batch, arguments)
+                self._change_to(batch, changed)
             self._np_random, self._steps, self._running = generator, 0, True
         elif given or number is not None:
             raise InputError(
@@ -70,7 +71,7 @@ class SingleEnv(OverBatch):
             )
         else:
             with self.unless_refused():
-                self._change_to(batch, arguments)
+                self._change_to(batch, changed)
                 self.set_state(state)
         if self.render_mode == "human":
             self.render()
@@ -83,7 +84,10 @@ class SingleEnv(OverBatch):
         self._check_started()
         if not self._running:
             raise InputError("the episode has ended; call reset() before step()")
-        observations, rewards, terminated, truncated = self.batch.step(actions, [self._np_random])  # type: ignore[list-item]
+        generators: Any = [self._np_random]
+        observations, rewards, terminated, truncated = self._step_batch(
+            actions, generators, self._always
+        )
         self._steps = (self._steps or 0) + 1
         ended = bool(terminated[0])
         late = bool(truncated[0]) or (most_steps is not None and self._steps >= most_steps)
@@ -136,18 +140,10 @@ class SingleEnv(OverBatch):
 
 
 class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
-    """Base class of single-agent environments; subclasses define batch and documentation."""
+    """Base class of single-agent environments."""
 
-    def _begin(
-        self,
-        *,
-        arguments: dict[str, Any],
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-    ) -> None:
-        self._set_looks(render_mode, view, render_size)
-        self._use(self._make_batch(arguments), arguments)
+    def __init__(self, **arguments: Any) -> None:
+        self._configure(arguments)
         self.observation_space = self.batch.observation_space
         self.action_space = self.batch.action_space
 
@@ -187,30 +183,21 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
 
 
 class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
-    """Base class of multi-agent environments; subclasses define batch and documentation.
+    """Base class of multi-agent environments.
 
     All agents act in every step, and all end with the episode; then `agents` is empty. An
     `opponent` other than None drives car 1, and ``car_0`` is the only agent.
     """
 
-    metadata: dict[str, Any] = {**OverBatch.metadata, "is_parallelizable": True}  # noqa: RUF012
+    metadata: dict[str, Any] = OverBatch.metadata | {"is_parallelizable": True}
     ignored_options = ("options",)  # key in PettingZoo's API tests
-    possible_agents: list[str] = []  # noqa: RUF012
 
-    def _begin(
-        self,
-        *,
-        arguments: dict[str, Any],
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
-        max_cycles: int | None = None,
-    ) -> None:
-        self._set_looks(render_mode, view, render_size)
+    def __init__(self, *, max_cycles: int | None = None, **arguments: Any) -> None:
         if max_cycles is not None:
             check_whole("max_cycles", max_cycles, 1)
         self.max_cycles = max_cycles
-        self._use(self._make_batch(arguments), arguments)
+        self.possible_agents: list[str] = []
+        self._configure(arguments, max_cycles=max_cycles)
         self.possible_agents = [f"car_{car}" for car in range(self.batch.players)]
         box, action = self.batch.observation_space, self.batch.action_space
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
@@ -224,16 +211,15 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
             np.tile(box.low, self.batch.cars), np.tile(box.high, self.batch.cars)
         )
 
-    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
-        arguments, players = self._players(arguments)
-        if self.possible_agents and len(self.possible_agents) != players:
+    def _make_batch(self, options: Any) -> Batch:
+        if self.possible_agents and len(self.possible_agents) != self._count_players(options):
             raise InputError(
                 "reset option 'opponent' needs an environment that was made with an opponent"
             )
-        return super()._make_batch({**arguments, "players": players})
+        return super()._make_batch(options)
 
-    def _players(self, arguments: dict[str, Any]) -> tuple[dict[str, Any], int]:
-        return arguments, 2 if arguments["opponent"] is None else 1
+    def _count_players(self, options: Any) -> int:
+        return 2 if options.opponent is None else 1
 
     @property
     def agents(self) -> list[str]:

@@ -14,8 +14,9 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import FREE, MAX_STEPS, check_part, check_within, generator_of
 from pcs_racing.envs.infos import words
 from pcs_racing.envs.over_batch import REBUILDING, Batch, OverBatch
+from pcs_racing.envs.randomization import EpisodeOptions
 
-Step = tuple[
+VectorStep = tuple[
     NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
 ]
 
@@ -30,7 +31,7 @@ class VectorState(NamedTuple):
 
 
 class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any]):
-    """Base class of vector environments; subclasses define batch and documentation.
+    """Base class of vector environments.
 
     Episode ``i`` draws from its own generator, seeded with ``seed + i``, with the same numbers as
     the single-agent environment with this seed. ``autoreset_mode`` defines the behaviour after the
@@ -52,42 +53,33 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Number of steps until truncation, in addition to the episode's own end.
     threads : int, optional
         Max number of threads of a step, all cores by default; the result does not depend on it.
-    render_mode, view, render_size, **arguments
-        Arguments of the single environment; `render` returns a frame for each environment.
+    **arguments
+        Arguments of the scalar environment; `render` returns a frame for each environment.
     """
 
-    metadata: dict[str, Any] = {
-        **OverBatch.metadata,
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
-    }  # noqa: RUF012
+    metadata: dict[str, Any] = OverBatch.metadata | {"autoreset_mode": AutoresetMode.NEXT_STEP}
 
-    def _begin(
+    def __init__(
         self,
-        *,
-        arguments: dict[str, Any],
         num_envs: int | None = None,
+        *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         threads: int | None = None,
-        render_mode: str | None = None,
-        view: str = "both",
-        render_size: tuple[int, int] = (960, 640),
+        **arguments: Any,
     ) -> None:
-        self._set_looks(render_mode, view, render_size)
-        players = self.players = self._players(arguments)[1]
-        num_envs = players if num_envs is None else num_envs
         if max_episode_steps is not None:
             check_whole("max_episode_steps", max_episode_steps, 1)
-        if is_whole(num_envs) and num_envs % players:
-            wanted = "even" if players == 2 else f"a multiple of {players}"
-            raise InputError(
-                f"num_envs is {num_envs}; it must be {wanted}: {players} environments belong to"
-                " each game"
-            )
         self.autoreset_mode = check_autoreset_mode(autoreset_mode)
-        self.max_episode_steps, self.threads, self.num_envs = max_episode_steps, threads, num_envs
-        self._use(self._make_batch(arguments), arguments)
-        self.num_envs = self.batch.episodes * players
+        self.max_episode_steps = max_episode_steps
+        self._configure(
+            arguments,
+            num_envs=num_envs,
+            autoreset_mode=self.autoreset_mode,
+            max_episode_steps=max_episode_steps,
+            threads=threads,
+        )
+        self.num_envs = self.batch.episodes * self.players
         self.single_observation_space = self.batch.observation_space
         self.single_action_space = self.batch.action_space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -96,14 +88,22 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         self._over = np.zeros(self.batch.episodes, np.bool_)
         self._steps = np.zeros(self.batch.episodes, np.int64)
 
-    def _make_batch(self, arguments: dict[str, Any]) -> Batch:
+    def _make_batch(self, options: Any) -> Batch:
+        players = self.players = self._count_players(options)
+        count: Any = self._own["num_envs"]
+        count = players if count is None else count
+        if is_whole(count) and count % players:
+            wanted = "even" if players == 2 else f"a multiple of {players}"
+            raise InputError(
+                f"num_envs is {count}; it must be {wanted}: {players} environments belong to each"
+                " game"
+            )
         # Other types are passed on, so the batch's own check reports them.
-        episodes = self.num_envs // self.players if is_whole(self.num_envs) else self.num_envs
-        given, players = self._players(arguments)
-        return self.batch_type(episodes, threads=self.threads, players=players, **given)
+        episodes = count // players if is_whole(count) else count
+        return self.batch_type(episodes, options, threads=self._own["threads"], players=players)
 
-    def _use(self, batch: Batch, arguments: dict[str, Any]) -> None:
-        super()._use(batch, arguments)
+    def _use(self, batch: Batch, options: EpisodeOptions) -> None:
+        super()._use(batch, options)
         self.metadata["autoreset_mode"] = self.autoreset_mode
 
     def reset(
@@ -133,11 +133,11 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
                 )
             same = {id(one): one for one in options}  # one call for each dict
             parts = [
-                (np.flatnonzero([each is one for each in options]), self._options(one))
+                (np.flatnonzero([each is one for each in options]), self._reset_options(one))
                 for one in same.values()
             ]
         else:
-            given = self._options(options, "reset_mask")
+            given = self._reset_options(options, "reset_mask")
             parts = [(self._masked(given.pop("reset_mask", None)), given)]
         changes = [
             {name: given.pop(name) for name in REBUILDING if name in given} for _, given in parts
@@ -149,7 +149,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             raise InputError(
                 "all environments share track and opponent; they can't be changed for some of them"
             )
-        batch, arguments = self._batch_for(changes[0])
+        batch, changed = self._batch_for(changes[0])
         # Stored only after all episodes have begun: a refused reset keeps the former seeds.
         seeds = _split_seeds(seed, batch.episodes)
         generators = [
@@ -164,14 +164,14 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             batch.randomization.circuits.forget(np.flatnonzero([one is not None for one in seeds]))
             for some, given in parts:
                 batch.restart(some, [generators[i] for i in some], given)
-            self._change_to(batch, arguments)
+            self._change_to(batch, changed)
         self._generators = generators
         self._over[rows], self._steps[rows] = False, 0
         if self.render_mode == "human":
             self.render()
         return self._observations(), self._infos()
 
-    def step(self, actions: NDArray[Any]) -> Step:
+    def step(self, actions: NDArray[Any]) -> VectorStep:
         """Make a step in every environment; the single-agent class describes the actions."""
         checked: NDArray[Any] = self.batch.check_actions(actions, (self.num_envs,))
         self._check_started()
@@ -187,7 +187,9 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
                 np.random.default_rng(0) if over else generators[i]
                 for i, over in enumerate(self._over)
             ]
-        observations, rewards, terminated, truncated = self.batch.step(checked, generators)
+        observations, rewards, terminated, truncated = self._step_batch(
+            checked, generators, ~self._over
+        )
         self._steps += 1
         if self.max_episode_steps is not None:
             truncated |= (

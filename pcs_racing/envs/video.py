@@ -17,9 +17,9 @@ class RecordRaces(RecordVideo[Any, Any]):
 
     Examples
     --------
-    >>> import gymnasium, pcs_racing
+    >>> from pcs_racing.envs.duel import DuelEnv
     >>> from pcs_racing.envs.video import RecordRaces
-    >>> env = gymnasium.make("pcs_racing/Duel-v1", render_mode="rgb_array_list", render_size=(480, 320))
+    >>> env = DuelEnv(render_mode="rgb_array_list", render_size=(480, 320))
     >>> env = RecordRaces(env, "videos")  # doctest: +SKIP
     """
 

@@ -57,30 +57,6 @@ def observation_elements(
     )
 
 
-def observation_table(elements: Sequence[ObservationElement], moves: int | None = None) -> str:
-    """Return a table of an observation's elements in Markdown.
-
-    With ``moves``, the elements of all steps ``k`` share a row.
-    """
-    rows = [(str(i), *element) for i, element in enumerate(elements)]
-    if moves is not None:
-        block = (len(elements) - 1) // (moves + 1)
-        shared = [
-            element._replace(
-                name=element.name[:-1] + "k", meaning=element.meaning.replace("step 0", "step k")
-            )
-            for element in elements[:block]
-        ]
-        rows = [(f"{block}k + {i}", *element) for i, element in enumerate(shared)] + rows[-1:]
-    head = ("index", "name", "unit", "low", "high", "meaning")
-    cells = [
-        head,
-        ("---",) * len(head),
-        *((*row[:3], f"{row[3]:g}", f"{row[4]:g}", row[5]) for row in rows),
-    ]
-    return "\n".join(f"| {' | '.join(row)} |" for row in cells)
-
-
 def encode_observation(
     own: Floats, estimates: Floats, leads: Floats, step: Indices
 ) -> NDArray[np.float32]:

@@ -2,7 +2,7 @@
 
 An observation holds a block of numbers for each step, then the share of the moves made. A block
 holds the own coordinates, the opponent's coordinates, the lead, and a 1 once the step is over
-(:func:`pcs_racing.game.observation.observation_table`). All functions take observations of shape
+(:func:`pcs_racing.game.observation.observation_elements`). All functions take observations of shape
 (B, D) and the number G of the game's axes.
 """
 

@@ -150,7 +150,7 @@ def test_values_of_other_types():
         assert check_number("x", np.float16(0.5), 0.0, 1e300) == 0.5
         assert check_number("x", np.float16(0.5), above=-1e300) == 0.5
         assert GameConfig(epsilon=np.float16(0.5)) == GameConfig(epsilon=0.5)
-    env = HeadToHeadEnv("Pipkin", moves=1, step_seconds=0.1)
+    env = HeadToHeadEnv(track="Pipkin", moves=1, step_seconds=0.1)
     refused("policies has shape", env.reset, seed=0, options={"policies": [[0], [1, 2]]})
     env.reset(seed=0)
     refused("moves are", env.step, {"car_0": [[0], [1, 2]], "car_1": 0})

@@ -23,7 +23,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import BatchStep
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.over_batch import Declared
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.planners.network import (
     INPUTS,
@@ -63,8 +62,8 @@ def _observe(track, state, vehicles, settings, rows, view, inputs, out):
 class LearnerBatch(DriveBatch):
     """Batch of races with network-planner inputs as observations and pre-``tanh`` actions."""
 
-    def __init__(self, episodes: int, **arguments: Any) -> None:
-        super().__init__(episodes, **arguments)
+    def __init__(self, episodes: int, options: DriveOptions, **more: Any) -> None:
+        super().__init__(episodes, options, **more)
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(INPUTS),), np.float32)
         self.action_space = spaces.Box(-ACTION_LIMIT, ACTION_LIMIT, (2,), np.float32)
         self._view_buffers = np.empty(VIEW_SIZE), np.empty(len(INPUTS))
@@ -85,9 +84,8 @@ class LearnerBatch(DriveBatch):
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the network inputs of some races into the same rows of ``out``."""
         settings = self.setup.settings
-        _observe(
-            self.track.arrays, self.state, self.vehicles, settings, rows, *self._view_buffers, out
-        )
+        state, _, vehicles = self.races
+        _observe(self.track.arrays, state, vehicles, settings, rows, *self._view_buffers, out)
 
 
 class LearnerEnv(BatchVectorEnv):
@@ -95,7 +93,7 @@ class LearnerEnv(BatchVectorEnv):
 
     batch_type = LearnerBatch
     batch: LearnerBatch
-    declared = Declared(DriveOptions, changed={"top_speed": TOP_SPEED, "look_ahead": (0.0,)})
+    options_type = DriveOptions
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,6 +127,8 @@ class DriveTask:
                 track=track,
                 race=self.learning_rules(track, config),
                 opponent=[self.opponents[name] for weight, name in group for _ in range(weight)],
+                top_speed=TOP_SPEED,
+                look_ahead=(0.0,),
                 time_step=DT * settings.hold,
                 rivalry=settings.rivalry,
                 crash_penalty=settings.crash_penalty,

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.duel import DuelVectorEnv
-from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.opponents import parse_opponents
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
@@ -133,7 +133,7 @@ def make_duel_task(
     each = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
         Matchup(track.name, rules.race.name, name): GameBatch(
-            each, track=track, archive=archive, race=rules, opponent=name, threads=1
+            each, GameOptions(track=track, archive=archive, race=rules, opponent=name), threads=1
         )
         for track in tracks
         for name in settings.opponents

@@ -1,4 +1,4 @@
-"""The environments with arguments that make their episodes short, and one way to play all of them."""
+"""The environments with arguments for short episodes, and one way to play all of them."""
 
 import numpy as np
 from gymnasium.spaces import MultiDiscrete

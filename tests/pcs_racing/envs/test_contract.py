@@ -3,7 +3,6 @@ copies, frames, errors.
 """
 
 import copy
-import dataclasses
 import gc
 import inspect
 import itertools
@@ -11,7 +10,7 @@ import pickle
 import re
 import tracemalloc
 import warnings
-from collections import defaultdict
+from typing import get_args
 
 import gymnasium as gym
 import numpy as np
@@ -43,7 +42,7 @@ from refusal import refused
 from repository import run_python
 
 import pcs_racing
-from pcs_racing import GameConfig, load_race_config
+from pcs_racing import load_race_config
 from pcs_racing.envs import (
     GYMNASIUM_IDS,
     drive,
@@ -53,11 +52,10 @@ from pcs_racing.envs import (
     match,
     register_environments,
 )
-from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv, MatchVectorEnv
-from pcs_racing.game.observation import observation_table
+from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 # PettingZoo's own tests import its old classic environments, which warn
@@ -202,61 +200,19 @@ def test_the_package_itself_offers_head_to_head():
 # Arguments and pages
 
 
-def defaults(kind):
-    parameters = inspect.signature(kind).parameters
-    return {
-        name: p.default
-        for name, p in parameters.items()
-        if p.default is not inspect.Parameter.empty
+@pytest.mark.parametrize("kind", [*MANY, *MANY.values()], ids=lambda kind: kind.__name__)
+def test_an_editor_shows_the_arguments_of_the_configuration(kind):
+    *own, named = inspect.signature(kind).parameters.values()
+    (types,) = get_args(named.annotation)
+    assert set(types.__annotations__) == set(kind.options_type.names())
+    assert {one.name for one in own} <= {
+        *("max_cycles", "num_envs", "autoreset_mode", "max_episode_steps", "threads")
     }
-
-
-def test_an_argument_has_one_default_but_where_two_agents_drive():
-    found = defaultdict(set)
-    for kind in ALL:
-        for name, value in defaults(kind).items():
-            found[name].add(repr(value))
-    assert {name for name, values in found.items() if len(values) > 1} == {
-        "opponent",
-        "time_step",
-        "rivalry",
-    }
-    assert (defaults(DriveEnv)["time_step"], defaults(DriveHeadToHeadEnv)["time_step"]) == (
-        0.1,
-        0.02,
-    )
-    assert defaults(DriveEnv)["render_size"] == (960, 640)
-    assert [defaults(MANY[kind])["num_envs"] for kind in ALL] == [1, 1, 1, 2, 2, 2]  # one race
-
-
-@pytest.mark.parametrize(
-    ("kind", "by_place"),
-    [
-        (DriveEnv, ["track", "opponent", "race"]),
-        (DuelEnv, ["track", "archive", "opponent", "race"]),
-        (MatchEnv, ["track", "archive", "opponent", "race"]),
-        (HeadToHeadEnv, ["track", "archive", "race"]),
-        (HeadToHeadMatchEnv, ["track", "archive", "race"]),
-        (DriveHeadToHeadEnv, ["track", "race"]),
-        (DriveVectorEnv, ["num_envs"]),
-        (MatchVectorEnv, ["num_envs"]),
-    ],
-)
-def test_what_may_be_given_by_place(kind, by_place):
-    parameters = inspect.signature(kind).parameters
-    assert [name for name, p in parameters.items() if p.kind is p.POSITIONAL_OR_KEYWORD] == by_place
-    refused(
-        "too many positional",
-        kind,
-        *(parameters[name].default for name in by_place),
-        "one more",
-        error=TypeError,
-    )
-    with pytest.raises(TypeError, match=f"multiple values for argument '{by_place[0]}'"):
-        kind(parameters[by_place[0]].default, **{by_place[0]: parameters[by_place[0]].default})
+    assert set(kind.options_type.names()) >= {"track", "opponent", "reward", "render_mode"}
 
 
 HEADINGS = [
+    "Description",
     "Action Space",
     "Observation Space",
     "Rewards",
@@ -264,33 +220,24 @@ HEADINGS = [
     "Episode End",
     "Information",
     "Arguments",
+    "Vectorized environment",
 ]
 
 
 @EVERY
 def test_the_class_documents_itself(kind):
-    text = inspect.getdoc(kind)
-    headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
-    assert headings == ["Description", *HEADINGS, "Vectorized environment"]
-    of_game = (
-        [field.name for field in dataclasses.fields(GameConfig)] if kind is HeadToHeadEnv else []
-    )
-    named = [*inspect.signature(kind).parameters, *of_game]
-    # whose arguments it takes
-    text += inspect.getdoc(DriveEnv) if kind is DriveHeadToHeadEnv else ""
-    assert [name for name in named if name not in text and name != "settings"] == []
-
-
-@EVERY
-def test_the_table_of_a_page_is_made_of_the_elements(kind):
-    """Of which the class has as many by default as its page says."""
+    """Its table has the elements of the default, of which it has as many as its page says."""
     env, text = kind(), inspect.getdoc(kind)
+    assert re.findall(r"^## (.*)$", text, re.MULTILINE) == HEADINGS
     size = len(env.elements)
     assert f"{size} elements" in text or f"{size} by default" in text
-    shown = {DriveEnv: None, MatchEnv: None, DuelEnv: 4, HeadToHeadEnv: 4}
-    if kind in shown:
-        assert observation_table(env.elements, shown[kind]) in text
-    assert "{" not in text.partition("## Arguments")[0].replace('{"', "").replace("{'", "")
+    table = re.findall(
+        r"^\| [^|]+ \| (.+?) \| (\S+(?: m)?) \| (\S+) \| (\S+) \| [^|]+ \|$", text, re.M
+    )
+    rows = dict(zip((row[0] for row in table), (row[1:] for row in table), strict=True))
+    for one in env.elements if kind in SINGLE else ():
+        name = one.name if one.name in rows else re.sub(r"\d+", "#", one.name)
+        assert rows[name] == (one.unit, f"{one.low:g}", f"{one.high:g}")
 
 
 @pytest.mark.parametrize("kind", PAIRS)

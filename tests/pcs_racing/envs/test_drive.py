@@ -29,7 +29,7 @@ def episode(env, seed, steps=400, policy=follow_the_line):
 
 def test_a_driver_that_reads_the_observation_gets_around(oval):
     _, rewards, terminated, truncated, info = episode(
-        DriveEnv(oval, opponent=None, duration=20.0), seed=2
+        DriveEnv(track=oval, opponent=None, duration=20.0), seed=2
     )
     assert truncated
     assert not terminated
@@ -59,7 +59,12 @@ def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normali
     rules, moved = load_race_config("paper", contact="stop"), []
     for speed in (0.0, -2.0):
         env = DriveEnv(
-            oval, None, race=rules, min_speed=speed, top_speed=6.0, normalized=normalized
+            track=oval,
+            opponent=None,
+            race=rules,
+            min_speed=speed,
+            top_speed=6.0,
+            normalized=normalized,
         )
         _, info = env.reset(seed=1, options={"poses": poses(oval, (4.0, 0.0, 0.0))[:1]})
         while not info["crash"]:
@@ -78,7 +83,7 @@ def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normali
 
 def test_python_drivers_and_policy_objects_may_be_the_opponent(oval):
     planner = Planner("crawler", (), drive=lambda track, theta, view, memory: (0.0, 0.5))
-    env = DriveEnv(oval, planner.policy(), duration=1.0)
+    env = DriveEnv(track=oval, opponent=planner.policy(), duration=1.0)
     _, rewards, _, _, info = episode(env, 1)
     assert env.outcome()["opponent"] == "crawler"
     assert info["lead"] > 1.0
@@ -93,7 +98,7 @@ OPPOSITE = (3.0, 28.0)  # arc lengths in the middle of the two straights of the 
 
 
 def make(track, **options):
-    return DriveHeadToHeadEnv(track, **{"time_step": 0.1, **options})
+    return DriveHeadToHeadEnv(track=track, **{"time_step": 0.1, **options})
 
 
 def both(*actions):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcs_racing import PolicyArchive, get_planner
-from pcs_racing.envs.game_batch import GameBatch
+from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Crash, Result, words
 
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -", "stay")
@@ -31,16 +31,10 @@ def archive() -> PolicyArchive:
 
 def make(track, archive, opponent="random-moves", games=6, **settings):
     settings = {"race": "contest", "step_seconds": 0.1, "moves": 2} | settings
-    players = 2 if opponent is None else 1
-    return GameBatch(
-        games,
-        track=track,
-        archive=archive,
-        opponent=opponent,
-        threads=1,
-        players=players,
-        **settings,
+    options = GameOptions.read(
+        {"track": track, "archive": archive, "opponent": opponent, **settings}
     )
+    return GameBatch(games, options, threads=1, players=2 if opponent is None else 1)
 
 
 def begin(batch, seed=0):

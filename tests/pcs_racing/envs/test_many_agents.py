@@ -38,20 +38,20 @@ def named(env, observation):
 @pytest.mark.parametrize("count", [1, 2, 4])
 def test_the_checkers_are_content(oval, count):
     opponents = DRIVERS[: count - 1]
-    one = DriveEnv(oval, opponents=opponents, beams=3, render_mode="rgb_array", **SHORT)
+    one = DriveEnv(track=oval, opponents=opponents, beams=3, render_mode="rgb_array", **SHORT)
     check_env(one, skip_render_check=True)
     pytest.importorskip("stable_baselines3.common.env_checker").check_env(one)
     arguments = {"cars": count, "beams": 3, **SHORT}
-    parallel_api_test(DriveHeadToHeadEnv(oval, **arguments), num_cycles=20)
+    parallel_api_test(DriveHeadToHeadEnv(track=oval, **arguments), num_cycles=20)
     api_test(env(track=oval, **arguments), num_cycles=20)
-    parallel_seed_test(lambda: DriveHeadToHeadEnv(oval, **arguments), num_cycles=10)
+    parallel_seed_test(lambda: DriveHeadToHeadEnv(track=oval, **arguments), num_cycles=10)
 
 
 def test_opponents_are_observed_the_nearest_first(oval):
     """Behind counts as ahead does, also over the start line; each has the same nine numbers."""
-    one = DriveEnv(oval, opponents=DRIVERS)
+    one = DriveEnv(track=oval, opponents=DRIVERS)
     names = [element.name for element in one.elements]
-    assert names[32:41] == [element.name for element in DriveEnv(oval).elements][32:]
+    assert names[32:41] == [element.name for element in DriveEnv(track=oval).elements][32:]
     assert names[41:43] == ["opponent 2", "opponent 2 gap"]
     assert names[-1] == "lead 3"
     places = (1.0, 0.0, 1.0), (7.0, 0.5, 0.0), (oval.length - 1.0, -0.5, 2.0), (4.0, 0.0, 3.0)
@@ -62,7 +62,7 @@ def test_opponents_are_observed_the_nearest_first(oval):
         gap = places[car][0] - 1.0 if car != 2 else -2.0
         assert seen[f"opponent{k} gap"] == pytest.approx(gap, abs=0.05)
         assert seen[f"opponent{k} offset"] == pytest.approx(places[car][1], abs=0.05)
-        pair = DriveEnv(oval).reset(options={"poses": poses(oval, places[0], places[car])})[0]
+        pair = DriveEnv(track=oval).reset(options={"poses": poses(oval, places[0], places[car])})[0]
         start = names.index(f"opponent{k}")
         np.testing.assert_allclose(observation[start : start + 8], pair[32:40], atol=1e-6)
     assert [seen["lead"], seen["lead 2"], seen["lead 3"]] == pytest.approx(
@@ -71,7 +71,7 @@ def test_opponents_are_observed_the_nearest_first(oval):
 
 
 def test_the_lidar_sees_all_cars(oval):
-    one = DriveEnv(oval, opponents=DRIVERS[:2], beams=61)
+    one = DriveEnv(track=oval, opponents=DRIVERS[:2], beams=61)
     places = (3.0, 0.0, 0.0), (6.0, 0.6, 0.0), (5.0, -0.6, 0.0)
     observation, _ = one.reset(options={"poses": poses(oval, *places)})
     own, *others = one.batch.state.cars[0][:, [X, Y, PSI]]
@@ -86,7 +86,7 @@ def test_agents_of_a_race_of_four(oval):
     same numbers.
     """
     four, envs = (
-        DriveHeadToHeadEnv(oval, cars=4, **SHORT),
+        DriveHeadToHeadEnv(track=oval, cars=4, **SHORT),
         DriveHeadToHeadVectorEnv(8, track=oval, cars=4, **SHORT),
     )
     observations, _ = four.reset(seed=2)
@@ -115,7 +115,9 @@ def test_agents_of_a_race_of_four(oval):
 
 def test_opponents_drive_the_last_cars(oval):
     mixed = begun(
-        DriveHeadToHeadEnv(oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT),
+        DriveHeadToHeadEnv(
+            track=oval, cars=3, opponents=["lattice"], render_mode="rgb_array", **SHORT
+        ),
         seed=1,
     )
     assert mixed.possible_agents == ["car_0", "car_1"]
@@ -126,7 +128,7 @@ def test_opponents_drive_the_last_cars(oval):
 
 def test_a_win_is_paid_to_the_first_of_all(oval):
     four = DriveHeadToHeadEnv(
-        oval, cars=4, progress_reward=0.0, win_reward=2.0, **{**SHORT, "duration": 0.2}
+        track=oval, cars=4, progress_reward=0.0, win_reward=2.0, **{**SHORT, "duration": 0.2}
     )
     four.reset(options={"poses": poses(oval, *((s, 0.0, 0.0) for s in (3.0, 9.0, 6.0, 1.0)))})
     stand = {agent: [0.0, -1.0] for agent in four.agents}
@@ -148,7 +150,7 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
     """Every fault is paid for once, in its step; the infos count them."""
     rules = load_race_config("paper", contact=contact, duration=6.0)
     three = DriveHeadToHeadEnv(
-        oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
+        track=oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
     )
     three.reset(options={"poses": poses(oval, (3.0, 0.0, 5.0), (6.0, 0.0, 0.0), (20.0, 0.0, 0.0))})
     paid, crashes = np.zeros(3), set()
@@ -200,7 +202,7 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
 )
 def test_what_is_refused(oval, kind, arguments, error, message):
     with pytest.raises(error, match=message):
-        kind(oval, **arguments)
+        kind(track=oval, **arguments)
 
 
 def test_commands_take_effect_every_hundredth_of_a_second(oval):
@@ -209,7 +211,7 @@ def test_commands_take_effect_every_hundredth_of_a_second(oval):
     """
     given = {"race": "contest", "opponent": "lattice"}
     slow, fast, other = (
-        begun(DriveEnv(oval, time_step=step, **given), seed=4) for step in (0.02, 0.01, 0.01)
+        begun(DriveEnv(track=oval, time_step=step, **given), seed=4) for step in (0.02, 0.01, 0.01)
     )
     for k in range(20):
         action = [0.5 - 0.05 * k, 0.1]
@@ -223,9 +225,9 @@ def test_commands_take_effect_every_hundredth_of_a_second(oval):
 
 def test_actions_in_units_and_the_own_pose(oval):
     units = begun(
-        DriveEnv(oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0), seed=1
+        DriveEnv(track=oval, opponent=None, normalized=False, own_pose=True, top_speed=6.0), seed=1
     )
-    plain = begun(DriveEnv(oval, opponent=None, top_speed=6.0), seed=1)
+    plain = begun(DriveEnv(track=oval, opponent=None, top_speed=6.0), seed=1)
     np.testing.assert_allclose(
         [units.action_space.low, units.action_space.high], [[-0.4189, 0.0], [0.4189, 6.0]]
     )
@@ -241,7 +243,7 @@ def test_actions_in_units_and_the_own_pose(oval):
 def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
     narrow, wide = {"steer_max": 0.3}, {"steer_max": 0.5}
     envs = [
-        DriveEnv(oval, "lattice", vehicle=[narrow, other], normalized=False)
+        DriveEnv(track=oval, opponent="lattice", vehicle=[narrow, other], normalized=False)
         for other in (narrow, wide)
     ]
     for one in envs:
@@ -274,7 +276,9 @@ def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
 
 @pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
 def test_laps_from_the_start_end_a_race(oval, opponent):
-    one = begun(DriveEnv(oval, opponent, laps=2, win_reward=3.0, progress_reward=0.0), seed=1)
+    one = begun(
+        DriveEnv(track=oval, opponent=opponent, laps=2, win_reward=3.0, progress_reward=0.0), seed=1
+    )
     assert not one.step([0.0, -1.0])[2]
     one.batch.state.progress[0, 0] = 2.0 * oval.length
     _, reward, over, late, info = one.step([0.0, -1.0])

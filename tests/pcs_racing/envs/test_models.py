@@ -28,7 +28,7 @@ def test_a_model_races_as_it_drives_in_its_environment(oval, arguments):
     policy, starts = model_policy(weave, **arguments), draw_starts(oval, CONFIG, 4, 3)
     raced = run_races(oval, policy, parse_policy(RIVAL), CONFIG, seed=3, starts=starts)
     for race in range(4):
-        env = DriveEnv(oval, RIVAL, CONFIG, **arguments)
+        env = DriveEnv(track=oval, opponent=RIVAL, race=CONFIG, **arguments)
         seen, _ = env.reset(options={"start": (float(starts.s[race]), int(starts.side[race]))})
         over = late = False
         while not (over or late):
@@ -39,7 +39,7 @@ def test_a_model_races_as_it_drives_in_its_environment(oval, arguments):
 
 def test_a_model_is_one_of_several_opponents_and_is_sent_to_other_processes(oval):
     policy = model_policy(weave, name="weaver", **SEEING)
-    env = DriveEnv(oval, opponents=[RIVAL, policy], time_step=0.02)
+    env = DriveEnv(track=oval, opponents=[RIVAL, policy], time_step=0.02)
     env.reset(seed=3)
     env.step([1.0, -0.6])
     # the own command is driven, too

@@ -44,7 +44,7 @@ def test_what_it_observes_and_drives_is_what_a_game_says():
     game = make_game("Tarnfjord")
     for seed in range(20):
         watcher = Watcher()
-        race = race_of(DriveEnv("Tarnfjord", watcher), seed, 2 * STEP + 0.1)
+        race = race_of(DriveEnv(track="Tarnfjord", opponent=watcher), seed, 2 * STEP + 0.1)
         if race is not None:
             break
     assert race is not None, "every race ends in a crash"

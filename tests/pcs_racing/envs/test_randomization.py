@@ -141,7 +141,7 @@ def test_a_random_circuit_can_be_raced_on():
     assert track.content_hash == random_circuit(settings, 3).content_hash
     assert 50.0 < track.length < 125.0
     assert set(track.calibration) == set(PRESETS)
-    env = DuelEnv(track, "default", step_seconds=1.0, moves=1)
+    env = DuelEnv(track=track, archive="default", step_seconds=1.0, moves=1)
     for seed in range(3):
         env.reset(seed=seed)
         assert not env.batch.state.race.crashed.any()
@@ -162,12 +162,12 @@ def test_a_builder_forgets_the_circuits_that_nobody_needs(ovals, monkeypatch):
 def test_cars_are_what_the_argument_says(oval, tmp_path):
     (tmp_path / "car.yaml").write_text("mu: 0.5\nm: 5.0\n")
     env = DriveEnv(
-        oval, vehicle=[{"mu": 0.7, "steer_max": 0.3}, tmp_path / "car.yaml"], start_lines=2
+        track=oval, vehicle=[{"mu": 0.7, "steer_max": 0.3}, tmp_path / "car.yaml"], start_lines=2
     )
     first, second = env.batch.setup.vehicles
     assert (first.mu, first.steer_max) == (0.7, 0.3)
     assert (second.mu, second.m) == (0.5, 5.0)
-    game = DuelEnv(oval, vehicle=VehicleParams(mu=0.9), **DUEL).game
+    game = DuelEnv(track=oval, vehicle=VehicleParams(mu=0.9), **DUEL).game
     assert [car.mu for car in game.setup.vehicles] == [0.9, 0.9]
 
 
@@ -175,7 +175,7 @@ def test_less_friction_makes_a_car_slide(oval):
     """With the same commands at speed the car with less grip leaves its line."""
     offsets = []
     for mu in (1.0489, 0.4):
-        env = DriveEnv(oval, None, vehicle={"mu": mu}, time_step=0.02)
+        env = DriveEnv(track=oval, opponent=None, vehicle={"mu": mu}, time_step=0.02)
         env.reset(seed=0, options={"poses": [[0.0, -4.0, 0.0, 6.0], [5.0, 4.0, 3.1, 0.0]]})
         for _ in range(20):
             env.step([0.5, 0.5])
@@ -189,7 +189,10 @@ def test_a_steering_delay_shifts_the_commands(oval, opponent):
     own queue.
     """
     asked = np.random.default_rng(0).uniform(-0.4, 0.4, 20)
-    env = begun(DriveEnv(oval, opponent, vehicle={"steer_delay": 0.04}, time_step=0.02), seed=0)
+    env = begun(
+        DriveEnv(track=oval, opponent=opponent, vehicle={"steer_delay": 0.04}, time_step=0.02),
+        seed=0,
+    )
     in_force = []
     for steering in asked:
         env.step([steering / 0.4189, 0.0])
@@ -250,7 +253,7 @@ def test_drawn_obstacles_are_boxes_or_circles(oval, shape, share):
 
 
 def test_a_car_crashes_into_a_given_obstacle_that_its_lidar_saw(oval):
-    env = DriveEnv(oval, None, beams=11, time_step=0.02)
+    env = DriveEnv(track=oval, opponent=None, beams=11, time_step=0.02)
     poses = [[-4.0, -4.0, 0.0, 4.0], [4.0, 4.0, 3.1, 0.0]]
     observation, _ = env.reset(
         seed=0, options={"poses": poses, "obstacles": [[0.0, -4.0, 0.0, 0.4, 0.4]]}
@@ -269,7 +272,7 @@ def test_a_car_crashes_into_a_given_obstacle_that_its_lidar_saw(oval):
 
 def test_a_car_never_starts_in_an_obstacle(oval):
     """An impossible reset changes nothing that is driven."""
-    env = begun(DriveEnv(oval, None, beams=3), seed=0)
+    env = begun(DriveEnv(track=oval, opponent=None, beams=3), seed=0)
     env.step([0.1, 0.0])
     before = env.batch.state.copy()
     poses = [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]

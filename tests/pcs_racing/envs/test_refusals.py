@@ -86,7 +86,7 @@ PLAIN = [
         (GAMES, {"race": "rally"}, "race settings 'rally' are unknown"),
         (GAMES, {"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         (GAMES, {"randomize": {"lidar_noise": 0.1}}, "no lidar"),
-        (MATCHES, {"discount": 0.9}, "discount does not count"),
+        (MATCHES, {"discount": 0.9}, "unexpected keyword argument 'discount'"),
         ((MatchEnv,), {"rases": 3}, "did you mean 'races'"),
         (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
         (
@@ -412,7 +412,7 @@ def test_unknown_agents_and_states_of_another_number_are_refused():
 )
 def test_a_state_that_would_end_the_process_is_refused(place, value):
     """A car beyond the grid within a step, and a command from outside of those kept."""
-    env = DriveEnv("Pipkin", None)
+    env = DriveEnv(track="Pipkin", opponent=None)
     env.reset(seed=1)
     state = env.get_state()
     if place == "speed":

@@ -64,7 +64,7 @@ def test_a_car_that_drives_alone_meets_nobody(oval, setup):
 
 
 def test_cars_start_where_the_options_say(coarse_oval):
-    env = DriveEnv(coarse_oval, "lattice")
+    env = DriveEnv(track=coarse_oval, opponent="lattice")
     env.reset(seed=0, options={"start": (5.0, 1)})
     races = env.batch.state
     assert (races.frenet[0, 0, 0] - races.progress[0, 0]) % env.track.length == pytest.approx(

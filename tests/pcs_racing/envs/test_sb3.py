@@ -285,14 +285,7 @@ def test_attributes_and_methods_are_of_one_environment(kind, scalar, arguments):
         kind, scalar, arguments | {"render_mode": "rgb_array", "render_size": (96, 64)}
     )
     for indices in (None, 1, [2, 0]):
-        for name in (
-            "observation_space",
-            "action_space",
-            "render_mode",
-            "view",
-            "elements",
-            "render_size",
-        ):
+        for name in ("observation_space", "action_space", "render_mode", "elements"):
             assert ours.get_attr(name, indices) == theirs.get_attr(name, indices), name
         assert [one.name for one in ours.get_attr("track", indices)] == [
             one.name for one in theirs.get_attr("track", indices)

@@ -25,7 +25,6 @@ from pcs_racing.game.observation import (
     encode_observation,
     match_elements,
     observation_elements,
-    observation_table,
 )
 from pcs_racing.game.reward import reward
 from pcs_racing.game.starting import random_bits
@@ -433,11 +432,6 @@ def test_masks_and_the_table_of_an_observation(track, game):
         assert sorted(there[allowed]) == sorted(set(there))
     elements = observation_elements(game.characteristics, 4)
     assert elements == game.observation_elements
-    assert len(observation_table(elements).splitlines()) == 2 + 31
-    short = observation_table(elements, 4)
-    assert "| 6k + 4 | lead_k | 20 m | -5 | 5 | own lead at the end of step k |" in short
-    assert "| 6k + 5 | seen_k | 1 | 0 | 1 | 1 once step k is over" in short
-    assert len(short.splitlines()) == 2 + 7
 
 
 def test_impossible_resets_and_actions_are_one_clear_error(game):

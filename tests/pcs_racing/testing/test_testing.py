@@ -89,7 +89,7 @@ def test_a_compiled_planner_that_fails_is_named_with_race_and_car(track):
             [slow, fast],
             threads=1,
         )
-        env = DriveEnv(track, fast)
+        env = DriveEnv(track=track, opponent=fast)
         env.reset(seed=0)
         refused(
             f"race 0, car 1: planner 'mine' raised {said}",

@@ -55,7 +55,7 @@ def test_an_agent_moves_in_a_drive_as_in_a_game(game):
     """Car 1 watches for 8 s, then each move changes its policy as the table of the game says, every
     8 s.
     """
-    env = DriveEnv("Tarnfjord", "always-aggressiveness +")
+    env = DriveEnv(track="Tarnfjord", opponent="always-aggressiveness +")
     for seed in range(20):
         env.reset(seed=seed)
         policies, over = [env.batch._moving._games.policy[0, 1]], False

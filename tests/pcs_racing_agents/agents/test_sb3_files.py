@@ -242,7 +242,7 @@ def test_what_a_model_would_lose_is_refused_and_named(tmp_path, name, arguments)
     model = wrapped(**arguments)
     refused(f"was trained behind {name}; ", save_model, tmp_path / "model", model)
     assert not list(tmp_path.iterdir())
-    for race in (as_agent, lambda model: DriveEnv("Pipkin", model)):
+    for race in (as_agent, lambda model: DriveEnv(track="Pipkin", opponent=model)):
         refused(r"was trained behind \w+; ", race, model)
 
 
@@ -275,7 +275,10 @@ def test_what_changes_neither_observations_nor_actions_may_be_around(tmp_path, a
 
 def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
     envs = vec.DummyVecEnv(
-        [lambda step=step: DriveEnv("Pipkin", None, time_step=step) for step in (0.1, 0.2)]
+        [
+            lambda step=step: DriveEnv(track="Pipkin", opponent=None, time_step=step)
+            for step in (0.1, 0.2)
+        ]
     )
     model = sb3.PPO("MlpPolicy", envs, n_steps=4, batch_size=4, device="cpu")
     refused(
@@ -284,7 +287,9 @@ def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
         tmp_path / "model",
         model,
     )
-    save_model(tmp_path / "model", model, env=DriveEnv("Pipkin", None, time_step=0.2))
+    save_model(
+        tmp_path / "model", model, env=DriveEnv(track="Pipkin", opponent=None, time_step=0.2)
+    )
     assert load_model(tmp_path / "model.zip").planner.drive.hold == 20
     turned = wrapped(Turned, make_env=lambda *_, **__: DuelEnv(step_seconds=0.5, moves=2))
     for opponent in (turned, [(1.0, turned)]):
@@ -296,7 +301,7 @@ def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
 )
 def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more):
     track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
-    env = DriveEnv(track, RIVAL, beams=5, time_step=0.2, vehicle={"mu": 0.9})
+    env = DriveEnv(track=track, opponent=RIVAL, beams=5, time_step=0.2, vehicle={"mu": 0.9})
     model = getattr(sb3, kind)("MlpPolicy", env, seed=1, device="cpu", **more)
     file = str(save_model(tmp_path / "model", model))
     kept, named = load_model(file).planner.drive, as_agent(model, "mine")
@@ -311,7 +316,7 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     ]
     np.testing.assert_array_equal(ends[0].state.cars, ends[1].state.cars)
     for opponent in (file, model):
-        rival = DriveEnv(track, opponent, config)
+        rival = DriveEnv(track=track, opponent=opponent, race=config)
         rival.reset(seed=1)
         rival.step([0.0, -1.0])
         assert rival.batch.state.memory[0, 1, :2].any()

@@ -192,7 +192,7 @@ def test_a_person_steers_step_by_step_and_the_same_commands_give_the_same_race(n
     assert answered(races, "/begin/2")["cars"] == begun["cars"]
     assert answered(races, "/drive/2/0/15/0/40")["cars"] != begun["cars"]
     assert answered(races, "/drive/2/15/5/0/40") == driven[-1]
-    env = DriveEnv("Pipkin", make(name), time_step=0.02, look_ahead=())
+    env = DriveEnv(track="Pipkin", opponent=make(name), time_step=0.02, look_ahead=())
     env.reset(seed=3 + 2)
     for _ in range(20):
         info = env.step(np.array([0.0, -0.2], np.float32))[4]

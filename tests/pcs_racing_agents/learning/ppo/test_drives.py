@@ -70,7 +70,7 @@ def test_the_policy_of_stable_baselines_drives_as_the_compiled_planner(track, dr
         (network_planner("learner", (8,), hold=hold), weights.flat()),
         (trained_planner("driver", weights, hold), np.zeros(0)),
     ):
-        setup = replace(batch.setup, planners=(planner, batch.setup.planners[1]))
+        setup = replace(batch.setup, planners=(planner, *batch.setup.planners), steered=0)
         state = take(grid, places)._replace(
             seed=seeds.copy(), memory=np.zeros((6, 2, setup.memory_size))
         )
