@@ -34,6 +34,7 @@ RUN_HERE = (
     "docs/environments.md",
     "docs/first_race.md",
     "docs/game.md",
+    "docs/own_reward.md",
     "docs/ppo.md",
     "docs/self_play.md",
     "docs/solvers.md",
