@@ -70,8 +70,8 @@ def check_reward(
     given = as_array(values)
     if given.shape != shape or given.dtype.kind not in "bif":
         raise InputError(
-            f"the reward has shape {given.shape} and type {given.dtype}; it must be numbers of shape"
-            f" {shape}: episodes and players"
+            f"the reward has shape {given.shape} and type {given.dtype}; it must be numbers of"
+            f" shape {shape}: episodes and players"
         )
     wrong = np.flatnonzero(running & ~np.isfinite(given).all(axis=1))
     if len(wrong):

@@ -105,7 +105,6 @@ class DriveEnv(ScalarEnv):
     - ``start``: arc length of the line in m, and side (0 puts the agent on the left or in front);
     - ``poses``, in place of ``start``: (x, y, heading) or (x, y, heading, speed) of all cars, in m,
       rad and m/s;
-    - ``opponent`` and ``track``: new values of these arguments, also for later episodes;
     - ``state``: a state returned by ``get_state()``.
 
     ## Episode End

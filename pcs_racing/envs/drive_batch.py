@@ -38,7 +38,6 @@ from pcs_racing.envs.drive_kernel import (
     Sight,
     StepResults,
     observe_races,
-    restart,
     set_commands,
     step_races,
 )
@@ -72,7 +71,7 @@ from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.conditions import runs_of
-from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import (
     default_threads,
     drive,
@@ -178,16 +177,15 @@ def drive_rules(
         elements=elements,
         sight=sight,
         limits=options.limits._replace(steer_max=turn),
-        terms=_reward_terms(options, config),
+        terms=_reward_terms(options),
     )
 
 
-def _reward_terms(options: DriveOptions, config: RaceConfig) -> RewardTerms:
+def _reward_terms(options: DriveOptions) -> RewardTerms:
     weights = options.progress_reward, options.rivalry, options.crash_penalty
     return RewardTerms(
         weights=(float(weights[0]), float(weights[1]), float(weights[2])),
-        win=float(options.win_reward),
-        fault_loses=config.crash_rule == "fault-loses",
+        decided=options.win_reward > 0.0,
         laps=np.inf if options.laps is None else float(options.laps),
     )
 
@@ -356,7 +354,9 @@ class DriveBatch:
                 self._check_clear(circuit.setup, rows[some], take(grid, places[some]))
         for (circuit, some), grid in zip(groups, grids, strict=True):
             self._set_inputs(rows[some], circuit.inputs)
-            restart(self.state, grid, rows[some], places[some], seeds[some])
+            begun = take(grid, places[some])._replace(seed=seeds[some])
+            for own, new in zip(self.state, begun, strict=True):
+                own[rows[some]] = new
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
 
@@ -464,11 +464,22 @@ class DriveBatch:
             self._step_part(orders, 0, edges[1], 0, results)
             for part in parts:
                 part.result()
+        if self.rules.terms.decided and self.cars > 1:
+            self._pay_winners(results)
         if self._moving is not None:
             self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
         return BatchStep(
             results.observations, results.reward, results.terminated, results.truncated
         )
+
+    def _pay_winners(self, results: StepResults) -> None:
+        """Add the reward of a win, or of a defeat, in races that are over."""
+        rows = np.flatnonzero((results.terminated | results.truncated)[:: self.players])
+        if len(rows):
+            winner = winners(self.setup.config, take(self.state, rows))[:, None]
+            won = np.where(winner == np.arange(self.players), 1.0, -1.0) * (winner >= 0)
+            rewards = results.reward.reshape(-1, self.players)
+            rewards[rows] += float(self.options.win_reward) * won
 
     def _orders(self, actions: NDArray[np.float64], ticks: int) -> Orders:
         return Orders(self._pointers, ticks, actions, self.rules.limits, self.rules.terms)

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import compiled, inner_kernel, kernel
+from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
-from pcs_racing.game.reward import step_reward, win_sign
+from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to
@@ -87,8 +87,7 @@ class RewardTerms(NamedTuple):
     """Terms of the reward, and the ends of a race that it depends on."""
 
     weights: tuple[float, float, float]  #: As in :func:`pcs_racing.game.reward.step_reward`.
-    win: float  #: Reward of a win.
-    fault_loses: bool  #: Flag: a car at fault for a crash loses the race.
+    decided: bool  #: Flag: the end of the time decides a race, and terminates it.
     laps: float  #: Number of laps of a race; infinite if laps do not end it.
 
 
@@ -363,59 +362,6 @@ def set_commands(actions, limits, races, first, last):
                     command[0] = memory[0] + state.disturbance[race, car]
 
 
-@compiled
-def restart(state, grid, rows, places, seeds):
-    """Reset the races ``rows`` to the start places ``places`` of ``grid``, a batch of new races."""
-    for i in range(rows.shape[0]):
-        race = rows[i]
-        place = places[i]
-        state.tick[race] = 0
-        state.seed[race] = seeds[i]
-        state.cars[race] = grid.cars[place]
-        state.frenet[race] = grid.frenet[place]
-        state.progress[race] = grid.progress[place]
-        state.command[race] = 0.0
-        state.disturbance[race] = 0.0
-        state.path[race] = 0.0
-        state.memory[race] = 0.0
-        state.sums[race] = 0.0
-        state.crash[race] = 0
-        state.fault[race] = 0
-        state.leader[race] = -1
-        state.overtakes[race] = 0
-        state.laps[race] = 0.0
-        state.ahead[race] = 0
-        state.contact[race] = 0
-
-
-@inner_kernel
-def _beats(state, race, one, two, crashed, fault_loses):
-    """Return whether a car beats another car.
-
-    This is the compiled rule of :func:`pcs_racing.race.races.pair_scores`.
-    """
-    progress, crash, fault = state.progress, state.crash, state.fault
-    if crashed and fault_loses and fault[race, one] == 0 and fault[race, two] == 0:
-        if (crash[race, one] == 0) != (crash[race, two] == 0):
-            return crash[race, one] == 0
-        crashed = False  # of these two cars
-    lead = progress[race, one] - progress[race, two]
-    return win_sign(lead, crashed, fault[race, one], fault[race, two], fault_loses) > 0.0
-
-
-@inner_kernel
-def _won(state, race, car, crashed, fault_loses):
-    """Return 1.0 if a car beats all others, -1.0 if another car does, else 0.0."""
-    number = state.progress.shape[1]
-    for one in range(number):
-        beaten = 0
-        for two in range(number):
-            beaten += one != two and _beats(state, race, one, two, crashed, fault_loses)
-        if beaten == number - 1:
-            return 1.0 if one == car else -1.0
-    return 0.0
-
-
 @inner_kernel
 def _end_step(state, end_tick, terms, players, results, first, last):
     """Write rewards and ends of a step, from the progress before it and the state after it."""
@@ -427,8 +373,7 @@ def _end_step(state, end_tick, terms, players, results, first, last):
             crashed |= crash[race, car] != 0
             finished |= state.laps[race, car, LAPS] >= terms.laps
         late = state.tick[race] >= end_tick
-        # With a reward for winning, the end of the time terminates a race.
-        ended = crashed or finished or (late and terms.win > 0.0)
+        ended = crashed or finished or (late and terms.decided)
         for car in range(players):
             own = progress[race, car] - before[race, car]
             opponents = 0.0
@@ -437,11 +382,8 @@ def _end_step(state, end_tick, terms, players, results, first, last):
                     opponents += progress[race, other] - before[race, other]
             rival = opponents / max(1, number - 1)
             blamed = 1 if fault[race, car] > results.faults[race, car] else 0
-            reward = step_reward(own, rival, blamed, terms.weights)
-            if terms.win > 0.0 and number > 1 and (ended or late):
-                reward += terms.win * _won(state, race, car, crashed, terms.fault_loses)
             player = race * players + car
-            results.reward[player] = reward
+            results.reward[player] = step_reward(own, rival, blamed, terms.weights)
             results.terminated[player] = ended
             results.truncated[player] = late and not ended
 

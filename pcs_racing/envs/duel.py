@@ -1,6 +1,5 @@
 """Strategy-level environment: moves of one car against an opponent, or of both cars."""
 
-from collections.abc import Iterator
 from typing import Any, ClassVar, Unpack
 
 import numpy as np
@@ -114,7 +113,6 @@ class DuelEnv(OverGames, ScalarEnv):
     - ``policies``: two indices of the archive; -1 draws a policy;
     - ``start``: arc length of the line in m, and side (0 puts car 0 on the left or in front);
     - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
-    - ``opponent`` and ``track``: new values of these arguments, also for later episodes;
     - ``state``: a state returned by ``get_state()``.
 
     ## Episode End
@@ -288,14 +286,6 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv):
         self, *, max_cycles: int | None = None, **arguments: Unpack[GameArguments]
     ) -> None:
         super().__init__(max_cycles=max_cycles, **arguments)
-
-    def frames(self) -> Iterator[NDArray[np.uint8] | None]:
-        """Drive the last step again and yield 25 frames a second, as from `render`, for videos."""
-        if self.render_mode is not None:
-            yield from self.batch.film(self._open_renderer(), self.batch.last_step(), FILM_TICKS)
-
-    def _frames_per_second(self) -> int:
-        return FILM_RATE  # rate of `frames`, in all modes
 
 
 parallel_env = HeadToHeadEnv

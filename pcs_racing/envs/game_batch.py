@@ -73,8 +73,8 @@ class DrivenStep(NamedTuple):
     moves: NDArray[np.int64]  #: shape (2,): Moves at the start of the step.
 
 
-class GameArguments(EpisodeArguments, total=False):
-    """Types of the arguments of games of moves, for editors."""
+class MovesArguments(EpisodeArguments, total=False):
+    """Types of the arguments that games and matches share, for editors."""
 
     archive: PolicyArchive | str | Path
     opponent: Any
@@ -85,11 +85,16 @@ class GameArguments(EpisodeArguments, total=False):
     first_steps: Sequence[float]
     epsilon: float | Sequence[float]
     stay: bool
+    characteristics: Sequence[str] | None
+    mask_duplicates: bool
+
+
+class GameArguments(MovesArguments, total=False):
+    """Types of the arguments of :class:`GameOptions` and of the rules, for editors."""
+
     utility: str
     fault_penalty: float
     discount: float
-    characteristics: Sequence[str] | None
-    mask_duplicates: bool
 
 
 @dataclass(frozen=True, eq=False)

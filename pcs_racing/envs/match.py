@@ -98,7 +98,6 @@ class MatchEnv(OverMatches, DuelEnv):
     - ``start``: arc length of the line of all races in m, and side of the first race (0 puts car 0
       on the left or in front);
     - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
-    - ``opponent`` and ``track``: new values of these arguments, also for later episodes;
     - ``state``: a state returned by ``get_state()``.
 
     ## Episode End

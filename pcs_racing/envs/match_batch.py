@@ -1,8 +1,7 @@
 """Batch of matches for the environments of a series of races."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -11,36 +10,21 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.settings import ANYTHING
 from pcs_racing.envs.batch import BatchStep, Generators, Rows, check_within
-from pcs_racing.envs.game_batch import GameBatch, GameOptions
+from pcs_racing.envs.game_batch import GameBatch, GameOptions, MovesArguments
 from pcs_racing.envs.infos import Result, codes, of_players
-from pcs_racing.envs.randomization import EpisodeArguments
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.competitor import Chooser
-from pcs_racing.game.config import GameConfig
 from pcs_racing.game.match import KEEP, MatchGame, MatchState, ask_choices, put_matches
 from pcs_racing.game.rules import OUTSIDE
-from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState
 
 
-class MatchArguments(EpisodeArguments, total=False):
-    """Types of the arguments of matches, for editors."""
+class MatchArguments(MovesArguments, total=False):
+    """Types of the arguments of :class:`MatchOptions` and of the rules, for editors."""
 
-    archive: PolicyArchive | str | Path
-    opponent: Any
-    race: GameConfig | RaceConfig | str | Path
-    deterministic_opponent: bool
     races: int
     race_moves: bool
-    moves: int
-    step_seconds: float
-    first_steps: Sequence[float]
-    epsilon: float | Sequence[float]
-    stay: bool
-    characteristics: Sequence[str] | None
-    mask_duplicates: bool
 
 
 @dataclass(frozen=True, eq=False)

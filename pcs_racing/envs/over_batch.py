@@ -3,7 +3,6 @@
 import copy
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, ClassVar, Self, Union
 
 import numpy as np
@@ -25,9 +24,6 @@ Batch = Union["DriveBatch", "GameBatch"]
 """Batch below an environment."""
 
 METADATA = {"render_modes": list(MODES), "render_fps": 1}
-
-REBUILDING = ("track", "opponent")
-"""Options of a reset that replace arguments of the environment."""
 
 
 class OverBatch:
@@ -53,8 +49,11 @@ class OverBatch:
         options = self.options_type.read(arguments)
         if options.render_mode is not None:
             check_choice("render_mode", options.render_mode, self.metadata["render_modes"])
-        self._own, self.render_mode = own, options.render_mode
-        self._use(self._make_batch(options), options)
+        self._own, self.options, self.render_mode = own, options, options.render_mode
+        self.batch = self._make_batch(options)
+        check_choice("view", options.view, views(self.batch.cars))
+        own_metadata = {"render_fps": self._frames_per_second(), "codes": self.batch.codes}
+        self.metadata = type(self).metadata | own_metadata
 
     def _make_batch(self, options: Any) -> Batch:
         raise NotImplementedError
@@ -62,12 +61,6 @@ class OverBatch:
     def _count_players(self, options: Any) -> int:
         """Return the number of agents in an episode."""
         return self.players
-
-    def _use(self, batch: Batch, options: EpisodeOptions) -> None:
-        check_choice("view", options.view, views(batch.cars))
-        self.batch, self.options = batch, options
-        own = {"render_fps": self._frames_per_second(), "codes": batch.codes}
-        self.metadata = {**type(self).metadata, **own}
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -128,31 +121,13 @@ class OverBatch:
             return {}
         if not isinstance(options, Mapping):
             raise InputError(f"options are {options!r}; they must be None or a mapping")
-        known = (*more, *REBUILDING, *self.batch.reset_options)
+        known = (*more, *self.batch.reset_options)
         for name in options:
             if name not in known:
                 raise UnknownNameError(
                     f"reset option {name!r} is unknown; {choices(str(name), known)}"
                 )
         return {name: value for name, value in options.items() if value is not None}
-
-    def _batch_for(self, given: dict[str, Any]) -> tuple[Batch, EpisodeOptions]:
-        """Return the batch of a reset and its configuration.
-
-        Options that replace arguments are removed from ``given``.
-        """
-        changes = {name: given.pop(name) for name in REBUILDING if name in given}
-        options = replace(self.options, **changes)
-        return (self._make_batch(options) if changes else self.batch), options
-
-    def _change_to(self, batch: Batch, options: EpisodeOptions) -> None:
-        """Switch to another batch after the start of its first episode.
-
-        An earlier error leaves the environment unchanged.
-        """
-        if batch is not self.batch:
-            self._close_renderer()  # it shows the former track
-            self._use(batch, options)
 
     def _check_started(self) -> None:
         """Raise an :class:`InputError` before the first reset."""
@@ -161,11 +136,10 @@ class OverBatch:
     @contextmanager
     def unless_refused(self) -> Iterator[None]:
         """Restore the environment if a reset within the context is refused after random draws."""
-        batch, options, state = self.batch, self.options, self.get_state()
+        state = self.get_state()
         try:
             yield
         except Exception:
-            self._change_to(batch, options)
             self.set_state(state)
             raise
 

@@ -51,8 +51,6 @@ class SingleEnv(OverBatch):
         given = self._reset_options(options, "state", *self.ignored_options)
         for name in self.ignored_options:
             given.pop(name, None)
-        # All refusals come before the environment changes.
-        batch, changed = self._batch_for(given)
         state = given.pop("state", None)
         if state is None:
             generator = self._np_random
@@ -60,9 +58,8 @@ class SingleEnv(OverBatch):
                 generator, self._np_random_seed = seeding.np_random(number)
             with self.unless_refused():
                 if number is not None:
-                    batch.randomization.circuits.forget(self._row)
-                batch.restart(self._row, [generator], given)
-                self._change_to(batch, changed)
+                    self.batch.randomization.circuits.forget(self._row)
+                self.batch.restart(self._row, [generator], given)
             self._np_random, self._steps, self._running = generator, 0, True
         elif given or number is not None:
             raise InputError(
@@ -70,9 +67,7 @@ class SingleEnv(OverBatch):
                 " choose"
             )
         else:
-            with self.unless_refused():
-                self._change_to(batch, changed)
-                self.set_state(state)
+            self.set_state(state)
         if self.render_mode == "human":
             self.render()
 
@@ -152,9 +147,8 @@ class ScalarEnv(SingleEnv, gym.Env[NDArray[np.float32], Any]):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Begin a new episode; without a seed the random generator continues.
 
-        The options "track" and "opponent" replace the environment's arguments, also for later
-        episodes. The option "state" continues from a state of `get_state`. The class docstring
-        lists the other options.
+        The option "state" continues from a state of `get_state`. The class docstring lists the
+        other options.
         """
         self._restart(seed, options)
         self._keep_step(begun=True)
@@ -196,9 +190,8 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         if max_cycles is not None:
             check_whole("max_cycles", max_cycles, 1)
         self.max_cycles = max_cycles
-        self.possible_agents: list[str] = []
         self._configure(arguments, max_cycles=max_cycles)
-        self.possible_agents = [f"car_{car}" for car in range(self.batch.players)]
+        self.possible_agents: list[str] = [f"car_{car}" for car in range(self.batch.players)]
         box, action = self.batch.observation_space, self.batch.action_space
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
             name: spaces.Box(box.low, box.high) for name in self.possible_agents
@@ -210,13 +203,6 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         self.state_space = spaces.Box(
             np.tile(box.low, self.batch.cars), np.tile(box.high, self.batch.cars)
         )
-
-    def _make_batch(self, options: Any) -> Batch:
-        if self.possible_agents and len(self.possible_agents) != self._count_players(options):
-            raise InputError(
-                "reset option 'opponent' needs an environment that was made with an opponent"
-            )
-        return super()._make_batch(options)
 
     def _count_players(self, options: Any) -> int:
         return 2 if options.opponent is None else 1

@@ -13,8 +13,7 @@ from pcs_racing.base.checks import as_array, check_seed, check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import FREE, MAX_STEPS, check_part, check_within, generator_of
 from pcs_racing.envs.infos import words
-from pcs_racing.envs.over_batch import REBUILDING, Batch, OverBatch
-from pcs_racing.envs.randomization import EpisodeOptions
+from pcs_racing.envs.over_batch import Batch, OverBatch
 
 VectorStep = tuple[
     NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
@@ -79,6 +78,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             max_episode_steps=max_episode_steps,
             threads=threads,
         )
+        self.metadata["autoreset_mode"] = self.autoreset_mode
         self.num_envs = self.batch.episodes * self.players
         self.single_observation_space = self.batch.observation_space
         self.single_action_space = self.batch.action_space
@@ -102,10 +102,6 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         episodes = count // players if is_whole(count) else count
         return self.batch_type(episodes, options, threads=self._own["threads"], players=players)
 
-    def _use(self, batch: Batch, options: EpisodeOptions) -> None:
-        super()._use(batch, options)
-        self.metadata["autoreset_mode"] = self.autoreset_mode
-
     def reset(
         self,
         *,
@@ -121,8 +117,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             None the generator continues.
         options : dict, or list of dict, optional
             "reset_mask" (bool, shape (num_envs,)) begins new episodes only where it is true.
-            "track" and "opponent" replace the environment's arguments, also for later episodes. The
-            class docstring lists the other options. A list holds the options of each episode,
+            The class docstring lists the other options. A list holds the options of each episode,
             without a mask.
         """
         if isinstance(options, list):
@@ -139,19 +134,9 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         else:
             given = self._reset_options(options, "reset_mask")
             parts = [(self._masked(given.pop("reset_mask", None)), given)]
-        changes = [
-            {name: given.pop(name) for name in REBUILDING if name in given} for _, given in parts
-        ]
         rows = np.concatenate([some for some, _ in parts])
-        if any(change != changes[0] for change in changes) or (
-            changes[0] and len(rows) < self.batch.episodes
-        ):
-            raise InputError(
-                "all environments share track and opponent; they can't be changed for some of them"
-            )
-        batch, changed = self._batch_for(changes[0])
         # Stored only after all episodes have begun: a refused reset keeps the former seeds.
-        seeds = _split_seeds(seed, batch.episodes)
+        seeds = _split_seeds(seed, self.batch.episodes)
         generators = [
             (
                 seeding.np_random(one)[0]
@@ -161,10 +146,10 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             for i, one in enumerate(seeds)
         ]
         with self.unless_refused():
-            batch.randomization.circuits.forget(np.flatnonzero([one is not None for one in seeds]))
+            seeded = np.flatnonzero([one is not None for one in seeds])
+            self.batch.randomization.circuits.forget(seeded)
             for some, given in parts:
-                batch.restart(some, [generators[i] for i in some], given)
-            self._change_to(batch, changed)
+                self.batch.restart(some, [generators[i] for i in some], given)
         self._generators = generators
         self._over[rows], self._steps[rows] = False, 0
         if self.render_mode == "human":

@@ -1,16 +1,15 @@
 """Rewards of races, for all environments.
 
 A game of moves pays once, when it ends (:func:`reward`); the two cars' rewards add up to 0. An
-environment at the level of steering and speed pays in every step (:func:`step_reward`), and
-optionally for a win (:func:`win_sign`).
+environment at the level of steering and speed pays in every step (:func:`step_reward`).
 """
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.compilation import inner_kernel
 from pcs_racing.game.config import GameConfig
-from pcs_racing.race.races import TIE_WITHIN, winners
+from pcs_racing.race.races import winners
 from pcs_racing.race.state import RaceState
 
 
@@ -45,17 +44,3 @@ def step_reward(own, opponent, fault, weights):
     """
     per_metre, rivalry, penalty = weights
     return per_metre * (own - rivalry * opponent) - (penalty if fault == 1 else 0.0)
-
-
-@kernel
-def win_sign(lead, crashed, fault, opponent_fault, fault_loses):
-    """Return 1.0 for a won race, -1.0 for a lost race, else 0.0.
-
-    This is the rule of :func:`pcs_racing.race.races.winners`, compiled. Without ``fault_loses`` a
-    crash is a no-contest.
-    """
-    if crashed:
-        return float(opponent_fault) - float(fault) if fault_loses else 0.0
-    if abs(lead) <= TIE_WITHIN:
-        return 0.0
-    return 1.0 if lead > 0.0 else -1.0

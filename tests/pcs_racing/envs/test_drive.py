@@ -2,9 +2,6 @@
 end.
 """
 
-import inspect
-import re
-
 import numpy as np
 import pytest
 from faces import AGENTS, begun, flat, follow_the_line, poses
@@ -104,19 +101,6 @@ def make(track, **options):
 def both(*actions):
     """Actions of the two agents."""
     return dict(zip(AGENTS, (np.array(action, np.float32) for action in actions), strict=True))
-
-
-def test_the_page_counts_the_numbers_of_each_part(coarse_oval):
-    text = inspect.getdoc(DriveHeadToHeadEnv)
-    # The table says how many numbers each part has, and how it is switched off.
-    rows = re.findall(r"^\| [^|]+: [^|]+\| (\d+)[^|]*\| `(\w+)`", text, re.MULTILINE)
-    assert rows == [("8", "own_state"), ("4", "look_ahead"), ("9", "see_opponent")]
-    off = {"own_state": False, "look_ahead": (), "see_opponent": "never"}
-    whole = len(make(coarse_oval).elements)
-    assert f"{whole} by default" in text
-    for count, name in rows:
-        missing = whole - len(make(coarse_oval, **{name: off[name]}).elements)
-        assert missing == int(count) * (6 if name == "look_ahead" else 1)
 
 
 def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):

@@ -4,16 +4,14 @@ Python, too.
 
 import numpy as np
 import pytest
-from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V, X, Y
+from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V
 
-from pcs_racing import F1TENTH, Lidar, RaceSetup, Starts, load_race_config, start_races
+from pcs_racing import F1TENTH, load_race_config
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
-from pcs_racing.envs.drive_kernel import restart
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.infos import Crash
 from pcs_racing.race.positions import place_cars
-from pcs_racing.race.state import WALL_CRASH, take
 from pcs_racing.race.steering import steering_noise
 
 TOP = 8.0
@@ -198,98 +196,6 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
         assert (info["crash"], info["opponent_crash"], bool(info["fault"])) == facts
 
 
-def test_an_episode_that_reaches_its_time_is_truncated_without_a_penalty(coarse_oval):
-    for opponent in (None, HOLD.policy({"speed": 0.0})):
-        env = begun(coarse_oval, opponent, duration=0.5)
-        put(env, ((3.0, 0.0), (9.0, 0.0)), (1.0, 0.0))
-        paid, ended, late, info = crash(env, (0.0, 1.0))
-        assert (paid, ended, late) == (pytest.approx(0.0), False, True)
-        assert info["time"] == pytest.approx(0.5)
-
-
-def test_alone_a_car_drives_as_it_does_in_a_race_against_a_car_far_away(coarse_oval):
-    """Over the start line, disturbed, and into the wall at the end."""
-    race = load_race_config("contest", steering_noise=0.05, noise_time=0.3, duration=30.0)
-    alone, rival = (
-        begun(coarse_oval, who, race, 4, duration=30.0)
-        for who in (None, HOLD.policy({"speed": 0.0}))
-    )
-    for env in (alone, rival):
-        put(env, ((47.0, 0.1), (24.0, 0.0)), (3.0, 0.0))
-        env.batch.state.seed[:] = 8
-    done = False
-    for k in range(60):
-        command = action(0.02, 4.0) if k < 8 else action(0.35, 5.0)
-        one, two = (env.step(command)[1:4] for env in (alone, rival))
-        assert one == pytest.approx(two)
-        mine, theirs = alone.batch.state, rival.batch.state
-        for name in (
-            "tick",
-            "cars",
-            "frenet",
-            "progress",
-            "command",
-            "disturbance",
-            "crash",
-            "fault",
-        ):
-            first, second = (getattr(state, name)[0] for state in (mine, theirs))
-            both = first.ndim > 0
-            np.testing.assert_allclose(
-                first[0] if both else first, second[0] if both else second, atol=1e-9
-            )
-        done = bool(two[1])
-        if done:
-            break
-    assert done
-    assert mine.crash[0].tolist() == [WALL_CRASH]
-    assert mine.progress[0, 0] > coarse_oval.length
-    # After the crash nothing moves any more.
-    before = mine.copy()
-    alone.batch.step(command[None, None])
-    for name, was, now in zip(before._fields, before, mine, strict=True):
-        np.testing.assert_array_equal(now, was, err_msg=name)
-
-
-def test_the_disturbance_of_a_lone_car_has_the_spread_and_the_time_of_the_rules(coarse_oval):
-    """Its spread is that of the rules whatever its time, since what is added makes up for what
-    fades.
-    """
-    race = load_race_config("contest", steering_noise=0.03, noise_time=0.2)
-    env = begun(coarse_oval, None, race, time_step=0.02, duration=40.0)
-    races = put(env, ((3.0, 0.0), (9.0, 0.0)))
-    races.seed[:] = 5
-    keep, expected, found = np.exp(-0.02 / 0.2), 0.0, []
-    for k in range(1500):
-        env.step(action(0.1, 0.0))
-        expected = keep * expected + 0.03 * np.sqrt(1.0 - keep**2) * steering_noise(
-            np.uint64(5), 0, 2 * k
-        )
-        assert races.disturbance[0].tolist() == pytest.approx([expected])
-        assert races.command[0, 0].tolist() == pytest.approx([0.1 + expected, 0.0])
-        found.append(expected)
-    assert np.std(found) == pytest.approx(0.03, rel=0.2)
-
-
-def test_a_restarted_race_stands_where_its_place_on_the_grid_is_and_remembers_nothing(coarse_oval):
-    setup = RaceSetup(coarse_oval, RACE, (HOLD, HOLD))
-    grid = start_races(
-        setup, Starts(np.array([1.0, 1.0, 7.0]), np.array([0, 1, 0])), np.zeros(3, np.uint64)
-    )
-    state = take(grid, [0, 0, 0, 0])
-    for array in state:
-        array[...] = 1
-    before = state.copy()
-    rows, places, seeds = np.array([3, 1]), np.array([2, 1]), np.array([11, 12], np.uint64)
-    restart(state, grid, rows, places, seeds)
-    for name in state._fields:
-        now, fresh = getattr(state, name), getattr(grid, name)
-        np.testing.assert_array_equal(now[[0, 2]], getattr(before, name)[[0, 2]], err_msg=name)
-        expected = seeds if name == "seed" else fresh[places]
-        np.testing.assert_array_equal(now[[3, 1]], expected, err_msg=name)
-    assert state.leader[[3, 1]].tolist() == [-1, -1]
-
-
 def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_oval):
     opponents = [HOLD.policy({"speed": speed}) for speed in (1.0, 2.0)]
     options = DriveOptions(track=coarse_oval, opponent=opponents, race=RACE, start_lines=3)
@@ -301,16 +207,6 @@ def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_
     assert sorted(set(batch.drawn)) == [0, 1]
     np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.drawn == 0, 1.0, 2.0))
     assert len(set(batch.state.seed)) == 64
-
-
-def test_the_lidar_of_a_step_is_a_scan_from_the_car_with_the_opponent_in_sight(coarse_oval):
-    for opponent in (HOLD.policy({"speed": 0.0}), None):
-        env = begun(coarse_oval, opponent, beams=15)
-        races = put(env, ((3.0, 0.2), (6.0, -0.1)), (2.0, 0.0))
-        seen, *_ = env.step(action(0.1, 2.0))
-        own, other = (car[[X, Y, PSI]] for car in races.cars[0, [0, -1]])
-        scan = Lidar(coarse_oval, 15).scan(own, None if opponent is None else other)
-        np.testing.assert_allclose(seen[-15:], scan, rtol=1e-5)
 
 
 def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval):

@@ -8,7 +8,6 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from faces import AGENTS, begun
-from gymnasium.wrappers import vector as vector_wrappers
 from refusal import refused
 
 from pcs_racing import advance
@@ -235,32 +234,3 @@ def test_frames_are_those_since_the_last_ones():
     assert len(env.render()) == 25  # a reset forgets what was not asked for
     env.set_state(kept)
     assert len(env.render()) == 1  # of a value nothing is known but the moment
-
-
-def test_frames_of_the_last_step():
-    env = begun(HeadToHeadEnv(render_mode="rgb_array", render_size=(120, 80), **SHORT), seed=0)
-    assert len(list(env.frames())) == 25  # of the step that the players only watch
-    before = env.render()
-    env.step({"car_0": 0, "car_1": 1})
-    frames = list(env.frames())
-    assert len(frames) == env.metadata["render_fps"] == 25  # a second
-    assert all(frame.shape == (80, 120, 3) and frame.dtype == np.uint8 for frame in frames)
-    assert not np.array_equal(frames[0], before)
-    state = env.batch.state.race
-    list(env.frames())
-    np.testing.assert_array_equal(env.batch.state.race.cars, state.cars)  # looking changes nothing
-    env.close()
-
-
-def test_gymnasiums_own_video_of_many_games_has_all_of_them(videos, tmp_path):
-    envs = gym.make_vec(
-        "pcs_racing/Duel-v1", num_envs=2, render_mode="rgb_array", render_size=(120, 80), **SHORT
-    )
-    envs = vector_wrappers.RecordVideo(envs, str(tmp_path / "videos"), video_aspect_ratio=(3, 1))
-    envs.reset(seed=0)
-    for _ in range(2):
-        envs.step(envs.action_space.sample())
-    envs.close()
-    (frames, fps) = videos[0]
-    assert fps == 1
-    assert [frame.shape for frame in frames] == [(80, 240, 3)] * 3

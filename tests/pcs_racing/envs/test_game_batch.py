@@ -95,24 +95,6 @@ def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
         np.testing.assert_array_equal(mask, infos["action_mask"][environment])
 
 
-def test_a_step_moves_both_cars_and_pays_them(coarse_oval, archive):
-    batch = make(coarse_oval, archive, opponent="always-restraint +", moves=1)
-    rngs = begin(batch)
-    before, seen = batch.state.copy(), batch.seen
-    np.testing.assert_array_equal(seen, batch.game.observation(before))
-    observations, rewards, terminated, truncated = batch.step(
-        np.array([[0], [1], [2], [3], [4], [0]]), rngs
-    )
-    expected = batch.game.step(before, np.array([[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]]))
-    np.testing.assert_array_equal(batch.state.policy, expected.policy)
-    np.testing.assert_array_equal(batch.moves, [[0, 2], [1, 2], [2, 2], [3, 2], [4, 2], [0, 2]])
-    np.testing.assert_array_equal(rewards, batch.game.reward(expected)[:, 0])
-    np.testing.assert_array_equal(observations, batch.seen[:, 0])
-    np.testing.assert_array_equal(batch.seen, batch.game.observation(expected))
-    assert terminated.all()
-    assert not truncated.any()
-
-
 def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, archive):
     names = ["always-aggressiveness +", "always-stay", "random-moves"]
     batch = make(
@@ -136,42 +118,6 @@ def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, a
     assert (batch.drawn != first).any()
     assert not np.isin(batch.state.race.seed, keys).any()
     assert (batch.moves == -1).all()
-
-
-def test_only_the_games_that_begin_again_change(coarse_oval, archive):
-    batch = make(coarse_oval, archive, "always-stay")
-    rngs = begin(batch)
-    batch.step(np.zeros((6, 1), np.int64), rngs)
-    before, moves = batch.state.copy(), batch.moves.copy()
-    batch.restart(np.array([1, 4]), [np.random.default_rng(k) for k in (77, 78)])
-    stay = [0, 2, 3, 5]
-    np.testing.assert_array_equal(batch.state.step, [1, 0, 1, 1, 0, 1])
-    np.testing.assert_array_equal(batch.state.race.cars[stay], before.race.cars[stay])
-    assert (batch.state.race.seed[[1, 4]] != before.race.seed[[1, 4]]).all()
-    np.testing.assert_array_equal(batch.moves[stay], moves[stay])
-    assert (batch.moves[[1, 4]] == -1).all()
-    np.testing.assert_array_equal(batch.seen, batch.game.observation(batch.state))
-
-
-def test_one_that_never_switches_drives_a_policy_of_the_archive_and_makes_no_moves(
-    coarse_oval, archive
-):
-    batch = make(coarse_oval, archive, "never-switch", games=60)
-    rngs = begin(batch)
-    theta = batch.state.theta[:, 1].copy()
-    drawn = [
-        int(
-            np.flatnonzero((archive.parameters == row[: archive.parameters.shape[1]]).all(axis=1))[
-                0
-            ]
-        )
-        for row in theta
-    ]
-    assert set(drawn) == set(range(6))
-    assert (batch.state.policy[:, 1] == -1).all()
-    batch.step(np.full((60, 1), 1), rngs)
-    np.testing.assert_array_equal(batch.state.theta[:, 1], theta)
-    assert set(batch.infos()["opponent_move"]) == {-1}
 
 
 def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):

@@ -272,16 +272,3 @@ def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
     assert info["progress"] == pytest.approx(laps * oval.length, abs=1.0)
     assert info["lap_time"] == pytest.approx(times[-1], abs=0.1)
     assert info["best_lap"] == pytest.approx(times.min(), abs=0.1)
-
-
-@pytest.mark.parametrize("opponent", [None, "lattice:pace=0.3"])
-def test_laps_from_the_start_end_a_race(oval, opponent):
-    one = begun(
-        DriveEnv(track=oval, opponent=opponent, laps=2, win_reward=3.0, progress_reward=0.0), seed=1
-    )
-    assert not one.step([0.0, -1.0])[2]
-    one.batch.state.progress[0, 0] = 2.0 * oval.length
-    _, reward, over, late, info = one.step([0.0, -1.0])
-    assert (over, late, info["result"], info["laps"]) == (True, False, Result.WIN, 2)
-    assert one.batch.infos()["result"][0] == Result.WIN
-    assert reward == (3.0 if opponent else 0.0)
