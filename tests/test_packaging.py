@@ -101,7 +101,6 @@ NEEDS = {
     ),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
-    "a data frame": ("pcs_racing.load_archive('default').to_dataframe()", "tables"),
     "OpenSpiel": (
         (
             "from pcs_racing_agents.solvers import GameTree; from"

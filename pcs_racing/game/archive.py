@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -25,9 +25,6 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
-
-if TYPE_CHECKING:
-    import pandas
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -288,29 +285,6 @@ class PolicyArchive:
         for key in ("coordinates", "ideal", "nadir", "explored_coordinates", "spread"):
             values[key] = None if values[key] is None else values[key][..., axes]
         return PolicyArchive(**values)
-
-    def to_dataframe(self) -> "pandas.DataFrame":
-        """Return a table with a row for each policy: parameters, coordinates, and other known data.
-
-        Standard errors are in columns like ``"restraint_error"``.
-        Needs pandas: ``pip install "pcs-racing[tables]"``.
-        """
-        try:
-            import pandas
-        except ModuleNotFoundError:
-            raise ModuleNotFoundError(
-                'a table needs pandas: pip install "pcs-racing[tables]"'
-            ) from None
-        columns = dict(zip(self.parameter_names, self.parameters.T, strict=True))
-        columns |= dict(zip(self.characteristics, self.coordinates.T, strict=True))
-        if self.spread is not None:
-            columns |= {
-                f"{name}_error": values
-                for name, values in zip(self.characteristics, self.spread.T, strict=True)
-            }
-        if self.own_crash is not None:
-            columns["own_crash"] = self.own_crash
-        return pandas.DataFrame(columns).rename_axis("policy")
 
     def _axis(self, name: str) -> int:
         if name not in self.characteristics:

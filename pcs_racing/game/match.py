@@ -23,8 +23,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import as_array
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.checks import check_whole_array
 from pcs_racing.game.competitor import Chooser, competitor_name
 from pcs_racing.game.observation import ObservationElement, encode_match, match_elements
 from pcs_racing.game.rules import OUTSIDE, RaceGame
@@ -306,18 +305,7 @@ def ask_choices(
     if not isinstance(competitor, Chooser) or len(rows) == 0:
         return choices
     seen = match.memory(state)[:, car] if memory is None else memory
-    answer = as_array(competitor.choose(seen[rows]))
-    count, name = len(match.game.archive), f"competitor {competitor_name(competitor)!r}"
-    if answer.shape != rows.shape or answer.dtype.kind not in "iu":
-        raise InputError(
-            f"{name}: choose returned shape {answer.shape} and type {answer.dtype}; it must return"
-            f" whole numbers of shape {rows.shape}, policies from 0 to {count - 1}"
-        )
-    wrong = np.flatnonzero((answer < 0) | (answer >= count))
-    if len(wrong):
-        raise InputError(
-            f"{name}, match {rows[wrong[0]]}: it chose policy {answer[wrong[0]]}; there are"
-            f" policies 0 to {count - 1}"
-        )
-    choices[rows] = answer
+    name = f"competitor {competitor_name(competitor)!r}: its choice"
+    answer, last = competitor.choose(seen[rows]), len(match.game.archive) - 1
+    choices[rows] = check_whole_array(name, answer, rows.shape, minimum=0, maximum=last)
     return choices

@@ -31,23 +31,38 @@ class ObservationElement(NamedTuple):
     meaning: str
 
 
+def _shared_elements(
+    characteristics: Sequence[Characteristic], form: str, own: str, opponent: str, lead: str
+) -> list[ObservationElement]:
+    """Return the elements of one step or race that both kinds of observations have.
+
+    ``form`` is the form of the names; the other texts are the meanings.
+    """
+    unit = f"{LEAD_SCALE:g} m"
+    return [
+        *(
+            ObservationElement(
+                form.format(f"{player}_{axis.name}"), "range", LOW, HIGH, meaning.format(axis.name)
+            )
+            for player, meaning in (("own", own), ("opponent", opponent))
+            for axis in characteristics
+        ),
+        ObservationElement(form.format("lead"), unit, -LEAD_BOUND, LEAD_BOUND, lead),
+    ]
+
+
 def observation_elements(
     characteristics: Sequence[Characteristic], moves: int
 ) -> tuple[ObservationElement, ...]:
     """Return the elements of an observation, for these axes and this number of moves."""
     elements = []
     for k in range(moves + 1):
-        for axis in characteristics:
-            meaning = f"the own policy's {axis.name} in step {k}, from the archive"
-            elements.append(ObservationElement(f"own_{axis.name}_{k}", "range", LOW, HIGH, meaning))
-        for axis in characteristics:
-            meaning = f"the opponent's {axis.name} as measured in step {k} alone"
-            elements.append(
-                ObservationElement(f"opponent_{axis.name}_{k}", "range", LOW, HIGH, meaning)
-            )
-        meaning = f"own lead at the end of step {k}"
-        elements.append(
-            ObservationElement(f"lead_{k}", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning)
+        elements += _shared_elements(
+            characteristics,
+            f"{{}}_{k}",
+            f"the own policy's {{}} in step {k}, from the archive",
+            f"the opponent's {{}} as measured in step {k} alone",
+            f"own lead at the end of step {k}",
         )
         meaning = f"1 once step {k} is over; until then it and the numbers above are 0"
         elements.append(ObservationElement(f"seen_{k}", "1", 0.0, 1.0, meaning))
@@ -101,21 +116,12 @@ def match_elements(
     """Return the elements of an observation between races, for these axes and number of races."""
     elements = []
     for r in range(races):
-        for axis in characteristics:
-            meaning = f"the own policy's {axis.name} in race {r}, from the archive"
-            elements.append(
-                ObservationElement(f"race_{r}_own_{axis.name}", "range", LOW, HIGH, meaning)
-            )
-        for axis in characteristics:
-            meaning = f"the opponent's {axis.name} as measured over race {r}"
-            elements.append(
-                ObservationElement(f"race_{r}_opponent_{axis.name}", "range", LOW, HIGH, meaning)
-            )
-        meaning = f"own lead at the end of race {r}"
-        elements.append(
-            ObservationElement(
-                f"race_{r}_lead", f"{LEAD_SCALE:g} m", -LEAD_BOUND, LEAD_BOUND, meaning
-            )
+        elements += _shared_elements(
+            characteristics,
+            f"race_{r}_{{}}",
+            f"the own policy's {{}} in race {r}, from the archive",
+            f"the opponent's {{}} as measured over race {r}",
+            f"own lead at the end of race {r}",
         )
         meaning = f"1 if race {r} was won, 0.5 if it was a tie"
         elements.append(ObservationElement(f"race_{r}_score", "1", 0.0, 1.0, meaning))

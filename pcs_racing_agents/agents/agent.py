@@ -1,10 +1,11 @@
 """Competitors: agents, which switch between the policies of an archive, and fixed policies.
 
 An :class:`Agent` is a value: a seed and a function from observations to the probabilities of the
-moves. Any other object with ``act`` can replace it (:class:`pcs_racing.game.competitor.SupportsAct`). Draws from a mixed strategy use no generator: a draw is a hash of
-the observation and the seed. The same agent makes the same move for the same observation, in a
-batch of any size and in any order, so a race can be simulated again to the last bit. To an opponent
-that does not know the seed, the moves are as good as random.
+moves. Any other object with ``act`` (:class:`pcs_racing.game.competitor.SupportsAct`) can replace
+it. Draws from a mixed strategy use no generator: a draw is a hash of the observation and the seed.
+The same agent makes the same move for the same observation, in a batch of any size and in any
+order, so a race can be simulated again to the last bit. To an opponent that does not know the seed,
+the moves are as good as random.
 """
 
 from collections.abc import Callable, Mapping

@@ -32,26 +32,11 @@ def random_policy(
     return Driver(name, tuple(archive.explored_policy(i) for i in range(count)))
 
 
-def planner_driver(
-    spec: GameSpec, *, name: str, seed: int = 0, planner: str | None = None
-) -> Driver:
-    """Return all variants of a planner, or its default policy if it has none.
-
-    The planner needs no archive.
-
-    Parameters
-    ----------
-    planner : str, optional
-        Name of the planner; by default ``name``.
-    """
-    family = get_planner(planner or name)
-    if not family.variants:
-        return Driver(name, (family.policy("default", name=family.name),))
+def lane_switcher(spec: GameSpec, *, name: str = "lane-switcher", seed: int = 0) -> Driver:
+    """Return all variants of the lane switcher, which needs no archive."""
+    family = get_planner("lane-switcher")
     return Driver(
-        name,
-        tuple(
-            family.policy(variant, name=f"{family.name}:{variant}") for variant in family.variants
-        ),
+        name, tuple(family.policy(one, name=f"{family.name}:{one}") for one in family.variants)
     )
 
 
@@ -84,7 +69,7 @@ RANDOM_POLICY = Entry(
     moves=False,
 )
 LANE_SWITCHER = Entry(
-    planner_driver,
+    lane_switcher,
     "race line or overtaking lane; 20 variants. In the paper's race `response`, and with it"
     " `adaptive`, learned against all of them; in either race `ppo` learned against four (1, 6,"
     " 11, 16)",
@@ -96,13 +81,4 @@ PPO_DRIVE = Entry(
     "a network trained by PPO in races sets steering and speed 25 times a second",
     "Schulman et al. 2017, with Stable-Baselines3",
     moves=False,
-)
-GAP_FOLLOWER = Entry(
-    planner_driver,
-    "follows the largest gap in its lidar scan; has no map",
-    "Sezer and Gokasan 2012",
-    moves=False,
-)
-PURE_PURSUIT = Entry(
-    planner_driver, "follows the race line and never overtakes", "baseline", moves=False
 )

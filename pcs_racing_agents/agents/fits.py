@@ -13,7 +13,7 @@ from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.checks import check_text, check_whole, is_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
-from pcs_racing_agents.agents.game_spec import GameSpec
+from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name
 
 FIT_FORMAT = ManifestFormat(
     "fit",
@@ -98,14 +98,10 @@ FitSource = str | Path | Fit | None
 def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
     """Return a fit for a game spec: the given fit, a fit from a file, or the shipped fit."""
     if source is None:
-        source = shipped_fits() / f"{spec.archive.name}-{spec.race}-{kind}.yaml"
-        if not source.is_file():
-            known = ", ".join(sorted(path.stem for path in shipped_fits().glob("*.yaml"))) or "none"
-            raise UnknownNameError(
-                f"agent {kind!r} is chosen on training races, and none is shipped for archive"
-                f" {spec.archive.name!r} and rules {spec.race!r} (there are: {known}); choose one"
-                " with pcs_racing_agents.tournament.fitting and give it as fit=FILE"
-            )
+        known = sorted(path.stem for path in shipped_fits().glob("*.yaml"))
+        how = "choose one with pcs_racing_agents.tournament.fitting and give it as fit=FILE"
+        name = shipped_name(spec, kind, known, f"agent {kind!r}", how)
+        source = shipped_fits() / f"{name}.yaml"
     fit = source if isinstance(source, Fit) else load_fit(source)
     if fit.kind != kind:
         raise InputError(f"the fit is one of {fit.kind!r}; agent {kind!r} needs its own")

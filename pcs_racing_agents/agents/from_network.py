@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.game_spec import GameSpec, training_text
+from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch
-from pcs_racing_agents.agents.zoo import Entry, build_member
+from pcs_racing_agents.agents.zoo import Entry, build
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
@@ -140,13 +140,8 @@ def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str
         Name of the agent, for error messages.
     """
     if source is None:
-        source = f"{spec.archive.name}-{spec.race}-{kind}"
-        if source not in list_networks():
-            shipped = ", ".join(list_networks()) or "none"
-            raise UnknownNameError(
-                f"agent {agent!r} needs a network, and none called {source!r} is shipped (there"
-                f" are: {shipped}); train one with 'pcs-racing train' and give it as network=FOLDER"
-            )
+        how = "train a network with 'pcs-racing train' and give it as network=FOLDER"
+        source = shipped_name(spec, kind, list_networks(), f"agent {agent!r}", how)
     network = load_network(source)
     check_same_game(network.identity, spec.identity, f"agent {agent!r}: network {network.name!r}")
     return network
@@ -220,7 +215,9 @@ def adaptive(
         the network's training facts, else 0.
     """
     loaded = fitting_network(network, spec, kind, name)
-    open_loop_agent = build_member(open_loop, spec, seed)
+    open_loop_agent = build(open_loop, spec, seed=seed) if isinstance(open_loop, str) else open_loop
+    if not isinstance(open_loop_agent, Agent):
+        raise InputError(f"{open_loop!r} makes no moves; an agent is needed")
     if margin is None:
         margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
     margin = check_number(f"the margin of agent {name!r}", margin, 0.0)

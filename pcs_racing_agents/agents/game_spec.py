@@ -1,6 +1,6 @@
 """Archive and rules of the game that an agent is made for."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
@@ -70,6 +70,17 @@ class GameSpec:
 def training_text(facts: Mapping[str, Any]) -> str:
     """Return the facts about an agent's training as text for reports."""
     return ", ".join(f"{key} {value}" for key, value in facts.items()) or "not said"
+
+
+def shipped_name(spec: GameSpec, kind: str, known: Sequence[str], agent: str, how: str) -> str:
+    """Return ``ARCHIVE-RACE-KIND``, the name of a shipped training result for a game."""
+    name = f"{spec.archive.name}-{spec.race}-{kind}"
+    if name not in known:
+        raise UnknownNameError(
+            f"{agent} needs {name!r}, which is not shipped (there are:"
+            f" {', '.join(known) or 'none'}); {how}"
+        )
+    return name
 
 
 def make_game_spec(

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.game_spec import GameSpec, training_text
+from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
@@ -114,17 +114,10 @@ def from_network_set(
     networks : NetworkSet, str or path, optional
         Another set: the name of a shipped one or its folder.
     """
-    source: str | NetworkSet = (
-        f"{spec.archive.name}-{spec.race}-{kind}" if networks is None else networks
-    )
-    if networks is None and source not in list_network_sets():
-        shipped = ", ".join(list_network_sets()) or "none"
-        raise UnknownNameError(
-            f"agent {name!r} needs a set of networks, and none called {source!r} is shipped (there"
-            f" are: {shipped}); make one with 'pcs-racing learn {kind}' and give it as"
-            " networks=FOLDER"
-        )
-    loaded = load_network_set(source)
+    if networks is None:
+        how = f"make networks with 'pcs-racing learn {kind}' and give them as networks=FOLDER"
+        networks = shipped_name(spec, kind, list_network_sets(), f"agent {name!r}", how)
+    loaded = load_network_set(networks)
     check_same_game(loaded.identity, spec.identity, f"agent {name!r}: network set {loaded.name!r}")
     members = [network_agent(network, spec, seed, loaded.decision) for network in loaded.networks]
     facts = {

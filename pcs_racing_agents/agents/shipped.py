@@ -17,8 +17,6 @@ SHIPPED = {
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
     "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
     "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
-    "gap-follower": "pcs_racing_agents.agents.drivers:GAP_FOLLOWER",
-    "pure-pursuit": "pcs_racing_agents.agents.drivers:PURE_PURSUIT",
 }
 """Agents and fixed policies of this package: name, and reference to the entry.
 

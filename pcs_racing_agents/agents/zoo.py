@@ -87,7 +87,7 @@ def register_agent(
 def entries() -> dict[str, Entry]:
     """Return all entries by name, without importing the modules of other distributions."""
     declared = {
-        name: Entry(_LateFunction(name, source), f"from {source}")
+        name: Entry(_late_function(name, source), f"from {source}")
         for name, source in _declared().items()
     }
     return {
@@ -166,21 +166,12 @@ def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
         every = f"{', '.join(sorted(available))}, {ALWAYS}MOVE"
         raise UnknownNameError(f"agent {name!r} is unknown; {hint}there are: {every}")
     entry = available[name]
-    if not isinstance(entry.build, _LateFunction):
-        _check_options(name, entry.build, options)
+    _check_options(name, entry.build, options)
     agent = entry.build(spec, name=name, seed=seed, **{**entry.defaults, **options})
     if not isinstance(agent, Agent | Driver):
         return as_agent(agent, name)
     facts = {"does": entry.summary, "source": entry.source, **agent.facts}
     return replace(agent, facts={key: value for key, value in facts.items() if value})
-
-
-def build_member(member: str | Agent, spec: GameSpec, seed: int) -> Agent:
-    """Return a member of a composite agent, given as an agent or by name."""
-    agent = member if isinstance(member, Agent) else build(member, spec, seed=seed)
-    if not isinstance(agent, Agent):
-        raise InputError(f"{member!r} makes no moves; only agents can be part of another one")
-    return agent
 
 
 def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False) -> Competitor:
@@ -221,21 +212,17 @@ def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False)
     return as_agent(agent, text)
 
 
-@dataclass(frozen=True)
-class _LateFunction:
-    """A function of another distribution, imported when it is called."""
+def _late_function(name: str, reference: str) -> Callable[..., Any]:
+    """Return a function of another distribution, imported when it is called."""
 
-    name: str
-    reference: str
-
-    def __call__(self, spec: GameSpec, **options: Any) -> Any:
+    def build(spec: GameSpec, **options: Any) -> Any:
         try:
-            function = resolve_name(self.reference)
+            function = resolve_name(reference)
         except Exception as error:  # any error in the import of a third-party module
-            raise InputError(
-                f"agent {self.name!r} can't be loaded from {self.reference}: {error}"
-            ) from error
+            raise InputError(f"agent {name!r} can't be loaded from {reference}: {error}") from error
         return function(spec, **options)
+
+    return build
 
 
 @lru_cache(maxsize=1)
@@ -249,8 +236,6 @@ def options(name: str) -> dict[str, Any]:
     The result is empty for an entry of another distribution.
     """
     entry = entries()[name]
-    if isinstance(entry.build, _LateFunction):
-        return {}
     free = _free_options(entry.build)
     return {key: entry.defaults.get(key, value) for key, value in free.items()}
 

@@ -156,7 +156,7 @@ def test_an_opponent_may_choose(short):
 
 
 @pytest.mark.parametrize(
-    ("answer", "message"), [([9], "policy 9"), ([0.5], "float64"), ([0, 1], r"shape \(2,\)")]
+    ("answer", "message"), [([9], "choice holds 9"), ([0.5], "float64"), ([0, 1], r"shape \(2,\)")]
 )
 def test_what_a_chooser_answers_is_checked(short, answer, message):
     class Chooses:

@@ -220,26 +220,6 @@ def test_an_archive_reads_back_exactly(tmp_path, keep, toy_planner):
         assert not read.coordinates.flags.writeable
 
 
-def test_an_archive_as_a_table():
-    pandas = pytest.importorskip("pandas")
-    table = archive(own_crash=[0.0, 0.1, 0.2, 0.3, 0.4], spread=np.full((5, 2), 0.5)).to_dataframe()
-    assert isinstance(table, pandas.DataFrame)
-    assert list(table.columns) == [
-        "a",
-        "b",
-        *AXES,
-        "aggressiveness_error",
-        "restraint_error",
-        "own_crash",
-    ]
-    np.testing.assert_array_equal(table[list(AXES)], COORDINATES)
-    assert table.loc[3, "own_crash"] == 0.3
-    assert list(archive().to_dataframe().columns) == ["a", "b", *AXES]
-    explored = archive(explored_parameters=[[0.1, 0.2]], explored_coordinates=[[1.0, 2.0]])
-    np.testing.assert_array_equal(explored.explored.coordinates, [[1.0, 2.0]])
-    assert explored.explored.own_crash is None
-
-
 def test_the_content_hash_says_whether_two_archives_play_the_same_game(tmp_path, toy_planner):
     toy = archive()
     assert archive(name="other", settings={"seed": 3}).content_hash == toy.content_hash

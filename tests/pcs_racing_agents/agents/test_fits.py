@@ -53,7 +53,7 @@ def test_a_fit_of_another_game_is_refused(spec, archive):
             **{option: CHOICES[kind]},
         )
     refused(
-        "archive 'toy' and rules 'paper'", find_fit, "best-schedule", spec, error=UnknownNameError
+        "needs 'toy-paper-best-schedule'", find_fit, "best-schedule", spec, error=UnknownNameError
     )
 
 

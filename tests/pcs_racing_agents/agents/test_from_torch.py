@@ -1,15 +1,13 @@
-"""Torch modules as competitors, and policies of Stable-Baselines3 as networks."""
+"""Torch modules as agents."""
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.agents import as_agent
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.from_torch import TorchPolicy, network_from_sb3
-from pcs_racing_agents.agents.zoo import build
+from pcs_racing_agents.agents.from_torch import TorchPolicy
 
 torch = pytest.importorskip("torch")
 
@@ -42,8 +40,6 @@ def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, g
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
     digests = {competitor_hash(as_agent(model, name)) for model in models for name in ("a", "b")}
     assert len(digests) == 2
-    refused(r"layer 1 .*Tanh", network_from_sb3, models[1], game_identity(game))
-    refused("str has no actor", network_from_sb3, "model", game_identity(game))
 
 
 class Summed(torch.nn.Module):
@@ -63,17 +59,3 @@ def models(oval, spec):
     return [
         PPO("MlpPolicy", env, seed=0, policy_kwargs=kwargs, device="cpu") for kwargs in (relu, None)
     ]
-
-
-def test_a_model_decides_alike_as_our_own_network(models, game, spec, seen):
-    model, rows = models[0], np.concatenate(seen)
-    network = network_from_sb3(model, game_identity(game), training={"steps": 0})
-    assert (network.hidden, network.target, network.clipped) == ((24, 16), "ppo", False)
-    assert (network.name, network.training) == ("ppo", {"steps": 0})
-    assert (network.mean.tolist(), network.scale.tolist()) == ([0.0] * 31, [1.0] * 31)
-    agent = build("ppo", spec, network=network)
-    np.testing.assert_array_equal(agent.act(rows), model.predict(rows, deterministic=True)[0])
-    with torch.no_grad():
-        chances = model.policy.get_distribution(torch.as_tensor(rows)).distribution.probs.numpy()
-    drawn = build("ppo", spec, network=network, decision="softmax")
-    np.testing.assert_allclose(drawn.probabilities(rows), chances, atol=1e-5)

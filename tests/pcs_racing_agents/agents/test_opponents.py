@@ -15,7 +15,6 @@ from pcs_racing import UnknownNameError, make_game
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.game.competitor import competitor_names, make_competitor
-from pcs_racing_agents.agents.drivers import planner_driver
 
 SHORT = {"step_seconds": 0.4}
 UNTRAINED = {"psro", "self-play"}
@@ -102,7 +101,7 @@ def test_names_are_known_with_their_options_and_a_driver_draws_one_of_its_varian
     assert agent.name == "cfr-argmax:network=default-paper-regret"
     with pytest.raises(UnknownNameError, match="'cfr-argmx' is unknown; did you mean 'cfr-argmax'"):
         make_competitor("cfr-argmx", game)
-    driver = planner_driver(None, name="lane-switcher")
+    driver = pcs_racing_agents.make("lane-switcher")
     envs = gym.make_vec(
         "pcs_racing/Duel-v1", num_envs=60, opponent=driver, step_seconds=0.1, moves=1
     )

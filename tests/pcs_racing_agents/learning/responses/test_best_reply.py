@@ -8,8 +8,8 @@ import pytest
 from refusal import refused
 
 from pcs_racing import load_game_config, make_game
+from pcs_racing_agents import make
 from pcs_racing_agents.agents.blind import always, never_switch
-from pcs_racing_agents.agents.drivers import planner_driver
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
@@ -90,9 +90,7 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
 
 def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path):
     pytest.importorskip("torch", reason="torch is not installed")
-    reply = reply_to(
-        planner_driver(spec, name="pure-pursuit"), games, spec, tmp_path / "driver", races=40
-    )
+    reply = reply_to(make("pure-pursuit"), games, spec, tmp_path / "driver", races=40)
     assert set(reply.races.variants[:, 1]) == {0}
     assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
     refused("races is 39", reply_to, never_switch(spec), games, spec, tmp_path / "few", races=39)

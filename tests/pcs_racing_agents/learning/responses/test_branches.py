@@ -7,7 +7,7 @@ from pcs_racing import InputError, load_game_config, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
-from pcs_racing_agents.agents.drivers import planner_driver
+from pcs_racing_agents import make
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import (
@@ -79,7 +79,7 @@ def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(ga
     np.testing.assert_array_equal(
         whole.observations, np.concatenate([piece.observations for piece in parts])
     )
-    rival = planner_driver(spec, name="lane-switcher")
+    rival = make("lane-switcher")
     game = game_between(game, never_switch(spec), rival)
     result = branch_games(
         game, rival, race_seeds(0, 3), 0, [never_switch(spec)], never_switch(spec)
