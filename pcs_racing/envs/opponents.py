@@ -81,10 +81,7 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
 
 
 def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
-    if isinstance(given, str):
-        competitor = as_agent(make_competitor(given, game))
-    else:
-        competitor = as_agent(given)
+    competitor = make_competitor(given, game) if isinstance(given, str) else as_agent(given)
     check_competitor(game, competitor)
     trained_in = getattr(given, "get_env", None)
     if callable(trained_in):

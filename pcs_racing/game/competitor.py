@@ -19,13 +19,14 @@ Agents may always stay, whatever moves the rules offer:
 import sys
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_text
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.game.competitor_collections import collections
 from pcs_racing.game.moves import check_moves
@@ -69,7 +70,8 @@ class Turn:
 class SupportsAct(Protocol):
     """An agent: a player of the game with a name."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def act(self, observations: Observation, turn: Turn) -> ArrayLike:
         """Return the moves in n games, shape (n,), from observations of shape (n, D).
@@ -208,7 +210,7 @@ def as_agent(given: Any, name: str | None = None) -> Competitor:
 
     ``name`` replaces the object's own name. The module lists the objects.
     """
-    own = name or competitor_name(given)
+    own = competitor_name(given) if name is None else check_text("an agent's name", name)
     # arrays have a method `choose`, too
     if isinstance(given, type | np.ndarray | np.generic):
         raise _no_agent(given)
@@ -238,11 +240,9 @@ def _renamed(agent: Any, name: str) -> Any:
     """Return an agent with a name; the agent itself, if it has this name."""
     if getattr(agent, "name", None) == name:
         return agent
-    if is_dataclass(agent) and hasattr(agent, "name"):
-        return replace(agent, name=name)
     named = copy(agent)
     try:
-        named.name = name
+        object.__setattr__(named, "name", name)  # agents may be frozen
     except AttributeError:
         raise InputError(
             f"{agent!r} has a name of its own, {agent.name!r}; it can't be called {name!r}"
@@ -377,10 +377,9 @@ def make_competitor(text: str, game: RaceGame) -> Competitor:
                 return SameMove(f"{ALWAYS}{move}", i)
     name = split_name(text)[0]
     if name in planner_names():
-        return parse_policy(text)
+        return as_agent(parse_policy(text))
     # Last: other packages are only imported for names that are not ours.
     for collection in collections():
         if is_model(text) or name in collection.names(game.archive, game.config):
-            made: Competitor = collection.make(text, game.archive, game.config)
-            return made
+            return as_agent(collection.make(text, game.archive, game.config))
     raise UnknownNameError(f"opponent {text!r} is unknown; {choices(text, competitor_names(game))}")

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import Turn, competitor_name
+from pcs_racing.game.competitor import PolicySet, Turn, competitor_name
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.agents.agent import Competitor, Driver, as_agent
+from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.benchmark.card_values import CardScore, Gain
@@ -194,7 +194,7 @@ def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
 
 def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> float | None:
     """Return an agent's median time per decision for one game, us; None for a planner."""
-    if isinstance(agent, Driver):
+    if isinstance(agent, PolicySet):
         return None
     game = protocol.game(next(iter(protocol.tracks)))
     state = game.reset(games=1, seed=protocol.config.seed)

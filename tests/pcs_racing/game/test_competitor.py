@@ -139,7 +139,8 @@ def test_whatever_a_competitor_raises_is_one_line(game, state, error):
 def test_competitors_are_listed_and_made_by_name(game, monkeypatch):
     """Ours and those of other packages' collections, which are asked last."""
     others = SimpleNamespace(
-        names=lambda archive, config: ["mine", "always-mine"], make=lambda *given: given
+        names=lambda archive, config: ["mine", "always-mine"],
+        make=lambda *given: SameMove("made", given),
     )
     monkeypatch.setattr(competitors, "collections", lambda: [others])
     moves = [f"always-{move}" for move in game.competitor_moves]
@@ -154,7 +155,7 @@ def test_competitors_are_listed_and_made_by_name(game, monkeypatch):
     ]
     assert make_competitor("lattice:pace=0.25", game).name == "lattice:pace=0.25"
     for name in ("mine", "mine : a=1", "my.zip", "always-mine"):
-        assert make_competitor(name, game) == (name, game.archive, game.config)
+        assert make_competitor(name, game).move == (name, game.archive, game.config)
     refused("opponent 'yours' is unknown", make_competitor, "yours", game, error=UnknownNameError)
 
 
