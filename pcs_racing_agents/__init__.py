@@ -5,15 +5,11 @@
 
 from typing import Any
 
-from pcs_racing.game.competitor_collections import register_competitors
-
-register_competitors("zoo", "pcs_racing_agents.agents.opponents")
-
 
 def __getattr__(name: str) -> Any:
-    """Import the zoo on access to ``make`` or ``names``."""
-    if name in ("make", "names"):
-        from pcs_racing_agents.agents import zoo
+    """Import the agents on access to a public name."""
+    if name in ("Agent", "make", "names"):
+        from pcs_racing_agents import agents
 
-        return getattr(zoo, name)
+        return getattr(agents, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -20,6 +20,8 @@ import sys
 from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
+from functools import lru_cache
+from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -28,7 +30,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_text
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.game.competitor_collections import collections
 from pcs_racing.game.moves import check_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
@@ -71,7 +72,8 @@ class SupportsAct(Protocol):
     """An agent: a player of the game with a name."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name in tables."""
 
     def act(self, observations: Observation, turn: Turn) -> ArrayLike:
         """Return the moves in n games, shape (n,), from observations of shape (n, D).
@@ -341,9 +343,30 @@ def ask_moves(
     return moves
 
 
+ENTRY_POINTS = "pcs_racing.opponents"
+"""Entry point group for a distribution's module of competitors, with ``names`` and ``make``."""
+
 NEVER_SWITCH = "never-switch"
 RANDOM_MOVES = "random-moves"
 ALWAYS = "always-"
+
+
+def collections() -> list[Any]:
+    """Return the modules of competitors of all distributions."""
+    modules = []
+    for point in _declared():
+        try:
+            modules.append(point.load())
+        except Exception as error:  # any error of a third-party module at its import
+            raise InputError(
+                f"the competitors {point.name!r} can't be loaded from {point.value}: {error}"
+            ) from error
+    return modules
+
+
+@lru_cache(maxsize=1)
+def _declared() -> EntryPoints:
+    return entry_points(group=ENTRY_POINTS)
 
 
 def competitor_names(game: RaceGame) -> list[str]:

@@ -62,7 +62,7 @@ def _axes(name: str, value: Any) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class GameConfig(Settings):
-    """Rules of the game (Section V of the paper, with the choices that it leaves open as options)."""
+    """Rules of the game (Section V of the paper), with the choices left open there as options."""
 
     race: Annotated[
         RaceConfig,

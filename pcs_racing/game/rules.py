@@ -440,17 +440,10 @@ class RaceGame:
         before = races._replace(
             progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy()
         )
-        self.drive_step(races, theta, conditions)
+        self._drive_step(races, theta, conditions)
         return self.measure(before, races)
 
-    def drive_step(
-        self,
-        races: RaceState,
-        theta: Floats,
-        conditions: RaceConditions = AS_THE_SETUP,
-        *,
-        ittc: bool = True,
-    ) -> None:
+    def _drive_step(self, races: RaceState, theta: Floats, conditions: RaceConditions) -> None:
         """Drive each race in place to the end of its next step; finished races do not change."""
         ends = self.config.end_ticks
         lengths = (
@@ -467,7 +460,6 @@ class RaceGame:
                 theta,
                 int(different[0]),
                 threads=self.threads,
-                ittc=ittc,
                 conditions=conditions,
             )
             return
@@ -480,7 +472,6 @@ class RaceGame:
                 theta[rows],
                 int(ticks),
                 threads=self.threads,
-                ittc=ittc,
                 conditions=own,
             )
             for name, driven in some._asdict().items():

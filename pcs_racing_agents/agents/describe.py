@@ -20,17 +20,6 @@ from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 from pcs_racing_agents.base.tables import read_csv
 
 AGAINST = "against "
-TEXTS = ("archive", "race", "agent", "sha256", "tracks")
-NUMBERS = (
-    "races",
-    "score",
-    "rating",
-    "rating_low",
-    "rating_high",
-    "own_crash",
-    "one_us",
-    "many_us",
-)
 
 
 class Measured(NamedTuple):
@@ -58,10 +47,8 @@ class Measured(NamedTuple):
     against: dict[str, float]  #: Score against each opponent, by name.
 
 
-def measured(archive: str, race: str, agent: str, sha256: str) -> Measured | None:
-    """Return the measurement of an agent; None if it is missing or the agent has changed since."""
-    measurement = measurements().get((archive, race, agent))
-    return measurement if measurement is not None and measurement.sha256 == sha256 else None
+TEXTS, NUMBERS = Measured._fields[:5], Measured._fields[5:-1]
+"""Columns of the table, before the scores against each opponent."""
 
 
 @lru_cache(maxsize=1)
@@ -153,8 +140,8 @@ def facts_of(name: str, spec: GameSpec) -> list[str]:
         facts.pop(key, None)
     lines = [f"{key[0].upper()}{key[1:]}: {value}." for key, value in facts.items()]
     digest = competitor_hash(agent)
-    measurement = measured(spec.archive.name, spec.race, name, digest)
-    if measurement is None:
+    measurement = measurements().get((spec.archive.name, spec.race, name))
+    if measurement is None or measurement.sha256 != digest:
         lines.append("Strength and cost: not measured as it is.")
     else:
         against = ", ".join(

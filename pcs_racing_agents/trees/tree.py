@@ -196,7 +196,7 @@ class RaceTree:
 
     @cached_property
     def policy(self) -> list[Indices]:
-        """Policies in use in step ``k``, crash or not; for each level an array of shape (N_k, 2)."""
+        """Policies in use in step ``k``, crash or not; shape (N_k, 2) for each level."""
         return [
             np.stack(
                 [paths.policy[k][at] for paths, at in zip(self.paths, self.where(k), strict=True)],

@@ -480,7 +480,6 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     assert {name for name in importing if "/f1tenth/" not in name} == {
         "pcs_racing/__init__.py:import_module",
         "pcs_racing/base/files.py:json.loads",
-        "pcs_racing/game/competitor_collections.py:resolve_name",  # of installed packages
         "pcs_racing/planners/own_files.py:importlib.import_module",  # of numpy, and for own files
         "pcs_racing/planners/own_files.py:spec_from_file_location",
         "pcs_racing/planners/registry.py:resolve_name",

@@ -57,7 +57,7 @@ def test_values_by_hand_and_the_check_for_everybody(piece):
 
 
 def test_pieces_of_a_race_add_up():
-    """Lead of the whole is the sum over the pieces; restraint is their mean, weighted by samples."""
+    """The lead is the sum over the pieces; restraint is their mean, weighted by samples."""
     config = load_race_config("paper", duration=4.0)
     track = load_track("Pipkin")
     setup = racing.RaceSetup(track, config, (LATTICE, LATTICE))
@@ -155,7 +155,7 @@ def pieces(name, paces, preset="paper", seconds=12.0, skip=4.0):
 
 @pytest.fixture(scope="module")
 def alone():
-    """Speed of each of PACES on three circuits, half a lap away from the other car: shape (3, 3)."""
+    """Speed of each of PACES on three circuits, half a lap from the other car: shape (3, 3)."""
     names = ("Brackwater", "Kestrelheim", "Pipkin")
     return np.array([pieces(name, [(pace, pace) for pace in PACES])[:, 0, 0] for name in names])
 

@@ -3,6 +3,7 @@ known.
 """
 
 import json
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +14,6 @@ from same_move import Model
 
 from pcs_racing import InputError, UnknownNameError, make_game, parse_policy
 from pcs_racing.game import competitor as competitors
-from pcs_racing.game import competitor_collections
 from pcs_racing.game.competitor import (
     Chooser,
     RandomMoves,
@@ -159,20 +159,12 @@ def test_competitors_are_listed_and_made_by_name(game, monkeypatch):
     refused("opponent 'yours' is unknown", make_competitor, "yours", game, error=UnknownNameError)
 
 
-def test_collections_are_modules_each_under_one_name(monkeypatch):
-    monkeypatch.setattr(competitor_collections, "_registered", {})
-    monkeypatch.setattr(competitor_collections, "_declared", dict)
-    for _ in range(2):
-        competitor_collections.register_competitors("toys", "json")
-    assert competitor_collections.collections() == [json]
-    refused(
-        "competitors 'toys' already, of json",
-        competitor_collections.register_competitors,
-        "toys",
-        "csv",
-    )
-    competitor_collections.register_competitors("none", "json.nowhere")
-    refused("'none' can't be loaded from json.nowhere", competitor_collections.collections)
+def test_collections_are_modules_and_a_broken_one_is_named(monkeypatch):
+    points = [EntryPoint("toys", "json", competitors.ENTRY_POINTS)]
+    monkeypatch.setattr(competitors, "_declared", lambda: points)
+    assert competitors.collections() == [json]
+    points.append(EntryPoint("none", "json.nowhere", competitors.ENTRY_POINTS))
+    refused("'none' can't be loaded from json.nowhere", competitors.collections)
 
 
 def test_who_can_not_take_part_is_refused_before_a_race(game):

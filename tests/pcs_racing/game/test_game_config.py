@@ -1,4 +1,4 @@
-"""The rules of a game: what they are by default, what follows from them, and how far each may go."""
+"""Rules of a game: their defaults, what follows from them, and how far each may go."""
 
 import dataclasses
 from enum import Enum

@@ -78,7 +78,6 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
         assert facts_of("never-switch", spec)[0].startswith(
             "Strength: score 0.500, rating -12 [-40, +20], on "
         )
-        assert describe.measured("default", "paper", "never-switch", "0" * 64) is None
         assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
         page = zoo_page.zoo_page()
         assert (

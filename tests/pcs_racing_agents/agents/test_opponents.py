@@ -29,7 +29,7 @@ def game():
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_and_every_object_is_an_opponent_of_all_environments(name):
-    """As the paper's rules say, in which an agent under training can't stay, but its opponent may."""
+    """By the paper's rules an agent under training can't stay, but its opponent may."""
     for opponent in (name, pcs_racing_agents.make(name)):
         env = DuelEnv(opponent=opponent, **SHORT)
         env.reset(seed=1)

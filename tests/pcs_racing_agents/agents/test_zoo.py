@@ -260,7 +260,6 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
     assert describe.facts_of("response", make_game_spec("contest", "contest"))[0].startswith(
         "Network: contest-contest-"
     )
-    assert describe.measured("toy", "paper", "never-switch", "0" * 64) is None
     plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
     for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():
         assert describe._cost(one._replace(agent=name, many_us=np.nan)) == words
