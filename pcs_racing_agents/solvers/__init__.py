@@ -7,6 +7,7 @@ from pcs_racing_agents.solvers.compare import (
     agreement,
     compare_methods,
     regret_argmax,
+    solve,
 )
 from pcs_racing_agents.solvers.efg import efg_text, write_efg
 from pcs_racing_agents.solvers.evaluation import (

@@ -3,18 +3,19 @@ time.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.base.checks import check_choice
 from pcs_racing_agents.solvers.cfr import VARIANTS, cfr
 from pcs_racing_agents.solvers.evaluation import Profile, exploitability, reach_probabilities
 from pcs_racing_agents.solvers.exact import ExactResult, solve_exact
 from pcs_racing_agents.solvers.game_tree import Floats, GameTree
 
-METHODS = ("exact", *VARIANTS, "argmax-regret")
+PAPER = "argmax-regret"
+METHODS = ("exact", *VARIANTS, PAPER)
 """Solvers by name.
 
 ``exact`` is backward induction; then come the average strategies of the variants of CFR;
@@ -44,47 +45,56 @@ def compare_methods(
 ) -> list[MethodRow]:
     """Solve a tree with observed past moves by several of :data:`METHODS`."""
     for method in methods:
-        if method not in METHODS:
-            raise UnknownNameError(
-                f"method {method!r} is unknown; choose from {', '.join(METHODS)}"
-            )
-    _ready()
+        check_choice("method", method, METHODS)
+    # Load or compile the kernels, so that compilation is not timed.
+    nothing = GameTree.from_payoffs(np.zeros((1, 1)))
+    for method in METHODS:
+        solve(nothing, method, 1)
     exact = solve_exact(tree)
     rows = []
     for method in methods:
         begin = time.perf_counter()
-        profile = _solver(method, iterations)(tree)
+        profile = solve(tree, method, iterations)
         seconds = time.perf_counter() - begin
         judged = exploitability(tree, profile)
-        agreed = (agreement(tree, exact, profile), agreement(tree, exact, profile, on_path=True))
+        agreed = agreement(tree, exact, profile)
         rows.append(MethodRow(method, judged.value, judged.exploitability, *agreed, seconds))
     return rows
 
 
-def agreement(
-    tree: GameTree, exact: ExactResult, profile: Profile, *, on_path: bool = False
-) -> float:
-    """Return the share of decisions where a profile's likeliest move is optimal.
+def solve(tree: GameTree, method: str, iterations: int) -> Profile:
+    """Return the solution of a tree by one of :data:`METHODS`."""
+    if method == "exact":
+        return solve_exact(tree).profile
+    return (
+        regret_argmax(tree, iterations)
+        if method == PAPER
+        else cfr(tree, iterations, method).average
+    )
+
+
+def agreement(tree: GameTree, exact: ExactResult, profile: Profile) -> tuple[float, float]:
+    """Return the shares of decisions where a profile's likeliest move is optimal.
 
     A move is optimal if it is a best response to the exact solution. Decisions with equal values of
-    all moves do not count; 1 if there are no others. With ``on_path`` joint histories are weighted
-    by their probability under the exact solution, else equally.
+    all moves do not count; the share is 1 if there are no others. In the first share all joint
+    histories have equal weights, in the second one their probability under the exact solution.
     """
     game = tree.averaged
     # Equality depends on the unit of the payoffs; a game without differences has none.
-    span = float(np.ptp(game.payoffs)) or 1.0
+    indifferent = INDIFFERENT * (float(np.ptp(game.payoffs)) or 1.0)
     reach = reach_probabilities(game, exact.profile)
-    agreed = decisions = 0.0
+    agreed, decisions = np.zeros(2), np.zeros(2)
     for k in range(game.depth):
         for strategy, q in zip(profile[k], exact.q[k], strict=True):
             lost = q.max(axis=1, keepdims=True) - q
-            weight = (lost.max(axis=1) > INDIFFERENT * span).astype(np.float64)
-            if on_path:
-                weight *= reach[k][0] * reach[k][1]
+            counts = (lost.max(axis=1) > indifferent).astype(np.float64)
+            weights = np.stack([counts, counts * reach[k][0] * reach[k][1]])
             loss = np.take_along_axis(lost, strategy.argmax(axis=1)[:, None], axis=1)[:, 0]
-            agreed += float(weight[loss <= INDIFFERENT * span].sum())
-            decisions += float(weight.sum())
-    return agreed / decisions if decisions > 0.0 else 1.0
+            agreed += weights[:, loss <= indifferent].sum(axis=1)
+            decisions += weights.sum(axis=1)
+    both = np.divide(agreed, decisions, out=np.ones(2), where=decisions > 0.0)
+    return float(both[0]), float(both[1])
 
 
 def regret_argmax(tree: GameTree, iterations: int) -> Profile:
@@ -97,20 +107,5 @@ def regret_argmax(tree: GameTree, iterations: int) -> Profile:
     def pure(regrets: Floats) -> Floats:
         return np.eye(regrets.shape[1])[regrets.argmax(axis=1)]
 
-    return [
-        (pure(first), pure(second)) for first, second in cfr(tree, iterations, "vanilla").regrets
-    ]
-
-
-def _solver(method: str, iterations: int) -> Callable[[GameTree], Profile]:
-    if method == "exact":
-        return lambda tree: solve_exact(tree).profile
-    if method == "argmax-regret":
-        return lambda tree: regret_argmax(tree, iterations)
-    return lambda tree: cfr(tree, iterations, method).average
-
-
-def _ready() -> None:
-    """Load or compile the kernels, so that compilation is not timed."""
-    cfr(GameTree.from_payoffs(np.zeros((1, 1))), 1)
-    solve_exact(GameTree.from_payoffs(np.zeros((1, 1))))
+    regrets = cfr(tree, iterations, "vanilla").regrets
+    return [(pure(first), pure(second)) for first, second in regrets]
