@@ -118,7 +118,7 @@ class RandomMoves:
         allowed = [np.flatnonzero(mask) for mask in masks]
         return [
             moves[turn.generators[row].integers(len(moves))]
-            for row, moves in zip(turn.rows, allowed, strict=True)
+            for row, moves in zip(turn.rows.tolist(), allowed, strict=True)
         ]
 
 
@@ -330,13 +330,13 @@ def ask_moves(
     if len(rows) == 0:
         return moves
     seen = game.observation(state)[:, car] if observation is None else observation
-    kept = [None if memories is None else memories[row] for row in rows]
+    kept = [None] * len(rows) if memories is None else [memories[row] for row in rows.tolist()]
     turn = Turn(game, state, rows, car, kept, generators, deterministic)
     player = f"competitor {competitor.name!r}"
     with one_line(player):  # any error of their code
         answer = competitor.act(seen[rows], turn)
-    for row, memory in zip(rows, kept, strict=True):
-        if memories is not None:
+    if memories is not None:
+        for row, memory in zip(rows.tolist(), kept, strict=True):
             memories[row] = memory
     names = game.competitor_moves
     moves[rows] = check_moves(answer, names, rows.shape, ("game",), rows=rows, player=player)
