@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core.registry import CPUDispatcher
+from numba.core import config
 
-from pcs_racing.base.code_cache import CodeCache
+from pcs_racing.base.code_cache import code_folder
 from pcs_racing.base.errors import say, say_once
+from pcs_racing.base.numba_parts import CodeCache, inner
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -34,19 +35,28 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         # These functions are not called from C: C wrappers would take a tenth of the compilation.
         options.setdefault("no_cfunc_wrapper", True)
         dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
-        if not hasattr(dispatcher, "enable_caching"):  # without compilation: the function itself
-            return dispatcher
-        try:
-            dispatcher._cache = CodeCache(function)  # as in `enable_caching`, with our cache
-        except RuntimeError:  # no folder for the code; no message for a function typed at a prompt
-            if Path(function.__code__.co_filename).is_file():
-                say_once(
-                    "compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR"
-                    " names one"
-                )
+        file = Path(function.__code__.co_filename)
+        if not config.DISABLE_JIT and file.is_file():
+            _keep_on_disk(dispatcher, file.parent)
         return dispatcher
 
     return decorate if function is None else decorate(function)
+
+
+def _keep_on_disk(dispatcher: Any, sources: Path) -> None:
+    """Cache the code of a function as ``cache=True`` does, with our cache and in our folder."""
+    folder, chosen = code_folder(sources), config.CACHE_DIR
+    if folder is None:
+        say_once(
+            "compiled code can't be kept: no folder for it can be written; NUMBA_CACHE_DIR names"
+            " one"
+        )
+        return
+    config.CACHE_DIR = str(folder)
+    try:
+        dispatcher._cache = CodeCache(dispatcher.py_func)
+    finally:
+        config.CACHE_DIR = chosen
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -60,15 +70,6 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     return compiled(function, _nrt=False, **options)
 
 
-class _Inner(CPUDispatcher):
-    """Compiled function, callable from compiled functions only."""
-
-    def __call__(self, *arguments: Any, **named: Any) -> Any:
-        raise TypeError(
-            f"{self.py_func.__qualname__} is an inner kernel: only compiled functions can call it"
-        )
-
-
 def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
     """Compile a function like :func:`kernel`, for calls from compiled functions only.
 
@@ -77,24 +78,9 @@ def inner_kernel(function: Callable[..., Any] | None = None, **options: Any) -> 
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher = kernel(function, no_cpython_wrapper=True, **options)
-        if isinstance(dispatcher, CPUDispatcher):  # without compilation: the function itself
-            dispatcher.__class__ = _Inner
-        return dispatcher
+        return inner(kernel(function, no_cpython_wrapper=True, **options))
 
     return decorate if function is None else decorate(function)
-
-
-def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
-    """Return the machine code of a compiled function for arguments of these types.
-
-    A call skips the lookup of all argument types, which takes longer than a step of one race. All
-    later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``),
-    return the function itself.
-    """
-    if not hasattr(function, "typeof_pyval"):
-        return function
-    return function.compile(tuple(function.typeof_pyval(argument) for argument in arguments))
 
 
 _begun: set[str] = set()

@@ -11,8 +11,9 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import all_finite
-from pcs_racing.base.compilation import compiled_for, first_call
+from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.numba_parts import compiled_for
 from pcs_racing.car.lidar import WORK_SHAPE
 from pcs_racing.envs.batch import (
     FREE,

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import all_finite, check_array, check_number, check_whole, did_you_mean
-from pcs_racing.base.compilation import compiled, compiled_for, first_call
+from pcs_racing.base.compilation import compiled, first_call
 from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.numba_parts import compiled_for
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.f1tenth import kernel as k

@@ -1,9 +1,4 @@
-"""Calls from the compiled race to a planner's functions, by the address of their machine code.
-
-An address is a plain number. Numba's own function pointers do the same, but looking up the types
-of the four pointers of a race took longer than the step of a single race
-(``dev/benchmarks/environment_speed.py --against`` compares).
-"""
+"""Calls from the compiled race to a planner's functions, by the address of their machine code."""
 
 from collections.abc import Callable
 from functools import cache
@@ -12,11 +7,11 @@ from typing import Any
 
 from numba import types
 from numba.core import config
-from numba.core.errors import NumbaError, TypingError
-from numba.extending import intrinsic
+from numba.core.errors import NumbaError
 
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.numba_parts import address_of, call_with
 from pcs_racing.track.frenet import TrackArrays
 
 _VECTOR = types.Array(types.float64, 1, "C")
@@ -68,7 +63,7 @@ def control_address(function: Callable[..., None]) -> Any:
 
 def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -> Any:
     python = getattr(function, "py_func", function)
-    if getattr(config, "DISABLE_JIT", 0):
+    if config.DISABLE_JIT:
         return python
     checked = getattr(function, "bounds_checked", False)
     # Compiled without the wrapper for Python, a tenth of the time before a first race.
@@ -92,7 +87,7 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
             " its results into its arguments and return nothing"
         )
     _kept.append(code)
-    return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
+    return address_of(code)
 
 
 def bounds_checked(function: Callable[..., None]) -> Callable[..., None]:
@@ -125,45 +120,5 @@ _kept: list[Any] = []
 """Machine code with addresses in use."""
 
 
-def _call(
-    wanted: tuple[types.Type, ...], given: tuple[types.Type, ...]
-) -> tuple[Any, Callable[..., Any]]:
-    """Return the signature and the code generator of a call.
-
-    The call is numba's own, with the address of a function compiled by numba.
-    """
-    if given != wanted:
-        raise TypingError(f"a planner's function takes {wanted}, not {given}")
-
-    def generate(context, builder, signature, values):
-        function = context.call_conv.get_function_type(types.none, wanted)
-        callee = builder.inttoptr(values[0], function.as_pointer())
-        status, _ = context.call_conv.call_function(builder, callee, types.none, wanted, values[1:])
-        with builder.if_then(status.is_error, likely=False):  # the race raises the planner's error
-            context.call_conv.return_status_propagate(builder, status)
-        return context.get_dummy_value()
-
-    return types.none(types.intp, *wanted), generate
-
-
-if getattr(config, "DISABLE_JIT", 0):
-
-    def call_plan(function, track, theta, view, memory, scratch, path):
-        """Call a planner's ``plan``."""
-        function(track, theta, view, memory, scratch, path)
-
-    def call_control(function, track, theta, view, memory, scratch, path, command):
-        """Call a planner's ``control``."""
-        function(track, theta, view, memory, scratch, path, command)
-
-else:
-
-    @intrinsic
-    def call_plan(typing, address, track, theta, view, memory, scratch, path):
-        """Call a planner's ``plan`` at an address."""
-        return _call(_PLAN, (track, theta, view, memory, scratch, path))
-
-    @intrinsic
-    def call_control(typing, address, track, theta, view, memory, scratch, path, command):
-        """Call a planner's ``control`` at an address."""
-        return _call(_CONTROL, (track, theta, view, memory, scratch, path, command))
+call_plan, call_control = call_with(_PLAN), call_with(_CONTROL)
+"""Calls of a planner's functions at an address, with a tuple of their arguments."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.code_cache import cache_folder
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError, say
 from pcs_racing.base.files import parse_json
@@ -27,7 +28,7 @@ from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_places import crashes_of_pairs, fit_places, places_of
 from pcs_racing.race.state import empty_state
-from pcs_racing.track.cache import CALIBRATION, cache_folder, cache_key, load_cached, store
+from pcs_racing.track.cache import CALIBRATION, cache_key, load_cached, store
 from pcs_racing.track.frenet import SPEED, X, Y
 from pcs_racing.track.track import Calibration, Track, calibration_from_values, calibration_values
 

@@ -336,8 +336,8 @@ def _command(
             view,
         )
         if tick % PLAN_EVERY == 0:
-            call_plan(drivers[2 * car], track, own, view, memory, scratch, path)
-        call_control(drivers[2 * car + 1], track, own, view, memory, scratch, path, command)
+            call_plan(drivers[2 * car], (track, own, view, memory, scratch, path))
+        call_control(drivers[2 * car + 1], (track, own, view, memory, scratch, path, command))
         if not np.isfinite(command[0] + command[1]):
             raise FloatingPointError("its command is not finite")
         _send(state, vehicles[race, car], settings, noise_share, race, car, tick, command, memory)

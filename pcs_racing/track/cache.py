@@ -7,7 +7,6 @@ damaged or misnamed file counts as missing; a file that can't be written is skip
 import contextlib
 import hashlib
 import io
-import os
 import re
 from collections.abc import Mapping
 from functools import cache
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.code_cache import cache_folder
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
 
@@ -28,17 +28,6 @@ _SEAL = 32  # bytes at the end of a file
 # Modules whose code, imports included, decides the content: a code change outdates the cache.
 _ALGORITHMS = {TRACK: "pcs_racing.track.loading", CALIBRATION: "pcs_racing.race.calibration"}
 _IMPORT = re.compile(r"^ *from (pcs_racing[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
-
-
-def cache_folder() -> Path | None:
-    """Return the folder of cached results; None if there is no home directory."""
-    named = os.environ.get("PCS_RACING_CACHE")
-    if named:
-        return Path(named)
-    try:
-        return Path.home() / ".cache" / "pcs_racing"
-    except RuntimeError:
-        return None
 
 
 def cache_key(parts: Mapping[str, bytes], kind: str) -> str:

@@ -4,19 +4,16 @@ time.
 
 import os
 import runpy
-import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 import pcs_racing
-from pcs_racing.base import code_cache
-from pcs_racing.base.code_cache import SIMULATOR, CodeCache, digest_of
+from pcs_racing.base import code_cache, compilation, numba_parts
+from pcs_racing.base.code_cache import SIMULATOR, code_folder, digest_of
 
 FLOORS = (*SIMULATOR, "track/building", "game")
 
@@ -25,6 +22,8 @@ FLOORS = (*SIMULATOR, "track/building", "game")
 def packages(tmp_path, monkeypatch) -> Path:
     """A folder with the two packages, and beside them modules of a user."""
     monkeypatch.setattr(code_cache, "_PACKAGE", tmp_path / "pcs_racing")
+    monkeypatch.setattr(code_cache, "_CHOSEN", "")
+    monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "home"))
     for folder in (
         *(f"pcs_racing/{floor}" for floor in FLOORS),
         "pcs_racing_agents/trees",
@@ -33,15 +32,22 @@ def packages(tmp_path, monkeypatch) -> Path:
     ):
         (tmp_path / folder).mkdir(parents=True, exist_ok=True)
         (tmp_path / folder / "module.py").write_text("A = 1\n")
+    new_process()
     return tmp_path
+
+
+def new_process() -> None:
+    """Forget what a process remembers of sources and messages."""
+    for known in (code_cache.sources_digest, code_cache.code_folder, numba_parts.say_once):
+        known.cache_clear()
 
 
 def changed_by(packages: Path, edited: str) -> set[str]:
     """Folders whose code is made of something else after an edit of a file."""
     folders = ("pcs_racing/race", "pcs_racing/game", "pcs_racing_agents/trees", "user")
 
-    def digests() -> dict[str, bytes]:
-        code_cache.sources_digest.cache_clear()
+    def digests() -> dict[str, str]:
+        new_process()
         return {folder: digest_of(packages / folder) for folder in folders}
 
     before = digests()
@@ -56,111 +62,36 @@ def test_an_edit_of_the_simulator_changes_all_code_and_one_above_it_only_what_is
     above = {"pcs_racing/game", "pcs_racing_agents/trees", "user"}
     assert changed_by(packages, "pcs_racing/game/module.py") == above
     assert changed_by(packages, "pcs_racing/game/new.py") == above
-    assert changed_by(packages, "pcs_racing_agents/trees/module.py") == {
-        "pcs_racing_agents/trees",
-        "user",
-    }
+    trees = "pcs_racing_agents/trees"
+    assert changed_by(packages, f"{trees}/module.py") == {trees, "user"}
     assert changed_by(packages, "user/module.py") == {"user"}
     assert not changed_by(packages, "user/below/module.py")
     assert not changed_by(packages, "user/notes.txt")
 
 
-def test_another_name_is_a_change(packages):
-    digest = digest_of(packages / "user")
-    (packages / "user" / "module.py").rename(packages / "user" / "other.py")
-    code_cache.sources_digest.cache_clear()
-    assert digest_of(packages / "user") != digest
-
-
-def test_the_order_in_which_a_system_lists_files_does_not_matter(packages, monkeypatch):
-    (packages / "user" / "other.py").touch()
-    digest, glob = digest_of(packages / "user"), Path.glob
-
-    def backwards(folder):
-        return sorted(os.scandir(folder), key=lambda entry: entry.name)[::-1]
-
-    monkeypatch.setattr(code_cache, "os", SimpleNamespace(scandir=backwards))
-    monkeypatch.setattr(Path, "glob", lambda self, pattern: sorted(glob(self, pattern))[::-1])
-    code_cache.sources_digest.cache_clear()
-    assert digest_of(packages / "user") == digest
-
-
 def test_the_simulator_is_where_the_package_is():
-    assert Path(pcs_racing.__file__).resolve().parent == code_cache._PACKAGE
-    assert [
-        floor for floor in SIMULATOR if not (code_cache._PACKAGE / floor / "__init__.py").is_file()
-    ] == []
+    package = Path(pcs_racing.__file__).resolve().parent
+    assert package == code_cache._PACKAGE
+    assert all((package / floor / "__init__.py").is_file() for floor in SIMULATOR)
 
 
-@pytest.fixture
-def code(packages) -> Path:
-    """Cached code of the user's modules."""
-    folder = packages / "user" / "__pycache__"
-    folder.mkdir()
-    forget(folder)
-    for ending in ("nbi", "1.nbc"):
-        (folder / f"module.f-1.py311.{ending}").touch()
-    return folder
-
-
-def forget(code: Path) -> int:
-    """Do what a new process does before it looks for code; return the number of files that are
-    left.
-    """
-    code_cache.sources_digest.cache_clear()
-    code_cache.forget_stale_code.cache_clear()
-    code_cache.forget_stale_code(str(code.parent), str(code))
-    return len(list(code.glob("*.nb[ci]")))
-
-
-def test_cached_code_stays_until_its_sources_change(code):
-    os.utime(code.parent / "module.py")  # touched, not changed
-    assert forget(code) == 2
-    (code.parent / "module.py").write_text("A = 2\n")
-    assert forget(code) == 0
-
-
-@pytest.mark.parametrize("note", [None, b"", b"0" * 64])
-def test_without_its_note_the_code_is_deleted(code, note):
-    (code / code_cache.NOTE).unlink()
-    if note is not None:
-        (code / code_cache.NOTE).write_bytes(note)
-    assert forget(code) == 0
-
-
-PLANNER = """
-from pcs_racing.base.compilation import compiled
-from pcs_racing_example.base import three
-
-@compiled
-def answer():
-    return three() + 1
-
-print(answer(), answer.stats.cache_path)
-"""
-
-
-def test_numba_s_own_code_of_a_user_s_module_follows_what_it_imports(tmp_path):
-    """Wherever numba keeps it: here beside the sources, and in a folder of the user's choice."""
-    base = (
-        "from pcs_racing.base.compilation import compiled\n\n@compiled\ndef three():\n    return"
-        " {}\n"
-    )
-    package = tmp_path / "pcs_racing_example"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "planner.py").write_text(PLANNER)
-    for folder in ("", str(tmp_path / "elsewhere")):
-        paths = os.pathsep.join([str(tmp_path), *sys.path])
-        environment = {**os.environ, "NUMBA_CACHE_DIR": folder, "PYTHONPATH": paths}
-        for number in (3, 4):
-            (package / "base.py").write_text(base.format(number))
-            command = [sys.executable, "-m", "pcs_racing_example.planner"]
-            said = subprocess.run(
-                command, capture_output=True, text=True, check=True, env=environment
-            ).stdout.split()
-            assert said[0] == str(number + 1)
-            assert said[1].startswith(folder or str(package))
+def test_code_is_in_the_first_writable_place_and_unused_folders_go(packages, monkeypatch):
+    place = packages / "pcs_racing" / "__pycache__" / "compiled"
+    first = code_folder(packages / "user")
+    assert first.parent == place
+    for k in range(code_cache.MAX_FOLDERS):
+        (place / f"{k}").mkdir()
+        os.utime(place / f"{k}", (k, k))
+    changed_by(packages, "user/module.py")
+    assert code_folder(packages / "user") != first
+    assert first.is_dir()
+    assert len(list(place.iterdir())) == code_cache.MAX_FOLDERS
+    monkeypatch.setattr(os, "access", lambda folder, mode: place not in Path(folder).parents)
+    new_process()
+    assert code_folder(packages / "user").parent == packages / "home" / "compiled"
+    monkeypatch.setattr(code_cache, "_CHOSEN", str(packages / "chosen"))
+    new_process()
+    assert code_folder(packages / "user").parent == packages / "chosen" / "compiled"
 
 
 MODULE = """
@@ -177,68 +108,66 @@ value = answer(10)
 found = len(answer.stats.cache_hits)
 """
 
+
+@pytest.fixture
+def module(packages) -> Path:
+    """A module of a user with a compiled function."""
+    file = packages / "user" / "module.py"
+    file.write_text(MODULE)
+    return file
+
+
+def run(module: Path) -> tuple[float, int]:
+    """What a new process computes, and how often it finds code on disk."""
+    new_process()
+    names = runpy.run_path(str(module))
+    return names["value"], names["found"]
+
+
+def test_code_of_a_user_s_module_follows_what_it_imports(packages, module, monkeypatch):
+    monkeypatch.syspath_prepend(module.parent)
+    assert [run(module), run(module)] == [(22.5, 0), (22.5, 1)]
+    (module.parent / "imported.py").write_text("A = 1\n")
+    assert [run(module), run(module)] == [(22.5, 0), (22.5, 1)]
+
+
 BROKEN = {
     "empty": lambda content: b"",
     "truncated": lambda content: content[: len(content) // 2],
-    "zeroed": lambda content: bytes(len(content)),
     "zeroed at the end": lambda content: content[: len(content) // 2].ljust(len(content), b"\0"),
     "of a module that is gone": lambda content: b"cno_such_module\nno_such_name\n.",
-    "text": lambda content: b"not a pickle",
-    "with another bit": lambda content: content[:-99] + bytes([content[-99] ^ 1]) + content[-98:],
 }
 
 
 @pytest.mark.parametrize("how", BROKEN)
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_cached_code_that_is_broken_is_compiled_again(tmp_path, capsys, ending, how):
-    module = tmp_path / "module.py"
-    module.write_text(MODULE)
-
-    def run() -> tuple[float, int, str]:
-        """What a new process computes, how often it finds code on disk, and what it says of it."""
-        code_cache.say_once.cache_clear()
-        names = runpy.run_path(str(module))
-        return names["value"], names["found"], capsys.readouterr().err
-
-    assert run() == (22.5, 0, "")
-    assert run() == (22.5, 1, "")
-    (file,) = tmp_path.glob(f"__pycache__/*.{ending}")
+def test_cached_code_that_is_broken_is_compiled_again(module, capsys, ending, how):
+    assert run(module) == (22.5, 0)
+    (file,) = code_folder(module.parent).glob(f"*/*.{ending}")
     file.write_bytes(BROKEN[how](file.read_bytes()))
-    assert run() == (22.5, 0, "pcs-racing: cached code can't be read; it is compiled again\n")
-    assert run() == (22.5, 1, "")
+    assert run(module) == (22.5, 0)
+    told = "pcs-racing: cached code can't be read; it is compiled again\n"
+    assert capsys.readouterr().err == told
+    assert run(module) == (22.5, 1)
+    assert capsys.readouterr().err == ""
 
 
-@pytest.mark.parametrize("ending", ["nbi", "nbc"])
-def test_code_of_another_function_is_not_taken_and_that_one_keeps_its_own(tmp_path, capsys, ending):
-    module = tmp_path / "module.py"
-    module.write_text(MODULE + MODULE.replace("answer", "answer_2").replace("0.5", "0.7"))
-    code_cache.say_once.cache_clear()
-    runpy.run_path(str(module))
-    (file,) = tmp_path.glob(f"__pycache__/module.answer-*.{ending}")
-    (other,) = tmp_path.glob(f"__pycache__/module.answer_2-*.{ending}")
-    own = file.read_bytes()
-    other.write_bytes(own)
-    assert runpy.run_path(str(module))["value"] == pytest.approx(31.5)
-    assert "compiled again" in capsys.readouterr().err
-    assert (file.read_bytes(), len(list(tmp_path.glob("__pycache__/module.answer*.nb[ci]")))) == (
-        own,
-        4,
-    )
+def test_code_that_can_not_be_kept_is_compiled_and_said_once(module, capsys, monkeypatch):
+    module.write_text(MODULE + MODULE.replace("answer", "answer_2"))
+    full = OSError(28, "No space left on device")
 
+    def save(self, name, data):
+        raise full
 
-def test_a_full_disk_is_told_once_and_the_function_runs(tmp_path, capsys, monkeypatch):
-    def full(self, name, data):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(IndexDataCacheFile, "_save_data", full)
-    code_cache.say_once.cache_clear()
-    (tmp_path / "module.py").write_text(MODULE + MODULE.replace("answer", "answer_2"))
-    assert runpy.run_path(str(tmp_path / "module.py"))["value"] == 22.5
-    cached = tmp_path / "__pycache__"
-    assert (
-        capsys.readouterr().err
-        == f"pcs-racing: compiled code can't be kept in {cached}: No space left on device\n"
-    )
+    with monkeypatch.context() as patch:
+        patch.setattr(IndexDataCacheFile, "_save_data", save)
+        assert run(module)[0] == 22.5
+    (folder,) = code_folder(module.parent).iterdir()
+    told = f"pcs-racing: compiled code can't be kept in {folder}: No space left on device\n"
+    assert capsys.readouterr().err == told
+    monkeypatch.setattr(compilation, "code_folder", lambda sources: None)
+    assert run(module)[0] == 22.5
+    assert capsys.readouterr().err.count("no folder for it can be written") == 1
 
 
 def add(a):
@@ -256,22 +185,13 @@ def test_two_writers_of_one_index_take_turns(monkeypatch):
         time.sleep(0.02)
         return index
 
-    monkeypatch.setattr(IndexDataCacheFile, "_load_index", slowly)
-    monkeypatch.setattr(
-        FunctionCache, "_save_overload", lambda self, sig, data: self._cache_file.save(sig, data)
-    )
-    with ThreadPoolExecutor(6) as pool:
-        list(
-            pool.map(
-                lambda number: CodeCache(add).save_overload(
-                    f"signature {number}", f"code {number}"
-                ),
-                range(6),
-            )
-        )
-    monkeypatch.undo()
-    file = CodeCache(add)._cache_file
-    assert [file.load(f"signature {number}") for number in range(6)] == [
-        f"code {number}" for number in range(6)
-    ]
+    with monkeypatch.context() as patch:
+        patch.setattr(IndexDataCacheFile, "_load_index", slowly)
+        save = lambda self, sig, data: self._cache_file.save(sig, data)  # noqa: E731
+        patch.setattr(FunctionCache, "_save_overload", save)
+        caches = [numba_parts.CodeCache(add) for _ in range(6)]
+        with ThreadPoolExecutor(6) as pool:
+            list(pool.map(lambda k: caches[k].save_overload(f"type {k}", f"code {k}"), range(6)))
+    file = numba_parts.CodeCache(add)._cache_file
+    assert [file.load(f"type {k}") for k in range(6)] == [f"code {k}" for k in range(6)]
     file.flush()

@@ -1,14 +1,13 @@
 import gc
-import os
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from filelock import FileLock
 from refusal import refused
-from repository import REPOSITORY, run_python
+from repository import run_python
 
+from pcs_racing.base import compilation
 from pcs_racing.base.compilation import compiled, first_call, inner_kernel, kernel
 
 
@@ -34,10 +33,12 @@ def quarter(a):
     return half(half(a))
 
 
-def dispatcher(cache: Path, signatures: tuple = ()) -> SimpleNamespace:
+def dispatcher(cache: Path | None, signatures: tuple = ()) -> SimpleNamespace:
     """What the announcement looks at."""
     return SimpleNamespace(
-        signatures=signatures, py_func=divide.py_func, stats=SimpleNamespace(cache_path=str(cache))
+        signatures=signatures,
+        py_func=divide.py_func,
+        stats=SimpleNamespace(cache_path=cache and str(cache)),
     )
 
 
@@ -55,6 +56,9 @@ def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
     with first_call(dispatcher(tmp_path), "what is on disk", 7) as compiling:
         assert not compiling
     assert capsys.readouterr().err == ""
+    with first_call(dispatcher(None), "what has no folder", 7) as compiling:
+        assert compiling
+    assert "what has no folder (about 7 s, in each process)" in capsys.readouterr().err
 
 
 def failing_call(cache: Path, what: str) -> None:
@@ -75,79 +79,21 @@ def test_no_garbage_is_collected_during_a_compilation(tmp_path, collects):
         (gc.enable if was else gc.disable)()
 
 
-WORKER = """
-import sys, time
-from pathlib import Path
-from types import SimpleNamespace
-from pcs_racing.base.compilation import first_call
+def test_one_process_compiles_and_the_others_wait(tmp_path, monkeypatch):
+    name, said = f"{Path(__file__).stem}.divide-", []
+    lock = FileLock(tmp_path / f".{name}lock")
+    lock.acquire()
 
-def f(): pass
+    def say(line: str) -> None:
+        """Let the other process finish while this one says that it waits."""
+        said.append(line)
+        (tmp_path / f"{name}15.py311.nbi").touch()
+        lock.release()
 
-cache = Path(sys.argv[1])
-dispatcher = SimpleNamespace(signatures=(), py_func=f, stats=SimpleNamespace(cache_path=str(cache)))
-with first_call(dispatcher, "the test", 1):
-    if not list(cache.glob("*.nbi")):
-        time.sleep(1.0)  # compiles
-        (cache / f"{Path(__file__).stem}.f-1.py311.nbi").touch()
-        (cache / f"compiled-by-{sys.argv[2]}").touch()
-"""
-
-
-def test_one_process_compiles_and_the_others_wait(tmp_path):
-    script, cache = tmp_path / "worker.py", tmp_path / "cache"
-    script.write_text(WORKER)
-    command = [sys.executable, str(script), str(cache)]
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
-    workers = [
-        subprocess.Popen([*command, str(i)], stderr=subprocess.PIPE, text=True, env=environment)
-        for i in range(3)
-    ]
-    said = [worker.communicate(timeout=120)[1] for worker in workers]
-    assert [worker.returncode for worker in workers] == [0, 0, 0]
-    assert len(list(cache.glob("compiled-by-*"))) == 1
-    assert sum("compiling the test" in text for text in said) == 1
-
-
-NOWHERE = """
-import numba.core.caching
-
-numba.core.caching.CacheImpl._locator_classes = []  # as without a home folder, in a package that is read-only
-
-import pcs_racing_agents.cli.race  # all kernels
-from pcs_racing.base.compilation import compiled, first_call, kernel
-
-@compiled
-def double(x):
-    return x + x
-
-@kernel
-def half(x):
-    return 0.5 * x
-
-for function, what in ((double, "one"), (half, "two")):
-    with first_call(function, what, 7):
-        print(function(3.0))
-"""
-
-
-def test_what_can_not_be_kept_is_compiled_and_said_once(tmp_path):
-    (tmp_path / "program.py").write_text(NOWHERE)
-    command, environment = (
-        [sys.executable, "program.py"],
-        {**os.environ, "PYTHONPATH": str(REPOSITORY)},
-    )
-    done = subprocess.run(
-        command, capture_output=True, text=True, check=True, cwd=tmp_path, env=environment
-    )
-    assert done.stdout == "6.0\n1.5\n"
-    assert done.stderr.splitlines() == [
-        (
-            "pcs-racing: compiled code can't be kept: no folder for it can be written;"
-            " NUMBA_CACHE_DIR names one"
-        ),
-        "pcs-racing: compiling one (about 7 s, in each process)",
-        "pcs-racing: compiling two (about 7 s, in each process)",
-    ]
+    monkeypatch.setattr(compilation, "say", say)
+    with first_call(dispatcher(tmp_path), "what another compiles", 7):
+        pass
+    assert said == ["waiting for another process that compiles what another compiles"]
 
 
 RACES = """

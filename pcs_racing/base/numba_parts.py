@@ -1,0 +1,101 @@
+"""All uses of numba's private parts, each with the feature that needs it.
+
+- `CodeCache`: numba fails in every later run on a file that a full disk left unreadable, and two
+  processes that compile a function at the same time may swap their code.
+- `inner`: without a wrapper for calls from Python, a first race compiles in half of the time, but
+  such a call would end the process.
+- `compiled_for`, `address_of`, `call_with`: calls without a lookup of types, which takes longer
+  than a step of a race. Numba's function types would also compile the race for each planner.
+"""
+
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any
+
+from numba import typeof, types
+from numba.core import cgutils, config
+from numba.core.caching import FunctionCache
+from numba.core.errors import TypingError
+from numba.core.registry import CPUDispatcher
+from numba.extending import intrinsic
+
+from pcs_racing.base.errors import say_once
+
+
+class CodeCache(FunctionCache):
+    """Numba's cache of one function's compiled code."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the code for a signature, or None without readable code."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # damaged pickles raise a dozen types of errors
+            say_once("cached code can't be read; it is compiled again")
+            with suppress(OSError):
+                self.flush()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Save the code for a signature; one process at a time writes to a folder."""
+        from filelock import FileLock  # needed only for compilation
+
+        with ExitStack() as turn:
+            with suppress(OSError):  # a file system without locks
+                turn.enter_context(FileLock(Path(self.cache_path) / ".lock"))
+            try:
+                super().save_overload(sig, data)
+            except OSError as error:
+                say_once(f"compiled code can't be kept in {self.cache_path}: {error.strerror}")
+
+
+class _Inner(CPUDispatcher):
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        raise TypeError(
+            f"{self.py_func.__qualname__} is an inner kernel: only compiled functions can call it"
+        )
+
+
+def inner(dispatcher: Any) -> Any:
+    """Refuse calls of a compiled function from Python."""
+    if isinstance(dispatcher, CPUDispatcher):  # without compilation: the function itself
+        dispatcher.__class__ = _Inner
+    return dispatcher
+
+
+def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
+    """Return the machine code of a compiled function for arguments of these types.
+
+    A call skips the lookup of all argument types, which takes longer than a step of one race. All
+    later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``),
+    return the function itself.
+    """
+    if not hasattr(function, "compile"):
+        return function
+    return function.compile(tuple(map(typeof, arguments)))
+
+
+def address_of(code: Any) -> int:
+    """Return the address of compiled code, one of a function's ``overloads``."""
+    return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
+
+
+def call_with(wanted: tuple[types.Type, ...]) -> Any:
+    """Return a compiled function that calls an address with a tuple of arguments."""
+
+    def generate(context, builder, signature, values):
+        function = context.call_conv.get_function_type(types.none, wanted)
+        callee = builder.inttoptr(values[0], function.as_pointer())
+        given = cgutils.unpack_tuple(builder, values[1], len(wanted))
+        status, _ = context.call_conv.call_function(builder, callee, types.none, wanted, given)
+        with builder.if_then(status.is_error, likely=False):  # the race raises the planner's error
+            context.call_conv.return_status_propagate(builder, status)
+        return context.get_dummy_value()
+
+    @intrinsic
+    def call(typing, address, arguments):
+        if tuple(arguments) != wanted:
+            raise TypingError(f"a planner's function takes {wanted}, not {arguments}")
+        return types.none(types.intp, arguments), generate
+
+    return (lambda function, given: function(*given)) if config.DISABLE_JIT else call
