@@ -115,7 +115,7 @@ def check_text(name: str, value: Any, error: Error = InputError) -> str:
 
 
 def check_path(name: str, value: Any, error: Error = InputError) -> str | os.PathLike[str]:
-    """Return a name or a path that a file can have; whether there is such a file is not looked at."""
+    """Return a name or a path that a file can have; the file need not exist."""
     fine = isinstance(value, str | os.PathLike) and bool(os.fspath(value))
     try:
         fine = fine and b"\0" not in os.fsencode(value)
@@ -154,28 +154,6 @@ def check_names(name: str, values: Any, error: Error = InputError) -> tuple[str,
     if len(set(values)) < len(values):
         raise error(f"{name} are {', '.join(values)}; name each once")
     return tuple(values)
-
-
-def check_wholes(
-    name: str,
-    values: Any,
-    minimum: int,
-    maximum: int,
-    count: tuple[int, int],
-    error: Error = InputError,
-) -> tuple[int, ...]:
-    """Return a list of whole numbers within a range as a tuple; ``count`` is the number of them,
-    from and to.
-    """
-    low, high = count
-    listed = isinstance(values, list | tuple) and low <= len(values) <= high
-    if not listed or not all(is_whole(value) and minimum <= value <= maximum for value in values):
-        many = f"{low} to {high}" if low else f"at most {high}"
-        raise error(
-            f"{name} is {values!r}; it must be a list of {many} whole"
-            f" numbers{within(minimum, maximum)}"
-        )
-    return tuple(int(value) for value in values)
 
 
 def check_seed(seed: Any, name: str = "seed", maximum: int | None = None) -> int:
@@ -265,6 +243,8 @@ def check_whole_array(
     ends belong to the range.
     """
     array = as_array(value)
+    if array.size == 0 and array.dtype == np.float64:  # numpy's type of an empty list
+        array = array.astype(np.int64)
     fits = not shapes or any(_fits(array, shape) for shape in shapes)
     if array.dtype.kind not in "iu" or not fits:
         wanted = " or ".join(str(shape).replace("None", "any") for shape in shapes)

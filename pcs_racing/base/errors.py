@@ -3,18 +3,15 @@
 A message is one line that names the value and the correct form; it comes before any long work. All
 functions of both packages follow the same rule, without repeating it in their docstrings.
 
-=============================  =========================================================================================
-problem                        error
-=============================  =========================================================================================
-an argument, an array or a     :class:`InputError`. It names the argument, and the index of the
-first wrong race, game file                           or car; or the file that is missing, too
-large, damaged or of another kind. a setting or its value         :class:`ConfigError` a map or a
-track               :class:`MapError` a name in a registry           :class:`UnknownNameError`, with
-the known names a keyword argument             :class:`UnknownArgumentError`, with the nearest known
-name an optional library            ``ModuleNotFoundError``, with the extra that installs it a full
-disk, a file without    ``OSError``, with the path; an existing file stays unchanged permission to
-write
-=============================  =========================================================================================
+- an argument, an array or a game file: :class:`InputError`. It names the argument, and the index
+  of the first wrong race or car; or the file that is missing, too large, damaged or of another kind
+- a setting or its value: :class:`ConfigError`
+- a map or a track: :class:`MapError`
+- a name in a registry: :class:`UnknownNameError`, with the known names
+- a keyword argument: :class:`UnknownArgumentError`, with the nearest known name
+- an optional library: ``ModuleNotFoundError``, with the extra that installs it
+- a full disk, a file without permission to write: ``OSError``, with the path; an existing file
+  stays unchanged
 
 A function's docstring names any other error that it raises.
 """

@@ -141,7 +141,7 @@ def parse_json(file: str | os.PathLike[str], content: bytes | str) -> Any:
 
 
 def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
-    """Return the number of values of a node with all aliases expanded; every node is visited once."""
+    """Return the number of values of a node with all aliases expanded; visit every node once."""
     if isinstance(node, yaml.ScalarNode):
         kind = node.tag.rpartition(":")[2]
         if kind in ("int", "float", "timestamp") and len(node.value) > _LONGEST_NUMBER:

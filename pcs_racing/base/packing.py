@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.checks import check_number, check_whole_array, check_wholes
+from pcs_racing.base.checks import check_number, check_whole_array
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import parse_json
 
@@ -56,12 +56,16 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
     """Return an array packed by `pack`, after a check of all fields."""
     fields = _parts(packed, name, ("shape", "per_unit", "differences", "data"))
     shape, per_unit, differences, data = fields
-    shape = check_wholes(f"{name}.shape", shape, 0, _MAX_NUMBERS, (0, 6))
-    count = math.prod(shape)
-    if count > _MAX_NUMBERS:
+    shape = check_whole_array(f"{name}.shape", shape, (None,), minimum=0, maximum=_MAX_NUMBERS)
+    count = math.prod(shape.tolist())
+    if count > _MAX_NUMBERS or len(shape) > 6:
         raise InputError(f"{name}.shape is {shape}; there may be {_MAX_NUMBERS} numbers in all")
     per_unit = check_number(f"{name}.per_unit", per_unit, 1e-9, 1e9)
-    differences = check_wholes(f"{name}.differences", differences, 0, len(shape) - 1, (0, 8))
+    axes = check_whole_array(
+        f"{name}.differences", differences, (None,), minimum=0, maximum=len(shape) - 1
+    )
+    if len(axes) > 8:
+        raise InputError(f"{name}.differences names {len(axes)} axes; there may be 8")
     try:
         deflated = base64.b64decode(data, validate=True)
         # A few bytes can unpack to gigabytes: no more is unpacked than the shape needs.
@@ -70,11 +74,10 @@ def unpack(packed: object, name: str = "array") -> np.ndarray:
         raise InputError(f"{name}.data must be a deflated list in base 64") from None
     if numbers.count(b",") != max(count - 1, 0):
         raise InputError(f"{name}.data must hold {count} numbers for shape {shape}")
-    listed = parse_json(f"{name}.data", numbers) if count else np.zeros(0, np.int64)
-    limit = 2**50
+    listed, limit = parse_json(f"{name}.data", numbers), 2**50
     whole = check_whole_array(f"{name}.data", listed, (count,), minimum=-limit, maximum=limit)
     whole = whole.reshape(shape)
-    for axis in differences:
+    for axis in axes:
         whole = np.cumsum(whole, axis=axis)
     return np.asarray(whole / per_unit)
 

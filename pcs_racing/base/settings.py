@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from enum import Enum
-from functools import cached_property, lru_cache, reduce
+from functools import cache, cached_property, reduce
 from inspect import cleandoc, get_annotations
 from operator import or_
 from pathlib import Path
@@ -250,7 +250,7 @@ class Settings:
         )
 
     def __post_init__(self) -> None:
-        for name, option in _options(type(self)).items():
+        for name, option in options_of(type(self)).items():
             value = getattr(self, name)
             try:
                 # By their texts, since 1, 1.0 and True are equal.
@@ -270,10 +270,12 @@ class Settings:
     def known(cls, **values: Any) -> Self:
         """Make settings out of values that need no check."""
         made = object.__new__(cls)
-        vars(made).update({name: option.default for name, option in _options(cls).items()} | values)
+        defaults = {name: option.default for name, option in options_of(cls).items()}
+        vars(made).update(defaults | values)
         return made
 
 
+@cache
 def options_of(cls: type[Settings]) -> dict[str, Option]:
     """Return the options of a class, which need not have become a dataclass yet."""
     found = {}
@@ -291,9 +293,6 @@ def options_of(cls: type[Settings]) -> dict[str, Option]:
             if get_origin(kind) is Annotated:
                 found[name] = Option(*parts, default, kind)
     return found
-
-
-_options: Callable[[type[Settings]], dict[str, Option]] = lru_cache(maxsize=None)(options_of)  # type: ignore[assignment]
 
 
 def load_settings(

@@ -7,7 +7,6 @@ damaged or misnamed file counts as missing; a file that can't be written is skip
 import contextlib
 import hashlib
 import io
-import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -25,14 +24,16 @@ TRACK, CALIBRATION = "track", "calibration"  # kinds of results
 MAX_BYTES = 256_000_000
 _SEAL = 32  # bytes at the end of a file
 
-# Modules whose code, imports included, decides the content: a code change outdates the cache.
-_ALGORITHMS = {TRACK: "pcs_racing.track.loading", CALIBRATION: "pcs_racing.race.calibration"}
-_IMPORT = re.compile(r"^ *from (pcs_racing[\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
+# Rooms whose code decides the content: a change of the code outdates the cache.
+_ROOMS = {
+    TRACK: ("base", "track"),
+    CALIBRATION: ("base", "track", "car", "planners", "race"),
+}
 
 
 def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
     """Return a hash of named inputs and of the code that processes them."""
-    digest = hashlib.sha256(algorithm_digest(_ALGORITHMS[kind]))
+    digest = hashlib.sha256(algorithm_digest(_ROOMS[kind]))
     for name in sorted(parts):
         digest.update(f"{name}\0{len(parts[name])}\0".encode())
         digest.update(parts[name])
@@ -40,25 +41,15 @@ def cache_key(parts: Mapping[str, bytes], kind: str) -> str:
 
 
 @cache
-def algorithm_digest(module: str) -> bytes:
-    """Return a digest of a module's source and of its imports in this package, recursively."""
+def algorithm_digest(rooms: tuple[str, ...]) -> bytes:
+    """Return a digest of the sources of some rooms of this package."""
+    package = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for name, content in sorted(_sources(module, {}).items()):
-        digest.update(f"{name} {len(content)}\n".encode() + content)
+    for file in sorted(file for room in rooms for file in (package / room).rglob("*.py")):
+        content = file.read_bytes()
+        digest.update(f"{file.relative_to(package).as_posix()} {len(content)}\n".encode())
+        digest.update(content)
     return digest.digest()
-
-
-def _sources(module: str, found: dict[str, bytes]) -> dict[str, bytes]:
-    """Add the sources of a module and of its imports; a name that is no module adds nothing."""
-    path = Path(__file__).parents[2].joinpath(*module.split("."))
-    for file in (path.with_suffix(".py"), path / "__init__.py"):
-        # The package's own file imports nothing: it lists the exported names.
-        if module not in found and module != "pcs_racing" and file.is_file():
-            found[module] = file.read_bytes()
-            for origin, names in _IMPORT.findall(found[module].decode()):
-                for name in (origin, *(f"{origin}.{name}" for name in re.findall(r"\w+", names))):
-                    _sources(name, found)
-    return found
 
 
 def load_cached(kind: str, key: str) -> dict[str, NDArray[Any]] | None:

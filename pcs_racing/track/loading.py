@@ -4,15 +4,15 @@ import json
 import logging
 import os
 import threading
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import arctangent2
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
-from pcs_racing.base.files import parse_json
 from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
 from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, wall_clearance
 from pcs_racing.track.building.curves import sample_closed
@@ -46,15 +46,12 @@ def load_track(name_or_path: str | os.PathLike[str]) -> Track:
     object. A map with changed files is loaded again.
     """
     files = find_map(_resolve(name_or_path))
-    with _lock:
-        kept = _loaded.get(files.yaml)
-        # Checked under the lock: two threads with the same map build it once.
-        if kept is None or kept.files != files or kept.stamp != _stamp(kept.paths):
-            contents = read_bytes(files)
-            paths = tuple(files.folder / name for name in contents)
-            kept = _Loaded(files, paths, _stamp(paths), _load(files, contents))
-            _loaded[files.yaml] = kept
-        return kept.track
+    contents = read_bytes(files)
+    key = cache_key(contents, TRACK)
+    with _lock:  # two threads with the same map build it once
+        if (files, key) not in _loaded:
+            _loaded[files, key] = _load(files, contents, key)
+        return _loaded[files, key]
 
 
 def with_walls(
@@ -64,25 +61,17 @@ def with_walls(
     grid = np.packbits(occupied).tobytes()
     facts = repr((track.content_hash, occupied.shape, resolution, origin)).encode()
     key = cache_key({"walls": grid, "facts": facts}, TRACK)
-    restored = _restore(track.name, track.folder, key)
-    if restored is not None:
-        return restored[0]
-    made = build_track(
-        track.name, occupied, resolution, origin, track.centerline, track.line[:, :2]
-    )
-    store(TRACK, key, _flatten(made, ""))
-    return made
+    line = track.line[:, :2]
 
+    def build() -> tuple[Track, str]:
+        made = build_track(track.name, occupied, resolution, origin, track.centerline, line)
+        return made, ""
 
-class _Loaded(NamedTuple):
-    files: MapFiles
-    paths: tuple[Path, ...]
-    stamp: tuple[tuple[int, int], ...] | None
-    track: Track
+    return _cached(track.name, track.folder, key, build)[0]
 
 
 _lock = threading.Lock()
-_loaded: dict[Path, _Loaded] = {}
+_loaded: dict[tuple[MapFiles, str], Track] = {}
 
 
 def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
@@ -101,44 +90,46 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
     return path.resolve() if os.path.exists(path) else path
 
 
-def _stamp(paths: tuple[Path, ...]) -> tuple[tuple[int, int], ...] | None:
-    """Return values that change when one of the files changes; None if a file is missing."""
-    try:
-        return tuple((status.st_mtime_ns, status.st_size) for status in map(os.stat, paths))
-    except OSError:
-        return None
-
-
-def _load(files: MapFiles, contents: dict[str, bytes]) -> Track:
-    """Return a track from the cache on disk, or build and cache it."""
-    key = cache_key(contents, TRACK)
-    restored = _restore(files.name, files.folder, key)
-    if restored is not None:
-        track, note = restored
-    else:
-        content = parse_map(files, contents)
-        center, race, note = _lines(files, content)
-        calibration = content.info.get("calibration", {})
-        try:
-            track = build_track(
-                content.name,
-                content.occupied,
-                content.resolution,
-                content.origin,
-                center,
-                race,
-                calibration={
-                    preset: calibration_from_values(values)
-                    for preset, values in calibration.items()
-                },
-                folder=content.folder,
-            )
-        except MapError as error:
-            raise MapError(f"{files.yaml}: {error}") from error
-        store(TRACK, key, _flatten(track, note))
+def _load(files: MapFiles, contents: dict[str, bytes], key: str) -> Track:
+    """Return the track of a map's files, and report lines made from the picture."""
+    track, note = _cached(files.name, files.folder, key, lambda: _build(files, contents))
     if note:
         _log.warning("track %s: %s", track.name, note)
     return track
+
+
+def _cached(
+    name: str, folder: Path | None, key: str, build: Callable[[], tuple[Track, str]]
+) -> tuple[Track, str]:
+    """Return a track and its note from the cache on disk, or build and cache them."""
+    found = _restore(name, folder, key)
+    if found is None:
+        found = build()
+        store(TRACK, key, _flatten(*found))
+    return found
+
+
+def _build(files: MapFiles, contents: dict[str, bytes]) -> tuple[Track, str]:
+    """Build a track from its files; return it, and a note on lines made from the picture."""
+    content = parse_map(files, contents)
+    center, race, note = _lines(files, content)
+    calibration = content.info.get("calibration", {})
+    try:
+        track = build_track(
+            content.name,
+            content.occupied,
+            content.resolution,
+            content.origin,
+            center,
+            race,
+            calibration={
+                preset: calibration_from_values(values) for preset, values in calibration.items()
+            },
+            folder=content.folder,
+        )
+    except MapError as error:
+        raise MapError(f"{files.yaml}: {error}") from error
+    return track, note
 
 
 def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
@@ -146,21 +137,19 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     from pcs_racing.track.building.centerline import centerline_from_grid
     from pcs_racing.track.building.raceline import minimum_curvature_raceline
 
-    occupied, resolution, origin = checked_grid(
-        content.occupied, content.resolution, content.origin, str(files.yaml)
-    )
-    if not occupied.any():
+    grid = checked_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
+    if not content.occupied.any():
         raise MapError(
             f"{files.yaml}: the picture has no wall, no cell darker than occupied_thresh"
         )
-    center = race = None
+    center = given = None
     reasons = []
     if content.raceline is None:
         reasons.append("it has no race line")
     else:
-        race = check_line(content.raceline[:, 1:3], str(files.raceline))
-        points = sample_closed(race, LINE_SPACING).xy
-        air = float(wall_clearance(points, occupied, resolution, origin, 1.0).min())
+        given = check_line(content.raceline[:, 1:3], str(files.raceline))
+        points = sample_closed(given, LINE_SPACING).xy
+        air = float(wall_clearance(points, *grid, 1.0).min())
         if air == 0.0:
             raise MapError(
                 f"{files.raceline} leads through a wall or off the map: it must stay on the track"
@@ -169,6 +158,7 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
             reasons.append(
                 f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)"
             )
+    race = None if reasons else given
     if content.centerline is not None:
         try:
             center = check_centerline(content.centerline, str(files.centerline or files.waypoints))
@@ -180,13 +170,11 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     note = " and ".join(reasons)
     try:
         if center is None:
-            heading = None if race is None else float(arctangent2(*(race[1] - race[0])[::-1]))
-            seed = None if race is None else race[0]
-            center = centerline_from_grid(
-                occupied, resolution, origin, seed_point=seed, direction=heading
-            )
-        if race is None or air < CLEARANCE - TOLERANCE:
-            race = minimum_curvature_raceline(center, occupied, resolution, origin)
+            heading = None if given is None else float(arctangent2(*(given[1] - given[0])[::-1]))
+            seed = None if given is None else given[0]
+            center = centerline_from_grid(*grid, seed_point=seed, direction=heading)
+        if race is None:
+            race = minimum_curvature_raceline(center, *grid)
     except ModuleNotFoundError as error:
         raise ModuleNotFoundError(
             f"track {files.name} must be completed: {note}; {error}", name=error.name
@@ -216,50 +204,17 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
 
 
 def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | None:
-    """Return the track of cached arrays from `_flatten`; None if missing or inconsistent."""
+    """Return the track of cached arrays from `_flatten`, and its note; None if missing."""
     stored = load_cached(TRACK, key)
-    try:
-        if stored is None or not _fit(stored):
-            return None
-        drivable = np.unpackbits(stored["drivable"], axis=1, count=int(stored["columns"])).view(
-            np.bool_
-        )
-        note, content_hash, own = parse_json("the cache", str(stored["text"]))
-        center = stored["centerline"]
-        center.flags.writeable = False  # as in every Track
-        values: dict[str, Any] = {
-            name: stored[name] for name in TrackArrays._fields if name != "distance"
-        }
-    except (KeyError, ValueError, IndexError, TypeError):
+    if stored is None:
         return None
     # A 0-d array has another type than a number: kernels would be compiled again for it.
-    for field, value in values.items():
-        if value.ndim == 0:
-            values[field] = float(value)
-    arrays = TrackArrays(distance=distance_to_walls(drivable, values["cell"]), **values)
+    values = {key: value if value.ndim else value.item() for key, value in stored.items()}
+    note, content_hash, own = json.loads(values.pop("text"))
+    center = values.pop("centerline")
+    center.flags.writeable = False  # as in every Track
+    drivable = np.unpackbits(values.pop("drivable"), axis=1, count=values.pop("columns"))
+    distance = distance_to_walls(drivable.view(np.bool_), values["cell"])
+    arrays = TrackArrays(distance=distance, **values)
     calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
     return Track(name, arrays, center, calibration, folder, content_hash), note
-
-
-def _fit(stored: dict[str, NDArray[Any]]) -> bool:
-    """Return whether lengths and indices of arrays agree: compiled code does not check them."""
-    samples, walls, stretches = (len(stored[name]) for name in ("line", "walls", "seen_middle"))
-    listed, corners = int(stored["seen_start"][-1]), int(stored["corners_start"][-1])
-    shapes = {
-        **{
-            "line": (samples, 9),
-            "walls": (walls, 4),
-            "seen_middle": (stretches, 2),
-            "corners": (2, corners),
-        },
-        **dict.fromkeys(("seen_start", "corners_start"), (stretches + 1,)),
-        **dict.fromkeys(("seen", "seen_distance"), (listed,)),
-    }
-    rising = all(
-        np.diff(stored[name], prepend=0).min() >= 0 for name in ("seen_start", "corners_start")
-    )
-    known = all(
-        0 <= stored[name].min() <= stored[name].max() < n
-        for name, n in (("seen", walls), ("lookup", samples))
-    )
-    return rising and known and all(stored[name].shape == shape for name, shape in shapes.items())

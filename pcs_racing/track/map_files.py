@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from pcs_racing.base import files
-from pcs_racing.base.checks import check_number, check_whole, is_number
+from pcs_racing.base.checks import check_number, is_number
 from pcs_racing.base.errors import MapError, say
 from pcs_racing.track.building.causes import at_cell
 
@@ -95,68 +95,43 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
 
 
 def parse_info(file: Path, data: bytes) -> dict[str, Any]:
-    """Parse a file ``NAME_track.yaml`` with the keys `INFO_KEYS`."""
+    """Parse a file ``NAME_track.yaml`` with the keys `INFO_KEYS`; check the calibration."""
     values = parse_yaml(file, data)
     unknown = [key for key in values if key not in INFO_KEYS]
     if unknown:
         raise MapError(
             f"{file}: unknown {', '.join(map(repr, unknown))}; the keys are {', '.join(INFO_KEYS)}"
         )
-    for key in ("description", "license", "style", "direction"):
-        if not isinstance(values.get(key, ""), str):
-            raise MapError(f"{file}: {key} must be text, got {values[key]!r}")
-    check_whole(f"{file}: seed", values.get("seed", 0), error=MapError)
-    for key in ("width", "resolution"):
-        if key in values:
-            _number(file, key, values[key], 0.0, 1e4)
-    if "length_range" in values:
-        _range(file, "length_range", values["length_range"], 1e4)
     calibration = values.get("calibration", {})
-    if not isinstance(calibration, dict) or not all(
-        isinstance(preset, str) for preset in calibration
-    ):
+    if not isinstance(calibration, dict) or not all(isinstance(name, str) for name in calibration):
         raise MapError(
             f"{file}: calibration must give values for each race preset, got {calibration!r:.80}"
         )
     for preset, own in calibration.items():
-        _check_calibration(file, f"calibration of {preset}", own)
+        if not _is_calibration(own):
+            raise MapError(
+                f"{file}: calibration of {preset} is {own!r:.80}; it must have speed_range [low,"
+                " high], start_spacing in m, start_places (for each side [first, last] in m, one"
+                " after the other) and left_share, as `pcs-racing track calibrate` writes them"
+            )
     return values
 
 
-def _check_calibration(file: Path, label: str, own: Any) -> None:
-    keys = ("speed_range", "start_spacing", "start_places", "left_share")
-    if not isinstance(own, dict) or own.keys() != set(keys):
-        raise MapError(f"{file}: {label} must have the keys {', '.join(keys)}, got {own!r:.80}")
-    _range(file, f"speed_range in the {label}", own["speed_range"], 10.0)
-    _number(file, f"start_spacing in the {label}", own["start_spacing"], 0.0, 10.0)
-    _number(file, f"left_share in the {label}", own["left_share"], 0.0, 1.0)
-    places = own["start_places"]
-    if (
-        not isinstance(places, dict)
-        or not 0 < len(places) <= 2
-        or not all(isinstance(side, str) for side in places)
-    ):
-        raise MapError(
-            f"{file}: start_places in the {label} must list stretches for each side, got"
-            f" {places!r:.80}"
-        )
-    for side, stretches in places.items():
-        _check_stretches(file, f"start_places {side} in the {label}", stretches)
-
-
-def _check_stretches(file: Path, label: str, stretches: Any) -> None:
-    if not isinstance(stretches, list) or not 0 < len(stretches) <= MAX_POINTS:
-        raise MapError(f"{file}: {label} must list [first, last], got {stretches!r:.80}")
-    before = -1.0
-    for stretch in stretches:
-        ok = isinstance(stretch, list) and len(stretch) == 2
-        ok = ok and all(map(is_number, stretch))
-        if not ok or not before < stretch[0] <= stretch[1] <= 1e5:
-            raise MapError(
-                f"{file}: {label} must be [first, last] in m, one after the other, got"
-                f" {stretch!r:.80}"
-            )
-        before = stretch[1]
+def _is_calibration(own: Any) -> bool:
+    """Return whether values are a calibration with possible numbers."""
+    try:
+        low, high = own["speed_range"]
+        places = own["start_places"]
+        fine = 0.0 < low < high <= 10.0 and len(own) == 4 and 1 <= len(places) <= 2
+        fine &= 0.0 <= own["start_spacing"] <= 10.0 and 0.0 <= own["left_share"] <= 1.0
+        for side, stretches in places.items():
+            ends = np.array(stretches, np.float64)
+            along = ends.ravel()
+            fine &= isinstance(side, str) and ends.ndim == 2 and ends.shape[1] == 2
+            fine &= bool((np.diff(along, prepend=0.0) >= 0.0).all() and along[-1] <= 1e5)
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        return False
+    return fine
 
 
 def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
@@ -283,30 +258,26 @@ def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
 def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str) -> Floats:
     """Parse 10 to 100,000 rows of finite numbers, shape (K, columns), and skip '#' comments."""
     try:
-        lines = data.decode("utf-8-sig").splitlines()
+        text = io.StringIO(data.decode("utf-8-sig"))
+        with warnings.catch_warnings(action="ignore"):  # of a file without rows
+            rows = np.loadtxt(text, delimiter=separator, ndmin=2, max_rows=MAX_POINTS + 1)
     except UnicodeDecodeError as error:
         raise MapError(f"{file} is no text: a csv file is needed") from error
-    rows = []
-    for number, text in enumerate(lines, start=1):
-        if not text.strip() or text.lstrip().startswith("#"):
-            continue
-        try:
-            row = [float(value) for value in text.split(separator, len(columns))]
-        except ValueError:
-            row = []
-        if len(row) != len(columns) or not all(map(math.isfinite, row)):
-            raise MapError(
-                f"{file}, line {number}: {text.strip()[:80]!r} should be {len(columns)} finite"
-                f" numbers separated by {separator!r}: {', '.join(columns)}"
-            )
-        rows.append(row)
-        if len(rows) > MAX_POINTS:
-            raise MapError(
-                f"{file} has more than {MAX_POINTS} points: a point every few centimetres is enough"
-            )
-    if len(rows) < 10:
-        raise MapError(f"{file} has {len(rows)} points: at least 10 are needed")
-    return np.array(rows)
+    except ValueError as error:
+        raise MapError(f"{file}: {error}; {_form(columns, separator)}") from error
+    if not 10 <= len(rows) <= MAX_POINTS:
+        count = f"more than {MAX_POINTS}" if len(rows) > MAX_POINTS else len(rows)
+        raise MapError(f"{file} has {count} points: 10 to {MAX_POINTS} are possible")
+    bad = ~np.isfinite(rows).all(axis=1)
+    if rows.shape[1] != len(columns) or bad.any():
+        row = int(np.argmax(bad))
+        raise MapError(f"{file}: row {row + 1} is {rows[row]}; {_form(columns, separator)}")
+    return rows
+
+
+def _form(columns: tuple[str, ...], separator: str) -> str:
+    names = ", ".join(columns)
+    return f"a row is {len(columns)} finite numbers separated by {separator!r}: {names}"
 
 
 def _number(file: Path, key: str, value: Any, low: float, high: float) -> float:
@@ -314,14 +285,6 @@ def _number(file: Path, key: str, value: Any, low: float, high: float) -> float:
         with contextlib.suppress(ValueError):
             value = float(value)
     return float(check_number(f"{file}: {key}", value, low, high, error=MapError))
-
-
-def _range(file: Path, key: str, value: Any, highest: float) -> None:
-    if not isinstance(value, list) or len(value) != 2:
-        raise MapError(f"{file}: {key} must be [low, high], got {value!r}")
-    low, high = (_number(file, key, bound, 0.0, highest) for bound in value)
-    if not 0.0 < low < high:
-        raise MapError(f"{file}: {key} must be [low, high] with 0 < low < high, got {value!r}")
 
 
 def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:

@@ -173,8 +173,7 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
 def write_map(content: MapFolder) -> Path:
     """Write a map folder (new, empty, or with a map of the same name), and return it.
 
-    A new folder appears complete or not at all. In an existing folder each file is replaced as a
-    whole.
+    Each file is replaced as a whole.
     """
     name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
     if (
@@ -191,18 +190,13 @@ def write_map(content: MapFolder) -> Path:
         raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
     files = _files(content)
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".map-") as temporary:
-            new = Path(temporary) / "map"
-            new.mkdir()
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".map-") as new:
             # All files are written before the first replacement: a full disk changes nothing.
             for file, data in files.items():
-                (new / file).write_bytes(data)
-            if folder.exists():
-                for file in files:
-                    os.replace(new / file, folder / file)
-            else:
-                os.rename(new, folder)
+                Path(new, file).write_bytes(data)
+            for file in files:
+                os.replace(Path(new, file), folder / file)
     except OSError as error:
         raise MapError(f"can't write {folder}: {error.strerror or error}") from error
     return folder
@@ -280,7 +274,7 @@ def _map_yaml(folder: Path) -> Path:
 
 
 def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
-    """Return the path of the map's picture, which must be in the folder after links are resolved."""
+    """Return the path of the picture, which must be in the folder after links are resolved."""
     file = files.folder / ros["image"]
     try:
         inside = file.resolve().is_relative_to(files.folder.resolve())

@@ -484,6 +484,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/planners/own_files.py:spec_from_file_location",
         "pcs_racing/planners/registry.py:resolve_name",
         "pcs_racing/race/rendering.py:import_module",  # of pygame
+        "pcs_racing/track/loading.py:json.loads",  # of the cache
         "pcs_racing/track/track.py:json.loads",
         "pcs_racing_agents/agents/__init__.py:import_module",
         "pcs_racing_agents/agents/from_torch.py:module.eval",  # a switch of torch

@@ -149,8 +149,8 @@ def _ring(
             x, y = corner + resolution * (np.array([j + col, i + row]) + 0.5)
             points.append(f"({x:.2f}, {y:.2f})")
         raise MapError(
-            f"{len(rings)} regions could be the track: choose one by a seed point, as"
-            f" {' or '.join(points)}"
+            f"{len(rings)} regions could be the track: choose one with `pcs-racing track import"
+            f" --seed-point`, at {' or '.join(points)}"
         )
     _, region, hole, row, col = rings[0]
     return region, hole, row, col

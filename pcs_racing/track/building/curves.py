@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths, sine_cosine
-from pcs_racing.base.errors import MapError
 
 Floats = NDArray[np.float64]
 
@@ -179,31 +178,6 @@ def transform(real, imaginary):
         re, next_re = next_re, re
         im, next_im = next_im, im
     return re, im
-
-
-def checked_curve(points: np.ndarray, label: str) -> np.ndarray:
-    """Return a closed curve's points, (N, 2), without repeated neighbours or first point.
-
-    Further columns are ignored.
-    """
-    xy = np.asarray(points, dtype=np.float64)
-    if xy.ndim != 2 or xy.shape[1] < 2:
-        raise MapError(f"the {label} has shape {xy.shape}: rows that begin with x and y are needed")
-    xy = xy[:, :2]
-    if not np.isfinite(xy).all():
-        raise MapError(
-            f"the {label} holds a coordinate that is not finite, in row"
-            f" {int(np.argwhere(~np.isfinite(xy))[0, 0])}"
-        )
-    xy = xy[lengths(xy - np.roll(xy, 1, axis=0)) > 1e-9]
-    if len(xy) < 4:
-        raise MapError(
-            f"the {label} has {len(xy)} different points: a closed curve needs at least 4"
-        )
-    steps = lengths(np.roll(xy, -1, axis=0) - xy)
-    if steps[-1] > 10.0 * np.median(steps) and steps[-1] > 0.1 * steps.sum():
-        raise MapError(f"the {label} is open: its last point lies {steps[-1]:.2f} m from its first")
-    return xy
 
 
 def curve_length(xy: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from pcs_racing.track.building.clearance import (
     wall_clearance,
 )
 from pcs_racing.track.building.curves import (
-    checked_curve,
+    clean_closed,
     curve_length,
     first_crossing,
     resample,
@@ -80,7 +80,8 @@ def minimum_curvature_raceline(
     require("clarabel")
     grid, resolution, corner = checked_grid(occupied, resolution, origin)
     check_number("clearance", clearance, 0.0)
-    line = around_islands(checked_curve(centerline, "centre line"), grid, resolution, corner)
+    line = clean_closed(np.asarray(centerline)[:, :2])
+    line = around_islands(line, grid, resolution, corner)
     lap = math.inf
     for _ in range(PASSES):
         better = _pass(line, grid, resolution, corner, clearance)
@@ -141,7 +142,7 @@ def raceline_rows(xy: np.ndarray) -> np.ndarray:
     (m/s) and acceleration to the next row (m/s^2). As in f1tenth_racetracks the last row repeats
     the first row, at s = length.
     """
-    line = sample_closed(checked_curve(xy, "race line"), SPACING)
+    line = sample_closed(xy, SPACING)
     ds = line.length / len(line.xy)
     v = speed_profile(line.kappa, ds)
     ax = (np.roll(v, -1) ** 2 - v**2) / (2.0 * ds)

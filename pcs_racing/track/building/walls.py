@@ -35,12 +35,7 @@ def trace_outlines(drivable):
     height, width = drivable.shape
     down = np.array([-1, 0, 1, 0])
     right = np.array([0, 1, 0, -1])
-    count = 0
-    for i in range(1, height - 1):
-        for j in range(1, width - 1):
-            if drivable[i, j]:
-                for side in range(4):
-                    count += not drivable[i + down[side], j + right[side]]
+    count = np.sum(drivable[1:] != drivable[:-1]) + np.sum(drivable[:, 1:] != drivable[:, :-1])
     visited = np.zeros((height, width), dtype=np.uint8)
     row = np.empty(count, dtype=np.int32)
     col = np.empty(count, dtype=np.int32)
@@ -200,47 +195,41 @@ def simplify(outlines, tolerance, inset):
 
 
 @compiled
-def _cell_faces(outlines, shape):
-    """Number the cells with a wall face, and list the outline face on each of their sides."""
-    number = np.full(shape, -1, dtype=np.int32)
-    count = 0
-    for k in range(outlines.row.shape[0]):
-        if number[outlines.row[k], outlines.col[k]] < 0:
-            number[outlines.row[k], outlines.col[k]] = count
-            count += 1
-    faces = np.full((count, 4), -1, dtype=np.int32)
-    for k in range(outlines.row.shape[0]):
-        faces[number[outlines.row[k], outlines.col[k]], outlines.side[k]] = k
-    return number, faces
+def _segments_by_face(outlines, owner, shape):
+    """Return the segment on each side of each cell, shape (H, W, 4); -1 where there is no wall."""
+    faces = np.full((shape[0], shape[1], 4), -1, dtype=np.int32)
+    for k in range(owner.shape[0]):
+        faces[outlines.row[k], outlines.col[k], outlines.side[k]] = owner[k]
+    return faces
 
 
 @compiled
-def _segment_at(drivable, number, faces, owner, x, y, angle):
+def _segment_at(drivable, faces, x, y, angle):
     """Return the segment hit by a ray; -1 for a viewpoint in a wall."""
     sine, cosine = sine_cosine(angle)
     _, i, j, side = cast(drivable, x, y, cosine, sine, np.inf)
-    return owner[faces[number[i, j], side]] if side >= 0 else -1
+    return faces[i, j, side] if side >= 0 else np.int32(-1)
 
 
 @compiled
-def _mark(drivable, number, faces, owner, x, y, marks):
+def _mark(drivable, faces, x, y, marks):
     """Mark the segments visible from a point by a fan of rays, denser between distant hits."""
     high = np.empty(DEPTH + 1)
     met = np.empty(DEPTH + 1, dtype=np.int64)
     step = 2.0 * np.pi / RAYS
     low = 0.5 * step
-    last = _segment_at(drivable, number, faces, owner, x, y, low)
+    last = _segment_at(drivable, faces, x, y, low)
     if last < 0:
         return
     # ``high`` is a stack of pending rays: between two rays to distant parts, one more is cast.
     for r in range(RAYS):
         high[0] = (r + 1.5) * step
-        met[0] = _segment_at(drivable, number, faces, owner, x, y, high[0])
+        met[0] = _segment_at(drivable, faces, x, y, high[0])
         top = 0
         while top >= 0:
             if top < DEPTH and abs(met[top] - last) > 1:
                 high[top + 1] = 0.5 * (low + high[top])
-                met[top + 1] = _segment_at(drivable, number, faces, owner, x, y, high[top + 1])
+                met[top + 1] = _segment_at(drivable, faces, x, y, high[top + 1])
                 top += 1
             else:
                 low = high[top]
@@ -284,7 +273,7 @@ def seen_lists(drivable, outlines, segments, owner, start, sections):
     distance : ndarray, shape of ``seen``
         Distance of each segment from the mean viewpoint in the middle of its stretch, in cells.
     """
-    number, faces = _cell_faces(outlines, drivable.shape)
+    faces = _segments_by_face(outlines, owner, drivable.shape)
     count = segments.shape[0]
     stretches = sections.shape[0] // 2
     seen_start = np.zeros(stretches + 1, dtype=np.int32)
@@ -294,7 +283,7 @@ def seen_lists(drivable, outlines, segments, owner, start, sections):
     marks = np.zeros((3, count), dtype=np.bool_)
     visible = np.empty(count, dtype=np.bool_)
     for v in range(sections.shape[1]):
-        _mark(drivable, number, faces, owner, sections[0, v, 0], sections[0, v, 1], marks[2])
+        _mark(drivable, faces, sections[0, v, 0], sections[0, v, 1], marks[2])
     for m in range(stretches):
         # The section at the end of the last stretch is the start of this stretch.
         marks[0] = marks[2]
@@ -302,7 +291,7 @@ def seen_lists(drivable, outlines, segments, owner, start, sections):
         for section in range(1, 3):
             view = sections[(2 * m + section) % (2 * stretches)]
             for v in range(view.shape[0]):
-                _mark(drivable, number, faces, owner, view[v, 0], view[v, 1], marks[section])
+                _mark(drivable, faces, view[v, 0], view[v, 1], marks[section])
         visible[:] = False
         for loop in range(start.shape[0] - 1):
             first, last = start[loop], start[loop + 1]

@@ -9,7 +9,6 @@ from refusal import refused
 
 from pcs_racing import MapError, UnknownNameError, load_track
 from pcs_racing.track import loading
-from pcs_racing.track.cache import _sources
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
 from pcs_racing.track.maps import MapFolder, read_map, write_map
 from pcs_racing.track.track import Calibration, build_track
@@ -101,19 +100,6 @@ def test_a_damaged_cache_file_is_made_anew(folder, cache, damage):
     assert file.read_bytes() == whole
 
 
-@pytest.mark.parametrize("wrong", ["line", "walls", "seen", "corners", "lookup"])
-def test_cached_arrays_that_do_not_fit_each_other_are_made_anew(folder, cache, monkeypatch, wrong):
-    """Compiled code would look up what is not there."""
-    one = load_track(folder)
-    arrays = loading._flatten(one, "")
-    arrays[wrong] = arrays[wrong] + len(one.line) if wrong == "lookup" else arrays[wrong][..., :-1]
-    monkeypatch.setattr(loading, "load_cached", lambda kind, key: arrays)
-    loading._loaded.clear()
-    np.testing.assert_array_equal(
-        getattr(load_track(folder).arrays, wrong), getattr(one.arrays, wrong)
-    )
-
-
 def test_what_other_code_has_cached_is_made_anew(folder, cache, monkeypatch):
     load_track(folder)
     loading._loaded.clear()
@@ -122,31 +108,6 @@ def test_what_other_code_has_cached_is_made_anew(folder, cache, monkeypatch):
     )
     load_track(folder)
     assert len(list(cache.iterdir())) == 2
-
-
-def test_the_digest_of_an_algorithm_is_that_of_the_modules_that_it_imports():
-    track, race = (
-        set(_sources(module, {}))
-        for module in ("pcs_racing.track.loading", "pcs_racing.race.calibration")
-    )
-    assert {
-        "pcs_racing.track.building.raceline",
-        "pcs_racing.track.frenet",
-        "pcs_racing.base.elementary",
-    } <= track
-    assert {
-        "pcs_racing.planners.lattice",
-        "pcs_racing.race.kernel",
-        "pcs_racing.car.vehicle",
-    } <= race
-    elsewhere = {
-        "pcs_racing.planners.mppi",
-        "pcs_racing.race.replay",
-        "pcs_racing.track.mapping.circuits",
-        "pcs_racing",
-    }
-    assert not elsewhere & (track | race)
-    assert "pcs_racing.race.kernel" not in track
 
 
 def test_a_full_disk_leaves_no_half_a_cache_and_is_no_error(folder, cache, monkeypatch):

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing.base.errors import MapError
 from pcs_racing.track.building import curves
 
 
@@ -40,23 +39,13 @@ def test_area_tells_the_direction_and_a_figure_of_eight_crosses_itself():
     assert curves.signed_area(circle(2.0, 1000)) == pytest.approx(4.0 * np.pi, rel=1e-4)
     assert curves.signed_area(circle(2.0, 1000)[::-1]) == pytest.approx(-4.0 * np.pi, rel=1e-4)
     closed = np.vstack([circle(1.0, 20), circle(1.0, 20)[:1]])
-    assert len(curves.checked_curve(closed, "line")) == 20
+    assert len(curves.clean_closed(closed)) == 20
     t = np.linspace(0.0, 2.0 * np.pi, 101)[:-1]
     eight = np.column_stack([np.sin(t), np.sin(2.0 * t)])
     assert curves.first_crossing(circle(3.0)) == (-1, -1)
     i, j = curves.first_crossing(eight)
     assert 0 <= i < j < 100
     np.testing.assert_allclose(eight[[i, j]], 0.0, atol=0.2)
-
-
-def test_impossible_curves_are_refused():
-    for points, words in [
-        (np.zeros(5), "shape"),
-        (np.zeros((9, 2)), "0 different points"),
-        ([[0.0, 0.0], [1.0, np.inf], [1.0, 1.0], [0.0, 1.0]], "row 1"),
-        (circle(3.0)[:120], "open"),
-    ]:
-        refused(words, curves.checked_curve, points, "line", error=MapError)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 6, 12, 30, 97, 360, 1801, 3072])

@@ -110,7 +110,7 @@ def _scan(walls, chosen, x, y, angles, reach):
 
 
 def _missed(track, views, beams, rng):
-    """Share of beams whose range differs when only the segments listed for the stretch are tried."""
+    """Share of beams whose range differs when only the segments of the stretch are tried."""
     arrays = track.arrays
     angles = np.linspace(-np.pi, np.pi, beams, endpoint=False)
     everything = np.arange(len(arrays.walls), dtype=np.int32)
