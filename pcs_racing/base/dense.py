@@ -24,8 +24,8 @@ from pcs_racing.base.errors import InputError
 
 Floats = NDArray[np.float32]
 
-MOST_WEIGHTS = 4_000_000
-MOST_LAYERS = 16
+MAX_WEIGHTS = 4_000_000
+MAX_LAYERS = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +37,10 @@ class DenseLayers:
     biases: tuple[NDArray[np.floating[Any]], ...]  #: shape (out,), float32: Biases.
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.weights) <= MOST_LAYERS or len(self.biases) != len(self.weights):
+        if not 1 <= len(self.weights) <= MAX_LAYERS or len(self.biases) != len(self.weights):
             raise InputError(
                 f"there are weights of {len(self.weights)} layers and biases of {len(self.biases)};"
-                f" give both of 1 to {MOST_LAYERS} layers"
+                f" give both of 1 to {MAX_LAYERS} layers"
             )
         inputs = None  # inputs of the next layer; any number for the first layer
         weights, biases = [], []
@@ -56,9 +56,9 @@ class DenseLayers:
             biases.append(_array(f"biases of layer {i}", bias, shape[:1]))
         object.__setattr__(self, "weights", tuple(weights))
         object.__setattr__(self, "biases", tuple(biases))
-        if weight_count(self.sizes) > MOST_WEIGHTS:
+        if weight_count(self.sizes) > MAX_WEIGHTS:
             raise InputError(
-                f"the layers have {weight_count(self.sizes)} weights; {MOST_WEIGHTS} is the limit"
+                f"the layers have {weight_count(self.sizes)} weights; {MAX_WEIGHTS} is the limit"
             )
 
     @property
@@ -193,9 +193,9 @@ def layers_from_bytes(
         raise InputError(
             f"{file.parent}: hidden is {hidden!r:.80}; it must be a list of whole numbers"
         )
-    if len(hidden) >= MOST_LAYERS:
+    if len(hidden) >= MAX_LAYERS:
         raise InputError(
-            f"{file.parent}: there are {len(hidden)} hidden layers; {MOST_LAYERS - 1} is the limit"
+            f"{file.parent}: there are {len(hidden)} hidden layers; {MAX_LAYERS - 1} is the limit"
         )
     try:
         tensors = load_tensors(content)

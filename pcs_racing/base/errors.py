@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from functools import cache
 from importlib.util import find_spec
 
-_LONGEST = 300
+_MAX_LENGTH = 300
 
 
 class InputError(ValueError):
@@ -101,4 +101,4 @@ def _shortened(message: str) -> str:
 
 
 def _ends(line: str) -> str:
-    return line if len(line) <= _LONGEST else f"{line[:195]} ... {line[-100:]}"
+    return line if len(line) <= _MAX_LENGTH else f"{line[:195]} ... {line[-100:]}"

@@ -27,10 +27,10 @@ MAX_YAML = 200_000
 """Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
 
 _FLOATS = yaml.SafeLoader("")
-_MOST_VALUES = 2_000_000  # in a YAML text, aliases expanded; a letter counts as a tenth
-_DEEPEST = 50
-_LONGEST_NUMBER = 100  # characters
-_MOST_MEMBERS = 1000  # arrays in a file
+_MAX_VALUES = 2_000_000  # in a YAML text, aliases expanded; a letter counts as a tenth
+_MAX_DEPTH = 50
+_MAX_DIGITS = 100  # characters
+_MAX_ARRAYS = 1000  # arrays in a file
 _KINDS = "biufcUS"  # types of arrays: booleans, numbers and texts
 
 
@@ -100,7 +100,7 @@ def plain_yaml(data: bytes | str) -> Any:
         node = loader.get_single_node()
         if node is None:
             return None
-        if _size(node, {}, 0) > _MOST_VALUES:
+        if _size(node, {}, 0) > _MAX_VALUES:
             raise InputError("it holds far more than it seems: its names stand for too much")
         return loader.construct_document(node)
     except InputError:
@@ -144,7 +144,7 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
     """Return the number of values of a node with all aliases expanded; visit every node once."""
     if isinstance(node, yaml.ScalarNode):
         kind = node.tag.rpartition(":")[2]
-        if kind in ("int", "float", "timestamp") and len(node.value) > _LONGEST_NUMBER:
+        if kind in ("int", "float", "timestamp") and len(node.value) > _MAX_DIGITS:
             raise InputError(f"the number {node.value[:20]}... has {len(node.value)} characters")
         if kind == "float" and not math.isfinite(_FLOATS.construct_yaml_float(node)):
             raise InputError(
@@ -152,8 +152,8 @@ def _size(node: yaml.Node, sizes: dict[int, float], depth: int) -> float:
             )
         return 1.0 + 0.1 * len(node.value)
     if id(node) not in sizes:
-        if depth > _DEEPEST:
-            raise InputError(f"it is nested more than {_DEEPEST} levels deep")
+        if depth > _MAX_DEPTH:
+            raise InputError(f"it is nested more than {_MAX_DEPTH} levels deep")
         # For a node that contains itself: its size is requested during its own computation.
         sizes[id(node)] = math.inf
         pairs = isinstance(node, yaml.MappingNode)
@@ -168,8 +168,8 @@ def unpack_arrays(content: bytes, limit: int = 1_000_000_000) -> dict[str, NDArr
         with zipfile.ZipFile(io.BytesIO(content)) as file:
             members = file.infolist()
             # Check the announced sizes before unpacking any member.
-            if len(members) > _MOST_MEMBERS or sum(member.file_size for member in members) > limit:
-                raise InputError(f"it unpacks to more than {limit} bytes or {_MOST_MEMBERS} arrays")
+            if len(members) > _MAX_ARRAYS or sum(member.file_size for member in members) > limit:
+                raise InputError(f"it unpacks to more than {limit} bytes or {_MAX_ARRAYS} arrays")
             return {
                 member.filename.removesuffix(".npy"): _array(file.read(member))
                 for member in members

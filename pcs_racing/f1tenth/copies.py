@@ -29,7 +29,7 @@ _NAMES = (
     "control_input",
 )
 _OF_CARS = ("num_beams", "fov", "integrator")
-_LARGEST = 1_000_000  # maximum bytes of a file
+_MAX_BYTES = 1_000_000  # of a file
 
 
 def find_copy(program: Path) -> Path | None:
@@ -79,7 +79,7 @@ def read_defaults(copy: Path) -> dict[str, Any]:
         (copy / "envs" / f"{file}.py", name) for file, names in files.items() for name in names
     ):
         with suppress(SyntaxError, ValueError, OSError, RecursionError):
-            tree = ast.parse(read_limited(file, _LARGEST, "a file of a copy of the gym"))
+            tree = ast.parse(read_limited(file, _MAX_BYTES, "a file of a copy of the gym"))
             pairs = [
                 pair
                 for node in tree.body

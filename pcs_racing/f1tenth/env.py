@@ -314,7 +314,7 @@ class GenerationA(F110Env):
         return self.step(np.zeros((self.num_agents, 2)))
 
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
-        """Make a step with the steering angle (rad) and the speed (m/s) of each car, shape (N, 2)."""
+        """Make a step with each car's steering angle (rad) and speed (m/s), shape (N, 2)."""
         done, infos = self._advance(action)
         columns, scans = self.sim.cars.T, list(self.sim.agent_scans)
         obs = {"ego_idx": self.ego_idx, "scans": scans, "linear_vels_y": [0.0] * self.num_agents}
@@ -405,7 +405,7 @@ class GenerationB(F110Env):
         self.config = deep_update(self.config, config or {})
 
     def configure(self, config: Any) -> None:
-        """Change the configuration of an environment; parameters of the cars take effect at once."""
+        """Change the configuration of an environment; cars get their parameters at once."""
         self._merge(config)
         self.sim.update_params(self.config["params"])
         self.params = self.sim.params

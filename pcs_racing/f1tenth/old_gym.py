@@ -1,6 +1,5 @@
 """Interface of gym 0.21: its wrappers, and its environments under current Stable-Baselines3."""
 
-import multiprocessing
 import sys
 import time
 from collections import deque
@@ -328,8 +327,11 @@ class SyncVectorEnv(gymnasium.Env[Any, Any]):
 
 
 def make_vector(
-    id: str, num_envs: int = 1, asynchronous: bool = True, **named: Any
-) -> SyncVectorEnv:  # noqa: A002
+    id: str,  # noqa: A002
+    num_envs: int = 1,
+    asynchronous: bool = True,
+    **named: Any,
+) -> SyncVectorEnv:
     """Make several environments of one name, stepped together."""
     return SyncVectorEnv([partial(gymnasium.make, id, **named)] * num_envs)
 
@@ -397,7 +399,7 @@ def _arguments(env: Any) -> Collection[str]:
     return _arguments(env.env) if handed_on else listed
 
 
-class _Adapter(MetaPathFinder):
+class Adapter(MetaPathFinder):
     """Import hook that adapts all environments given to Stable-Baselines3 to Gymnasium."""
 
     def find_spec(
@@ -436,15 +438,7 @@ def _adapted(function: Any, place: int) -> Any:
     return call
 
 
-def _seed(self: Any, seed: int | None = None) -> list[Any]:
+def seed_generator(self: Any, seed: int | None = None) -> list[Any]:
     """Seed an environment's generator, as environments of gym did."""
     self._np_random, used = seeding.np_random(seed)
     return [used]
-
-
-def install() -> None:
-    """Give environments a ``seed``, adapt Stable-Baselines3 on import, and prepare workers."""
-    gymnasium.Env.seed = _seed  # type: ignore[attr-defined]
-    sys.meta_path.insert(0, _Adapter())
-    if "forkserver" in multiprocessing.get_all_start_methods():
-        multiprocessing.set_forkserver_preload(["pcs_racing.f1tenth.in_workers"])

@@ -4,6 +4,7 @@ They hold the names that programs use. Other names raise an error of one sentenc
 """
 
 import math
+import multiprocessing
 import sys
 from collections.abc import Callable, Sequence
 from importlib import import_module
@@ -63,7 +64,7 @@ def _contents() -> dict[str, dict[str, Any]]:
     known = {name: getattr(f1tenth, name) for name in f1tenth.NAMES} | {"gym": gymnasium, "np": np}
     track = {"find_track_dir": lambda name: find_yaml(name).parent, "FEATURES": FEATURES}
     shared = "Env Space make register spaces logger"
-    gym = {name: getattr(gymnasium, name) for name in shared.split()} | {"__version__": "0.21.0"}
+    gym = {name: getattr(gymnasium, name) for name in shared.split()}
     vector = {
         "make": old_gym.make_vector,
         **dict.fromkeys(("SyncVectorEnv", "AsyncVectorEnv"), old_gym.SyncVectorEnv),
@@ -124,26 +125,42 @@ class _Refuser(MetaPathFinder):
 
 
 def install() -> None:
-    """Provide the modules in this process, and the names of older numpy."""
+    """Change this process for a program of the gym; only the runner and its workers call this.
+
+    Everything that holds for the whole process is changed here, and nowhere else:
+
+    - modules: ``gym``, ``f110_gym``, ``f1tenth_gym`` and ``pyglet`` are ours, even if they are
+      installed (a real pyglet would open windows of its own)
+    - ``numpy``: its removed names are back
+    - ``math``: its functions take arrays of one number
+    - ``gymnasium.Env``: it has a ``seed``
+    - Stable-Baselines3: it adapts environments of gym when it is imported
+    - worker processes of the program: they are changed in the same way
+    """
     f1tenth.register_environments()
-    contents = _contents()
-    # An installed pyglet would open windows of its own: our renderer draws everything.
-    for name, values in contents.items():
-        module = ModuleType(name, f"What programs use of {name}, by pcs_racing.f1tenth.")
-        module.__path__ = []
-        module.__dict__.update(
-            {key: value for key, value in values.items() if not key.startswith("__")}
-        )
-        if not name.startswith("pyglet"):
-            module.__getattr__ = _missing(name)  # type: ignore[method-assign]
-        sys.modules[name] = module
-        parent, _, child = name.rpartition(".")
-        if parent:
-            setattr(sys.modules[parent], child, module)
-    sys.modules["gym"].__version__ = "0.21.0"  # type: ignore[attr-defined]
-    sys.meta_path.insert(0, _Refuser())
-    restore_numpy()
-    old_gym.install()
+    for name, values in _contents().items():
+        _add_module(name, values)
+    sys.meta_path[:0] = [old_gym.Adapter(), _Refuser()]
+    vars(np).update({name: value for name, value in _REMOVED.items() if name not in vars(np)})
+    _let_math_take_arrays()
+    setattr(gymnasium.Env, "seed", old_gym.seed_generator)  # noqa: B010
+    if "forkserver" in multiprocessing.get_all_start_methods():
+        multiprocessing.set_forkserver_preload(["pcs_racing.f1tenth.in_workers"])
+
+
+def _add_module(name: str, values: dict[str, Any]) -> None:
+    """Add a module with some names; unknown names of gym are refused or Gymnasium's."""
+    module: Any = ModuleType(name, f"What programs use of {name}, by pcs_racing.f1tenth.")
+    module.__path__ = []
+    vars(module).update({key: value for key, value in values.items() if key[:2] != "__"})
+    if name == "gym":
+        module.__version__ = "0.21.0"
+    if not name.startswith("pyglet"):
+        module.__getattr__ = _missing(name)
+    sys.modules[name] = module
+    parent, _, child = name.rpartition(".")
+    if parent:
+        setattr(sys.modules[parent], child, module)
 
 
 def _missing(module: str) -> Any:
@@ -180,26 +197,21 @@ _TAKE_ARRAYS = (
 )
 
 
-def restore_numpy() -> None:
-    """Restore the names, and let ``math`` take arrays of one number, as it did up to numpy 2.3."""
-    for name, value in _REMOVED.items():
-        if name not in vars(np):
-            setattr(np, name, value)
-    # numba must register its own use of ``math`` before a module takes its name.
+def _let_math_take_arrays() -> None:
+    """Replace ``math``: its functions take arrays of one number, as they did up to numpy 2.3."""
     from numba.core.registry import cpu_target
 
+    # numba must register its own use of ``math`` before a module takes its name.
     cpu_target.typing_context.refresh()
     cpu_target.target_context.refresh()
     module = ModuleType("math", math.__doc__)
-    module.__dict__.update(
-        {name: value for name, value in vars(math).items() if not name.startswith("__")}
-    )
+    own = {name: value for name, value in vars(math).items() if not name.startswith("__")}
+    vars(module).update(own | {name: _for_arrays(own[name]) for name in _TAKE_ARRAYS.split()})
     sys.modules["math"] = module
-    for name in _TAKE_ARRAYS.split():
-        _replace(module, name, getattr(math, name))
 
 
-def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> None:
+def _for_arrays(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of ``math`` that takes arrays of one number; compiled, it is itself."""
     from numba.extending import overload
 
     def call(*values: Any) -> Any:
@@ -207,13 +219,12 @@ def _replace(module: ModuleType, name: str, function: Callable[..., Any]) -> Non
             *[v.item() if isinstance(v, np.ndarray) and v.size == 1 else v for v in values]
         )
 
-    # In compiled code, ``math.sin`` is the real function.
     def one(x):
         return lambda x: function(x)
 
     def two(x, y):
         return lambda x, y: function(x, y)
 
-    call.__name__, call.__module__ = name, "math"
-    setattr(module, name, call)
-    overload(call)(two if name in ("atan2", "copysign", "fmod", "pow") else one)
+    call.__name__, call.__module__ = function.__name__, "math"
+    overload(call)(two if function.__name__ in ("atan2", "copysign", "fmod", "pow") else one)
+    return call

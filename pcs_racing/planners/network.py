@@ -50,7 +50,7 @@ CALL_STEPS = 2  # simulation steps of 0.01 s from one call of a planner's ``cont
 TOP_SPEED = 8.0  # m/s
 SIGHT = 8.0  # m
 WEIGHT_LIMIT = 10.0
-MOST_WEIGHTS = 100_000
+MAX_WEIGHTS = 100_000
 
 
 @compiled
@@ -180,7 +180,7 @@ def network_planner(
             )
     widths = tuple(int(width) for width in hidden)
     count = driver_weight_count(widths)
-    if weights is None and count <= MOST_WEIGHTS:
+    if weights is None and count <= MAX_WEIGHTS:
         weights = np.zeros(count)
     check_driver(name, (len(INPUTS), *widths, OUTPUTS), weights, hold)
     parameters = tuple(
@@ -202,9 +202,9 @@ def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hol
             f" {len(INPUTS)} and {OUTPUTS}, steering and speed"
         )
     count = weight_count(sizes)
-    if count > MOST_WEIGHTS:
+    if count > MAX_WEIGHTS:
         raise InputError(
-            f"network {name!r} would have {count} weights; {MOST_WEIGHTS} is the limit"
+            f"network {name!r} would have {count} weights; {MAX_WEIGHTS} is the limit"
         )
     values = np.asarray(weights, np.float64)
     if values.shape != (count,):

@@ -59,7 +59,7 @@ _COCKPIT = ((0.2, 0.22), (-0.12, 0.34), (-0.3, 0.26), (-0.3, -0.26), (-0.12, -0.
 _ARROW = ((1.15, 0.0), (-1.0, 1.7), (-0.6, 0.0), (-1.0, -1.7))
 _AHEAD = ((1.85, 0.0), (1.25, 0.8), (1.42, 0.0), (1.25, -0.8))
 _WHEELS = ((0.55, 0.8), (0.55, -0.8), (-0.57, 0.8), (-0.57, -0.8))
-_LEAST_CAR = 8.0  # pixels of half a length: a smaller car is drawn as an arrow of _ARROW_SIZE
+_MIN_CAR = 8.0  # pixels of half a length: a smaller car is drawn as an arrow of _ARROW_SIZE
 _ARROW_SIZE = 11.0
 _NAME = 24  # max characters of a name
 _HALO = 3  # pixels around the letters of a name
@@ -167,7 +167,7 @@ def paint_car(
         turn = np.array([[np.cos(psi), np.sin(psi)], [-np.sin(psi), np.cos(psi)]])
         return _flat(camera.pixels(np.array([x, y]) + corners @ turn))
 
-    if half_length * camera.scale < _LEAST_CAR * FINER:
+    if half_length * camera.scale < _MIN_CAR * FINER:
         # In a view of the whole track the arrow is larger than the car: small, but always visible.
         pen.polygon(place(_ARROW, _ARROW_SIZE * FINER / (half_length * camera.scale)), fill=colour)
         return
@@ -232,7 +232,7 @@ def paint_names(
         box = np.array(pen.textbbox((0, 0), name[:_NAME], font=font, stroke_width=_HALO))
         half = 0.5 * (box[2:] - box[:2])
         half_length = half_sizes[min(car, len(half_sizes) - 1), 0] * camera.scale / FINER
-        gap = 4.0 + (_ARROW_SIZE * 1.7 if half_length < _LEAST_CAR else _AHEAD[0][0] * half_length)
+        gap = 4.0 + (_ARROW_SIZE * 1.7 if half_length < _MIN_CAR else _AHEAD[0][0] * half_length)
         # Distance at which the box of the text, in this direction, ends a gap before the car.
         reach = gap + float(np.min(half / np.maximum(np.abs(away), 1e-6)))
         low = half + np.array([0.0, top])

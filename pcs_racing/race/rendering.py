@@ -43,7 +43,7 @@ def views(cars: int) -> tuple[str, ...]:
 
 
 _CLOSE = 9.0  # m across the smaller side of the frame in a view that follows a car
-_LEAST_CLOSE = 32.0  # min pixels per metre in such a view
+_MIN_CLOSE = 32.0  # min pixels per metre in such a view
 _TEXT_HEIGHT = 32.0  # pixels: height of a line of text at the top
 
 
@@ -186,7 +186,7 @@ class Renderer:
         """Return the current camera, in whole fine pixels: the background needs no resampling."""
         size = np.array([self.width, self.height]) * FINER
         whole = float(np.min(0.91 * size / np.maximum(self._high - self._low, 1e-3)))
-        close = max(float(min(size)) / _CLOSE, FINER * _LEAST_CLOSE, whole)
+        close = max(float(min(size)) / _CLOSE, FINER * _MIN_CLOSE, whole)
         middle, scale = 0.5 * (self._low + self._high), whole
         if self.view == "both":
             low, high = cars[:, :2].min(axis=0), cars[:, :2].max(axis=0)

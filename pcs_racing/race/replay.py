@@ -18,8 +18,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.race.state import MOST_CARS
 
-_LARGEST = 1e9
-_LONGEST_TEXT = 500
+_MAX_NUMBER = 1e9
+_MAX_TEXT = 500
 
 
 @dataclass(frozen=True)
@@ -155,16 +155,16 @@ class Replay:
             known = array[~missing]
         elif allow == "inf":
             known = array[array != np.inf]
-        if not np.all(np.abs(known) <= _LARGEST):
-            raise InputError(f"{name} must be finite and at most {_LARGEST:.0e} in size")
+        if not np.all(np.abs(known) <= _MAX_NUMBER):
+            raise InputError(f"{name} must be finite and at most {_MAX_NUMBER:.0e} in size")
         array.setflags(write=False)
         self._set(name, array)
 
 
 def _check_text(value: object, name: str) -> None:
-    if not isinstance(value, str) or len(value) > _LONGEST_TEXT:
+    if not isinstance(value, str) or len(value) > _MAX_TEXT:
         raise InputError(
-            f"{name} must be text of at most {_LONGEST_TEXT} characters, got {value!r:.80}"
+            f"{name} must be text of at most {_MAX_TEXT} characters, got {value!r:.80}"
         )
     try:
         value.encode()
@@ -187,10 +187,10 @@ def _checked_events(events: object, cars: int) -> tuple[ReplayEvent, ...]:
 
 FORMAT = "pcs-racing replay 2"
 
-LONGEST_ITTC = 60.0
+MAX_ITTC = 60.0
 """Maximum stored time to collision, s."""
 
-_LARGEST_FILE = 100_000_000
+_MAX_BYTES = 100_000_000
 _PLAIN = ("title", "track_name", "outcome", "frame_dt", "plan_dt")
 _OPTIONAL = {"line_speed", "ittc", "paths", "candidates", "costs"}
 _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
@@ -228,7 +228,7 @@ def read_replay(path: str | os.PathLike[str]) -> Replay:
     """Read a race from a file of `save_replay`. Nothing in the file is run, all is checked."""
     path = Path(path)
     try:
-        text = read_limited(path, _LARGEST_FILE, "a replay", InputError).decode("utf-8")
+        text = read_limited(path, _MAX_BYTES, "a replay", InputError).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a replay: it is not UTF-8 text") from None
     if path.suffix != ".json":
@@ -279,7 +279,7 @@ _ARRAYS: dict[str, tuple[Callable[..., Any], Callable[..., np.ndarray]]] = {
     "cars": (_pack_smooth, packing.unpack),
     "progress": (_pack_smooth, packing.unpack),
     "line_speed": (_pack_drawn, packing.unpack),
-    "ittc": (lambda ittc: _pack_drawn(np.minimum(ittc, LONGEST_ITTC)), packing.unpack),
+    "ittc": (lambda ittc: _pack_drawn(np.minimum(ittc, MAX_ITTC)), packing.unpack),
     "paths": (lambda paths: packing.pack_paths(paths, packing.FINE), packing.unpack_paths),
     "candidates": (lambda paths: packing.pack_paths(paths, packing.COARSE), packing.unpack_paths),
     "costs": (packing.pack_costs, packing.unpack_costs),

@@ -18,8 +18,8 @@ BOX = ("x", "y", "heading", "length", "width")
 A width of 0 means a circle: the length is its diameter.
 """
 
-MOST_BOXES = 100
-SHORTEST, LONGEST = 0.05, 10.0  # m: limits of box sides and diameters
+MAX_BOXES = 100
+MIN_SIDE, MAX_SIDE = 0.05, 10.0  # m: limits of box sides and diameters
 CORNERS = 16  # corners of a circle: the sides are at most 2 % of the radius inside it
 
 Floats = NDArray[np.float64]
@@ -36,14 +36,14 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     given = check_array(
         "obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX))
     )
-    if len(given) > MOST_BOXES:
-        raise InputError(f"there are {len(given)} obstacles; {MOST_BOXES} are the limit")
-    fine = (given[:, 3:] >= SHORTEST) & (given[:, 3:] <= LONGEST)
+    if len(given) > MAX_BOXES:
+        raise InputError(f"there are {len(given)} obstacles; {MAX_BOXES} are the limit")
+    fine = (given[:, 3:] >= MIN_SIDE) & (given[:, 3:] <= MAX_SIDE)
     wrong = np.flatnonzero(~(fine[:, 0] & (fine[:, 1] | (given[:, 4] == 0.0))))
     if len(wrong):
         raise InputError(
             f"obstacle {wrong[0]} measures {given[wrong[0], 3:].tolist()} m; its sides must be from"
-            f" {SHORTEST:g} to {LONGEST:g} m, or its width 0 for a round one"
+            f" {MIN_SIDE:g} to {MAX_SIDE:g} m, or its width 0 for a round one"
         )
     if len(given) == 0:
         return track

@@ -72,13 +72,6 @@ def test_any_real_hint_is_wrapped(oval, hint, along):
     assert 0.0 <= frenet.wrap_s(oval.arrays, hint) < oval.length
 
 
-@given(along=fractions, across=st.floats(-1.0, 1.0))
-def test_a_point_is_located_without_a_hint(oval, along, across):
-    s, d = oval.to_frenet(oval.to_cartesian([along * oval.length, across])[:2])
-    assert abs(_difference(oval, s, along * oval.length)) < 1e-9
-    assert abs(d - across) < 1e-9
-
-
 @settings(max_examples=20)
 @given(angle=st.floats(-100.0, 100.0), other=st.floats(-100.0, 100.0))
 def test_angle_between_is_the_short_way_round(angle, other):

@@ -124,13 +124,6 @@ def test_impossible_tracks_are_refused(values, change, message):
     refused(message, build_track, "broken", error=MapError, **values | change(values))
 
 
-def test_a_gap_is_found_where_it_is(values):
-    """The message leads to the hole."""
-    broken = values | gap_to_the_border(values)
-    x = broken["origin"][0] + 200.5 * broken["resolution"]
-    refused(rf"near \({x:.2f}, -5\.", build_track, "broken", error=MapError, **broken)
-
-
 def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
     """Two legs: where the line of one hugs the wall between, points of the other beside it belong
     to their own.

@@ -9,7 +9,6 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.curves import first_crossing, resample, signed_area
 from pcs_racing.track.mapping.circuits import generate_circuit, walls_to_grid
-from pcs_racing.track.maps import read_map
 
 
 def distances(points: np.ndarray, line: np.ndarray) -> np.ndarray:
@@ -122,12 +121,3 @@ def test_impossible_wishes_and_maps_without_a_loop_are_refused(box):
             (0.0, 0.0),
             error=MapError,
         )
-
-
-@pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])
-def test_real_circuits_come_out_as_shipped(real_maps, name):
-    found = read_map(real_maps / name)
-    line = centerline_from_grid(found.occupied, found.resolution, found.origin)
-    away = distances(line, found.centerline)
-    assert away.mean() < 0.024
-    assert away.max() < 0.28

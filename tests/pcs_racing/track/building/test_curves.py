@@ -14,15 +14,6 @@ def circle(radius: float, points: int = 200) -> np.ndarray:
     return radius * np.column_stack([np.cos(t), np.sin(t)])
 
 
-@given(radius=st.floats(0.5, 50.0), step=st.floats(0.05, 0.4))
-def test_resampled_points_are_evenly_spaced_and_stay_on_the_curve(radius, step):
-    points = curves.resample(circle(radius), step)
-    chords = np.hypot(*(np.roll(points, -1, axis=0) - points).T)
-    np.testing.assert_allclose(chords, chords[0], rtol=1e-6)
-    np.testing.assert_allclose(np.hypot(*points.T), radius, rtol=1e-6)
-    np.testing.assert_allclose(points[0], (radius, 0.0), atol=1e-12)
-
-
 @given(radius=st.floats(0.5, 20.0), waves=st.integers(4, 12))
 def test_smoothing_damps_a_wave_as_it_says(radius, waves):
     t = np.linspace(0.0, 2.0 * np.pi, 400, endpoint=False)

@@ -20,7 +20,6 @@ from pcs_racing.track.building.raceline import (
     speed_profile,
 )
 from pcs_racing.track.mapping.circuits import walls_to_grid
-from pcs_racing.track.maps import read_map
 
 CURVATURES = arrays(np.float64, st.integers(1, 60), elements=st.floats(-3.0, 3.0))
 
@@ -50,15 +49,6 @@ def test_a_ring(box, clearance):
     assert sharpest[0] < (0.7 if clearance < 0.5 else 1.0) * sharpest[1]
     assert signed_area(race) > 0.0
     assert np.hypot(*(race[0] - line[0])) < 2.2
-
-
-def test_the_direction_of_the_centre_line_is_kept(box):
-    line, grid, resolution, origin = box
-    race = minimum_curvature_raceline(line[::-1], grid, resolution, origin)
-    assert signed_area(race) < 0.0
-    assert lap(race) == pytest.approx(
-        lap(minimum_curvature_raceline(line, grid, resolution, origin)), rel=0.002
-    )
 
 
 def test_the_line_of_a_circular_track_is_a_circle_and_a_narrow_place_is_named(monkeypatch):
@@ -136,17 +126,6 @@ def test_rows_follow_the_file_format_and_give_the_lap_time(box):
     assert lap_time(np.array([2.0, 4.0]), 3.0) == pytest.approx(2.0)
 
 
-@pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])
-def test_real_circuits(real_maps, name):
-    found = read_map(real_maps / name)
-    race = minimum_curvature_raceline(
-        found.centerline, found.occupied, found.resolution, found.origin
-    )
-    assert_sound(race, found.occupied, found.resolution, found.origin)
-    # The shipped lines go as near as 0.11 m to a wall, ours keeps 0.305 m.
-    assert lap(race) < 1.03 * lap(found.raceline[:, 1:3])
-
-
 @given(kappa=CURVATURES, ds=st.floats(0.05, 3.0))
 def test_every_sample_is_held_back_by_some_limit_and_none_is_exceeded(kappa, ds):
     """5 m/s^2 across, 3.5 forwards, 4.5 backwards, 8 m/s: the least of what these allow is the
@@ -157,9 +136,3 @@ def test_every_sample_is_held_back_by_some_limit_and_none_is_exceeded(kappa, ds)
     forwards = np.roll(w, 1) + 2.0 * 3.5 * ds
     backwards = np.roll(w, -1) + 2.0 * 4.5 * ds
     np.testing.assert_allclose(w, np.minimum(cap, np.minimum(forwards, backwards)), rtol=1e-9)
-
-
-@given(kappa=CURVATURES, shift=st.integers(-60, 60))
-def test_the_start_line_may_lie_anywhere(kappa, shift):
-    expected = np.roll(speed_profile(kappa, 0.3), shift)
-    np.testing.assert_allclose(speed_profile(np.roll(kappa, shift), 0.3), expected, rtol=1e-12)

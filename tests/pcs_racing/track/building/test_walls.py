@@ -5,7 +5,6 @@ seen.
 import itertools
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -14,7 +13,6 @@ from numba import njit
 from pcs_racing.track import frenet
 from pcs_racing.track.building.walls import TOGETHER, corner_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import LEFT, RIGHT
-from pcs_racing.track.loading import load_track
 from pcs_racing.track.obstacles import with_obstacles
 
 grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(
@@ -149,11 +147,6 @@ def test_lists_hold_all_that_is_seen_in_the_order_of_the_distance(oval):
         assert abs(s - (m + 0.5) * arrays.seen_stretch) < arrays.seen_stretch
         assert abs(d) < 0.3
     assert _missed(oval, 60, 720, np.random.default_rng(7)) == 0.0
-
-
-@pytest.mark.parametrize("name", ["Spielberg", "Oschersleben"])
-def test_lists_of_real_circuits_hold_nearly_all_that_is_seen(real_maps, name):
-    assert _missed(load_track(real_maps / name), 60, 720, np.random.default_rng(7)) < 1e-4
 
 
 def segments_between(corners: np.ndarray) -> set[tuple[float, ...]]:

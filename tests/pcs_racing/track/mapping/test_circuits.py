@@ -18,7 +18,7 @@ from pcs_racing.track.mapping.circuits import (
 from pcs_racing.track.mapping.shapes import STYLES, rounded
 
 
-@settings(max_examples=12)
+@settings(max_examples=6)
 @given(seed=st.integers(0, 10_000), style=st.sampled_from(sorted(STYLES)), clockwise=st.booleans())
 def test_circuits_are_what_they_promise(seed, style, clockwise):
     direction = "clockwise" if clockwise else "counterclockwise"
@@ -43,19 +43,6 @@ def test_circuits_are_what_they_promise(seed, style, clockwise):
     assert long[0] >= 8.0
     if style == "hairpin":
         assert long[1] >= 15.0
-
-
-@pytest.mark.parametrize("style", sorted(STYLES))
-def test_the_same_seed_gives_the_same_circuit_and_another_seed_another(style):
-    one, two, other = (
-        generate_circuit(4, style),
-        generate_circuit(4, style),
-        generate_circuit(8, style),
-    )
-    np.testing.assert_array_equal(one.centerline, two.centerline)
-    np.testing.assert_array_equal(one.raceline, two.raceline)
-    np.testing.assert_array_equal(one.occupied, two.occupied)
-    assert abs(one.length - other.length) > 0.1
 
 
 def test_impossible_wishes_are_refused():
