@@ -19,7 +19,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from enum import Enum
-from functools import cache, cached_property, reduce
+from functools import cached_property, reduce
 from inspect import cleandoc, get_annotations
 from operator import or_
 from pathlib import Path
@@ -240,9 +240,11 @@ class Settings:
 
     #: Names of settings elsewhere, for the hint in an error: ours.
     other_names: ClassVar[Mapping[str, str]] = {}
+    _options: ClassVar[Mapping[str, Option]] = {}
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        cls._options = options_of(cls)
         # From Python 3.13 on the docstring is not indented anyway; before, both parts must be.
         own = cleandoc(cls.__dict__.get("__doc__") or "")
         cls.__doc__ = "\n".join(
@@ -250,7 +252,7 @@ class Settings:
         )
 
     def __post_init__(self) -> None:
-        for name, option in options_of(type(self)).items():
+        for name, option in self._options.items():
             value = getattr(self, name)
             try:
                 # By their texts, since 1, 1.0 and True are equal.
@@ -270,12 +272,11 @@ class Settings:
     def known(cls, **values: Any) -> Self:
         """Make settings out of values that need no check."""
         made = object.__new__(cls)
-        defaults = {name: option.default for name, option in options_of(cls).items()}
+        defaults = {name: option.default for name, option in cls._options.items()}
         vars(made).update(defaults | values)
         return made
 
 
-@cache
 def options_of(cls: type[Settings]) -> dict[str, Option]:
     """Return the options of a class, which need not have become a dataclass yet."""
     found = {}

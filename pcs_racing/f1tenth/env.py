@@ -20,7 +20,7 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.f1tenth import kernel as k
 from pcs_racing.f1tenth.lines import Track, starting_poses
 from pcs_racing.f1tenth.maps import load_map
-from pcs_racing.f1tenth.observations import ORIGINAL, Observation
+from pcs_racing.f1tenth.observations import Observation
 from pcs_racing.f1tenth.rendering import EnvRenderer, RenderSpec, TrackRenderer
 from pcs_racing.f1tenth.simulator import (
     BEAMS,
@@ -316,15 +316,8 @@ class GenerationA(F110Env):
     def step(self, action: ArrayLike) -> tuple[dict[str, Any], float, bool, dict[str, Any]]:  # type: ignore[override]
         """Make a step with each car's steering angle (rad) and speed (m/s), shape (N, 2)."""
         done, infos = self._advance(action)
-        columns, scans = self.sim.cars.T, list(self.sim.agent_scans)
-        obs = {"ego_idx": self.ego_idx, "scans": scans, "linear_vels_y": [0.0] * self.num_agents}
-        obs |= {name: list(columns[column]) for name, column in ORIGINAL.items()}
-        obs |= {
-            "lap_times": columns[k.LAP_TIME],
-            "lap_counts": columns[k.LAPS],
-            "collisions": columns[k.CRASHED],
-        }
-        F110Env.current_obs = obs
+        laps = {"lap_times": self.lap_times, "lap_counts": self.lap_counts}
+        obs = F110Env.current_obs = self.sim.observed() | laps
         return obs, self.timestep, done, infos
 
     def render(self, mode: str = "human") -> Any:

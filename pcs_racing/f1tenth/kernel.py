@@ -75,6 +75,16 @@ from pcs_racing.track.grid import cast
     COLUMNS,
 ) = range(STATE_SIZE, STATE_SIZE + 19)
 
+ORIGINAL = {
+    "poses_x": X,
+    "poses_y": Y,
+    "poses_theta": PSI,
+    "linear_vels_x": V,
+    "ang_vels_z": PSI_DOT,
+    "collisions": CRASHED,
+}
+"""Columns of the gym's observations, by name."""
+
 KS, ST, OLD_ST = range(3)  # vehicle models; OLD_ST (generation A) differs below 0.5 m/s
 RK4, EULER = range(2)
 STOP_TIME = 0.005  # s; a shorter time to collision with a wall counts as a hit

@@ -31,14 +31,6 @@ TYPES: dict[str, tuple[str, ...]] = {
     "dynamic_state": (*_KINEMATIC, "ang_vel_z", "beta"),
     "frenet_dynamic_state": (*_KINEMATIC[:4], "linear_vel_y", "pose_theta", "ang_vel_z", "beta"),
 }
-ORIGINAL = {
-    "poses_x": k.X,
-    "poses_y": k.Y,
-    "poses_theta": k.PSI,
-    "linear_vels_x": k.V,
-    "ang_vels_z": k.PSI_DOT,
-    "collisions": k.CRASHED,
-}
 _LARGE = 1e30
 
 Observe = Callable[[Any], dict[str, Any]]  # argument: cars with the reported laps, if different
@@ -110,7 +102,7 @@ def _bounds(name: str, beams: int, *cars: int) -> spaces.Space[Any]:
 
 
 def _original_space(cars: int, beams: int) -> spaces.Dict:
-    names = ("scans", "linear_vels_y", "lap_times", "lap_counts", *ORIGINAL)
+    names = ("scans", "linear_vels_y", "lap_times", "lap_counts", *k.ORIGINAL)
     return spaces.Dict(
         {"ego_idx": spaces.Discrete(cars)} | {name: _bounds(name, beams, cars) for name in names}
     )
@@ -120,7 +112,7 @@ def _original(env: Any, laps: Any) -> dict[str, Any]:
     columns = env.sim.cars.T.astype(np.float32, order="C")
     counted = columns if laps is None else laps.T.astype(np.float32, order="C")
     obs = {"ego_idx": env.ego_idx, "scans": env.sim.agent_scans.astype(np.float32)}
-    obs |= {name: columns[column] for name, column in ORIGINAL.items()}
+    obs |= {name: columns[column] for name, column in k.ORIGINAL.items()}
     obs |= {"linear_vels_y": np.zeros(env.num_agents, np.float32)}
     return obs | {"lap_times": counted[k.LAP_TIME], "lap_counts": counted[k.LAPS]}
 

@@ -421,19 +421,16 @@ class Simulator:
     def step(self, control_inputs: ArrayLike) -> dict[str, Any]:
         """Advance all cars by one step; return the result of generation A: no laps and no end."""
         self.advance(control_inputs)
-        columns = {
-            "poses_x": k.X,
-            "poses_y": k.Y,
-            "poses_theta": k.PSI,
-            "linear_vels_x": k.V,
-            "ang_vels_z": k.PSI_DOT,
-        }
-        seen = {name: list(self.cars[:, column]) for name, column in columns.items()}
-        seen |= {
+        return self.observed()
+
+    def observed(self) -> dict[str, Any]:
+        """Return the observation of generation A, without laps."""
+        seen = {
             "ego_idx": self.ego_idx,
             "scans": list(self.agent_scans),
             "linear_vels_y": [0.0] * self.num_agents,
         }
+        seen |= {name: list(self.cars[:, column]) for name, column in k.ORIGINAL.items()}
         return seen | {"collisions": self.collisions}
 
     def advance(self, control_inputs: ArrayLike) -> bool:

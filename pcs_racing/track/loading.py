@@ -209,7 +209,9 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
     if stored is None:
         return None
     # A 0-d array has another type than a number: kernels would be compiled again for it.
-    values = {key: value if value.ndim else value.item() for key, value in stored.items()}
+    values: dict[str, Any] = {
+        key: value if value.ndim else value.item() for key, value in stored.items()
+    }
     note, content_hash, own = json.loads(values.pop("text"))
     center = values.pop("centerline")
     center.flags.writeable = False  # as in every Track

@@ -89,10 +89,10 @@ class Parser(ArgumentParser):
         """End the process with status 2."""
         found = re.match(r"(.*): invalid choice: '(.*)' \(choose from (.*)\)$", message)
         unknown = re.match(r"unrecognized arguments: (--[^\s=]+)", message)
-        known = list(_options(self)) if unknown else []
-        if unknown and unknown[1] in known:
+        options = list(_options(self)) if unknown else []
+        if unknown and unknown[1] in options:
             message = f"option {unknown[1]} belongs to another command"
-        elif unknown and (near := did_you_mean(unknown[1], known)):
+        elif unknown and (near := did_you_mean(unknown[1], options)):
             message = f"option {unknown[1]} is unknown{near}"
         if found:
             where, word, known = found.groups()

@@ -524,6 +524,7 @@ def test_an_unknown_name_is_told_before_compiled_code_is_imported(words):
     [
         ("track lsit", "COMMAND is 'lsit'; did you mean 'list'? there are: list, show"),
         ("race --trak Pipkin", "option --trak is unknown (did you mean '--track'?)"),
+        ("track show Pipkin --seed-point 1 2", "option --seed-point belongs to another command"),
     ],
 )
 def test_an_unknown_word_or_option_is_one_line_with_the_nearest(capsys, words, message):
