@@ -4,7 +4,7 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,16 +16,19 @@ from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run
 from pcs_racing_agents.networks.metrics import (
     RowScore,
     TreeScore,
-    constant_plays,
+    blind_plays,
     follow,
     score_rows,
     score_trees,
 )
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
-from pcs_racing_agents.networks.settings import TrainSettings, settings_for_trees
-from pcs_racing_agents.networks.targets import PlayedTree, get_target, solve_for, tree_rows
+from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.networks.targets import get_target, solve_for, tree_rows
 from pcs_racing_agents.networks.training import TrainingResult, train_network
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.trees import RaceTree
 
 
 class TrainedOnTrees(NamedTuple):
@@ -37,12 +40,12 @@ class TrainedOnTrees(NamedTuple):
     #: held-out trees.
     rows: list[RowScore]
     #: :class:`TreeScore` of the network and other strategies on each held-out tree,
-    #: shape (trees, 4); empty without held-out trees.
+    #: shape (trees, 2); empty without held-out trees.
     scores: dict[str, NDArray[np.float64]]
 
 
 def train_on_trees(
-    tree_at: Callable[[int], PlayedTree],
+    tree_at: "Callable[[int], RaceTree]",
     pairs: ArrayLike,
     identity: GameIdentity,
     settings: TrainSettings,
@@ -71,22 +74,17 @@ def train_on_trees(
         Called as ``progress(done, total, label)`` after every tree and every epoch (in this
         process).
     """
-    settings = settings_for_trees(settings)
-    numbers = pair_number(pairs)
+    numbers, target = pair_number(pairs), get_target(settings.target)
     held_out = _hold_out(numbers, settings)
-    rows: list[Rows | None] = [None] * len(held_out)
+    rows: dict[int, Rows] = {}
     tasks = numbered_tasks(partial(_solve, settings), (tree_at(i) for i in range(len(held_out))))
     for done, (i, block) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
-        rows[i] = block
+        if block is not None:
+            rows[i] = block
         if solving is not None:
             solving(done, len(held_out), f"solved for {settings.target}")
-    training = join_rows(
-        [block for block, out in zip(rows, held_out, strict=True) if block is not None and not out]
-    )
-    test_blocks = [
-        block for block, out in zip(rows, held_out, strict=True) if block is not None and out
-    ]
-    test = [i for i, block in enumerate(rows) if block is not None and held_out[i]]
+    training = join_rows([rows[i] for i in sorted(rows) if not held_out[i]])
+    test = [i for i in sorted(rows) if held_out[i]]
     # Torch has one random state and one thread count per process: threads would disturb each other.
     elsewhere = in_other_processes(executor)
     learn = partial(
@@ -94,14 +92,15 @@ def train_on_trees(
         training,
         identity,
         name=name,
-        clipped=get_target(settings.target).clipped,
+        clipped=target.clipped,
+        relative=target.relative,
         progress=learning if elsewhere is None else None,
     )
     network, result = run_task(learn, settings, elsewhere, "learning")
     # Without held-out trees the pairs of early stopping are used; their scores are slightly biased.
     test_rows = (
-        join_rows(test_blocks)
-        if test_blocks
+        join_rows([rows[i] for i in test])
+        if test
         else training.take(np.isin(training.pair, result.validation_pairs))
     )
     scores, trees = score_rows(network, test_rows), {}
@@ -114,7 +113,7 @@ def train_on_trees(
     summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
     if test:
         trees = score_trees(
-            {name: follow(network), **constant_plays(identity.moves)}, (tree_at(i) for i in test)
+            {name: follow(network), **blind_plays(identity.moves)}, (tree_at(i) for i in test)
         )
         for key, value in zip(TreeScore._fields, trees[name].mean(axis=0), strict=True):
             summary[f"test_{key}"] = float(f"{value:.4g}")
@@ -137,21 +136,12 @@ def _hold_out(numbers: NDArray[np.int64], settings: TrainSettings) -> NDArray[np
     return np.isin(numbers, drawn[: different - 2])
 
 
-def _solve(settings: TrainSettings, race_tree: PlayedTree) -> Rows | None:
+def _solve(settings: TrainSettings, race_tree: "RaceTree") -> Rows | None:
     """Return the rows of a tree; None if the race is over before the first move."""
     if np.all(race_tree.over[0]):
         return None
-    solution = solve_for(
-        race_tree.game_tree(),
-        settings.target,
-        iterations=settings.iterations,
-        variant=settings.variant,
-    )
+    target = settings.target
+    solution = solve_for(race_tree.game_tree(), target, iterations=settings.iterations)
     return tree_rows(
-        race_tree,
-        solution,
-        settings.target,
-        row_weights=settings.row_weights or "uniform",
-        rows_per_step=settings.rows_per_step,
-        seed=settings.seed,
+        race_tree, solution, target, rows_per_step=settings.rows_per_step, seed=settings.seed
     )

@@ -5,15 +5,16 @@ counts.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.base.tables import aligned
+from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows
-from pcs_racing_agents.networks.targets import PlayedTree, best_moves
+from pcs_racing_agents.networks.targets import best_moves
 from pcs_racing_agents.solvers import (
     ExactResult,
     GameTree,
@@ -23,6 +24,9 @@ from pcs_racing_agents.solvers import (
     solve_exact,
     uniform_profile,
 )
+
+if TYPE_CHECKING:
+    from pcs_racing_agents.trees import RaceTree
 
 Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 """Function from observations (R, D) to probabilities of the moves, shape (R, A)."""
@@ -38,8 +42,22 @@ class RowScore(NamedTuple):
     chance: float
     constant: float  #: Same share for the best constant move on these rows.
     shortfall: float  #: Weighted mean of the highest target minus the target of the chosen move.
-    #: Weighted mean squared error of the network's values (clipped values if it clips).
-    error: float
+
+    @property
+    def move(self) -> str:
+        """Number of the move, from 1, or "all"."""
+        return "all" if self.step < 0 else str(self.step + 1)
+
+
+CHOICES = (
+    Column("move"),
+    Column("rows"),
+    Column("agreement", format=".1%"),
+    Column("chance", "random", ".1%"),
+    Column("constant", "best constant", ".1%"),
+    Column("shortfall", format=".4g"),
+)
+"""Columns of the table of choices."""
 
 
 class TreeScore(NamedTuple):
@@ -50,23 +68,16 @@ class TreeScore(NamedTuple):
     lost_to_best_response: float
     #: Value of the game minus the strategy's value against an opponent that plays its equilibrium.
     lost_to_equilibrium: float
-    #: Absolute difference between the value of the game and the value of car 0 if both cars follow
-    #: the strategy.
-    off_in_self_play: float
-    against_random: float  #: Value against an opponent with random moves.
 
 
 def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
     """Compare choices with targets: first on all rows, then on the rows of each step."""
-    values = network(rows.observations)
     choice = network.choose(rows.observations, rows.mask)
     best = best_moves(rows.targets, rows.mask)
-    targets = np.maximum(rows.targets, 0.0) if network.clipped else rows.targets
     shortfall = (
         np.where(rows.mask, rows.targets, -np.inf).max(axis=1)
         - rows.targets[np.arange(len(rows)), choice]
     )
-    error = np.sum(rows.mask * (values - targets) ** 2, axis=1) / rows.mask.sum(axis=1)
     chance = np.sum(best & rows.mask, axis=1) / rows.mask.sum(axis=1)
     result = []
     for step in (-1, *np.unique(rows.step)):
@@ -80,7 +91,6 @@ def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
                 chance=float(share @ chance[included]),
                 constant=float((share @ best[included]).max()),
                 shortfall=float(share @ shortfall[included].astype(np.float64)),
-                error=float(share @ error[included].astype(np.float64)),
             )
         )
     return result
@@ -103,16 +113,18 @@ def follow(network: RegretNetwork) -> Play:
     return play
 
 
-def constant_plays(moves: Sequence[str]) -> dict[str, Play]:
-    """Return the strategies of one constant move each, by name."""
-
-    def always(i: int) -> Play:
-        return lambda observations: np.tile(np.eye(len(moves))[i], (len(observations), 1))
-
-    return {f"always {move}": always(i) for i, move in enumerate(moves)}
+def blind_plays(moves: Sequence[str]) -> dict[str, Play]:
+    """Return the strategies of one constant move each and of random moves, by name."""
+    odds = {f"always {move}": row for move, row in zip(moves, np.eye(len(moves)), strict=True)}
+    odds["random moves"] = np.full(len(moves), 1.0 / len(moves))
+    return {name: partial(_same_odds, row) for name, row in odds.items()}
 
 
-def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
+def _same_odds(odds: NDArray[np.float64], observations: NDArray[np.float32]) -> NDArray[np.float64]:
+    return np.tile(odds, (len(observations), 1))
+
+
+def play_profile(play: Play, race_tree: "RaceTree") -> Profile:
     """Return a strategy as a profile: both roles, every node of every seed, shape (S * N_k, A)
     each.
     """
@@ -128,16 +140,13 @@ def play_profile(play: Play, race_tree: PlayedTree) -> Profile:
     return profile
 
 
-def score_tree(
-    profile: Profile, race_tree: PlayedTree, exact: ExactResult | None = None
-) -> TreeScore:
-    """Evaluate a strategy (:func:`play_profile`) on a tree, with its exact solution if known.
+def score_tree(profile: Profile, race_tree: "RaceTree", exact: ExactResult) -> TreeScore:
+    """Evaluate a strategy (:func:`play_profile`) on a tree with its exact solution.
 
     With several noise seeds the strategy gets the observations of each seed. The best response
     and the equilibrium know the moves made so far but not the seed.
     """
     tree = race_tree.game_tree()
-    exact = solve_exact(tree) if exact is None else exact
     payoffs = np.asarray(race_tree.payoffs, np.float64)
     seeds = len(payoffs)
     each = GameTree.from_payoffs(
@@ -148,100 +157,50 @@ def score_tree(
     # knows the moves but not the seed: nodes of all seeds are one infoset.
     own = [np.arange(each.nodes(k)) for k in range(each.depth)]
     shared = [np.tile(np.arange(tree.nodes(k)), seeds) for k in range(each.depth)]
-    both_see = each.with_infosets(list(zip(own, own, strict=True)))
-    losses = np.zeros((2, 3))
-    for player in (0, 1):
-        value = exact.value if player == 0 else -exact.value
-        labels = (own, shared) if player == 0 else (shared, own)
+    losses = []
+    for player, labels in enumerate(((own, shared), (shared, own))):
         game = each.with_infosets(list(zip(*labels, strict=True)))
+        sign = 1.0 - 2.0 * player
         # The player's half of the profile is the strategy; the opponent supplies the other half.
-        uniform = uniform_profile(game)
+        anybody = _with_opponent(profile, uniform_profile(game), player)
+        rival = _with_opponent(profile, exact.profile, player)
+        best = best_response(game, anybody, 1 - player).value
+        losses.append((sign * exact.value + best, sign * (exact.value - play_value(game, rival))))
+    return TreeScore(*np.mean(losses, axis=0).tolist())
 
-        def against(other: Profile, player: int = player) -> Profile:
-            mine, theirs = (profile, other) if player == 0 else (other, profile)
-            return [(first[0], second[1]) for first, second in zip(mine, theirs, strict=True)]
 
-        sign = 1.0 if player == 0 else -1.0
-        losses[player] = (
-            value + best_response(game, against(uniform), 1 - player).value,
-            value - sign * play_value(game, against(exact.profile)),
-            sign * play_value(game, against(uniform)),
-        )
-    self_play = abs(play_value(both_see, profile) - exact.value)
-    to_best, to_equilibrium, random = losses.mean(axis=0)
-    return TreeScore(float(to_best), float(to_equilibrium), float(self_play), float(random))
+def _with_opponent(profile: Profile, other: Profile, player: int) -> Profile:
+    """Return a profile in which one player follows the first profile, the opponent the second."""
+    mine, theirs = (profile, other) if player == 0 else (other, profile)
+    return [(first[0], second[1]) for first, second in zip(mine, theirs, strict=True)]
 
 
 def score_trees(
-    plays: dict[str, Play], race_trees: Iterable[PlayedTree]
+    plays: dict[str, Play], race_trees: "Iterable[RaceTree]"
 ) -> dict[str, NDArray[np.float64]]:
-    """Evaluate strategies on several trees, shape (trees, 4) each in the order of
+    """Evaluate strategies on several trees, shape (trees, 2) each in the order of
     :class:`TreeScore`.
-
-    The equilibrium of each tree and random moves are added for comparison.
     """
-    scores: dict[str, list[TreeScore]] = {
-        name: [] for name in (*plays, "equilibrium", "random moves")
-    }
+    scores: dict[str, list[TreeScore]] = {name: [] for name in plays}
     for race_tree in race_trees:
-        tree = race_tree.game_tree()
-        exact, seeds = solve_exact(tree), len(race_tree.payoffs)
-        profiles = {name: play_profile(play, race_tree) for name, play in plays.items()}
-        for name, one_seed in (
-            ("equilibrium", exact.profile),
-            ("random moves", uniform_profile(tree)),
-        ):
-            profiles[name] = [
-                (np.tile(first, (seeds, 1)), np.tile(second, (seeds, 1)))
-                for first, second in one_seed
-            ]
-        for name, profile in profiles.items():
-            scores[name].append(score_tree(profile, race_tree, exact))
-    return {
-        name: np.array(rows, np.float64).reshape(-1, len(TreeScore._fields))
-        for name, rows in scores.items()
-    }
+        exact = solve_exact(race_tree.game_tree())
+        for name, play in plays.items():
+            scores[name].append(score_tree(play_profile(play, race_tree), race_tree, exact))
+    return {name: np.array(rows, np.float64) for name, rows in scores.items()}
 
 
 def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]]) -> str:
-    """Return scores as text: choices against targets by step, then the utility of strategies on the
-    trees.
-    """
-    table = [["step", "rows", "agreement", "random", "best constant", "shortfall"]]
-    for score in rows:
-        shares = [f"{share:.1%}" for share in (score.agreement, score.chance, score.constant)]
-        step = "all" if score.step < 0 else str(score.step + 1)
-        table.append([step, str(score.rows), *shares, f"{score.shortfall:.4g}"])
-    lines = ["choices on held-out rows:", *(f"  {line}" for line in aligned(table, left=0))]
-    if trees:
-        count = len(next(iter(trees.values())))
-        lines += [
-            "",
-            f"utility on {count} held-out trees, mean of both roles (standard error over trees):",
-        ]
-        table = [
-            [
-                "strategy",
-                "lost to a best response",
-                "lost to equilibrium",
-                "off in self-play",
-                "against random",
-            ]
-        ]
-        for name, scores in trees.items():
-            error = (
-                scores.std(axis=0, ddof=1) / np.sqrt(count)
-                if count > 1
-                else np.full(scores.shape[1], np.nan)
-            )
-            table.append(
-                [
-                    name,
-                    *(
-                        f"{m:.3f} ({e:.3f})"
-                        for m, e in zip(scores.mean(axis=0), error, strict=True)
-                    ),
-                ]
-            )
-        lines += [f"  {line}" for line in aligned(table, left=1)]
-    return "\n".join(lines)
+    """Return scores as text: choices against targets by move, then strategies on the trees."""
+    lines = aligned(table_rows(CHOICES, rows), left=0)
+    lines = ["choices on held-out rows:", *(f"  {line}" for line in lines)]
+    if not trees:
+        return "\n".join(lines)
+    count = len(next(iter(trees.values())))
+    table = [["strategy", "lost to a best response", "lost to equilibrium"]]
+    for name, scores in trees.items():
+        # One tree has no error.
+        errors = scores.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else [np.nan] * 2
+        pairs = zip(scores.mean(axis=0), errors, strict=True)
+        table.append([name, *(f"{mean:.3f} ({error:.3f})" for mean, error in pairs)])
+    title = f"utility on {count} held-out trees, mean of both roles (standard error over trees):"
+    return "\n".join([*lines, "", title, *(f"  {line}" for line in aligned(table, left=1))])

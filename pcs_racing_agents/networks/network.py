@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import check_facts, check_text
+from pcs_racing.base.checks import check_array, check_facts, check_flag, check_text
 from pcs_racing.base.dense import DenseLayers, dense_rows
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
@@ -54,9 +54,8 @@ class RegretNetwork:
         for key in ("name", "target"):
             check_text(f"a network's {key}", getattr(self, key))
         where = f"network {self.name!r}"
+        check_flag(f"{where}: clipped", self.clipped)
         assign("training", check_facts(f"{where}: training", self.training))
-        if not isinstance(self.identity, GameIdentity):
-            raise InputError(f"{where}: identity is {self.identity!r}; it must be a GameIdentity")
         sizes = self.layers.sizes
         if sizes[0] != len(self.identity.elements):
             raise InputError(
@@ -68,11 +67,7 @@ class RegretNetwork:
                 f"{where} puts out {sizes[-1]} values; there are {len(self.identity.moves)} moves"
             )
         for key in ("mean", "scale"):
-            array = np.array(getattr(self, key), np.float32)
-            if array.shape != sizes[:1] or not np.isfinite(array).all():
-                raise InputError(
-                    f"{where}: {key} is {array!r:.80}; it must be {sizes[0]} finite numbers"
-                )
+            array = check_array(f"{where}: {key}", getattr(self, key), sizes[:1]).astype(np.float32)
             array.setflags(write=False)
             assign(key, array)
         if not (self.scale > 0.0).all():
@@ -154,15 +149,9 @@ class RegretNetwork:
         """
         values = self.unclipped(observations)  # clipping does not change a positive maximum
         if mask is not None:
-            allowed = np.asarray(mask)
-            if allowed.dtype != np.bool_ or allowed.shape != values.shape:
-                raise InputError(
-                    f"the mask has shape {allowed.shape} and type {allowed.dtype}; it must have"
-                    f" {values.shape} and bool"
-                )
-            if not allowed.any(axis=-1).all():
+            if not np.any(mask, axis=-1).all():
                 raise InputError("the mask allows no move in some row; it must allow one")
-            values = np.where(allowed, values, -np.inf)
+            values = np.where(mask, values, -np.inf)
         return np.argmax(values, axis=-1)
 
     def check_fits(self, game: RaceGame) -> None:

@@ -9,13 +9,12 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat, shipped_folder
-from pcs_racing.base.checks import check_names, check_text
+from pcs_racing.base.artifacts import ArtifactFormat, ManifestFormat, shipped_folder
+from pcs_racing.base.checks import check_facts, check_names, check_text
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity, check_same_game
@@ -38,30 +37,19 @@ NETWORK_FORMAT = ArtifactFormat(
     shipped=shipped_folder(Path(__file__).resolve().parents[1], "networks"),
 )
 
-_KINDS: dict[str, tuple[Any, Any, str]] = {
-    **dict.fromkeys(
-        ("name", "target", "archive", "archive_sha256", "preset"), (str, None, "a text")
-    ),
-    "clipped": (bool, None, "true or false"),
-    **dict.fromkeys(("elements", "moves"), (list, str, "a list of texts")),
-    "epsilon": (list, float, "a list of numbers"),
-    "training": (dict, None, "a mapping"),
-}
-"""Type, element type and name in messages of each manifest field."""
-
 
 def save_network(network: RegretNetwork, folder: str | Path) -> Path:
     """Write a network into a folder, made if missing; return the folder."""
-    recorded = {key: getattr(network.identity, key) for key in _IDENTITY}
+    identity = network.identity
     fields = {
         "name": network.name,
         "target": network.target,
         "clipped": network.clipped,
         "hidden": list(network.hidden),
-        **{
-            key: list(value) if isinstance(value, tuple) else value
-            for key, value in recorded.items()
-        },
+        "elements": list(identity.elements),
+        "moves": list(identity.moves),
+        "epsilon": list(identity.epsilon),
+        **{key: getattr(identity, key) for key in _IDENTITY[3:]},
         "training": dict(network.training),
     }
     scaling = dict(zip(_SCALING, (network.mean, network.scale), strict=True))
@@ -79,24 +67,18 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
         return source
     folder = NETWORK_FORMAT.find(source)
     fields, content = NETWORK_FORMAT.load(folder)
-    for key, (kind, inner, wanted) in _KINDS.items():
-        value = fields[key]
-        if not isinstance(value, kind) or (
-            inner and not all(isinstance(item, inner) for item in value)
-        ):
-            raise InputError(f"{folder / MANIFEST}: {key} is {value!r:.80}; it must be {wanted}")
     file = folder / NETWORK_FORMAT.data_file
     layers, scaling = layers_from_bytes(file, content, fields["hidden"], _SCALING)
-    identity: dict[str, Any] = {}
-    for key in _IDENTITY:
-        identity[key] = tuple(fields[key]) if isinstance(fields[key], list) else fields[key]
     try:
-        for key in ("elements", "moves"):
-            check_names(key, identity[key])
-        check_epsilon(identity["epsilon"])
+        identity = GameIdentity(
+            elements=check_names("elements", fields["elements"]),
+            moves=check_names("moves", fields["moves"]),
+            epsilon=check_epsilon(fields["epsilon"]),
+            **{key: check_text(key, fields[key]) for key in _IDENTITY[3:]},
+        )
         return RegretNetwork(
             name=fields["name"],
-            identity=GameIdentity(**identity),
+            identity=identity,
             target=fields["target"],
             clipped=fields["clipped"],
             layers=layers,
@@ -114,7 +96,7 @@ SET_FORMAT = ManifestFormat(
     ("name", "decision", "weights", "networks", "digests", "training"),
     "save_network_set",
 )
-LARGEST = 64
+MAX_NETWORKS = 64
 """Maximum number of networks in a set."""
 
 
@@ -149,9 +131,11 @@ class NetworkSet:
 
     def __post_init__(self) -> None:
         where = f"network set {check_text('the name of a network set', self.name)!r}"
+        check_text(f"{where}: decision", self.decision)
         object.__setattr__(self, "networks", tuple(self.networks))
-        if not 1 <= len(self.networks) <= LARGEST:
-            raise InputError(f"{where} has {len(self.networks)} networks; give 1 to {LARGEST}")
+        object.__setattr__(self, "training", check_facts(f"{where}: training", self.training))
+        if not 1 <= len(self.networks) <= MAX_NETWORKS:
+            raise InputError(f"{where} has {len(self.networks)} networks; give 1 to {MAX_NETWORKS}")
         weights = check_weights(f"{where}: weights", self.weights, len(self.networks))
         object.__setattr__(self, "weights", weights / weights.sum())
         for network in self.networks[1:]:
@@ -210,29 +194,29 @@ def load_network_set(source: str | os.PathLike[str] | NetworkSet) -> NetworkSet:
     fields = SET_FORMAT.read(file)
     for key, kind in (("weights", float), ("networks", str), ("digests", str)):
         values = fields[key]
-        if not isinstance(values, list) or not all(isinstance(value, kind) for value in values):
+        if (
+            not isinstance(values, list)
+            or len(values) != len(fields["networks"])
+            or not all(isinstance(value, kind) for value in values)
+        ):
             raise InputError(
                 f"{file}: {key} is {values!r:.80}; it must be a list, a {kind.__name__} for each"
-                " network"
-            )
-        if len(values) != len(fields["networks"]):
-            raise InputError(
-                f"{file}: there are {len(values)} {key} for {len(fields['networks'])} networks"
+                f" network in {fields['networks']!r:.80}"
             )
     if any(Path(name).name != name or name in (".", "..") for name in fields["networks"]):
         raise InputError(
-            f"{file}: networks are {fields['networks']!r:.80}; they must be names of folders"
-            " beside it"
+            f"{file}: networks are {fields['networks']!r:.80}; they must be names of folders next"
+            " to it"
         )
-    if not isinstance(fields["training"], dict):
-        raise InputError(f"{file}: training is {fields['training']!r:.80}; it must be a mapping")
     networks = tuple(load_network(folder / name) for name in fields["networks"])
     for name, network, digest in zip(fields["networks"], networks, fields["digests"], strict=True):
         if fingerprint(network.layers) != digest:
             raise InputError(
                 f"{folder / name} is not the network that {file} describes: its digest differs"
             )
-    decision = check_text(f"{file}: decision", fields["decision"])
-    return NetworkSet(
-        fields["name"], networks, np.array(fields["weights"]), decision, fields["training"]
-    )
+    try:
+        return NetworkSet(
+            fields["name"], networks, fields["weights"], fields["decision"], fields["training"]
+        )
+    except InputError as error:
+        raise type(error)(f"{file}: {error}") from None

@@ -6,7 +6,6 @@ of any source.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,58 +31,43 @@ class Rows:
 
     def __post_init__(self) -> None:
         shape = np.shape(self.targets)
-        if len(shape) != 2 or shape[0] == 0 or shape[1] == 0:
+        if len(shape) != 2 or 0 in shape:
             raise InputError(
                 f"targets have shape {shape}; they must have (rows, moves), at least one of each"
             )
-        count, moves = shape
         if self.mask is None:
             object.__setattr__(self, "mask", np.ones(shape, np.bool_))
-        self._set("observations", np.float32, (count, None))
-        self._set("targets", np.float32, (count, moves))
-        self._set("weights", np.float64, (count,))
-        self._set("pair", np.int64, (count,))
-        self._set("step", np.int64, (count,))
-        self._set("mask", np.bool_, (count, moves))
+        for key, dtype, wanted in (
+            ("observations", np.float32, (shape[0], *np.shape(self.observations)[1:2])),
+            ("targets", np.float32, shape),
+            ("weights", np.float64, shape[:1]),
+            ("pair", np.int64, shape[:1]),
+            ("step", np.int64, shape[:1]),
+            ("mask", np.bool_, shape),
+        ):
+            array = np.asarray(getattr(self, key))
+            if array.shape != wanted or not np.can_cast(array.dtype, dtype, "same_kind"):
+                raise InputError(
+                    f"{key} have shape {array.shape} and type {array.dtype}; they must have"
+                    f" {wanted} and {np.dtype(dtype)}"
+                )
+            if not np.isfinite(array).all():
+                row = int(np.argwhere(~np.isfinite(array))[0][0])
+                raise InputError(f"{key} are not finite in row {row}")
+            object.__setattr__(self, key, array.astype(dtype, copy=False))
         if (self.weights < 0.0).any() or not self.weights.any():
             raise InputError(
                 f"weights lie in {self.weights.min():g} to {self.weights.max():g}; some must be"
                 " above 0"
             )
-        if not self.mask.any(axis=1).all():
-            raise InputError(
-                f"row {np.argmin(self.mask.any(axis=1))} has no target; its mask must allow one"
-            )
+        known = self.mask.any(axis=1)
+        if not known.all():
+            raise InputError(f"row {np.argmin(known)} has no target; its mask must allow one")
         if self.targets[~self.mask].any():
             object.__setattr__(self, "targets", np.where(self.mask, self.targets, np.float32(0.0)))
 
-    def _set(self, key: str, dtype: Any, shape: tuple[int | None, ...]) -> None:
-        array = np.asarray(getattr(self, key))
-        fits = array.ndim == len(shape) and all(
-            n is None or n == m for n, m in zip(shape, array.shape, strict=True)
-        )
-        kinds = {"f": "fiu", "i": "iu", "b": "b"}[np.dtype(dtype).kind]
-        if not fits or array.dtype.kind not in kinds:
-            wanted = ", ".join("any" if n is None else str(n) for n in shape)
-            raise InputError(
-                f"{key} have shape {array.shape} and type {array.dtype}; they must have ({wanted})"
-                f" and {np.dtype(dtype)}"
-            )
-        if not np.isfinite(array).all():
-            row = int(np.argwhere(~np.isfinite(array))[0][0])
-            raise InputError(f"{key} are not finite in row {row}")
-        object.__setattr__(self, key, array.astype(dtype, copy=False))
-
     def __len__(self) -> int:
         return len(self.targets)
-
-    def __repr__(self) -> str:
-        """Show the numbers of rows, inputs, moves and starting pairs."""
-        size, moves = self.observations.shape[1], self.targets.shape[1]
-        return (
-            f"<Rows: {len(self)} of {size} numbers, {moves} moves, {len(np.unique(self.pair))}"
-            " starting pairs>"
-        )
 
     def take(self, indices: ArrayLike) -> "Rows":
         """Return some of the rows, by index or by a mask over rows."""
@@ -92,17 +76,9 @@ class Rows:
 
 
 def join_rows(sources: Sequence[Rows]) -> Rows:
-    """Return the rows of several sources as one."""
+    """Return the rows of several sources of one game."""
     if len(sources) == 0:
         raise InputError("there are no rows to join; give at least one")
-    for i, source in enumerate(sources):
-        for key in ("observations", "targets"):
-            size, first = (getattr(rows, key).shape[1] for rows in (source, sources[0]))
-            if size != first:
-                raise InputError(
-                    f"source {i} has {key} of {size} numbers, source 0 of {first}; they must be the"
-                    " same"
-                )
     return Rows(
         **{
             field.name: np.concatenate([getattr(p, field.name) for p in sources])

@@ -1,6 +1,6 @@
 """Configuration of network training."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,18 +9,12 @@ from annotated_types import Interval
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Layers, OneOf, Settings
 from pcs_racing_agents.base.configurations import load_config
-from pcs_racing_agents.networks.targets import ROW_WEIGHTS, TARGETS
-from pcs_racing_agents.solvers import VARIANTS
+from pcs_racing_agents.networks.targets import TARGETS
 
 
 @dataclass(frozen=True)
 class TrainSettings(Settings):
-    """Configuration of training rows from trees and of the training of a network.
-
-    With noisy targets, a ``floor`` favours noisy moves. Situations differ much more than the moves
-    in one situation: without ``differences`` a network learns the situations first. Neither option
-    is for clipped targets.
-    """
+    """Configuration of training rows from trees and of the training of a network."""
 
     target: Annotated[
         str,
@@ -30,18 +24,6 @@ class TrainSettings(Settings):
     iterations: Annotated[
         int, Interval(ge=1, le=1_000_000), "Iterations of CFR for targets based on regrets."
     ] = 1000
-    variant: Annotated[
-        str,
-        OneOf(VARIANTS),
-        'Variant of CFR; "vanilla" is that of the paper, whose cumulative regrets can be negative.',
-    ] = "vanilla"
-    row_weights: Annotated[
-        str | None,
-        OneOf(ROW_WEIGHTS),
-        'Weight of each node of a tree; None takes "uniform" for "regret", because at a tree\'s'
-        ' root cumulative regrets are a hundred times as large as at its leaves, and "random" for'
-        " all other targets.",
-    ] = None
     rows_per_step: Annotated[
         int,
         Interval(ge=0, le=1_000_000),
@@ -57,25 +39,6 @@ class TrainSettings(Settings):
     weight_decay: Annotated[
         float, Interval(ge=0.0, le=10.0), "Weight decay of AdamW; 0 for plain Adam."
     ] = 0.01
-    floor: Annotated[
-        float | None,
-        Interval(ge=0.0, le=1000.0),
-        "Targets are raised to at most this many times what random moves lose on average below the"
-        " best of their row; 0 for no floor. None takes 0.25 for trees, and 0 for rows of any other"
-        " source.",
-    ] = None
-    differences: Annotated[
-        bool | None,
-        "Whether the mean of a row's moves, and how they differ from it, are learned each in units"
-        " of its own spread. None takes true for trees, and false for rows of any other source.",
-    ] = None
-    below_zero: Annotated[
-        float,
-        Interval(ge=0.0, le=1000.0),
-        "For clipped targets: weight of the errors below 0 in rows that have no positive target."
-        " There the paper allows any move; with this above 0 the network learns which is the least"
-        " bad.",
-    ] = 1.0
     batch_size: Annotated[
         int, Interval(ge=1, le=1_000_000), "Rows in the batch of a gradient step."
     ] = 1024
@@ -113,18 +76,6 @@ class TrainSettings(Settings):
                 f" {self.test_share:g}; together they must leave 5 % of the starting pairs to learn"
                 " from"
             )
-
-
-def settings_for_trees(settings: TrainSettings) -> TrainSettings:
-    """Return settings with the defaults for rows of trees in place of None."""
-    weights = "uniform" if settings.target == "regret" else "random"
-    values = settings.target != "nash"  # nash targets are probabilities
-    return replace(
-        settings,
-        row_weights=weights if settings.row_weights is None else settings.row_weights,
-        floor=0.25 * values if settings.floor is None else settings.floor,
-        differences=values if settings.differences is None else settings.differences,
-    )
 
 
 def load_train_settings(

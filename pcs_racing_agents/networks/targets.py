@@ -12,7 +12,7 @@ assumption about the opponent and in their comparison of nodes:
 - "nash" is the equilibrium strategy itself instead of a value.
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,9 @@ from pcs_racing_agents.solvers import (
     uniform_profile,
 )
 
+if TYPE_CHECKING:
+    from pcs_racing_agents.trees import RaceTree
+
 Floats = NDArray[np.float64]
 Solution = CFRResult | ExactResult
 """Result of :func:`solve_for`."""
@@ -38,34 +41,35 @@ class Target(NamedTuple):
     """Kind of target."""
 
     meaning: str
-    clipped: bool  #: True if values below 0 are learned and returned as 0.
-    solver: str  #: Solver of the trees: "cfr" or "exact".
+    solver: type[CFRResult] | type[ExactResult]  #: Kind of solution of the trees.
+    #: ``clipped``, ``relative``: Way of learning (:mod:`pcs_racing_agents.networks.goals`).
+    clipped: bool = False
+    relative: bool = True
 
 
 TARGETS = {
-    "regret": Target("cumulative counterfactual regret, clipped at 0 (the paper)", True, "cfr"),
+    "regret": Target(
+        "cumulative counterfactual regret, clipped at 0 (the paper)",
+        CFRResult,
+        clipped=True,
+        relative=False,
+    ),
     "normalised": Target(
-        "cumulative regret, divided by its largest magnitude at the node: -1 to 1", False, "cfr"
+        "cumulative regret, divided by its largest magnitude at the node: -1 to 1", CFRResult
     ),
     "advantage": Target(
-        "gain or loss of a move against the equilibrium, if both follow it afterwards",
-        False,
-        "exact",
+        "gain or loss of a move against the equilibrium, if both follow it afterwards", ExactResult
     ),
     "static-q": Target(
-        "utility of a move followed by best play, against a static opponent", False, "exact"
+        "utility of a move followed by best play, against a static opponent", ExactResult
     ),
     "nash": Target(
-        "probability of the move in an equilibrium, from which the agent draws", False, "exact"
+        "probability of the move in an equilibrium, from which the agent draws",
+        ExactResult,
+        relative=False,
     ),
 }
 """Kinds of targets from trees."""
-
-ROW_WEIGHTS = {
-    "uniform": "every node counts the same, so that the last step makes up nearly everything",
-    "random": "as often as random moves lead there: every step counts the same",
-}
-"""Rules for the weights of the nodes of a tree."""
 
 
 def get_target(name: str) -> Target:
@@ -86,18 +90,10 @@ def best_moves(
     return values >= highest - 1e-6 * np.maximum(np.abs(highest), 1.0)
 
 
-def solve_for(
-    tree: GameTree, target: str, *, iterations: int = 1000, variant: str = "vanilla"
-) -> Solution:
-    """Solve a tree with the solver of a target.
-
-    Parameters
-    ----------
-    iterations, variant
-        Options of CFR, for targets based on regrets.
-    """
-    if get_target(target).solver == "cfr":
-        return cfr(tree, iterations, variant=variant)
+def solve_for(tree: GameTree, target: str, *, iterations: int = 1000) -> Solution:
+    """Solve a tree with the solver of a target; ``iterations`` are those of CFR."""
+    if get_target(target).solver is CFRResult:
+        return cfr(tree, iterations, variant="vanilla")
     return solve_exact(tree)
 
 
@@ -116,13 +112,6 @@ def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[
         from its own point of view and never clipped; NaN in rows without information in the
         solution (never reached by CFR).
     """
-    kind = get_target(target)
-    wanted = CFRResult if kind.solver == "cfr" else ExactResult
-    if not isinstance(solution, wanted):
-        raise InputError(
-            f"target {target!r} needs a {wanted.__name__}; the solution is a"
-            f" {type(solution).__name__}"
-        )
     if isinstance(solution, CFRResult):
         if target == "regret":
             return list(solution.regrets)
@@ -152,37 +141,11 @@ def _normalised(regrets: Floats, reach: Floats) -> Floats:
 # Rows
 
 
-class PlayedTree(Protocol):
-    """Protocol of a tree of races with S noise seeds and ``N_k`` nodes at level k.
-
-    :class:`pcs_racing_agents.trees.RaceTree` implements it.
-    """
-
-    @property
-    def policies(self) -> Any:
-        """Starting policies of the two cars, shape (2,)."""
-
-    @property
-    def payoffs(self) -> Any:
-        """Payoff of each leaf to car 0, shape (S, leaves)."""
-
-    @property
-    def over(self) -> Any:
-        """True if the race was over before the decision, for each level, shape (S, N_k)."""
-
-    def game_tree(self) -> GameTree:
-        """Return the tree with payoffs averaged over the seeds, unobserved by the players."""
-
-    def observations(self, level: int) -> NDArray[np.float32]:
-        """Return observations of both players at the nodes of a level, shape (S, N_k, 2, D)."""
-
-
 def tree_rows(
-    race_tree: PlayedTree,
+    race_tree: "RaceTree",
     solution: Solution,
     target: str,
     *,
-    row_weights: str = "uniform",
     rows_per_step: int = 0,
     seed: int = 0,
 ) -> Rows:
@@ -192,22 +155,22 @@ def tree_rows(
     by seed; targets come from the mean over the seeds, since no policy knows the noise. Nodes after
     the end of the race are left out.
 
+    94 % of the nodes of a tree of four moves belong to the last move, but a race visits each step
+    once: the nodes of every step share a weight of 1. For "regret" every node counts 1, because at
+    a tree's root cumulative regrets are a hundred times as large as at its leaves.
+
     Parameters
     ----------
     solution : CFRResult or ExactResult
         Result of :func:`solve_for` for ``race_tree.game_tree()``.
-    target, row_weights : str
-        One of :data:`TARGETS`, and one of :data:`ROW_WEIGHTS`.
+    target : str
+        One of :data:`TARGETS`.
     rows_per_step : int
         Maximum number of nodes per step, drawn at random; 0 for all. The weights compensate for the
         omitted nodes.
     seed : int
         Seed of the draw of nodes.
     """
-    if row_weights not in ROW_WEIGHTS:
-        raise UnknownNameError(
-            f"unknown row weights {row_weights!r}; there are {', '.join(ROW_WEIGHTS)}"
-        )
     targets = node_targets(race_tree.game_tree(), solution, target)
     payoffs = np.asarray(race_tree.payoffs, np.float64)
     seeds = len(payoffs)
@@ -223,7 +186,7 @@ def tree_rows(
         if 0 < rows_per_step < nodes:
             sample = np.sort(rng.permutation(nodes)[:rows_per_step])
         # Every node counts 1 or 1 / nodes; drawn nodes also carry the weight of omitted nodes.
-        weight = (nodes if row_weights == "uniform" else 1.0) / len(sample) / seeds
+        weight = (nodes if target == "regret" else 1.0) / len(sample) / seeds
         running = ~over[:, sample]
         # If some seeds have crashed, differences between moves belong to the other seeds: a player
         # with a decision knows that it has not crashed. The solution's values are means over all

@@ -48,7 +48,6 @@ def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped
         0.0,
     )
     assert third.chance == pytest.approx(1 / 3)
-    assert third.error == pytest.approx((0.0 + 0.0 + 1.0) / 3)
     network = plain_network(np.zeros((4, 1)), [-2.0, -1.0, -3.0, -4.0], clipped=True)
     rows = Rows(
         np.zeros((1, 1)),
@@ -58,7 +57,7 @@ def test_choices_are_compared_with_targets_step_by_step_and_clipped_with_clipped
         np.zeros(1, int),
     )
     score = metrics.score_rows(network, rows)[0]
-    assert (score.error, score.agreement, score.shortfall) == (0.0, 1.0, 0.0)
+    assert (score.agreement, score.shortfall) == (1.0, 0.0)
 
 
 def test_a_strategy_is_followed_in_both_roles_and_one_of_probabilities_drawn_from():
@@ -83,83 +82,58 @@ def test_on_one_seed_the_loss_is_half_the_nash_conv(moves):
     exact = solve_exact(tree)
     for seed in range(5):
         profile = metrics.play_profile(metrics.follow(linear(race_tree, seed)), race_tree)
-        score = metrics.score_tree(profile, race_tree)
-        assert score.lost_to_best_response == pytest.approx(
-            exploitability(tree, profile).exploitability
-        )
+        score = metrics.score_tree(profile, race_tree, exact)
+        expected = exploitability(tree, profile).exploitability
+        assert score.lost_to_best_response == pytest.approx(expected)
         assert score.lost_to_best_response >= score.lost_to_equilibrium - 1e-9 >= -2e-9
-        assert score.off_in_self_play == pytest.approx(
-            abs(exploitability(tree, profile).value - exact.value)
-        )
+    equilibrium = metrics.score_tree(exact.profile, race_tree, exact)
+    np.testing.assert_allclose(equilibrium, 0.0, atol=1e-8)
 
 
-def test_the_equilibrium_loses_nothing_and_a_constant_move_in_pennies_everything():
+def test_a_constant_move_in_pennies_loses_everything_and_random_moves_nothing():
     race_tree = ToyTree(np.array([[3.0, -3.0, -3.0, 3.0]]), moves=1, options=2)
-    scores = metrics.score_trees(metrics.constant_plays(("heads", "tails")), [race_tree])
-    np.testing.assert_allclose(scores["equilibrium"], [[0.0, 0.0, 0.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(scores["random moves"], [[0.0, 0.0, 0.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(scores["always heads"], [[3.0, 0.0, 3.0, 0.0]], atol=1e-9)
-    np.testing.assert_allclose(scores["always tails"], [[3.0, 0.0, 3.0, 0.0]], atol=1e-9)
+    scores = metrics.score_trees(metrics.blind_plays(("heads", "tails")), [race_tree])
+    assert list(scores) == ["always heads", "always tails", "random moves"]
+    np.testing.assert_allclose(scores["random moves"], [[0.0, 0.0]], atol=1e-9)
+    for side in ("heads", "tails"):
+        np.testing.assert_allclose(scores[f"always {side}"], [[3.0, 0.0]], atol=1e-9)
 
 
-def test_who_sees_the_seed_may_do_better_and_seeds_that_nobody_sees_are_their_mean():
+def test_a_strategy_that_sees_the_seed_may_win_and_seeds_without_influence_are_their_mean():
     """Two seeds of opposite sign: a car that sees which gets 1 from any opponent that does not."""
     race_tree = ToyTree(
         np.array([[1.0, 1.0, -1.0, -1.0], [-1.0, -1.0, 1.0, 1.0]]), 1, 2, sees_seed=True
     )
-    first = np.eye(2)[[0, 1]]
-    score = metrics.score_tree([(first, np.full((2, 2), 0.5))], race_tree)
+    profile = [(np.eye(2), np.full((2, 2), 0.5))]
+    score = metrics.score_tree(profile, race_tree, solve_exact(race_tree.game_tree()))
     # 1 won as car 0, nothing lost as car 1
     assert score.lost_to_best_response == pytest.approx(-0.5)
-    assert score.off_in_self_play == pytest.approx(1.0)
-    assert score.against_random == pytest.approx(0.5)
     race_tree = random_tree(seeds=3)
     mean = ToyTree(race_tree.payoffs.mean(axis=0, keepdims=True))
-    network = linear(race_tree)
-    plays = metrics.follow(network)
-    scores = [
-        metrics.score_tree(metrics.play_profile(plays, tree), tree) for tree in (race_tree, mean)
-    ]
+    play = {"net": metrics.follow(linear(race_tree))}
+    scores = [metrics.score_trees(play, [tree])["net"] for tree in (race_tree, mean)]
     np.testing.assert_allclose(*scores, atol=1e-9)
 
 
 def test_scores_on_several_trees_are_a_table():
     race_trees = [random_tree(seed=seed) for seed in range(4)]
     network = linear(race_trees[0])
-    scores = metrics.score_trees(
-        {"network": metrics.follow(network), **metrics.constant_plays(MOVES)}, race_trees
-    )
-    assert list(scores) == [
-        "network",
-        "always a",
-        "always b",
-        "always c",
-        "equilibrium",
-        "random moves",
-    ]
-    assert all(array.shape == (4, 4) for array in scores.values())
-    np.testing.assert_allclose(scores["equilibrium"][:, :3], 0.0, atol=1e-8)
+    plays = {"network": metrics.follow(network), **metrics.blind_plays(MOVES)}
+    scores = metrics.score_trees(plays, race_trees)
+    assert all(array.shape == (4, 2) for array in scores.values())
     assert (scores["network"][:, 0] > 1.0).all()
     uniform = uniform_profile(race_trees[2].game_tree())
     expected = exploitability(race_trees[2].game_tree(), uniform).exploitability
     assert scores["random moves"][2, 0] == pytest.approx(expected)
-    rows = Rows(
-        race_trees[0].observations(0)[0, 0],
-        np.eye(3)[:2],
-        np.ones(2),
-        np.zeros(2, int),
-        np.zeros(2, int),
-    )
-    lines = metrics.score_table(metrics.score_rows(network, rows), scores).splitlines()
+    observations = race_trees[0].observations(0)[0, 0]
+    rows = Rows(observations, np.eye(3)[:2], np.ones(2), np.zeros(2, int), np.zeros(2, int))
+    found = metrics.score_rows(network, rows)
+    lines = metrics.score_table(found, scores).splitlines()
     assert lines[0] == "choices on held-out rows:"
-    assert lines[2].split()[:2] == ["all", "2"]
-    assert lines[3].split()[:2] == ["1", "2"]  # the first move
-    assert (
-        lines[5] == "utility on 4 held-out trees, mean of both roles (standard error over trees):"
-    )
+    assert [line.split()[:2] for line in lines[2:4]] == [["all", "2"], ["1", "2"]]
+    title = "utility on 4 held-out trees, mean of both roles (standard error over trees):"
+    assert lines[5] == title
     assert lines[7].startswith("  network ")
     assert f"{scores['network'][:, 0].mean():.3f}" in lines[7]
-    assert len(lines) == 7 + 6
-    assert "nan" in metrics.score_table(
-        metrics.score_rows(network, rows), metrics.score_trees({}, race_trees[:1])
-    )
+    assert len(lines) == 7 + 5
+    assert "nan" in metrics.score_table(found, metrics.score_trees(plays, race_trees[:1]))

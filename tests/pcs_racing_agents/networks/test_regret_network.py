@@ -71,7 +71,6 @@ def test_bad_observations_are_refused_and_of_others_the_highest_value_before_cli
     )
     np.testing.assert_array_equal(network.choose(np.eye(3), allowed), [2, 0, 3])
     refused("allows no move", network.choose, np.eye(3), np.zeros((3, 4), bool))
-    refused(r"mask has shape \(4,\)", network.choose, np.eye(3), np.ones(4, bool))
 
 
 def test_an_impossible_network_is_one_clear_error():
@@ -79,10 +78,9 @@ def test_an_impossible_network_is_one_clear_error():
         ({"name": ""}, "name is ''"),
         ({"identity": identity(8)}, "has 7 inputs"),
         ({"identity": identity(7, MOVES[:3])}, "puts out 4 values"),
-        ({"identity": {}}, "must be a GameIdentity"),
         ({"scale": np.zeros(7)}, "scale is 0"),
-        ({"mean": np.full(7, np.inf)}, "mean is .*"),
-        ({"mean": np.zeros(6)}, "mean is .*"),
+        ({"mean": np.full(7, np.inf)}, "mean holds inf"),
+        ({"mean": np.zeros(6)}, r"mean has shape \(6,\)"),
         ({"training": {"loss": [1]}}, r"training holds 'loss': \[1\]"),
     ]:
         refused(message, random_network, **changes)
@@ -150,14 +148,14 @@ def other_weights(folder: Path, change) -> None:
     [
         (lambda f: (f / "weights.safetensors").write_bytes(b"abc"), "its digest differs"),
         (lambda f: edit(f, clipped="yes"), "clipped is 'yes'"),
-        (lambda f: edit(f, moves=[1, 2, 3, 4]), "it must be a list of texts"),
-        (lambda f: edit(f, training=[]), "it must be a mapping"),
+        (lambda f: edit(f, moves=[1, 2, 3, 4]), "moves is .*list of names"),
+        (lambda f: edit(f, training=[]), "training is ..; it must hold texts and numbers by name"),
         (lambda f: edit(f, elements=["a"]), "has 7 inputs"),
         (lambda f: edit(f, elements=["a"] * 7), "elements .*each once"),
         *[(lambda f, e=e: edit(f, epsilon=e), "epsilon is") for e in ([-1.0], [0.5, 0.5], [])],
         (
             lambda f: other_weights(f, lambda t: {**t, "input.mean": np.full(7, np.nan, "f")}),
-            "it must be 7 finite numbers",
+            "mean holds nan",
         ),
     ],
 )

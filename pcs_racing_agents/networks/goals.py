@@ -1,0 +1,120 @@
+"""Goals of a network's outputs: targets of rows, scaled to order 1, and weights of their errors.
+
+Targets are learned in one of three ways:
+
+- *clipped*: values below 0 count as 0, as the regrets of the paper. In a row without a positive
+  value the values are learned as they are, so that the network learns which move is the least bad;
+- *relative*: the mean of a row's moves, and their differences from it, are each in units of their
+  own spread, since situations differ much more than the moves in one situation. Targets far below
+  the highest of their row are raised: it does not matter which of two bad moves is worse;
+- otherwise as they are, each move around its mean.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing_agents.networks.rows import Rows
+
+Floats = NDArray[np.float32]
+
+FLOOR = 0.25
+"""Relative targets are raised to at most this many times what random moves lose on average below
+the highest target of their row."""
+
+
+class Scaling(NamedTuple):
+    """Scaling of inputs and targets to order 1."""
+
+    mean: Floats  #: shape (D,): ``mean``, ``scale``: Scaling of the inputs.
+    scale: Floats
+    #: Maximum distance of a target below the highest of its row; infinite unless relative.
+    depth: float
+    centre: Floats  #: shape (A,): Mean target of each move; 0 for clipped targets.
+    size: np.float32  #: Unit of the targets.
+    #: Mean square, in units of ``size``, of targets in rows without a positive target.
+    hopeless: float
+    #: ``size`` in units of the spread of the rows' means, at most 1; None unless relative.
+    level: float | None
+
+
+class Goals(NamedTuple):
+    """Inputs and goals of R rows, as arrays or as tensors."""
+
+    inputs: Any  #: shape (R, D)
+    values: Any  #: shape (R, A): Goals of the outputs.
+    weights: Any  #: shape (R, A): Weights of the squared errors.
+    one_sided: Any  #: shape (R, A): True where only errors upwards count.
+
+
+def scale_rows(rows: Rows, clipped: bool, relative: bool) -> Scaling:
+    """Return the scaling of rows from their weighted means and spreads.
+
+    Inputs get mean 0 and deviation 1 (a constant input retains its unit). Targets are measured
+    around every move's mean (around 0 if clipped: 0 must stay 0), in units of their root mean
+    square.
+    """
+    share = rows.weights / rows.weights.sum()
+    mean = share @ rows.observations.astype(np.float64)
+    deviation = np.sqrt(share @ (rows.observations - mean) ** 2)
+    known = share[:, None] * rows.mask
+    depth, level = np.inf, None
+    if relative:
+        lost_by_random_moves = np.sum(known * (_highest(rows) - rows.targets)) / known.sum()
+        depth = FLOOR * lost_by_random_moves or np.inf
+    targets = _raised(rows, depth).astype(np.float64)
+    if clipped:
+        centre, values = np.zeros(targets.shape[1]), np.maximum(targets, 0.0)
+    else:
+        total = known.sum(axis=0)
+        centre = np.sum(known * targets, axis=0) / np.where(total > 0.0, total, 1.0)
+        values = np.where(rows.mask, targets - centre, 0.0)
+    means = values.sum(axis=1, keepdims=True) / rows.mask.sum(axis=1, keepdims=True)
+    if relative:
+        values = np.where(rows.mask, values - means, 0.0)
+    size = np.sqrt(np.sum(known * values**2) / known.sum()) or 1.0
+    if relative:
+        # The mean never counts more than the differences: means of advantages hold no information.
+        level = float(size / max(np.sqrt(share @ means[:, 0] ** 2), size))
+    # Depth below 0 of the targets in rows without a positive target.
+    hopeless = known * ~(targets > 0.0).any(axis=1, keepdims=True)
+    squares = np.sum(hopeless * (targets / size) ** 2)
+    return Scaling(
+        mean.astype(np.float32),
+        # A constant input has no information; divided by its deviation it would be noise.
+        np.where(deviation > 1e-6, deviation, 1.0).astype(np.float32),
+        float(depth),
+        centre.astype(np.float32),
+        np.float32(size),
+        float(squares / hopeless.sum()) if hopeless.any() else 1.0,
+        level,
+    )
+
+
+def row_goals(rows: Rows, by: Scaling, clipped: bool) -> Goals:
+    """Return the scaled inputs and goals of rows."""
+    inputs = (rows.observations - by.mean) / by.scale
+    values = (_raised(rows, by.depth) - by.centre) / by.size
+    weights = (rows.mask / rows.mask.sum(axis=1, keepdims=True)).astype(np.float32)
+    if not clipped:
+        return Goals(inputs, values, weights, np.zeros(values.shape, np.bool_))
+    # In a row without a positive regret clipped values do not identify the least bad move. Such
+    # rows can lie far below 0: they count in units of their own spread.
+    hopeless = ~(values > 0.0).any(axis=1, keepdims=True)
+    one_sided = (values <= 0.0) & ~hopeless
+    weights = np.where(hopeless, np.float32(1.0 / max(by.hopeless, 1.0)) * weights, weights)
+    return Goals(inputs, np.where(one_sided, np.float32(0.0), values), weights, one_sided)
+
+
+def _highest(rows: Rows) -> Floats:
+    return np.where(rows.mask, rows.targets, -np.inf).max(axis=1, keepdims=True)
+
+
+def _raised(rows: Rows, depth: float) -> Floats:
+    """Return targets, raised to at most ``depth`` below the highest target of their row."""
+    if np.isinf(depth):
+        return rows.targets
+    return np.where(
+        rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0)
+    )
