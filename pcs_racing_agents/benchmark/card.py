@@ -1,44 +1,51 @@
-"""Score cards of agents by a protocol, as values, JSON, Markdown and a page; the leaderboard."""
+"""Score cards of agents by a protocol, as values, JSON and a page; the leaderboard.
+
+Third parties submit cards, so all values are declared and checked.
+"""
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, ClassVar, TypeVar
 
 from annotated_types import Interval
 
+from pcs_racing.base.checks import check_text
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.base.settings import Checked, Settings
 from pcs_racing.race.replay import Replay
-from pcs_racing_agents.base.tables import Column, markdown, table_rows, with_interval
-from pcs_racing_agents.benchmark.card_values import NAME, SHA256, CardScore, Gain, ReplyLoss
+from pcs_racing_agents.base.tables import Column, table_rows, with_interval
 from pcs_racing_agents.study.report_page import page_environment
 
 FORMAT = "pcs-racing card 1"
-LARGEST = 1_000_000
-MOST_SCORES = 1000
+MAX_BYTES = 1_000_000
+MAX_SCORES = 1000
+MAX_NAME = 200  # characters
 CIRCUITS = ("all", "seen", "unseen")
 
 S = TypeVar("S", bound=Settings)
 
 
-def _scores(_: str, value: Any) -> tuple[CardScore, ...]:
-    if not isinstance(value, list | tuple) or not 1 <= len(value) <= MOST_SCORES:
-        raise ConfigError(f"scores are {value!r:.40}; they must be a list of 1 to {MOST_SCORES}")
-    return tuple(_made(CardScore, one) for one in value)
-
-
-def _gains(_: str, value: Any) -> dict[str, Gain]:
-    if not isinstance(value, Mapping) or not set(value) <= set(CIRCUITS):
+def _name(_: str, value: Any) -> str:
+    name = check_text("a name", value, ConfigError)
+    if len(name) > MAX_NAME or not name.isprintable():
         raise ConfigError(
-            f"gains are {value!r:.80}; they must be a mapping of some of {', '.join(CIRCUITS)}"
+            f"a name is {name[:40]!r}...; it must have at most {MAX_NAME} printable characters"
         )
-    return {circuits: _made(Gain, gain) for circuits, gain in value.items()}
+    return name
 
 
-def _made(kind: type[S], value: Any) -> S:
+def _sha256(_: str, value: Any) -> str:
+    if not isinstance(value, str) or re.fullmatch("[0-9a-f]{64}", value) is None:
+        raise ConfigError(f"a hash is {value!r:.80}; it must have 64 hexadecimal digits")
+    return value
+
+
+def _made(kind: type[S], _: str, value: Any) -> S:
     """Return declared values from an instance, or from a mapping with all fields."""
     if isinstance(value, kind):
         return value
@@ -46,6 +53,92 @@ def _made(kind: type[S], value: Any) -> S:
     if not isinstance(value, Mapping) or set(value) != set(names):
         raise ConfigError(f"{value!r:.80} must be a mapping of {', '.join(names)}")
     return kind(**value)
+
+
+NAME = Checked(_name, f"at most {MAX_NAME} printable characters")
+SHA256 = Checked(_sha256)
+COUNT = Interval(ge=1, le=10**9)
+SHARE, DIFFERENCE = Interval(ge=0.0, le=1.0), Interval(ge=-1.0, le=1.0)
+
+
+@dataclass(frozen=True)
+class _Estimate(Settings):
+    """A value between ``low`` and ``high``."""
+
+    value: ClassVar[str]  #: Name of the value.
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        low, value, high = (getattr(self, name) for name in ("low", self.value, "high"))
+        if not low <= value <= high:
+            raise ConfigError(
+                f"{self.value} is {value:g}, outside of its interval from {low:g} to {high:g}"
+            )
+
+    @property
+    def interval(self) -> str:
+        """Interval as text, for a value without a sign."""
+        low, high = (getattr(self, name) for name in ("low", "high"))
+        return f"[{low:.3f}, {high:.3f}]"
+
+
+@dataclass(frozen=True)
+class CardScore(_Estimate):
+    """The score over a part of the races.
+
+    The interval is robust to clusters of start policies and of opponents' variants; it holds for
+    these tracks.
+    """
+
+    value = "score"
+    part: Annotated[str, NAME, 'Opponents: "all", a kind of them, or one.']
+    circuits: Annotated[str, NAME, 'Circuits: "seen", "unseen", "all", or one.']
+    races: Annotated[int, COUNT, "Number of races."]
+    score: Annotated[float, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0."]
+    low: Annotated[float, SHARE, "Lower limit of its 95 % interval."]
+    high: Annotated[float, SHARE, "Upper limit."]
+    own_crash: Annotated[
+        float, SHARE, "Share of the races that ended in a crash by the agent's own fault."
+    ]
+    other_crash: Annotated[float, SHARE, "Share that ended in another crash."]
+
+
+@dataclass(frozen=True)
+class Gain(_Estimate):
+    """The adaptivity gain on some tracks."""
+
+    value = "gain"
+    over: Annotated[str, NAME, "The baseline that it is a gain over."]
+    gain: Annotated[float, DIFFERENCE, "Difference of the scores."]
+    low: Annotated[float, DIFFERENCE, "Lower limit of its 95 % interval."]
+    high: Annotated[float, DIFFERENCE, "Upper limit."]
+
+
+@dataclass(frozen=True)
+class ReplyLoss(_Estimate):
+    """The loss of an agent to a learned best response."""
+
+    value = "loss"
+    loss: Annotated[float, DIFFERENCE, "Races lost per race."]
+    low: Annotated[float, DIFFERENCE, "Lower limit of its 95 % interval."]
+    high: Annotated[float, DIFFERENCE, "Upper limit."]
+    starts: Annotated[int, COUNT, "Starts of the learner on each circuit."]
+    rounds: Annotated[int, COUNT, "Rounds of the learner."]
+    races: Annotated[int, COUNT, "Races in which the loss was measured."]
+
+
+def _scores(name: str, value: Any) -> tuple[CardScore, ...]:
+    if not isinstance(value, list | tuple) or not 1 <= len(value) <= MAX_SCORES:
+        raise ConfigError(f"scores are {value!r:.40}; they must be a list of 1 to {MAX_SCORES}")
+    return tuple(_made(CardScore, name, one) for one in value)
+
+
+def _gains(name: str, value: Any) -> dict[str, Gain]:
+    if not isinstance(value, Mapping) or not set(value) <= set(CIRCUITS):
+        raise ConfigError(
+            f"gains are {value!r:.80}; they must be a mapping of some of {', '.join(CIRCUITS)}"
+        )
+    return {circuits: _made(Gain, name, gain) for circuits, gain in value.items()}
 
 
 @dataclass(frozen=True)
@@ -64,11 +157,10 @@ class Card(Settings):
         "Over everything, by kind of opponent, and cell by cell.",
     ]
     gains: Annotated[dict[str, Gain], Checked(_gains), "Adaptivity gain on some circuits."]
-    rating: Annotated[float | None, Interval(ge=-1e4, le=1e4), "Rating among the zoo."] = None
     cost_us: Annotated[float | None, Interval(ge=0.0, le=1e9), "Time of a decision, us."] = None
     best_reply: Annotated[
         ReplyLoss | None,
-        Checked(lambda _, value: _made(ReplyLoss, value)),
+        Checked(partial(_made, ReplyLoss)),
         "Loss to a learned best reply, if it was measured.",
     ] = None
 
@@ -87,42 +179,6 @@ class Card(Settings):
         )
 
 
-def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = ()) -> list[Path]:
-    """Write ``card.json``, ``card.md`` and ``card.html`` into a folder; return their paths.
-
-    ``folder``: an existing folder. ``races``: races to watch on the page, with titles.
-    """
-    values = {"format": FORMAT, **asdict(card)}
-    texts = {
-        "card.json": json.dumps(values, indent=1, allow_nan=False) + "\n",
-        "card.md": card_markdown(card),
-        "card.html": card_page(card, races),
-    }
-    paths = []
-    for name, text in texts.items():
-        write_atomically(folder / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
-        paths.append(folder / name)
-    return paths
-
-
-def read_card(path: Path) -> Card:
-    """Read a card from its folder or its ``card.json``."""
-    file = path / "card.json" if path.is_dir() else path
-    try:
-        values = parse_json(file, read_limited(file, LARGEST, "a card"))
-    except OSError as error:
-        raise InputError(
-            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark card'"
-            " wrote"
-        ) from None
-    if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
-        raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
-    try:
-        return _made(Card, values)
-    except InputError as error:
-        raise InputError(f"{file} is a damaged card: {error}") from None
-
-
 COLUMNS = (
     Column("part", "opponents"),
     Column("circuits"),
@@ -136,9 +192,7 @@ COLUMNS = (
 
 def summary_rows(card: Card) -> list[tuple[str, ...]]:
     """Return the scores by kind of opponent as a table."""
-    return table_rows(
-        COLUMNS, (score for score in card.scores if score.circuits in ("seen", "unseen", "all"))
-    )
+    return table_rows(COLUMNS, (score for score in card.scores if score.circuits in CIRCUITS))
 
 
 def fact_lines(card: Card) -> list[str]:
@@ -150,37 +204,49 @@ def fact_lines(card: Card) -> list[str]:
     ]
     if card.best_reply is not None:
         reply = card.best_reply
-        lines.append(
-            f"Loss to a learned best reply ({reply.starts} starts, {reply.rounds} "
-            f"{'round' if reply.rounds == 1 else 'rounds'}): "
-            f"{with_interval(reply.loss, reply.low, reply.high)}."
-        )
-    if card.rating is not None:
-        lines.append(f"Rating among the zoo: {card.rating:+.0f}.")
+        rounds = f"{reply.rounds} {'round' if reply.rounds == 1 else 'rounds'}"
+        loss = with_interval(reply.loss, reply.low, reply.high)
+        lines.append(f"Loss to a learned best reply ({reply.starts} starts, {rounds}): {loss}.")
     if card.cost_us is not None:
         lines.append(f"One decision takes {card.cost_us:.0f} us.")
     return lines
 
 
-def card_markdown(card: Card) -> str:
-    """Return the card as Markdown."""
-    head = (
-        f"# {card.agent}: {card.protocol}\n\nProtocol {card.protocol_sha256[:16]}, agent"
-        f" {card.agent_sha256[:16]}.\n"
-    )
-    return "\n".join([head, *markdown(summary_rows(card)), "", *fact_lines(card), ""])
-
-
 def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
-    """Return the card as one self-contained page; all text is escaped."""
-    return render(
+    """Return the card as one self-contained page, with titled races to watch."""
+    return _page(
         "card.html", card=card, table=summary_rows(card), facts=fact_lines(card), races=races
     )
 
 
-def render(name: str, **values: Any) -> str:
-    """Return a page from a template of this folder."""
-    return page_environment("pcs_racing_agents.benchmark").get_template(name).render(**values)
+def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = ()) -> list[Path]:
+    """Write ``card.json`` and ``card.html`` into an existing folder; return their paths."""
+    values = json.dumps({"format": FORMAT, **asdict(card)}, indent=1, allow_nan=False) + "\n"
+    texts = {folder / "card.json": values, folder / "card.html": card_page(card, races)}
+    for path, text in texts.items():
+        write_atomically(path, partial(_write_text, text))
+    return list(texts)
+
+
+def _write_text(text: str, file: Any) -> None:
+    file.write(text.encode())
+
+
+def read_card(path: Path) -> Card:
+    """Read a card from its folder or its ``card.json``."""
+    file = path / "card.json" if path.is_dir() else path
+    try:
+        values = parse_json(file, read_limited(file, MAX_BYTES, "a card"))
+    except OSError as error:
+        raise InputError(
+            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark card' wrote"
+        ) from None
+    if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
+        raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
+    try:
+        return _made(Card, "a card", values)
+    except InputError as error:
+        raise InputError(f"{file} is a damaged card: {error}") from None
 
 
 def read_cards(paths: Iterable[Path]) -> list[Card]:
@@ -188,34 +254,29 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
 
     ``paths``: folders of cards, or parents of such folders.
     """
-    files = [card for path in paths for card in _cards_in(path)]
-    cards = [read_card(path) for path in files]
-    if not cards:
-        raise InputError(
-            "there are no cards; give at least one folder that 'pcs-racing benchmark card' wrote"
-        )
-    # Scores are comparable only under the same protocol, archive and opponents.
-    first, names = cards[0], set()
-    for path, card in zip(files, cards, strict=True):
-        if card.protocol != first.protocol:
-            raise InputError(
-                f"{path} is a card of protocol {card.protocol!r}, the first one of"
-                f" {first.protocol!r}"
-            )
-        if card.protocol_sha256 != first.protocol_sha256:
+    cards: dict[str, Card] = {}
+    for path in (card for folder in paths for card in _cards_in(folder)):
+        card = read_card(path)
+        first = next(iter(cards.values()), card)
+        # Scores are comparable only under the same protocol, archive and opponents.
+        if (card.protocol, card.protocol_sha256) != (first.protocol, first.protocol_sha256):
             raise InputError(
                 f"{path} is a card of {card.protocol!r} with hash {card.protocol_sha256[:16]}, the"
-                f" first one has {first.protocol_sha256[:16]}: archive, circuits or opponents"
-                " differ"
+                f" first one of {first.protocol!r} with {first.protocol_sha256[:16]}: version,"
+                " archive, circuits or opponents differ"
             )
-        if card.agent in names:
+        if card.agent in cards:
             raise InputError(
                 f"{path} is a second card of agent {card.agent!r}; give one of each (--name renames"
                 " an agent)"
             )
-        names.add(card.agent)
+        cards[card.agent] = card
+    if not cards:
+        raise InputError(
+            "there are no cards; give at least one folder that 'pcs-racing benchmark card' wrote"
+        )
     # Equal scores are sorted by name: the page does not depend on the order of the folders.
-    return sorted(cards, key=lambda card: (-card.score().score, card.agent))
+    return sorted(cards.values(), key=lambda card: (-card.score().score, card.agent))
 
 
 def _cards_in(path: Path) -> list[Path]:
@@ -224,43 +285,45 @@ def _cards_in(path: Path) -> list[Path]:
     return inside if inside and not (path / "card.json").exists() else [path]
 
 
+BOARD = (
+    "agent",
+    "score",
+    "95 % interval",
+    "seen",
+    "unseen",
+    "own crashes",
+    "gain",
+    "best reply",
+    "us",
+)
+"""Columns of the leaderboard."""
+
+
 def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
     """Return the leaderboard as a table, one line per card."""
-    rows: list[tuple[str, ...]] = [
-        (
-            "agent",
-            "score",
-            "95 % interval",
-            "seen",
-            "unseen",
-            "own crashes",
-            "gain",
-            "best reply",
-            "us",
-        )
-    ]
-    for card in cards:
-        whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
-        rows.append(
-            (
-                card.agent,
-                f"{whole.score:.3f}",
-                whole.interval,
-                f"{card.score('all', 'seen').score:.3f}",
-                f"{card.score('all', 'unseen').score:.3f}",
-                f"{whole.own_crash:.1%}",
-                "" if gain is None else f"{gain.gain:+.3f}",
-                (
-                    "not measured"
-                    if reply is None
-                    else with_interval(reply.loss, reply.low, reply.high)
-                ),
-                "" if card.cost_us is None else f"{card.cost_us:.0f}",
-            )
-        )
-    return rows
+    return [BOARD, *map(_board_row, cards)]
+
+
+def _board_row(card: Card) -> tuple[str, ...]:
+    whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
+    return (
+        card.agent,
+        f"{whole.score:.3f}",
+        whole.interval,
+        f"{card.score('all', 'seen').score:.3f}",
+        f"{card.score('all', 'unseen').score:.3f}",
+        f"{whole.own_crash:.1%}",
+        "" if gain is None else f"{gain.gain:+.3f}",
+        "not measured" if reply is None else with_interval(reply.loss, reply.low, reply.high),
+        "" if card.cost_us is None else f"{card.cost_us:.0f}",
+    )
 
 
 def board_page(cards: Sequence[Card]) -> str:
     """Return the leaderboard as one page."""
-    return render("leaderboard.html", cards=cards, table=board_rows(cards))
+    return _page("leaderboard.html", cards=cards, table=board_rows(cards))
+
+
+def _page(name: str, **values: Any) -> str:
+    """Return a page from a template of this folder; all text is escaped."""
+    return page_environment("pcs_racing_agents.benchmark").get_template(name).render(**values)

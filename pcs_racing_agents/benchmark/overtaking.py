@@ -14,8 +14,7 @@ References
 .. [1] End2Race, arXiv:2509.16894.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -83,14 +82,8 @@ def made_lines(track: Track) -> Lines:
 
 def read_lines(track: Track, folder: Path) -> Lines:
     """Return the lines of a folder; line 1, in its direction, becomes the track's race line."""
-    tables = []
-    for k in range(LINES):
-        path = folder / f"{track.name}_line{k}.csv"
-        tables.append(
-            _checked(
-                track, path, parse_csv(path, read_inside(folder, path, MAX_LINE), COLUMNS, ";")
-            )
-        )
+    paths = [folder / f"{track.name}_line{k}.csv" for k in range(LINES)]
+    tables = [_checked_line(track, path) for path in paths]
     arrays, center = track.arrays, track.centerline
     if np.median(np.diff(track.to_frenet(tables[1][:, 1:3])[:, 0])) < 0.0:
         center = center[::-1][:, [0, 1, 3, 2]]
@@ -102,13 +95,15 @@ def read_lines(track: Track, folder: Path) -> Lines:
     d, speed = np.empty((2, LINES, len(places)))
     for k, table in enumerate(tables):
         sd = on.to_frenet(table[:, 1:3])
-        d[k] = np.interp(places, *_rising(sd[:, 0], sd[:, 1]), period=on.length)
-        speed[k] = np.interp(places, *_rising(sd[:, 0], table[:, 5]), period=on.length)
+        # np.interp sorts the points of a period.
+        d[k] = np.interp(places, sd[:, 0], sd[:, 1], period=on.length)
+        speed[k] = np.interp(places, sd[:, 0], table[:, 5], period=on.length)
     return Lines(on, d, speed)
 
 
-def _checked(track: Track, path: Path, table: Floats) -> Floats:
-    """Return the table of a line, after a check of all points."""
+def _checked_line(track: Track, path: Path) -> Floats:
+    """Return the table of a line from its file, after a check of all points."""
+    table = parse_csv(path, read_inside(path.parent, path, MAX_LINE), COLUMNS, ";")
     xy, speed, half = table[:, 1:3], table[:, 5], 0.5 * track.length
     for wrong, right in (
         (np.diff(table[:, 0], append=np.inf) <= 0.0, "s must rise from point to point"),
@@ -136,16 +131,9 @@ def _places(track: Track) -> Floats:
     return np.arange(number) / number * track.length
 
 
-def _rising(s: Floats, values: Floats) -> tuple[Floats, Floats]:
-    order = np.argsort(s)
-    return s[order], values[order]
+class Outcomes(NamedTuple):
+    """Outcomes of a planner's scenarios, one entry per scenario."""
 
-
-@dataclass(frozen=True, eq=False)
-class Outcomes:
-    """Outcomes of a planner's scenarios; all arrays have one entry per scenario."""
-
-    driver: str
     start: NDArray[np.str_]  #: Track and number of the start: the clusters.
     circuit: NDArray[np.str_]
     factor: Floats
@@ -166,25 +154,19 @@ def race_scenarios(
     track, samples = lines.track, lines.d.shape[1]
     scenarios = np.array(list(product(range(STARTS), range(LINES), range(len(FACTORS)))))
     start, line, factor = scenarios.T
-    planners, cars, races = (ego.planner, overtaken(samples)), (F1TENTH, F1TENTH), len(scenarios)
-    theta = np.zeros((races, 2, max(len(planner.parameters) for planner in planners)))
+    d, speed, races = lines.d[line], lines.speed[line], len(scenarios)
+    planners, cars = (ego.planner, overtaken(samples)), (F1TENTH, F1TENTH)
+    opponent = np.column_stack([np.array(FACTORS)[factor], np.full(races, samples), d, speed])
+    theta = np.zeros((races, 2, max(len(ego.parameters), opponent.shape[1])))
     theta[:, 0, : len(ego.parameters)] = ego.parameters
-    theta[:, 1, 0], theta[:, 1, 1] = np.array(FACTORS)[factor], samples
-    theta[:, 1, 2 : 2 + samples], theta[:, 1, 2 + samples : 2 + 2 * samples] = (
-        lines.d[line],
-        lines.speed[line],
-    )
+    theta[:, 1, : opponent.shape[1]] = opponent
     state = empty_state(races, max(planner.memory_total for planner in planners))
     state.seed[:] = race_seeds(seed, races)
-    begins = start / STARTS * track.length
     for car, ahead in ((0, 0.0), (1, AHEAD)):
-        s = np.mod(begins + ahead, track.length)
-        d = (
-            lines.d[line, (s / track.length * samples).astype(np.intp) % samples]
-            if car
-            else np.zeros(races)
-        )
-        pose = track.to_cartesian(np.stack([s, d], axis=-1))
+        s = np.mod(start / STARTS * track.length + ahead, track.length)
+        sample = (s / track.length * samples).astype(np.intp) % samples
+        aside = d[np.arange(races), sample] if car else np.zeros(races)
+        pose = track.to_cartesian(np.stack([s, aside], axis=-1))
         state.cars[:, car, X], state.cars[:, car, Y] = pose[:, 0], pose[:, 1]
         state.cars[:, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
         state.progress[:, car] = ahead
@@ -195,16 +177,12 @@ def race_scenarios(
     names = np.full(races, track.name)
     label = np.char.add(np.char.add(names, " "), start.astype(str))
     overtakes = (state.lead > 0.0) & ~state.crashed
-    return Outcomes(ego.name, label, names, np.array(FACTORS)[factor], line, fault, overtakes)
+    return Outcomes(label, names, np.array(FACTORS)[factor], line, fault, overtakes)
 
 
 def joined(parts: Sequence[Outcomes]) -> Outcomes:
     """Return the joined outcomes of one planner on several tracks."""
-    names = [name for name in Outcomes.__dataclass_fields__ if name != "driver"]
-    return Outcomes(
-        parts[0].driver,
-        **{name: np.concatenate([getattr(p, name) for p in parts]) for name in names},
-    )
+    return Outcomes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def _share(values: NDArray[np.bool_], starts: NDArray[np.str_]) -> str:
@@ -212,50 +190,31 @@ def _share(values: NDArray[np.bool_], starts: NDArray[np.str_]) -> str:
     return f"{found.mean:.1%} [{max(found.low, 0.0):.1%}, {min(found.high, 1.0):.1%}]"
 
 
-def summary(found: Sequence[Outcomes]) -> list[str]:
+HEAD = "without collision", "overtaking", "following", "collision: ego", "opponent", "both"
+
+
+def summary(found: Mapping[str, Outcomes]) -> list[str]:
     """Return the table of planners: shares (95 % intervals, clusters: starts), collision faults."""
-    rows: list[tuple[str, ...]] = [
-        (
-            "driver",
-            "without collision",
-            "overtaking",
-            "following",
-            "collision: ego",
-            "opponent",
-            "both",
-        )
-    ]
-    for one in found:
-        shares = [
-            _share(values, one.start)
-            for values in (one.safe, one.overtakes, one.safe & ~one.overtakes)
-        ]
-        rows.append((one.driver, *shares, *(f"{np.mean(one.fault == k):.1%}" for k in (1, 2, 3))))
+    rows: list[Sequence[str]] = [("driver", *HEAD)]
+    for driver, one in found.items():
+        shares = (one.safe, one.overtakes, one.safe & ~one.overtakes)
+        faults = (f"{np.mean(one.fault == k):.1%}" for k in (1, 2, 3))
+        rows.append((driver, *(_share(values, one.start) for values in shares), *faults))
     name, safe, overtakes = PUBLISHED
     rows.append((name, f"{safe:.1%}", f"{overtakes:.1%}", f"{safe - overtakes:.1%}", "-", "-", "-"))
     return aligned(rows, left=1)
 
 
-def _groups(one: Outcomes) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-    for name in dict.fromkeys(one.circuit.tolist()):
-        yield name, one.circuit == name
-    for factor in FACTORS:
-        yield f"speed {factor:g}", one.factor == factor
-    for line in range(LINES):
-        yield f"line {line}", one.line == line
-
-
-def detail(found: Sequence[Outcomes]) -> list[str]:
+def detail(found: Mapping[str, Outcomes]) -> list[str]:
     """Return the shares without collision / with overtaking by track, speed factor and line."""
-    head = ["driver", *(name for name, _ in _groups(found[0]))]
-    rows = [
-        [
-            one.driver,
-            *(
-                f"{one.safe[on].mean():.1%} / {one.overtakes[on].mean():.1%}"
-                for _, on in _groups(one)
-            ),
+    rows: list[Sequence[str]] = []
+    for driver, one in found.items():
+        groups = {name: one.circuit == name for name in dict.fromkeys(one.circuit.tolist())}
+        groups |= {f"speed {factor:g}": one.factor == factor for factor in FACTORS}
+        groups |= {f"line {line}": one.line == line for line in range(LINES)}
+        rows = rows or [("driver", *groups)]
+        shares = [
+            f"{one.safe[on].mean():.1%} / {one.overtakes[on].mean():.1%}" for on in groups.values()
         ]
-        for one in found
-    ]
-    return aligned([head, *rows], left=1)
+        rows.append((driver, *shares))
+    return aligned(rows, left=1)

@@ -1,4 +1,4 @@
-"""Races of an agent by a protocol: scores, crashes, adaptivity gain, rating, decision cost."""
+"""Races of an agent by a protocol: scores, crashes, adaptivity gain, decision cost."""
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -11,9 +11,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import PolicySet, Turn, competitor_name
 from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, as_agent
-from pcs_racing_agents.agents.describe import measurements
 from pcs_racing_agents.base.jobs import Run
-from pcs_racing_agents.benchmark.card_values import CardScore, Gain
+from pcs_racing_agents.benchmark.card import CardScore, Gain
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
@@ -82,60 +81,66 @@ def play_protocol(
     return results
 
 
+class _Columns(NamedTuple):
+    """Races of several cells, one entry per race."""
+
+    score: Floats
+    ego: NDArray[Any]  #: Start policy of the agent.
+    opponent: NDArray[Any]  #: Opponent and its variant.
+    crashed: NDArray[np.bool_]
+    own_fault: NDArray[np.bool_]
+
+
+def _columns(cells: Iterable[CellRaces]) -> _Columns:
+    parts = [
+        (
+            races.score,
+            races.variants[:, 0],
+            np.char.add(f"{cell.opponent} ", races.variants[:, 1].astype(str)),
+            races.crashed,
+            races.fault[:, 0] > 0,
+        )
+        for cell, _, races in cells
+    ]
+    return _Columns(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _on(cells: Iterable[CellRaces], circuits: str) -> list[CellRaces]:
+    """Return the cells on "seen", "unseen" or "all" circuits."""
+    return [one for one in cells if circuits == "all" or one.cell.seen == (circuits == "seen")]
+
+
 def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
     """Return the scores of an agent: in total, by kind of opponent, and by cell."""
     cells = list(races)
     scores = []
-    for circuits, wanted in (("seen", (True,)), ("unseen", (False,)), ("all", (True, False))):
+    for circuits in ("seen", "unseen", "all"):
         for part in ("all", *KINDS):
-            chosen = [
-                played
-                for played in cells
-                if played.cell.seen in wanted and part in ("all", played.cell.kind)
-            ]
+            chosen = [one for one in _on(cells, circuits) if part in ("all", one.cell.kind)]
             if chosen:
                 scores.append(_score(part, circuits, chosen))
-    return scores + [
-        _score(played.cell.opponent, played.cell.circuit, [played]) for played in cells
-    ]
-
-
-def _columns(cells: list[CellRaces]) -> tuple[Floats, NDArray[Any], NDArray[Any]]:
-    """Return scores and labels of start policies and opponents' variants, one entry per race."""
-    scores = np.concatenate([played.races.score for played in cells])
-    egos = np.concatenate([played.races.variants[:, 0] for played in cells])
-    opponents = np.concatenate(
-        [
-            np.char.add(f"{played.cell.opponent} ", played.races.variants[:, 1].astype(str))
-            for played in cells
-        ]
-    )
-    return scores, egos, opponents
+    return scores + [_score(one.cell.opponent, one.cell.circuit, [one]) for one in cells]
 
 
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
-    scores, egos, opponents = _columns(cells)
+    races = _columns(cells)
     # Labels without variation have no measurable spread, and are taken as given.
-    clusters = [labels for labels in (egos, opponents) if len(np.unique(labels)) > 1]
+    clusters = [labels for labels in (races.ego, races.opponent) if len(np.unique(labels)) > 1]
     # One policy against one policy: races differ only in their start lines.
-    estimate = clustered_mean(scores, *(clusters or [np.arange(len(scores))]))
-    own = np.concatenate([played.races.fault[:, 0] > 0 for played in cells])
-    crashed = np.concatenate([played.races.crashed for played in cells])
+    estimate = clustered_mean(races.score, *(clusters or [np.arange(len(races.score))]))
     return CardScore(
         part,
         circuits,
-        len(scores),
+        len(races.score),
         estimate.mean,
         max(estimate.low, 0.0),
         min(estimate.high, 1.0),
-        float((crashed & own).mean()),
-        float((crashed & ~own).mean()),
+        float((races.crashed & races.own_fault).mean()),
+        float((races.crashed & ~races.own_fault).mean()),
     )
 
 
-def gain(
-    results: Mapping[str, list[CellRaces]], agent: str, seen: bool | None = None
-) -> Gain | None:
+def gain(results: Mapping[str, list[CellRaces]], agent: str, circuits: str = "all") -> Gain | None:
     """Return the agent's score minus the best baseline's score, on the same races.
 
     The best baseline is chosen after the fact, on these races, which can only reduce the gain. None
@@ -145,51 +150,19 @@ def gain(
     ----------
     results : mapping
         Results of :func:`play_protocol`.
-    seen : bool, optional
-        True for training tracks only, False for test tracks only (default: all).
+    circuits : {"all", "seen", "unseen"}
+        Tracks of the races.
     """
-
-    def rows(name: str) -> list[CellRaces]:
-        return [played for played in results[name] if seen is None or played.cell.seen == seen]
-
+    cells = {name: _on(races, circuits) for name, races in results.items()}
+    columns = {name: _columns(races) for name, races in cells.items()}
     # The agent's own result is excluded, even if the agent is a baseline.
-    blind = {name: float(_columns(rows(name))[0].mean()) for name in results if name != agent}
-    best = max(blind, key=lambda name: blind[name])
-    for own, other in zip(rows(agent), rows(best), strict=True):
+    best = max(results, key=lambda name: columns[name].score.mean() if name != agent else -1.0)
+    for own, other in zip(cells[agent], cells[best], strict=True):
         if not np.array_equal(own.races.start_s, other.races.start_s):
             return None
-    scores, egos, opponents = _columns(rows(agent))
-    difference = compare(scores, _columns(rows(best))[0], egos, opponents)
-    return Gain(best, difference.difference, max(difference.low, -1.0), min(difference.high, 1.0))
-
-
-def rating(protocol: Protocol, races: Iterable[CellRaces]) -> float | None:
-    """Return the Bradley-Terry rating that explains an agent's score against rated opponents.
-
-    None if no opponent has a measured rating (:mod:`pcs_racing_agents.agents.describe`), or if the
-    agent won or lost all races against rated opponents.
-    """
-    from scipy.optimize import brentq  # the import takes a second
-
-    table = measurements()
-    archive, race = protocol.spec.archive.name, protocol.spec.race
-    pairs = [
-        (table[archive, race, played.cell.opponent].rating, float(played.races.score.mean()))
-        for played in races
-        if (archive, race, played.cell.opponent) in table
-    ]
-    known = [(strength, score) for strength, score in pairs if np.isfinite(strength)]
-    if not known:
-        return None
-    strengths, scores = np.array(known).T
-
-    def excess(own: float) -> float:
-        return float((1.0 / (1.0 + 10.0 ** ((strengths - own) / 400.0)) - scores).mean())
-
-    # An agent that won (or lost) every race has no finite rating.
-    return (
-        float(brentq(excess, -4000.0, 4000.0)) if excess(-4000.0) < 0.0 < excess(4000.0) else None
-    )
+    races = columns[agent]
+    found = compare(races.score, columns[best].score, races.ego, races.opponent)
+    return Gain(best, found.difference, max(found.low, -1.0), min(found.high, 1.0))
 
 
 def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> float | None:
@@ -217,26 +190,18 @@ def telling_races(
     ``own``, ``others``: the same cells in the same order, raced by the agent and by the other
     agent. ``count``: number of races; each cell offers one race.
     """
-    telling: list[tuple[float, CellRaces, int]] = []
-    for cell, other in zip(own, others, strict=True):
+    telling = []
+    for number, (cell, other) in enumerate(zip(own, others, strict=True)):
         # Alternately a race won by the agent and lost by the other agent, and the reverse.
-        difference = (cell.races.score - other.races.score) * (
-            1.0 if len(telling) % 2 == 0 else -1.0
-        )
+        difference = (cell.races.score - other.races.score) * (-1.0) ** number
         race = int(np.argmax(difference))
-        telling.append((float(difference[race]), cell, race))
+        telling.append((difference[race], cell, race))
     telling.sort(key=lambda entry: -entry[0])
     races = []
-    for _, cell, race in telling[:count]:
-        pairing = cell.pairing
-        recording = record_game(
-            pairing.game,
-            pairing.ego,
-            pairing.opponent,
-            **pairing.race_arguments(race),
-            candidates=False,
+    for _, (cell, pairing, _), race in telling[:count]:
+        arguments = pairing.race_arguments(race)
+        played = record_game(
+            pairing.game, pairing.ego, pairing.opponent, **arguments, candidates=False
         )
-        races.append(
-            (f"{cell.cell.circuit}, race {race}: {recording.replay.outcome}", recording.replay)
-        )
+        races.append((f"{cell.circuit}, race {race}: {played.replay.outcome}", played.replay))
     return races

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from pcs_racing_agents.agents.agent import Competitor
     from pcs_racing_agents.base.jobs import Job
-    from pcs_racing_agents.benchmark.card_values import ReplyLoss
+    from pcs_racing_agents.benchmark.card import ReplyLoss
     from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
 
@@ -122,7 +122,6 @@ def _write(
     from pcs_racing_agents.benchmark.scoring import (
         decision_cost,
         gain,
-        rating,
         summarise,
         telling_races,
     )
@@ -130,12 +129,8 @@ def _write(
     name, config = competitor_name(agent), protocol.config
     own = results[name]
     raced = {name: own, **{blind: results[blind] for blind in config.blind}}
-    circuits = {"seen": True, "unseen": False, "all": None}
-    found = (
-        {}
-        if name in config.blind
-        else {key: gain(raced, name, seen) for key, seen in circuits.items()}
-    )
+    compared = () if name in config.blind else ("seen", "unseen", "all")
+    found = {circuits: gain(raced, name, circuits) for circuits in compared}
     gains = {key: value for key, value in found.items() if value is not None}
     # A planner with other start lines than the baselines has no races in common with them.
     other = (
@@ -150,7 +145,6 @@ def _write(
         agent_sha256=digest,
         scores=tuple(summarise(own)),
         gains=gains,
-        rating=rating(protocol, own),
         cost_us=decision_cost(protocol, agent),
         best_reply=reply,
     )
@@ -165,7 +159,7 @@ def _best_reply(
     protocol: "Protocol", agent: "Competitor", job: "Job", part: str, executor: "Executor | None"
 ) -> "ReplyLoss":
     """Train a best response to the agent on the training tracks, and return the agent's loss."""
-    from pcs_racing_agents.benchmark.card_values import ReplyLoss
+    from pcs_racing_agents.benchmark.card import ReplyLoss
     from pcs_racing_agents.learning.responses.best_reply import best_reply
     from pcs_racing_agents.learning.responses.learner import load_response_settings
 
@@ -249,20 +243,20 @@ def run_overtaking(
     target = output_file(out, ".csv") if out else None
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
-    found = [
-        joined([race_scenarios(one, parse_driver(text), seed=seed) for one in given])
-        for text in policies
-    ]
-    print("\n".join([f"{len(found[0].start)} scenarios", "", *summary(found), "", *detail(found)]))
+    found = {
+        policy.name: joined([race_scenarios(one, policy, seed=seed) for one in given])
+        for policy in map(parse_driver, policies)
+    }
+    count = len(next(iter(found.values())).start)
+    print("\n".join([f"{count} scenarios", "", *summary(found), "", *detail(found)]))
     if target is not None:
         text = io.StringIO()
         writer = csv.writer(text)
         names = ("circuit", "start", "line", "factor", "fault", "overtakes")
         writer.writerow(("driver", *names))
-        for one in found:
+        for driver, one in found.items():
             writer.writerows(
-                (one.driver, *row)
-                for row in zip(*(getattr(one, name) for name in names), strict=True)
+                (driver, *row) for row in zip(*(getattr(one, name) for name in names), strict=True)
             )
         write_atomically(target, lambda file: file.write(text.getvalue().encode()))
         print(f"scenarios: {target}")

@@ -43,8 +43,14 @@ from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import make, parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model
-from pcs_racing_agents.benchmark.card import Card, board_page, read_cards, write_card
-from pcs_racing_agents.benchmark.card_values import CardScore, Gain
+from pcs_racing_agents.benchmark.card import (
+    Card,
+    CardScore,
+    Gain,
+    board_page,
+    read_cards,
+    write_card,
+)
 from pcs_racing_agents.benchmark.protocol import ProtocolConfig, load_protocol
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.ppo.drives import make_drive_task

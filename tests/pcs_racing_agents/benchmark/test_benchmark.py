@@ -16,21 +16,17 @@ from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.zoo import load_entrant
 from pcs_racing_agents.benchmark.card import (
     Card,
+    CardScore,
+    Gain,
+    ReplyLoss,
     board_page,
     board_rows,
     read_card,
     read_cards,
     write_card,
 )
-from pcs_racing_agents.benchmark.card_values import CardScore, Gain, ReplyLoss
 from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import (
-    decision_cost,
-    gain,
-    play_protocol,
-    rating,
-    summarise,
-)
+from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, summarise
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
@@ -72,40 +68,25 @@ def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
 
 
 def test_scores_and_gains_are_means_over_the_same_races(results):
-    own = results["random-moves"]
-    scores = {(score.part, score.circuits): score for score in summarise(own)}
-    every = np.concatenate([one.races.score for one in own])
-    assert scores["all", "all"].score == pytest.approx(every.mean())
-    assert scores["all", "all"].races == len(every)
-    crashed = np.concatenate([one.races.crashed for one in own])
-    assert scores["all", "all"].own_crash + scores["all", "all"].other_crash == pytest.approx(
-        crashed.mean()
-    )
-    one = own[0]
-    assert scores[one.cell.opponent, one.cell.circuit].score == pytest.approx(
-        one.races.score.mean()
-    )
-    found = gain(results, "random-moves")
-    means = {
-        name: np.concatenate([one.races.score for one in cells]).mean()
-        for name, cells in results.items()
-    }
-    assert found.over == "never-switch"
-    assert found.gain == pytest.approx(means["random-moves"] - means["never-switch"])
-    assert found.low <= found.gain <= found.high
-
-
-def test_a_rating_explains_the_score(protocol, results, monkeypatch):
-    table = {("default", "paper", "never-switch"): SimpleNamespace(rating=100.0)}
-    monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", lambda: table)
-    own = [one for one in results["random-moves"] if one.cell.opponent == "never-switch"]
-    score = np.mean([one.races.score.mean() for one in own])
-    if 0.0 < score < 1.0:
-        assert rating(protocol, own) == pytest.approx(
-            100.0 + 400.0 * np.log10(score / (1.0 - score))
+    own, blind = (
+        {circuits: [one.races for one in races if circuits in ("all", one.cell.circuit)]
+         for circuits in ("all", "Pipkin", "Larkmoor")}
+        for races in results.values()
+    )  # fmt: skip
+    scores = {(score.part, score.circuits): score for score in summarise(results["random-moves"])}
+    for named, circuits in (("all", "all"), ("seen", "Pipkin"), ("unseen", "Larkmoor")):
+        mean, other = (
+            np.concatenate([one.score for one in races[circuits]]).mean() for races in (own, blind)
         )
-    monkeypatch.setattr("pcs_racing_agents.benchmark.scoring.measurements", dict)
-    assert rating(protocol, own) is None
+        crashed = np.concatenate([one.crashed for one in own[circuits]])
+        found = scores["all", named]
+        assert (found.score, found.races) == (pytest.approx(mean), len(crashed))
+        assert found.own_crash + found.other_crash == pytest.approx(crashed.mean())
+        gained = gain(results, "random-moves", named)
+        assert (gained.over, gained.gain) == ("never-switch", pytest.approx(mean - other))
+        assert gained.low <= gained.gain <= gained.high
+    cell, _, races = results["random-moves"][0]
+    assert scores[cell.opponent, cell.circuit].score == pytest.approx(races.score.mean())
 
 
 def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(protocol):
@@ -164,12 +145,8 @@ def card(name="mine", score=0.5, **changes):
 
 
 def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_path):
-    written = card("<b>mine</b>", rating=12.0, cost_us=3.5)
-    assert {path.name for path in write_card(written, tmp_path)} == {
-        "card.json",
-        "card.md",
-        "card.html",
-    }
+    written = card("<b>mine</b>", cost_us=3.5)
+    assert [path.name for path in write_card(written, tmp_path)] == ["card.json", "card.html"]
     assert read_card(tmp_path) == written
     assert written.score("keeps", "seen").races == 13
     refused("no score of 'keeps' on 'unseen' circuits", written.score, "keeps", "unseen")
@@ -200,8 +177,7 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
         ({"gains": {"mine": {}}}, "gains are"),
         ({"gains": {"all": {"gain": 0.1}}}, "must be a mapping of over"),
         ({"best_reply": {"loss": 0.1}}, "must be a mapping of loss"),
-        ({"rating": 1e308}, "rating is"),
-        ({"cost_us": -1.0}, "cost_us is"),
+        *[({"cost_us": value}, "cost_us is") for value in (-1.0, 1e308)],
         ({"page": "x"}, "damaged card"),
     ],
 )
@@ -268,25 +244,12 @@ def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monke
     monkeypatch.setattr("pcs_racing_agents.cli.benchmark.LEARNER", str(tmp_path / "learner.yaml"))
     monkeypatch.setattr("pcs_racing_agents.cli.benchmark.REPLY_RACES", 40)
     out = tmp_path / "card"
-    assert (
-        main(
-            [
-                "benchmark",
-                "card",
-                "always-restraint+",
-                "--full",
-                "--protocol",
-                protocol_file,
-                "--out",
-                str(out),
-            ]
-        )
-        == 0
-    )
+    options = ["--full", "--protocol", protocol_file, "--out", str(out)]
+    assert main(["benchmark", "card", "always-restraint+", *options]) == 0
     reply = read_card(out).best_reply
     assert (reply.starts, reply.rounds) == (8, 1)
     assert reply.low <= reply.loss <= reply.high
-    assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.md").read_text()
+    assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.html").read_text()
 
 
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):
