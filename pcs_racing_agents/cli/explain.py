@@ -1,4 +1,4 @@
-"""``pcs-racing explain``: explain an agent's moves in one race, or summarise many races."""
+"""``pcs-racing explain``: explain an agent's moves in one race."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -69,7 +69,6 @@ class _Planned:
     "pcs-racing explain out/mine --index 12 --car 1 --out out/race-12",
     "pcs-racing explain --agents random-moves lane-switcher --track Tarnfjord --seed 3 --out"
     " out/race",
-    "pcs-racing explain out/mine --situations cfr-argmax --out out/cfr",
 )
 def run(
     results: Annotated[Path | None, Option("folder of a tournament or a study", "RESULTS")] = None,
@@ -83,14 +82,6 @@ def run(
         int | None,
         Option(
             "car whose moves are explained (default: the first that makes moves)", choices=(0, 1)
-        ),
-    ] = None,
-    situations: Annotated[
-        str | None,
-        Option(
-            "instead of one race: summarise the moves of this agent by situation, over all its"
-            " races",
-            "AGENT",
         ),
     ] = None,
     out: Annotated[
@@ -107,14 +98,9 @@ def run(
                 raise InputError(
                     f"--{option} goes with --agents; the races of a folder have their own"
                 )
-    if situations is not None and index is not None:
-        raise InputError("--situations is about all races; leave out --index")
     if out is not None:
         output_folder(out)
-    if situations is not None:
-        _situations(results, planned, situations, out)
-    else:
-        _race(results, index or 0, planned, car, out)
+    _race(results, index or 0, planned, car, out)
 
 
 def _race(
@@ -161,49 +147,3 @@ def _race(
             from pcs_racing_agents.watch.pictures import explanation_picture
 
             print(f"picture: {save_picture(explanation_picture(explanation), out / 'race.png')}")
-
-
-def _situations(folder: Path | None, planned: _Planned, agent: str, out: Path | None) -> None:
-    import numpy as np
-
-    from pcs_racing_agents.base.progress import show_progress
-    from pcs_racing_agents.study.results import open_results
-    from pcs_racing_agents.tournament.games import game_between
-    from pcs_racing_agents.tournament.runner import play_pairings
-    from pcs_racing_agents.watch.situations import situations_text, summarise, write_situations
-
-    if folder is not None:
-        pairings = list(open_results(folder, planned.agents).pairings(agent))
-    else:
-        if agent not in planned.agents:
-            raise InputError(
-                f"--situations is {agent!r}; it must be one of {', '.join(planned.agents)}"
-            )
-        pairings = [(planned.pairing(), planned.agents.index(agent))]
-    total, first = sum(len(pairing) for pairing, _ in pairings), pairings[0][0]
-    played = play_pairings(
-        [pairing for pairing, _ in pairings],
-        name=agent,
-        observations=True,
-        progress=show_progress(),
-    )
-    observations, actions = [], []
-    for (_, car), games in zip(pairings, played, strict=True):
-        observations.append(games.observations[:, car])
-        actions.append(games.moves.codes[:, car])
-    game = game_between(first.game, first.ego, first.opponent)
-    situations = summarise(
-        np.concatenate(observations), np.concatenate(actions), game.archive, game.move_names, agent
-    )
-    if folder is None:
-        print(f"{first.game.track.name}, {first.game.config.race.name} rules, {total} races")
-    print(situations_text(situations))
-    if out is not None:
-        print(f"table: {write_situations(situations, out / 'situations.csv')}")
-        if can_draw("the picture of the situations"):
-            from pcs_racing_agents.base.style import save_picture
-            from pcs_racing_agents.watch.situations import situations_picture
-
-            print(
-                f"picture: {save_picture(situations_picture(situations), out / 'situations.png')}"
-            )

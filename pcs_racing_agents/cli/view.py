@@ -146,8 +146,7 @@ def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Pat
     elif not (path / "job.yaml").is_file() and (path / "results.csv").is_file():
         return None, path / "results.csv"
     results = open_results(folder, agents)
-    ratings = results.tournament and results.study is not None
-    return results, folder.with_suffix(".csv") if ratings else folder / "results.csv"
+    return results, results.file
 
 
 def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[SelectedRace]":
@@ -190,21 +189,12 @@ def _content(
         name,
         races,
         str(path),
-        start=_kind_of_start(results),
+        start=results.start,
         picks=picks,
         driven=driven,
         circuits=driver.circuits,
         space=driver.space,
     )
-
-
-def _kind_of_start(results: "ResultsFolder") -> str:
-    """Return the kind of start of the races from the folder, or the default."""
-    if results.study is not None:
-        return results.study.spec.config.race_rules.start
-    game = results.settings.get("game")
-    race = game.get("race") if isinstance(game, dict) else None
-    return str(race.get("start", "side-by-side")) if isinstance(race, dict) else "side-by-side"
 
 
 @command(

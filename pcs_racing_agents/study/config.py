@@ -124,7 +124,13 @@ def _game(_: str, value: Any) -> GameConfig:
 
 def _section(kind: type[S]) -> Checked:
     """Return the check of a nested configuration, written as a mapping."""
-    return Checked(lambda name, value: load_settings(name, kind(), value))
+
+    def check(name: str, value: Any) -> S:
+        if not isinstance(value, Mapping | kind):
+            raise ConfigError(f"{name} is {value!r:.80}; it must be a mapping of settings")
+        return load_settings(name, kind(), value)
+
+    return Checked(check)
 
 
 @dataclass(frozen=True)

@@ -1,47 +1,146 @@
-"""Loader of the results of a tournament or study, to repeat and watch their races."""
+"""Reader of the results of a tournament or study, to repeat and watch their races.
 
-from collections.abc import Mapping, Sequence
+A folder describes the competitors, starts and noise of its races. The hash of an agent detects a
+changed agent, the lead of a race a changed result.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.config import GameConfig
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing_agents.agents.game_spec import make_game_spec
+from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.tournament.pairings import (
+    Pairing,
+    cross_pairing,
+    draw_schedule,
+    schedule_pairing,
+)
 from pcs_racing_agents.tournament.race_files import read_results
-from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder, read_manifest
+from pcs_racing_agents.tournament.races import RaceRow, RaceTable
+from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder
 
 
 def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     """Open a tournament's or study's folder; agents named in ``code`` may be code, which is run."""
     path = Path(folder)
-    manifest = read_manifest(path)
-    if manifest is None or manifest["kind"] not in ("tournament", "study"):
+    kind, settings = _read_manifest(path)
+    if kind not in ("tournament", "study"):
         raise InputError(
             f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing"
             " study' wrote with --out"
         )
     # A study stores the races of its ratings in a separate folder, with their lines next to it.
-    file, study = path / "results.csv", None
-    if manifest["kind"] == "study":
-        study = _study(path, manifest)
-    else:
-        above = read_manifest(path.resolve().parent)
-        if above is not None and above["kind"] == "study":
-            study = _study(path.resolve().parent, above)
-            file = path.resolve().with_suffix(".csv")
+    above = path.resolve().parent
+    is_rating = kind == "tournament" and _read_manifest(above)[0] == "study"
+    file = path.with_suffix(".csv") if is_rating else path / "results.csv"
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file)
-    results = ResultsFolder(
-        path, manifest["settings"], races, study, manifest["kind"] == "tournament", code
-    )
+    if kind == "study":
+        study = _study(path, settings)
+        make: Callable[[RaceRow], Pairing] = partial(_of_study, study, races)
+        rules = study.config.game
+    else:
+        rules = _game_config(path, settings)
+        study = _study(above, _read_manifest(above)[1]) if is_rating else None
+        make = partial(_of_tournament, settings, rules, study, code)
     for name in code:
-        results.check_raced(name)
-    return results
+        if name not in races.agents.words:
+            raise InputError(
+                f"{name!r} did not race in {folder}; there are"
+                f" {', '.join(sorted(races.agents.words))}"
+            )
+    return ResultsFolder(path, file, races, rules.race.start, make)
 
 
-def _study(folder: Path, manifest: Mapping[str, Any]) -> Study:
+def _read_manifest(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the kind and the settings of a job's folder; empty without a manifest."""
+    file = folder / MANIFEST
     try:
-        return Study(load_study_config(**manifest["settings"]), folder, quiet=True)
-    except InputError as error:
+        manifest = read_job(file)
+    except FileNotFoundError:
+        return "", {}
+    except (OSError, InputError) as error:
+        raise InputError(f"{file} is damaged: {error}") from None
+    if not isinstance(manifest, dict) or not isinstance(manifest.get("settings"), dict):
+        raise InputError(f"{file} is no manifest of a job")
+    return str(manifest.get("kind")), manifest["settings"]
+
+
+def _study(folder: Path, settings: Mapping[str, Any]) -> Study:
+    try:
+        return Study(load_study_config(**settings), folder, quiet=True)
+    except (TypeError, InputError) as error:
         raise InputError(f"{folder / MANIFEST}: {error}") from None
+
+
+def _game_config(folder: Path, settings: Mapping[str, Any]) -> GameConfig:
+    """Return the rules in a manifest, without the move "stay": every tournament adds it."""
+    try:
+        game = dict(settings["game"])
+        return GameConfig(**{**game, "race": RaceConfig(**game["race"]), "stay": None})
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{folder / MANIFEST} is damaged: {error!r}") from None
+
+
+def _of_study(study: Study, races: RaceTable, row: RaceRow) -> Pairing:
+    # All races of a pairing together determine its variants and number of lines.
+    rows = races.pairs[row.track, row.ego, row.opponent, str(row.seed)]
+    egos, opponents = (np.unique(races.variants[rows, car]).tolist() for car in range(2))
+    return cross_pairing(
+        study.game(row.track),
+        study.agent(row.ego),
+        study.agent(row.opponent),
+        egos=egos,
+        opponents=opponents,
+        lines=len(rows) // max(1, 2 * len(egos) * len(opponents)),
+        seed=row.seed,
+    )
+
+
+def _of_tournament(
+    settings: Mapping[str, Any],
+    rules: GameConfig,
+    study: Study | None,
+    code: Sequence[str],
+    row: RaceRow,
+) -> Pairing:
+    # All inputs of a race are compared by hash: other inputs give another race.
+    archive: PolicyArchive = load_archive(settings["archive"]) if study is None else study.archive
+    _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
+    track = load_track(row.track)
+    _check_same(f"track {row.track!r}", track.content_hash, settings["tracks"][row.track])
+    seed, spec = int(settings["seed"]), make_game_spec(archive, rules)
+    cars: list[Competitor] = []
+    for name in (row.ego, row.opponent):
+        if study is None:
+            cars.append(parse_agent(name, spec, seed=seed, code=name in code))
+        else:
+            cars.append(study.agent(name))
+        _check_same(f"agent {name!r}", competitor_hash(cars[-1]), settings["agents"][name])
+    races = int(settings["races_per_pair"])
+    schedule = draw_schedule(track, spec.config.race_rules, races, seed)
+    return schedule_pairing(RaceGame(track, spec.archive, spec.config), *cars, schedule, seed)
+
+
+def _check_same(noun: str, current: str, recorded: str) -> None:
+    if current != recorded:
+        raise InputError(
+            f"{noun} has changed since the races were driven (sha256 {current[:12]}, it was"
+            f" {str(recorded)[:12]}), so they can't be driven again"
+        )

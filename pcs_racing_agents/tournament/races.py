@@ -7,6 +7,7 @@ bytes.
 
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -179,7 +180,7 @@ class RaceTable:
         ]
         return np.unique(np.array(labels, np.str_), return_inverse=True)[1][line.reshape(-1)]
 
-    @property
+    @cached_property
     def pairs(self) -> dict[tuple[str, str, str, str], NDArray[np.intp]]:
         """Race indices by (track, ego, opponent, seed), with keys in order of first occurrence."""
         if not len(self):

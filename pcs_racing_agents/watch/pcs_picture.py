@@ -73,20 +73,23 @@ def draw_archive(
     axes.set_xlabel(f"{kinds[right].name}, {kinds[right].unit}")
     axes.set_ylabel(f"{kinds[up].name}, {kinds[up].unit}")
     tidy(axes)
-    _limit(axes, archive)
+    axes.set_xlim(axis_limits(archive, right, 1.0))
+    axes.set_ylim(axis_limits(archive, up, 1.0))
 
 
-def _limit(axes: Any, archive: PolicyArchive) -> None:
-    """Limit the axes to the archive and most explored policies, without far outliers."""
-    right, up = plane(archive)
-    for axis, setter in ((right, axes.set_xlim), (up, axes.set_ylim)):
-        low, high = archive.nadir[axis], archive.ideal[axis]
-        reach = high - low
-        explored = archive.explored_coordinates[:, axis]
-        if len(explored):
-            tails = np.quantile(explored, [0.02, 0.98])
-            low, high = max(min(low, tails[0]), low - reach), min(max(high, tails[1]), high + reach)
-        setter(low - 0.08 * reach, high + 0.08 * reach)
+def axis_limits(archive: PolicyArchive, axis: int, reach: float) -> tuple[float, float]:
+    """Return limits of an axis: the archive and most explored policies, without far outliers.
+
+    ``reach``: max distance of explored policies from the archive, in ranges of the archive.
+    """
+    low, high = float(archive.nadir[axis]), float(archive.ideal[axis])
+    size = max(high - low, 1e-9)
+    explored = archive.explored_coordinates[:, axis]
+    if len(explored):
+        tails = np.quantile(explored, [0.02, 0.98]).tolist()
+        low = max(min(low, tails[0]), low - reach * size)
+        high = min(max(high, tails[1]), high + reach * size)
+    return low - 0.08 * size, high + 0.08 * size
 
 
 def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str, **options: Any) -> None:

@@ -22,7 +22,7 @@ from pcs_racing_agents.tournament.pairings import Pairing
 from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.runner import record_game
 from pcs_racing_agents.watch.explain import mark_moves
-from pcs_racing_agents.watch.pcs_picture import in_units, plane
+from pcs_racing_agents.watch.pcs_picture import axis_limits, in_units, plane
 from pcs_racing_agents.watch.results_folder import ResultsFolder
 
 PLACES = 4000  # resolution of positions: steps across the picture
@@ -163,7 +163,7 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
     kinds = get_characteristics(archive.characteristics)
     axes = []
     for column in columns:
-        low, high = _limits(archive, column)
+        low, high = axis_limits(archive, column, 0.5)
         axes.append(
             {"name": kinds[column].name, "unit": kinds[column].unit, "low": low, "high": high}
         )
@@ -177,20 +177,6 @@ def space_values(archive: PolicyArchive, moves: Sequence[str]) -> dict[str, Any]
         None if archive.own_crash is None else np.round(100.0 * archive.own_crash, 1).tolist()
     )
     return space
-
-
-def _limits(archive: PolicyArchive, column: int) -> tuple[float, float]:
-    """Return an axis' limits: the archive, and most explored policies unless far away."""
-    low, high = float(archive.nadir[column]), float(archive.ideal[column])
-    reach = max(high - low, 1e-9)
-    explored = archive.explored_coordinates[:, column]
-    if len(explored):
-        tails = np.quantile(explored, [0.02, 0.98]).tolist()
-        low, high = (
-            max(min(low, tails[0]), low - 0.5 * reach),
-            min(max(high, tails[1]), high + 0.5 * reach),
-        )
-    return low - 0.08 * reach, high + 0.08 * reach
 
 
 def _places(space: dict[str, Any], points: Floats) -> Any:

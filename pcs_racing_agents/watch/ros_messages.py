@@ -22,8 +22,6 @@ from pcs_racing.race.replay import Replay
 from pcs_racing.track.track import Track
 
 Floats = NDArray[np.float64]
-CUBE, LINE_STRIP = 1, 4  # types of markers
-COLOURS = ((0.16, 0.44, 0.86), (0.93, 0.49, 0.13))  # colours of car 0 and of all other cars
 
 
 class RosMessage(NamedTuple):
@@ -125,35 +123,6 @@ def pose_messages(cars: Floats, time: int) -> list[RosMessage]:
     return [*messages, RosMessage("/tf", "tf2_msgs/msg/TFMessage", time, {"transforms": frames})]
 
 
-def _markers(replay: Replay, frame: int, time: int) -> RosMessage:
-    """Return the cars as boxes, with their plans."""
-    markers: list[dict[str, Any]] = []
-    plan = min(
-        int(time / 1e9 / replay.plan_dt + 1e-6),
-        0 if replay.paths is None else len(replay.paths) - 1,
-    )
-    for car, state in enumerate(replay.cars[frame]):
-        length, width = 2.0 * np.asarray(replay.half_sizes)[car]
-        colour = dict(zip("rgba", (*COLOURS[min(car, 1)], 1.0), strict=True))
-        shared = {"header": _header(time, "map"), "id": car, "color": colour}
-        pose = _pose(*state[[_vehicle.X, _vehicle.Y, _vehicle.PSI]])
-        size = {"x": float(length), "y": float(width), "z": 0.15}
-        markers.append({**shared, "ns": "cars", "type": CUBE, "pose": pose, "scale": size})
-        if replay.paths is not None and len(replay.paths):
-            path = replay.paths[plan, car]
-            points = [_point(*at) for at in path[~np.isnan(path[:, 0]), :2]]
-            line = {
-                "type": LINE_STRIP,
-                "pose": _pose(0.0, 0.0),
-                "scale": {"x": 0.05},
-                "points": points,
-            }
-            markers.append({**shared, "ns": "plans", **line})
-    return RosMessage(
-        "/race_markers", "visualization_msgs/msg/MarkerArray", time, {"markers": markers}
-    )
-
-
 def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterator[RosMessage]:
     """Yield the messages of a race in order of time, 25 times a second; ``/map`` comes first."""
     yield map_message(track)
@@ -167,7 +136,6 @@ def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterato
             seen = [lidar.scan(poses[frame, car], other) for other in others]
             yield scan_message(lidar, np.min(seen, axis=0), car, time)
         yield from pose_messages(cars, time)
-        yield _markers(replay, frame, time)
 
 
 def definition(kind: str) -> str:

@@ -155,7 +155,6 @@ def raced(folder: Path) -> None:
     results = open_results(folder)
     row = results.row(0)
     results.pairing(row)
-    list(results.pairings(row.ego))
 
 
 def tournament(folder: Path) -> Path:
@@ -256,7 +255,7 @@ KINDS = {
     "results of a tournament": Kind(
         lambda folder: tournament(folder) / "results.csv",
         lambda file: raced(file.parent),
-        "read_manifest read_job read_csv",
+        "_read_manifest read_job read_csv",
     ),
     "job of a tournament": Kind(
         lambda folder: tournament(folder) / "job.yaml",
@@ -354,6 +353,10 @@ NAMELESS = {
     "parse_waypoints",  # numbers alone
     # the text of a copy of the gym beside a program that is run anyway: literals alone
     "read_defaults",
+    # parts of the settings of a study
+    "_game",
+    "_section",
+    "check",
     "parse_agent",  # a text, in which an option's value is no name of code
 }
 """Functions that call a reader of files, and need no row."""
@@ -460,7 +463,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/agents/own_code.py": {"drivers_from", "own_code", "run_file"},
         "pcs_racing_agents/agents/zoo.py": {"own_code", "parse_agent True"},
         "pcs_racing_agents/tournament/play.py": {"parse_agent code"},
-        "pcs_racing_agents/watch/results_folder.py": {"parse_agent name in self.code"},
+        "pcs_racing_agents/study/results.py": {"parse_agent name in code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
         "pcs_racing_agents/cli/benchmark.py": {"load_entrant", "parse_driver"},
@@ -517,7 +520,6 @@ def calls() -> Iterator[tuple[str, str, str, ast.Call]]:
 COMMANDS = {
     "view": "view files/raced --no-open",
     "explain": "explain files/raced",
-    "situations": "explain files/raced --situations {word}",
     "benchmark": "benchmark card random-moves --protocol files/settings.yaml --out out",
 }
 

@@ -1,7 +1,5 @@
 """``pcs-racing explain``, on tournaments, on studies, and on two agents."""
 
-import csv
-
 import pytest
 
 from pcs_racing.race.replay import read_replay
@@ -13,12 +11,6 @@ def test_every_race_of_a_tournament_is_found_again(tournament_folder):
     place, tournament = tournament_folder
     results = open_results(place)
     assert len(results.races) == len(tournament.races)
-    pairings = [
-        ((pairing.ego.name, pairing.opponent.name), car)
-        for pairing, car in results.pairings("lane-switcher")
-    ]
-    assert {names[car] for names, car in pairings} == {"lane-switcher"}
-    assert len(pairings) == 2
     for number in (0, 7, 17):
         row = results.row(number)
         pairing = results.pairing(row)
@@ -48,18 +40,6 @@ def test_drivers_are_left_to_the_other_car(tournament_folder, printed):
     )
 
 
-def test_all_races_of_an_agent_are_summarised(tournament_folder, tmp_path, printed):
-    place, tournament = tournament_folder
-    captured = printed("explain", place, "--situations", "never-switch", "--out", tmp_path)
-    rows = list(csv.DictReader((tmp_path / "situations.csv").read_text().splitlines()))
-    count = sum(len(r.ego_moves) for r in tournament.races if r.ego == "never-switch")
-    count += sum(len(r.opponent_moves) for r in tournament.races if r.opponent == "never-switch")
-    assert sum(int(row["races"]) for row in rows) == count
-    assert {row["move"] for row in rows if int(row["races"])} == {"stay"}
-    assert captured.startswith("never-switch: moves by step")
-    assert (tmp_path / "situations.png").is_file()
-
-
 def test_two_agents_race_as_in_a_tournament(saved_archive, printed, told):
     arguments = [
         "explain",
@@ -74,12 +54,6 @@ def test_two_agents_race_as_in_a_tournament(saved_archive, printed, told):
     arguments += ["--archive", saved_archive, "--races", 4, "--seed", 2, "--rules", "contest"]
     text = printed(*arguments, "--index", 3)
     assert text.startswith("random-moves (car 0) against never-switch on Pipkin, contest rules: ")
-    assert printed(*arguments, "--situations", "random-moves").startswith(
-        "Pipkin, contest rules, 4 races\n"
-    )
-    assert "must be one of random-moves, never-switch" in told(
-        *arguments, "--situations", "somebody"
-    )
 
 
 def test_a_picture_that_is_left_out_is_told(saved_archive, run, tmp_path, monkeypatch):
@@ -110,9 +84,7 @@ def test_a_picture_that_is_left_out_is_told(saved_archive, run, tmp_path, monkey
         (["--agents", "random-moves"], "give a folder of results, or two agents"),
         (["--agents", "a", "b"], "agent 'a' is unknown"),
         (["{folder}", "--races", "4"], "--races goes with --agents"),
-        (["{folder}", "--index", "1", "--situations", "a"], "leave out --index"),
         (["{folder}", "--index", "18"], "there is no race 18"),
-        (["{folder}", "--situations", "a"], "'a' did not race"),
         (["{folder}/chunks"], "holds no races"),
         (["{folder}", "--index", "5", "--car", "0"], "'lane-switcher' in car 0 makes no moves"),
         (["--agents", "random-moves", "nobody", "--track", "Pipkin"], "agent 'nobody' is unknown"),
@@ -180,9 +152,6 @@ def test_races_of_a_study_are_found_again(study_folder, run, printed):
     text = printed("explain", place, "--index", len(drawn) + 3)
     assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
     printed("explain", place, "--index", 2 * len(drawn) + 2)
-    code, _, progress = run("explain", place, "--situations", "never-switch")
-    assert code == 0
-    assert "24/24 races" in progress
 
 
 def test_settings_of_another_version_are_named(study_folder, tmp_path, told):

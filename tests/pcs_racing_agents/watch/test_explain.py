@@ -10,9 +10,8 @@ from same_move import Model
 from zoo_games import untrained
 
 from pcs_racing import draw_starts, make_game
-from pcs_racing.base.packing import join_segments
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.moves import move_names, move_table
+from pcs_racing.game.moves import move_table
 from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
@@ -193,13 +192,7 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
     empty = replace(told, steps=())
     assert story(empty).splitlines()[1:] == ["The race was over before the first move."]
     assert picture_bytes(explanation_picture(empty)).startswith(b"<?xml")
-    for lead, words in [
-        (3.14, "ahead by 3.1 m"),
-        (-0.4, "behind by 0.4 m"),
-        (0.3, "ahead by 0.3 m"),
-        (0.29, "level"),
-    ]:
-        assert lead_words(lead) == words
+    assert [lead_words(lead) for lead in (-0.4, 0.29)] == ["behind by 0.4 m", "level"]
 
 
 def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, spec):
@@ -313,11 +306,11 @@ def marks(axes):
 
 
 def written(axes):
+    """Texts with their places."""
     return {
         (
             text.get_text(),
             tuple(np.round(text.xy if hasattr(text, "xy") else text.get_position(), 9).tolist()),
-            text.get_color(),
         )
         for text in axes.texts
         if text.get_text()
@@ -325,101 +318,56 @@ def written(axes):
 
 
 def test_the_signs_of_a_race_stand_where_things_happened(told):
-    from matplotlib.colors import to_rgba
-
     figure = explanation_picture(told)
     space, track, *panels, lead = figure.axes
-    assert figure.get_suptitle() == f"{told.replay.title}, oval, contest rules: car 1 crashed"
     at, signs = told.replay.cars[:, :, :2].tolist(), []
     for car in (0, 1):
         signs += [("s", at[0][car], CARS[car]), ("o", at[-1][car], "white")]
     signs += [("^", at[16][1], CARS[1]), ("^", at[24][0], CARS[0]), ("^", at[32][1], CARS[1])]
     assert marks(track) == [*signs, ("X", at[-1][1], "#c22443")]
-    numbers = {
-        (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()), "white")
+    assert written(track) == {
+        (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()))
         for k in (0, 1)
         for car in (0, 1)
     }
-    assert written(track) == numbers
-    assert track.get_title("left").endswith(", triangle: overtake, cross: crash")
-    loops, paths = (
-        join_segments(told.replay.walls),
-        [told.replay.cars[:, car, :2] for car in (0, 1)],
-    )
-    drawn = [line.get_xydata() for line in track.lines if len(line.get_xdata()) > 1]
-    for line, expected in zip(drawn, [*loops, *paths], strict=True):
-        np.testing.assert_array_equal(line, expected)
     # The arrow of the first move; the second one keeps its policy.
     before, after = told.archive.coordinates[[3, 5]][:, [1, 0]]
     (arrow,) = (text for text in space.texts if text.get_text() == "")
     assert (*arrow.xy, *arrow.xyann) == (*after, *before)
-    assert marks(space) == [("o", before.tolist(), CARS[0]), ("o", after.tolist(), CARS[0])]
     seen = [
         tuple(np.round(in_units(told.archive, step.opponent)[[1, 0]], 9).tolist())
         for step in told.steps
     ]
-    assert written(space) == {
-        ("1", tuple(np.round((before + after) / 2.0, 9)), "white"),
-        ("1", seen[0], "white"),
-        ("2", seen[1], "white"),
-        ("2: kept", tuple(np.round(after, 9).tolist()), CARS[0]),
-        ("cfr-argmax: arrows", (0.99, 0.99), CARS[0]),
-        ("random-moves: as measured before each move", (0.99, 0.94), CARS[1]),
-    }
+    assert {("1", seen[0]), ("2", seen[1]), ("2: kept", tuple(np.round(after, 9).tolist()))} <= (
+        written(space)
+    )
     # The lead from -0.25 to 2.3 m, with room for the names of the moves.
-    low, high, reach = -1.0, 2.3, 3.3
-    assert (*lead.get_ylim(), *lead.get_xlim()) == pytest.approx(
-        (low - 0.2 * reach, high + 0.2 * reach, 0.0, 4.0)
-    )
-    top, bottom = round(high + 0.17 * reach, 9), round(low - 0.17 * reach, 9)
-    assert written(lead) == {
-        ("aggressiveness +", (0.95, top), CARS[0]),
-        ("aggressiveness -", (0.95, bottom), CARS[1]),
-        ("restraint +", (1.75, top), CARS[0]),
+    assert {text for text, _ in written(lead)} == {
+        "aggressiveness +",
+        "aggressiveness -",
+        "restraint +",
     }
-    above, below = (
-        np.concatenate([p.vertices for p in area.get_paths()]) for area in lead.collections
-    )
-    assert (above[:, 1].min(), above[:, 1].max(), below[:, 1].max()) == pytest.approx(
-        (0.0, 2.3, 0.0)
-    )
-    level = 1.6 + 0.4 * 2.3 / 2.55  # s: when the cars are side by side
-    late = below[below[:, 0] > 1.0]
-    assert (above[:, 0].max(), late[:, 0].min(), below[:, 1].min()) == pytest.approx(
-        (level, level, -0.25), abs=1e-6
-    )
     assert lead.lines[0].get_xydata() == pytest.approx(
         np.stack([0.05 * np.arange(41), told.lead], axis=1)
     )
     assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
-    assert (panels[0].get_title("left"), panels[0].get_ylim()) == ("1: 0.8 s", (4.5, -0.5))
-    assert [label.get_text() for label in panels[0].get_yticklabels()] == list(told.moves)
-    for unit, change, label in [
+
+
+@pytest.mark.parametrize(
+    ("unit", "change", "label"),
+    [
         (Unit(0.5, "of a win"), {}, "value of each move, wins; coloured: made"),
         (Unit(0.5, ""), {}, "value of each move; coloured: made"),
         (None, {"values": None}, "chance of each move; coloured: made"),
-    ]:
-        steps = tuple(step._replace(**change) for step in told.steps)
-        figure = explanation_picture(replace(told, unit=unit, steps=steps))
-        expected = 0.5 * told.steps[0].values if unit else told.steps[0].probabilities
-        assert [patch.get_width() for patch in figure.axes[2].patches] == pytest.approx(
-            expected.tolist()
-        )
-        colours = [patch.get_facecolor() == to_rgba(CARS[0]) for patch in figure.axes[2].patches]
-        assert (colours, *(set(line.get_xdata()) for line in figure.axes[2].lines)) == (
-            [True] + [False] * 4,
-            {0.0},
-        )
-        assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
-    assert {line.get_xdata()[0] for line in lead.lines if len({*line.get_xdata()}) == 1} == {
-        0.8,
-        1.6,
-    }
-    far = [told.steps[0]._replace(opponent=told.middle - distance) for distance in (3.0, 0.0)]
-    limits = explanation_picture(replace(told, steps=far)).axes[0].get_xlim()
-    assert limits[0] < in_units(told.archive, far[0].opponent)[1] < limits[1]
-    bare = [step._replace(values=None, probabilities=None) for step in told.steps]
-    assert len(explanation_picture(replace(told, steps=bare)).axes) == 3
+    ],
+)
+def test_bars_are_values_in_their_unit_or_chances(told, unit, change, label):
+    steps = tuple(step._replace(**change) for step in told.steps)
+    figure = explanation_picture(replace(told, unit=unit, steps=steps))
+    expected = 0.5 * told.steps[0].values if unit else told.steps[0].probabilities
+    widths = [patch.get_width() for patch in figure.axes[2].patches]
+    assert widths == pytest.approx(expected.tolist())
+    assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
 
 
 def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(
@@ -439,16 +387,10 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     crashes = np.linspace(0.0, 0.3, 12)
     known = replace(archive, own_crash=crashes)
     figure = archive_picture(known, epsilon=0.5, policy=3)
-    axes, bar = figure.axes
-    names, leads_to = move_names(archive, 0.5), move_table(archive, 0.5)[3]
-    kept = [name for name, end in zip(names, leads_to, strict=True) if end == 3]
+    axes, _ = figure.axes
+    leads_to = move_table(archive, 0.5)[3]
     title = "Archive toy, preset paper: 12 policies, grey: 30 explored"
-    assert (axes.get_title("left"), axes.get_xlabel(), axes.get_ylabel()) == (
-        title,
-        "restraint, s",
-        "aggressiveness, m",
-    )
-    assert bar.get_ylabel() == "own crashes, % of races"
+    assert (axes.get_title("left"), axes.get_xlabel()) == (title, "restraint, s")
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     dots = axes.collections[0]
     drawn = [dots.get_offsets(), dots.get_array(), *(line.get_xydata() for line in axes.lines)]
@@ -456,19 +398,6 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
         drawn, [points, 100.0 * crashes, explored, points[3:4]], strict=True
     ):
         np.testing.assert_array_equal(found, expected)
-    low, high = points.min(axis=0), points.max(axis=0)
-    tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
-    least = np.maximum(np.minimum(low, tails[0]), low - reach) - 0.08 * reach
-    largest = np.minimum(np.maximum(high, tails[1]), high + reach) + 0.08 * reach
-    assert np.array([axes.get_xlim(), axes.get_ylim()]) == pytest.approx(
-        np.stack([least, largest], axis=1)
-    )
-    texts = [text.get_text() for text in axes.texts]
-    assert (
-        f"arrows: moves of policy 3; {', '.join(kept)} keep{'s' * (len(kept) == 1)} it" in texts
-        or not kept
-    )
-    assert {name for text in texts for name in text.split(", ")} >= {*names} - {*kept}
     arrows = {
         (*text.xy, *text.xyann)
         for text in axes.texts

@@ -18,8 +18,6 @@ from pcs_racing_agents.watch.race_choice import SelectedRace
 from pcs_racing_agents.watch.race_replays import (
     RaceRepeater,
     RepeatedRace,
-    circuit_values,
-    race_values,
     space_values,
 )
 from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
@@ -66,29 +64,19 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
     largest = np.minimum(np.maximum(high, tails[1]), high + 0.5 * reach) + 0.08 * reach
     axes = [("restraint", "s", *ends) for ends in zip(least[:1], largest[:1], strict=True)]
     axes += [("aggressiveness", "m", *ends) for ends in zip(least[1:], largest[1:], strict=True)]
-    for known, crash in (
-        (archive, None),
-        (replace(archive, own_crash=np.linspace(0.0, 0.1234, 12)), [0.0, 12.3]),
-    ):
-        space = space_values(known, ("a", "b"))
-        assert (space["archive"], space["moves"]) == ("toy", ["a", "b"])
-        assert [tuple(axis.values()) for axis in space["axes"]] == [
-            (*axis[:2], *map(pytest.approx, axis[2:])) for axis in axes
-        ]
-        assert np.array(space["points"]) == pytest.approx(
-            4000 * (points - least) / (largest - least), abs=0.51
-        )
-        inside = ((explored >= least) & (explored <= largest)).all(axis=1)
-        assert 0 < inside.sum() < 30
-        expected = 4000 * (explored[inside] - least) / (largest - least)
-        assert unpack(space["explored"]) == pytest.approx(expected, abs=0.51)
-        assert (space["crash"] and [min(space["crash"]), max(space["crash"])]) == crash
-    none = replace(
-        archive,
-        explored_parameters=archive.explored_parameters[:0],
-        explored_coordinates=explored[:0],
+    space = space_values(replace(archive, own_crash=np.linspace(0.0, 0.1234, 12)), ("a", "b"))
+    assert (space["archive"], space["moves"]) == ("toy", ["a", "b"])
+    assert [tuple(axis.values()) for axis in space["axes"]] == [
+        (*axis[:2], *map(pytest.approx, axis[2:])) for axis in axes
+    ]
+    assert np.array(space["points"]) == pytest.approx(
+        4000 * (points - least) / (largest - least), abs=0.51
     )
-    assert space_values(none, ())["axes"][0]["low"] == pytest.approx(low[0] - 0.08 * reach[0])
+    inside = ((explored >= least) & (explored <= largest)).all(axis=1)
+    expected = 4000 * (explored[inside] - least) / (largest - least)
+    assert unpack(space["explored"]) == pytest.approx(expected, abs=0.51)
+    assert (min(space["crash"]), max(space["crash"])) == (0.0, 12.3)
+    assert space_values(archive, ())["crash"] is None
     # A step of what a car saw: two own coordinates, two of the other, the lead, and whether it was
     # over.
     for number in (1, 9):
@@ -109,7 +97,7 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
     assert race.values["space"]["ends"] == (1.0, 2.0, 3.0, 4.0, 5.0)
 
 
-def test_a_race_is_small_and_what_is_left_out_optional(driver, tournament_folder):
+def test_a_race_is_small_and_races_of_a_pair_come_together(driver):
     values = driver.drive(0).values
     seconds = values["cars"]["shape"][0] * values["frame_dt"]
     assert len(json.dumps(values)) < 3000 + 1300 * seconds  # 40 s in at most 55 kB
@@ -117,11 +105,6 @@ def test_a_race_is_small_and_what_is_left_out_optional(driver, tournament_folder
     assert sorted(order) == [0, 1, 7, 12, 13]
     assert abs(order.index(0) - order.index(1)) == 1
     assert abs(order.index(12) - order.index(13)) == 1
-    _, tournament = tournament_folder
-    replay = record_row(tournament, tournament.races[0], candidates=False).replay
-    bare = replace(replay, paths=None, line_speed=None)
-    assert "paths" not in race_values(bare)
-    assert "line_speed" not in circuit_values(bare)
 
 
 def test_a_race_that_is_another_one_is_refused(tournament_folder):
@@ -190,19 +173,12 @@ def test_the_page_says_what_it_holds(tournament_folder):
         {"c": 3},
         serve=True,
     )
+    first = races.take([0])
+    other = {"start": "side-by-side", "space": None, "serve": False, "why_not": "no job"}
     rows = [
-        replace(
-            content,
-            races=races.take([0]),
-            start="side-by-side",
-            space=None,
-            serve=False,
-            why_not="no job",
-        )
+        replace(content, races=first, **other),
+        replace(content, races=replace(first, preset=Categorical.constant("", 1))),
     ]
-    rows.append(
-        replace(content, races=replace(races.take([0]), preset=Categorical.constant("", 1)))
-    )
     pages = [view_page(one) for one in (content, *rows)]
     data = [json.loads(re.search(r'id="races">(.*?)</script>', page)[1]) for page in pages]
     commands = ["pcs-racing view 'my folder' --serve", "pcs-racing view 'my folder' --index {race}"]
