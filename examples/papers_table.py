@@ -69,7 +69,7 @@ def main() -> None:
         races = concatenate_races(play_pairings(pairings, job=job, progress=show_progress()))
 
     # 2. The table: each agent minus the first, race by race; beside it what the paper found.
-    table = make_table(races, base=arguments.arms[0], seen=SEEN)
+    table = make_table(races, seen=SEEN)
     print(table_text(table))
     print("table:", write_table(table, arguments.out / "table.csv"))
 

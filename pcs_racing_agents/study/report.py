@@ -34,10 +34,16 @@ from pcs_racing_agents.study.table_text import (
     verdict_text,
     write_table,
 )
-from pcs_racing_agents.tournament.pairings import Pairing
-from pcs_racing_agents.tournament.race_files import read_results, write_results
-from pcs_racing_agents.tournament.races import RaceTable, closeness_text, concatenate_races
-from pcs_racing_agents.tournament.ratings import RoundRobin, round_robin
+from pcs_racing_agents.tournament import (
+    Pairing,
+    RaceTable,
+    RoundRobin,
+    closeness_text,
+    concatenate_races,
+    read_results,
+    round_robin,
+    write_results,
+)
 from pcs_racing_agents.watch.explain import explain_game
 from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
 from pcs_racing_agents.watch.words import story

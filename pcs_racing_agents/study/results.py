@@ -24,14 +24,15 @@ from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament.pairings import (
+from pcs_racing_agents.tournament import (
     Pairing,
+    RaceRow,
+    RaceTable,
     cross_pairing,
     draw_schedule,
+    read_results,
     schedule_pairing,
 )
-from pcs_racing_agents.tournament.race_files import read_results
-from pcs_racing_agents.tournament.races import RaceRow, RaceTable
 from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder
 
 
@@ -51,10 +52,10 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file)
+    make: Callable[[RaceRow], Pairing]
     if kind == "study":
-        study = _study(path, settings)
-        make: Callable[[RaceRow], Pairing] = partial(_of_study, study, races)
-        rules = study.config.game
+        whole = _study(path, settings)
+        rules, make = whole.config.game, partial(_of_study, whole, races)
     else:
         rules = _game_config(path, settings)
         study = _study(above, _read_manifest(above)[1]) if is_rating else None
@@ -126,16 +127,20 @@ def _of_tournament(
     track = load_track(row.track)
     _check_same(f"track {row.track!r}", track.content_hash, settings["tracks"][row.track])
     seed, spec = int(settings["seed"]), make_game_spec(archive, rules)
-    cars: list[Competitor] = []
-    for name in (row.ego, row.opponent):
+
+    def agent(name: str) -> Competitor:
         if study is None:
-            cars.append(parse_agent(name, spec, seed=seed, code=name in code))
+            car = parse_agent(name, spec, seed=seed, code=name in code)
         else:
-            cars.append(study.agent(name))
-        _check_same(f"agent {name!r}", competitor_hash(cars[-1]), settings["agents"][name])
+            car = study.agent(name)
+        _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
+        return car
+
+    ego, opponent = agent(row.ego), agent(row.opponent)
     races = int(settings["races_per_pair"])
     schedule = draw_schedule(track, spec.config.race_rules, races, seed)
-    return schedule_pairing(RaceGame(track, spec.archive, spec.config), *cars, schedule, seed)
+    game = RaceGame(track, spec.archive, spec.config)
+    return schedule_pairing(game, ego, opponent, schedule, seed)
 
 
 def _check_same(noun: str, current: str, recorded: str) -> None:

@@ -35,11 +35,16 @@ from pcs_racing_agents.networks.settings import TrainSettings, load_train_settin
 from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
-from pcs_racing_agents.tournament.play import plan_tournament, play_plan, tournament_settings
-from pcs_racing_agents.tournament.race_files import write_results
-from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament import (
+    Pairing,
+    RaceTable,
+    cross_pairing,
+    plan_tournament,
+    play_pairings,
+    play_plan,
+    tournament_settings,
+    write_results,
+)
 from pcs_racing_agents.trees.storage import load_trees, open_trees, stored_identity
 from pcs_racing_agents.trees.tree import RaceTree
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament import RaceTable
 from pcs_racing_agents.tournament.statistics import (
     Comparison,
     clustered_mean,
@@ -125,7 +125,6 @@ class StudyTable:
 def make_table(
     races: RaceTable,
     *,
-    base: str | None = None,
     best: str | None = None,
     open_loop: str | None = None,
     seen: Collection[str] = (),
@@ -135,9 +134,8 @@ def make_table(
     Parameters
     ----------
     races : RaceTable
-        Races; rows and arms (the egos) are in order of first occurrence.
-    base : str, optional
-        The arm to compare with (default: the first arm).
+        Races; rows and arms (the egos) are in order of first occurrence. The first arm is the base
+        of the differences.
     best : str, optional
         The agent of the adaptivity gain. It must be chosen before the races.
     open_loop : str, optional
@@ -158,20 +156,18 @@ def make_table(
     if not pairs:
         raise InputError("there are no races; a table needs some")
     arms = list(dict.fromkeys(arm for *_, arm in pairs))
-    base = arms[0] if base is None else base
-    for role, name in (("base", base), ("best", best), ("open_loop", open_loop)):
+    for role, name in (("best", best), ("open_loop", open_loop)):
         if name is not None and name not in arms:
             raise InputError(
                 f"{role} is {name!r}, which did not race; the arms are {', '.join(arms)}"
             )
     if best == open_loop:
         open_loop = None  # the best agent is open-loop itself: no gain
-    arms = [base, *(arm for arm in arms if arm != base)]
     rows = [
         _row(track, opponent, pairs, arms, best, open_loop, track in seen)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
     ]
-    return StudyTable(tuple(_adjusted(rows)), base, best, open_loop)
+    return StudyTable(tuple(_adjusted(rows)), arms[0], best, open_loop)
 
 
 def by_progress(races: RaceTable) -> RaceTable:

@@ -21,8 +21,7 @@ from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, W
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import record_game
+from pcs_racing_agents.tournament import RaceTable, record_game
 
 Floats = NDArray[np.float64]
 
@@ -186,7 +185,7 @@ def _steps(
 
 
 def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Floats:
-    """Return the own lead at the end of a step from observations, m, shape (B,); clipped to 100 m."""
+    """Return the own lead at the end of a step, m, shape (B,), clipped to 100 m."""
     return LEAD_SCALE * observation[:, step * (2 * axes + 2) + 2 * axes].astype(np.float64)
 
 

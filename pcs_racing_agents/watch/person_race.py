@@ -17,13 +17,11 @@ from pcs_racing.race.races import starts_of
 from pcs_racing.race.replay import Replay, replay_page, safe_json
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
-from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import record_game
+from pcs_racing_agents.tournament import RaceTable, record_game
 from pcs_racing_agents.watch.explain import ExplainedDecision, explain_game, mark_moves
 from pcs_racing_agents.watch.view_page import page_of
 from pcs_racing_agents.watch.view_server import Answer, error_answer
 
-MOST_RACES = 1_000_000
 NEAREST = 4  # the person starts with a policy of the quarter nearest to the opponent's policy
 
 _ADDRESS = re.compile(r"/race/([0-9]{1,6})/((?:[0-9]{1,3}(?:-[0-9]{1,3})*)?)(\.html)?")
@@ -63,10 +61,8 @@ class PersonRaces:
         match = _ADDRESS.fullmatch(path)
         if match is None:
             return error_answer(404, "there is / and /race/NUMBER/MOVES here")
-        number, moves = (
-            int(match.group(1)),
-            tuple(int(move) for move in match.group(2).split("-") if move),
-        )
+        number = int(match.group(1))
+        moves = tuple(int(move) for move in match.group(2).split("-") if move)
         try:
             if match.group(3):
                 page = replay_page(self.replay(number, moves))
@@ -119,51 +115,41 @@ class PersonRaces:
             ],
             "opponent_seen": seen[0],
             "you_seen": seen[1],
-            "history": [self._decision(step, moves[k]) for k, step in enumerate(steps)],
-        }
-
-    def _decision(self, step: ExplainedDecision, own_move: int) -> dict[str, Any]:
-        """Return the opponent's decision and the person's move in a step, as plain values."""
-        names = self.game.competitor_moves
-        return {
-            "you": names[own_move],
-            "opponent": names[step.move],
-            "probabilities": None if step.probabilities is None else step.probabilities.tolist(),
-            "values": None if step.values is None else step.values.tolist(),
+            "history": [
+                {
+                    "you": game.competitor_moves[own],
+                    "opponent": game.competitor_moves[step.move],
+                    "probabilities": _listed(step.probabilities),
+                    "values": _listed(step.values),
+                }
+                for own, step in zip(moves, steps, strict=False)
+            ],
         }
 
     def _over(self, played: RaceTable, made: int) -> bool:
         """Return whether the race ended within the step after a number of moves."""
-        return made >= self.game.config.moves or float(played.duration[0]) < self._end(made)
-
-    def _end(self, made: int) -> float:
-        """Return the end time of the step after a number of moves, s."""
-        return self.game.config.ends[made]
+        return (
+            made >= self.game.config.moves
+            or float(played.duration[0]) < self.game.config.ends[made]
+        )
 
     def _policies(self, number: int) -> NDArray[np.int64]:
         """Draw both cars' start policies, similar if both are from the archive (close races)."""
         archive = self.game.archive
         draw = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1, number)))
         if isinstance(self.opponent, Driver):
-            return np.array(
-                [draw.integers(len(archive)), draw.integers(len(self.opponent.policies))]
-            )
+            counts = [len(archive), len(self.opponent.policies)]
+            return np.array([draw.integers(count) for count in counts])
         rival = draw.integers(len(archive))
         apart = np.linalg.norm(archive.normalised - archive.normalised[rival], axis=1)
-        return np.array(
-            [
-                np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))],
-                rival,
-            ]
-        )
+        own = np.argsort(apart, kind="stable")[draw.integers(max(1, len(archive) // NEAREST))]
+        return np.array([own, rival])
 
     def _drive(
         self, number: int, moves: tuple[int, ...]
     ) -> tuple[Replay, RaceTable, tuple[ExplainedDecision, ...]]:
         """Drive the whole race ("stay" after the given moves); return it up to the next move."""
         game, names = self.game, self.game.competitor_moves
-        if not 0 <= number < MOST_RACES:
-            raise InputError(f"there is no race {number}; there are races 0 to {MOST_RACES - 1}")
         if len(moves) > game.config.moves:
             raise InputError(f"{len(moves)} moves were made; a race has {game.config.moves}")
         for move in moves:
@@ -188,8 +174,12 @@ class PersonRaces:
             replay, played, steps = explanation.replay, explanation.played, explanation.steps
         # Hide the future of the race, which assumes "stay" from now on.
         if not self._over(played, len(moves)):
-            replay = first_frames(replay, self._end(len(moves)))
+            replay = first_frames(replay, game.config.ends[len(moves)])
         return replay, played, steps[: len(moves)]
+
+
+def _listed(values: NDArray[np.float64] | None) -> list[float] | None:
+    return None if values is None else values.tolist()
 
 
 def first_frames(replay: Replay, seconds: float) -> Replay:
@@ -217,7 +207,7 @@ def play_page(races: PersonRaces) -> str:
 
 
 TIME_STEP = 0.02  # s
-MOST_STEPS = 25  # max steps per answer: half a second; a paused page continues from there
+MAX_STEPS = 25  # max steps per answer: half a second; a paused page continues from there
 
 _BEGIN = re.compile(r"/begin/([0-9]{1,6})")
 _DRIVE = re.compile(r"/drive/([0-9]{1,6})/([0-9]{1,6})/([0-9]{1,2})/(-?[0-9]{1,3})/([0-9]{1,3})")
@@ -273,7 +263,7 @@ class PersonDrive:
             raise InputError(
                 f"race {number} is not at step {step}: another page drives here; begin a race again"
             )
-        if not (1 <= steps <= MOST_STEPS and -100 <= steering <= 100 and 0 <= speed <= 100):
+        if not (1 <= steps <= MAX_STEPS and -100 <= steering <= 100 and 0 <= speed <= 100):
             raise InputError(f"{steps} steps with {steering} and {speed} are too many or too much")
         action = np.array([0.01 * steering, 0.02 * speed - 1.0], np.float32)
         for _ in range(steps):

@@ -161,20 +161,11 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
         axes.locator_params(axis="x", nbins=4)
         tidy(axes, "x")
         axes.spines["left"].set_visible(False)
+    words = "chance of each move"
     if valued:
-        label = (
-            unit.text.removeprefix("of a ") + "s"
-            if unit is not None and unit.text == "of a win"
-            else ""
-        )
-        label = label or (unit.text if unit is not None else "")
-        figure.supxlabel(
-            f"value of each move{f', {label}' if label else ''}; coloured: made",
-            fontsize=9,
-            color=SOFT,
-        )
-    else:
-        figure.supxlabel("chance of each move; coloured: made", fontsize=9, color=SOFT)
+        names = {"of a win": ", wins", "m of lead": ", m of lead"}
+        words = f"value of each move{names.get('' if unit is None else unit.text, '')}"
+    figure.supxlabel(f"{words}; coloured: made", fontsize=9, color=SOFT)
 
 
 def draw_lead(axes: Any, explanation: Explanation) -> None:
@@ -247,11 +238,11 @@ def _include(axes: Any, points: Any) -> None:
         (1, axes.get_ylim(), axes.set_ylim),
     ):
         margin = 0.05 * (limits[1] - limits[0])
-        if len(points):
-            setter(
-                min(limits[0], float(points[:, column].min()) - margin),
-                max(limits[1], float(points[:, column].max()) + margin),
-            )
+        low, high = (
+            points[:, column].min(initial=limits[1]),
+            points[:, column].max(initial=limits[0]),
+        )
+        setter(min(limits[0], low - margin), max(limits[1], high + margin))
 
 
 def _corner(axes: Any, colour: str) -> dict[str, Any]:

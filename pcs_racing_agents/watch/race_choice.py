@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.game.competitor import NEVER_SWITCH
-from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament import RaceTable
 
 OUTCOMES = (
     "a win by switching",

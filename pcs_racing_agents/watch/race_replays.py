@@ -18,9 +18,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import Replay, plain_parts
 from pcs_racing_agents.agents.observing import opponent, step_count
-from pcs_racing_agents.tournament.pairings import Pairing
-from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.tournament.runner import record_game
+from pcs_racing_agents.tournament import Pairing, RaceRow, record_game
 from pcs_racing_agents.watch.explain import mark_moves
 from pcs_racing_agents.watch.pcs_picture import axis_limits, in_units, plane
 from pcs_racing_agents.watch.results_folder import ResultsFolder

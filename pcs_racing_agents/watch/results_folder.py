@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament.pairings import Pairing
-from pcs_racing_agents.tournament.races import RaceRow, RaceTable
+from pcs_racing_agents.tournament import Pairing, RaceRow, RaceTable
 
 MANIFEST = "job.yaml"
 

@@ -16,7 +16,8 @@ import numpy as np
 
 from pcs_racing.base.packing import pack
 from pcs_racing.race.replay import safe_json
-from pcs_racing_agents.tournament.races import Categorical, RaceTable
+from pcs_racing_agents.tournament import RaceTable
+from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.race_choice import SelectedRace
 from pcs_racing_agents.watch.race_replays import RepeatedRace
 

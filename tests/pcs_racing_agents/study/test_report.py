@@ -24,8 +24,7 @@ from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import by_progress, make_table
 from pcs_racing_agents.study.table_text import paper_rows, write_table
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
-from pcs_racing_agents.tournament.ratings import Ratings
-from pcs_racing_agents.tournament.ratings import RoundRobin
+from pcs_racing_agents.tournament.ratings import Ratings, RoundRobin
 
 
 @pytest.fixture(scope="module")
@@ -141,7 +140,9 @@ def test_every_field_changes_the_page_and_races_are_read_back(tmp_path, content,
     assert {"sandbox", "srcdoc", "title"} == set(parsed.frames[0])
 
 
-TELL = """<script>console.log("a race of " + race.car_names + ", " + duration + " s");</script></body>"""
+TELL = """<script>
+console.log("a race of " + race.car_names + ", " + duration + " s");
+</script></body>"""
 
 
 def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
@@ -222,7 +223,7 @@ def raced_study(tmp_path):
 def test_a_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(raced_study, tmp_path):
     study, cells = raced_study
     races, further = report.races_of(cells), report.races_of(cells, "further")
-    known = {"base": "never-switch", "best": "cfr-argmax", "seen": {"Tarnfjord"}}
+    known = {"best": "cfr-argmax", "seen": {"Tarnfjord"}}
     expected = make_table(races, **known)
     assert report.study_table(study, races) == expected
     assert [row.track for row in report.study_table(study, further).rows] == ["Pipkin"]

@@ -90,12 +90,6 @@ def test_every_row_says_what_the_statistics_say(races, table):
         "best-fixed",
         tuple(STRENGTHS),
     )
-    other = make_table(races, base="cfr-argmax")
-    assert other.arms == ("cfr-argmax", "never-switch", "best-fixed", "our-best")
-    assert (
-        other.rows[0].differences[0].result.difference
-        == -table.rows[0].differences[1].result.difference
-    )
 
 
 @pytest.mark.parametrize(
@@ -155,7 +149,6 @@ def drives(races, arm):
 def test_what_does_not_fit_is_named(races):
     for change, message in [
         (lambda races: races.take([]), "there are no races"),
-        (lambda races: races.take(~drives(races, "never-switch")), "base is 'never-switch'"),
         (
             lambda races: races.take(~(drives(races, "never-switch") & (races.track.codes == 1))),
             "Brackwater against never-switch: 'never-switch'",
@@ -166,7 +159,7 @@ def test_what_does_not_fit_is_named(races):
         ),
         (lambda races: races.take(races.variants[:, 0] == 0), "1 ego variant"),
     ]:
-        refused(message, make_table, change(races), base="never-switch")
+        refused(message, make_table, change(races))
 
 
 def test_rows_may_lack_an_arm_and_an_open_loop_best_agent_a_gain(races):
@@ -185,23 +178,23 @@ def test_rows_may_lack_an_arm_and_an_open_loop_best_agent_a_gain(races):
 
 
 TEXT = """\
-circuit           opponent      paper: GT  still     ours  cfr-argmax  ours - cfr-argmax
-Tarnfjord (seen)  never-switch     +0.054  0.500  +0.250*     +0.125             +0.125
-Hut (unseen)      somebody                 0.500  -0.250*
+circuit opponent paper: GT still ours cfr-argmax ours - cfr-argmax
+Tarnfjord (seen) never-switch +0.054 0.500 +0.250* +0.125 +0.125
+Hut (unseen) somebody 0.500 -0.250*
 *: p (Holm) below 0.05
 
 Tarnfjord (seen) against never-switch
 paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142
-agent                  score     sd  crash  own fault  difference  95 % interval           p  p (Holm)  paired t
-still                  0.500  0.125  25.0%      12.5%
-ours                   0.750  0.062  50.0%       0.0%      +0.250  [+0.125, +0.375]  2.5e-03   5.0e-03   2.5e-04
-cfr-argmax             0.625  0.000   0.0%       0.0%      +0.125  [-0.125, +0.375]    0.500     0.500     0.050
-ours minus cfr-argmax                                      +0.125  [-0.125, +0.375]    0.125     0.050     0.013
+agent score sd crash own fault difference 95 % interval p p (Holm) paired t
+still 0.500 0.125 25.0% 12.5%
+ours 0.750 0.062 50.0% 0.0% +0.250 [+0.125, +0.375] 2.5e-03 5.0e-03 2.5e-04
+cfr-argmax 0.625 0.000 0.0% 0.0% +0.125 [-0.125, +0.375] 0.500 0.500 0.050
+ours minus cfr-argmax +0.125 [-0.125, +0.375] 0.125 0.050 0.013
 
 Hut (unseen) against somebody
-agent  score     sd  crash  own fault  difference  95 % interval     p        p (Holm)  paired t
-still  0.500  0.125  25.0%      12.5%
-ours   0.750  0.062  50.0%       0.0%      -0.250  [-0.312, -0.188]  < 1e-99   1.0e-06  < 1e-99
+agent score sd crash own fault difference 95 % interval p p (Holm) paired t
+still 0.500 0.125 25.0% 12.5%
+ours 0.750 0.062 50.0% 0.0% -0.250 [-0.312, -0.188] < 1e-99 1.0e-06 < 1e-99
 
 Each agent drove 8 to 16 races in each row, the same ones"""
 
@@ -210,10 +203,10 @@ kind,track,seen,opponent,arm,base,races,egos,opponents,lines,score,score_base,sc
 low,high,p,p_holm,paired_t_p,cohen_d,paper_non_gt,paper_gt,paper_difference,paper_p
 difference,Tarnfjord,1,never-switch,ours,still,8,2,4,5,0.75,0.5,0.0625,0.5,0,0.25,0.125,0.375,0.0025,0.005,\
 0.00025,2,0.515,0.569,0.054,0.0142
-difference,Tarnfjord,1,never-switch,cfr-argmax,still,8,2,4,5,0.625,0.5,0,0,0,0.125,-0.125,0.375,0.5,0.5,\
-0.05,1,0.515,0.569,0.054,0.0142
-adaptivity gain,Tarnfjord,1,never-switch,ours,cfr-argmax,8,2,4,5,0.75,0.625,0.0625,0.5,0,0.125,-0.125,0.375,0.125,\
-0.05,0.0125,1,0.515,0.569,0.054,0.0142
+difference,Tarnfjord,1,never-switch,cfr-argmax,still,8,2,4,5,0.625,0.5,0,0,0,0.125,\
+-0.125,0.375,0.5,0.5,0.05,1,0.515,0.569,0.054,0.0142
+adaptivity gain,Tarnfjord,1,never-switch,ours,cfr-argmax,8,2,4,5,0.75,0.625,0.0625,0.5,0,0.125,\
+-0.125,0.375,0.125,0.05,0.0125,1,0.515,0.569,0.054,0.0142
 difference,Hut,0,somebody,ours,still,8,2,4,2,0.25,0.5,0.0625,0.5,0,-0.25,-0.3125,-0.1875,1e-120,1e-06,\
 1e-121,-2,,,,
 """
@@ -221,7 +214,8 @@ difference,Hut,0,somebody,ours,still,8,2,4,2,0.25,0.5,0.0625,0.5,0,-0.25,-0.3125
 
 def test_text_and_csv_hold_every_number(table, tmp_path, races):
     toy = toy_table()
-    assert texts.table_text(toy)[: len(TEXT)] == TEXT
+    text = re.sub(r" +\n", "\n", re.sub(" +", " ", texts.table_text(toy)))
+    assert text[: len(TEXT)] == TEXT
     assert texts.write_table(toy, tmp_path / "toy.csv").read_text() == CSV
     assert texts.paper_rows(toy, "ours")[1:] == [
         (

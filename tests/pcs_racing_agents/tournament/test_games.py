@@ -113,7 +113,7 @@ def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, z
 
 
 class Counter:
-    """A model that counts in its memory, in place, how often it was asked: its move."""
+    """A model that counts its questions in its memory, in place; its move is the count."""
 
     name = "counter"
 

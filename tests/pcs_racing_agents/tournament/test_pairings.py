@@ -155,13 +155,6 @@ def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, mon
     ]
     assert len(set(tasks)) == len(tasks) == 2 * len(changed) + 2
     assert next(runner._blocks(3, [replace(pairing, seed=1)], False, hashed=True))[0] == tasks[0]
-    names: list[str] = []
-    monkeypatch.setattr(
-        runner, "run_with_or_without", lambda name, *rest, **more: names.append(name) or []
-    )
-    for name in ("Ring 1/a+b", "?!", "x" * 99):
-        assert play_pairings([], name=name) == []
-    assert names == ["ring-1-a-b", "races", "x" * 80]
 
 
 def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):

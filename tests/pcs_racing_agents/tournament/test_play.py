@@ -117,25 +117,6 @@ def test_the_same_rows_whoever_drives_them_also_after_a_stop(mixed, tmp_path):
     assert counts[-1] == 48
 
 
-def test_results_of_another_configuration_are_refused(mixed, oval, archive, tmp_path):
-    with open_job(tmp_path / "a", "tournament", tournament_settings(mixed.plan)):
-        pass
-    for change, message in [
-        ({"seed": 2}, "its seed is 1, not 2"),
-        ({"races_per_pair": 10}, "its races_per_pair is 8, not 10"),
-        ({"entrants": [*MIXED[:3], POLICIES[0]]}, "its agents.lattice:pace=0.5 is"),
-        (
-            {"race": load_race_config("contest", duration=8.0)},
-            "its game.race.duration is 6.0, not 8.0",
-        ),
-    ]:
-        given = {"entrants": MIXED, "race": CONTEST, "races_per_pair": 8, "seed": 1} | change
-        settings = tournament_settings(
-            plan_tournament(oval, given.pop("entrants"), archive=archive, **given)
-        )
-        refused(message, open_job(tmp_path / "a", "tournament", settings).__enter__)
-
-
 def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
     mixed, oval, archive, tmp_path
 ):

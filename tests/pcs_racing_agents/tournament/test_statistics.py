@@ -114,7 +114,7 @@ def slow_pool_variance(x, ego, opponent):
 
 
 def test_the_variance_of_a_pool_corrects_each_term_by_its_clusters_start_lines_among_them():
-    """With few policies and pairs G / (G - 1) matters; races of a policy against itself count, too."""
+    """With few policies G / (G - 1) matters; races of a policy against itself count, too."""
     rng = np.random.default_rng(18)
     for _ in range(20):
         ego, opponent = rng.integers(0, 6, (2, 40))

@@ -34,7 +34,8 @@ def played(*rows: RaceRow, config=CONTEST) -> Tournament:
 TEXT = """\
 8 races of 6 s, preset contest, on ; seed 0
 62% finished, 38% with an overtake
-How close the races were: of the 5 without a crash 100% ended within 5 m and 100% within 20 m; the median gap was 1.0 m.
+How close the races were: of the 5 without a crash 100% ended within 5 m and 100% within 20 m; \
+the median gap was 1.0 m.
 
 agent  races  score  rating  95 %    win    tie   loss  crash: own  other's  overtakes  equilibrium
 b          8  0.562     +59     -  37.5%  12.5%  12.5%       25.0%    12.5%       0.12         1.00
@@ -44,8 +45,8 @@ score against    (1)    (2)
 (1) b              -  0.562
 (2) a          0.312      -
 
-score: races won, a tie counting half; a crash is won by the car not to blame; rating: Bradley-Terry, 400 are odds of \
-10, start lines drawn again for the interval
+score: races won, a tie counting half; a crash is won by the car not to blame; rating: \
+Bradley-Terry, 400 are odds of 10, start lines drawn again for the interval
 equilibrium: probability of each agent in the game of choosing an agent"""
 
 

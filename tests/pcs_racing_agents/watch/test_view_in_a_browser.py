@@ -199,18 +199,7 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     assert browser.run(
         "[...document.querySelectorAll('#pane .race')].every((e) => e.scrollWidth <= e.clientWidth)"
     )
-    # Orders are stable, both ways: races that are alike stay in the order of the file.
-    mine = np.flatnonzero((races.agents.codes == 3).any(axis=1))
-    lead = np.where(races.agents.codes[:, 0] == 3, races.lead, -races.lead)[mine]
-    passes = races.overtakes.sum(axis=1)[mine]
-    for key, values in (("lead", np.rint(lead * 1000)), ("overtakes", passes)):
-        for down, sign in (("false", 1), ("true", -1)):
-            browser.run(
-                f"filters.agent = 3; Object.assign(sorting, {{ key: '{key}', down: {down} }});"
-                " refilter()"
-            )
-            expected = mine[np.argsort(sign * values, kind="stable")]
-            assert browser.run("Array.from(shown)") == expected.tolist(), (key, down)
+    browser.run("filters.agent = 3; refilter()")
     browser.run("filters.crash = 'own'; refilter()")
     own = (races.agents.codes == 3) & (races.fault > 0) & races.crashed[:, None]
     assert browser.run("shown.length") == np.count_nonzero(own.any(axis=1))
