@@ -18,7 +18,7 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.race.races import draw_starts
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import observing
-from pcs_racing_agents.tournament import record_game
+from pcs_racing_agents.tournament import Pairing, repeat_race
 from pcs_racing_agents.watch.explain import mark_moves
 
 
@@ -84,7 +84,7 @@ def main() -> None:
         )
 
     # 3. The same race again, recorded.
-    recording = record_game(game, *cars, policies=first, start=start, seed=int(key[0]))
+    recording = repeat_race(Pairing(game, *cars, first[None], start, key), 0)
     assert recording.played.lead[0] == state.race.lead[0]  # the very same race
     print(recording.replay.outcome)
     replay = mark_moves(recording.replay, recording.played, game.move_names, game.config.ends)

@@ -23,8 +23,7 @@ from pcs_racing_agents import make
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.ppo.train import train_ppo
-from pcs_racing_agents.tournament import cross_pairing, play_pairing
-from pcs_racing_agents.tournament.runner import record_game
+from pcs_racing_agents.tournament import cross_pairing, play_pairing, repeat_race
 from pcs_racing_agents.tournament.statistics import compare
 
 try:
@@ -117,7 +116,7 @@ def main() -> None:
     # 4. One of these races to watch.
     pairing = cross_pairing(game, ppo, opponent, **draws)
     best = int(np.argmax(play_pairing(pairing).lead))
-    recording = record_game(game, ppo, opponent, **pairing.race_arguments(best))
+    recording = repeat_race(pairing, best)
     print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 

@@ -17,7 +17,7 @@ from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import play_pairings, record_game
+from pcs_racing_agents.tournament.runner import play_pairings, repeat_race
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
 Floats = NDArray[np.float64]
@@ -199,9 +199,6 @@ def telling_races(
     telling.sort(key=lambda entry: -entry[0])
     races = []
     for _, (cell, pairing, _), race in telling[:count]:
-        arguments = pairing.race_arguments(race)
-        played = record_game(
-            pairing.game, pairing.ego, pairing.opponent, **arguments, candidates=False
-        )
+        played = repeat_race(pairing, race, candidates=False)
         races.append((f"{cell.circuit}, race {race}: {played.replay.outcome}", played.replay))
     return races

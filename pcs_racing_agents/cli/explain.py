@@ -108,7 +108,7 @@ def _race(
 ) -> None:
     from pcs_racing_agents.agents.agent import Driver
     from pcs_racing_agents.study.results import open_results
-    from pcs_racing_agents.watch.explain import explain_game
+    from pcs_racing_agents.watch.explain import explain_race
     from pcs_racing_agents.watch.words import story
 
     results = None
@@ -123,14 +123,7 @@ def _race(
     if car is None:
         # A planner has no moves to explain: then the other car is explained.
         car = int(isinstance(pairing.ego, Driver))
-    explanation = explain_game(
-        pairing.game,
-        pairing.ego,
-        pairing.opponent,
-        **pairing.race_arguments(race),
-        car=car,
-        candidates=out is not None,
-    )
+    explanation = explain_race(pairing, race, car=car, candidates=out is not None)
     if results is not None:
         # A repeated race with another end than in the results would be another race.
         results.check_lead(number, explanation.played.lead[0])

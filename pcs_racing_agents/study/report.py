@@ -44,7 +44,7 @@ from pcs_racing_agents.tournament import (
     round_robin,
     write_results,
 )
-from pcs_racing_agents.watch.explain import explain_game
+from pcs_racing_agents.watch.explain import explain_race
 from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
 from pcs_racing_agents.watch.words import story
 
@@ -237,9 +237,7 @@ def _watched(study: Study, cells: Sequence[StudyRaces]) -> Iterator[ExplainedRac
 
 def watch_race(pairing: Pairing, race: int, title: str) -> ExplainedRace:
     """Repeat a race for the report; the pairing's ego makes moves."""
-    explanation = explain_game(
-        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(race)
-    )
+    explanation = explain_race(pairing, race)
     picture = b""
     if find_spec("matplotlib") is not None:
         from pcs_racing_agents.base.style import picture_bytes

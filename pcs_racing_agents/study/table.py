@@ -150,7 +150,7 @@ def make_table(
         if seeds.setdefault(pair, seed) != seed:
             raise InputError(
                 f"{ego} raced {opponent} on {track} with seeds {seeds[pair]} and {seed}, of"
-                " different tables; take those of one of them (RaceTable.with_seeds)"
+                " different tables; take the races of one table (RaceTable.with_seeds)"
             )
         pairs[pair] = races.take(numbers)
     if not pairs:

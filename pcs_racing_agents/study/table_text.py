@@ -242,8 +242,8 @@ def verdict_text(arm: str, base: str, results: Sequence[Comparison]) -> str:
     rows = f"{len(results)} row{'s' * (len(results) != 1)}"
     if not more and not less:
         return (
-            f"{arm} and {base} can't be told apart: in all of {rows} ({spread}) the 95 % interval"
-            " contains 0."
+            f"no difference between {arm} and {base} is certain: in all of {rows} ({spread})"
+            " the 95 % interval contains 0."
         )
     verdicts = [f"{word} in {count}" for word, count in (("more", more), ("less", less)) if count]
     open_rows = len(results) - more - less

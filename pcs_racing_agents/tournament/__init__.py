@@ -25,5 +25,5 @@ from pcs_racing_agents.tournament.races import (
     concatenate_races,
 )
 from pcs_racing_agents.tournament.ratings import RoundRobin, rate, round_robin
-from pcs_racing_agents.tournament.runner import play_games, play_pairing, play_pairings, record_game
+from pcs_racing_agents.tournament.runner import play_pairing, play_pairings, repeat_race
 from pcs_racing_agents.tournament.table import standings, tournament_text

@@ -255,7 +255,7 @@ def fit_psro(
     names = [member.name for member in members]
     if len(members) < 2 or len(set(names)) < len(names):
         raise InputError(
-            f"members are {', '.join(names) or 'nobody'}; psro needs at least two, with different"
+            f"members are {', '.join(names) or 'none'}; psro needs at least two, with different"
             " names"
         )
     first = 0 if known is None else len(known.payoffs)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
@@ -49,17 +49,17 @@ def race_columns(
     game: RaceGame,
     egos: Sequence[Competitor],
     opponent: Competitor,
-    policies: ArrayLike,
+    variants: Indices,
     starts: Starts,
-    seeds: ArrayLike,
+    keys: NDArray[np.uint64],
 ) -> list[Arrays]:
     """Play the same B games with each of K egos; a planner as ego must be the only ego.
 
     Parameters
     ----------
-    policies : array_like of int, shape (B, 2)
+    variants : ndarray of int, shape (B, 2)
         Variant of each car: index of the start policy in the archive, or of a planner's policy.
-    seeds : array_like of int, shape (B,)
+    keys : ndarray of int, shape (B,)
         Keys of the games.
 
     Returns
@@ -70,24 +70,12 @@ def race_columns(
     """
     if not egos or (len(egos) > 1 and any(isinstance(ego, Driver) for ego in egos)):
         raise InputError(
-            f"egos are {', '.join(map(competitor_name, egos)) or 'nobody'}; give one or more, a"
-            " driver only alone"
+            f"egos are {', '.join(map(competitor_name, egos)) or 'none'}; give one or more, a"
+            " planner only alone"
         )
     game = game_between(game, egos[0], opponent)
     for ego in egos[1:]:
         check_competitor(game, ego)
-    # No conversion to integers here: policies such as 2.7 or True would change silently.
-    keys, variants = np.asarray(seeds), np.asarray(policies)
-    if (
-        variants.shape != (len(starts), 2)
-        or variants.dtype.kind not in "iu"
-        or keys.shape != (len(starts),)
-    ):
-        raise InputError(
-            f"there are {len(starts)} starts, policies of shape {variants.shape} and seeds of shape"
-            f" {keys.shape}; they must be whole numbers of shape ({len(starts)}, 2) and"
-            f" ({len(starts)},)"
-        )
     for car, competitor in enumerate((egos[0], opponent)):
         count = variant_count(game, competitor)
         wrong = np.flatnonzero((variants[:, car] < 0) | (variants[:, car] >= count))
@@ -120,13 +108,13 @@ def _drive(
 ) -> _SharedGames:
     """Simulate the branches of all games, step by step."""
     games, steps = len(variants), game.config.moves
-    drivers = [
+    planned = [
         [car.policies[i] for i in variants[:, place]] if isinstance(car, Driver) else None
         for place, car in enumerate((egos[0], opponent))
     ]
     # A planner's variant is no archive policy: -1 marks its column.
-    first = np.where([driver is None for driver in drivers], variants, -1)
-    state = game.reset(keys, policies=first, starts=starts, egos=drivers[0], opponents=drivers[1])
+    first = np.where([policies is None for policies in planned], variants, -1)
+    state = game.reset(keys, policies=first, starts=starts, egos=planned[0], opponents=planned[1])
     # Initially game k of every ego is row k of the state. A row is copied only when its egos part,
     # so the state grows with the number of distinct games. Rows never merge, since their histories
     # differ.
@@ -150,7 +138,7 @@ def _drive(
                 own[k], memories[k] = _ask_ego(ego, game, state, branch[k], seen, memories[k])
                 moves[k, running[k], 0, step] = own[k, running[k]]
         replies = np.zeros(state.games, np.int64)
-        if drivers[1] is None:
+        if planned[1] is None:
             replies = ask_moves(
                 opponent, game, state, 1, observation=seen[:, 1], memories=opponent_memories
             )

@@ -13,7 +13,7 @@ two designs:
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,7 @@ from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.tournament.games import game_between, race_columns, variant_count
 
-MOST_RACES = 2000
+MAX_RACES = 2000
 
 
 class RaceSchedule(NamedTuple):
@@ -59,9 +59,9 @@ def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> Ra
     ``config``: rules, without an effect of ``start_lines``: every two races draw their own line.
     ``races``: even number from 2 to 2000.
     """
-    if not is_whole(races) or races % 2 or not 2 <= races <= MOST_RACES:
+    if not is_whole(races) or races % 2 or not 2 <= races <= MAX_RACES:
         raise InputError(
-            f"races_per_pair is {races!r}; it must be an even number from 2 to {MOST_RACES}, since"
+            f"races_per_pair is {races!r}; it must be an even number from 2 to {MAX_RACES}, since"
             " every start line is driven from both sides"
         )
     starts = draw_starts(track, replace(config, start_lines=races // 2), races, seed)
@@ -87,7 +87,17 @@ class Pairing:
     variants: NDArray[np.int64]
     starts: Starts  #: N starts.
     noise: NDArray[np.uint64]  #: shape (N,): Keys of the races' noise.
-    seed: int  #: Seed of all these draws.
+    seed: int = 0  #: Seed of all these draws.
+
+    def __post_init__(self) -> None:
+        count = len(self.starts)
+        shapes = self.variants.shape, self.noise.shape
+        # No conversion to integers: policies such as 2.7 or True would change silently.
+        if shapes != ((count, 2), (count,)) or self.variants.dtype.kind not in "iu":
+            raise InputError(
+                f"there are {count} starts, variants of shape {shapes[0]} and noise of shape"
+                f" {shapes[1]}; they must be whole numbers of shape ({count}, 2) and ({count},)"
+            )
 
     def __len__(self) -> int:
         return len(self.noise)
@@ -106,18 +116,6 @@ class Pairing:
             starts=self.starts.take(indices),
             noise=self.noise[indices],
         )
-
-    def race_arguments(self, race: int) -> dict[str, Any]:
-        """Return variants, start and seed of a race as keyword arguments for a single game."""
-        if not 0 <= race < len(self):
-            raise InputError(
-                f"there is no race {race} in this pairing; there are races 0 to {len(self) - 1}"
-            )
-        return {
-            "policies": self.variants[race],
-            "start": self.starts.take([race]),
-            "seed": int(self.noise[race]),
-        }
 
     def race(self, egos: Sequence[Competitor]) -> list[Arrays]:
         """Simulate the races with each of several egos.

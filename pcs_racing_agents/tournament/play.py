@@ -31,7 +31,7 @@ from pcs_racing_agents.tournament.pairings import (
 )
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable, concatenate_races, series_of
 from pcs_racing_agents.tournament.ratings import RoundRobin, round_robin
-from pcs_racing_agents.tournament.runner import Recording, play_pairings, record_game
+from pcs_racing_agents.tournament.runner import Recording, play_pairings, repeat_race
 
 Entrant = str | Policy | Competitor
 Rules = GameConfig | RaceConfig | str | Path
@@ -226,13 +226,7 @@ def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True)
     """Repeat a race of a tournament, and record it."""
     for pairing in tournament.plan.pairings:
         if (pairing.game.track.name, *pairing.names) == (row.track, row.ego, row.opponent):
-            return record_game(
-                pairing.game,
-                pairing.ego,
-                pairing.opponent,
-                **pairing.race_arguments(row.race),
-                candidates=candidates,
-            )
+            return repeat_race(pairing, row.race, candidates=candidates)
     raise InputError(
         f"race {row.race} of {row.ego!r} against {row.opponent!r} on {row.track!r} was not raced"
         " here"

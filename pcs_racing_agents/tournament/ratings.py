@@ -252,8 +252,7 @@ def _check_races(
         raise InputError(f"result[{at}] is {outcome[at]:g}; it must be 1, 0 or -1")
     if uncounted.all():
         raise InputError(
-            f"none of {len(uncounted)} races was paid to anybody; ratings need at least one"
-            " that was"
+            f"all of {len(uncounted)} races are no-contests; ratings need at least one other race"
         )
 
 

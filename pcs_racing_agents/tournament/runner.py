@@ -1,4 +1,4 @@
-"""Simulation of pairings: directly (:func:`play_games`), with recording, or as tasks of a job.
+"""Simulation of pairings as tasks of a job, or of one race with recording.
 
 Pairings with the same races against the same opponent are simulated together: common parts of their
 egos' races are simulated only once (:mod:`pcs_racing_agents.tournament.games`).
@@ -12,17 +12,15 @@ from functools import partial
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.planner import Policy
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
-from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.agents.agent import Competitor, Driver, as_agent, competitor_hash
+from pcs_racing_agents.agents.agent import Driver, competitor_hash
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Job, Run, run_with_or_without
 from pcs_racing_agents.base.progress import Progress
@@ -33,36 +31,6 @@ from pcs_racing_agents.tournament.races import Categorical, RaceTable, narrow
 BLOCK = 400  # races of one task: about a second of work
 
 
-def play_games(
-    game: RaceGame,
-    ego: Competitor | Policy,
-    opponent: Competitor | Policy,
-    *,
-    policies: ArrayLike,
-    starts: Starts,
-    seeds: ArrayLike,
-) -> RaceTable:
-    """Play games between two competitors in one batch in this process, and record observations.
-
-    Parameters
-    ----------
-    game : RaceGame
-        Track, archive and rules. The move "stay" is added if the rules lack it.
-    ego, opponent : Agent, Driver, Policy, or object with ``act`` or ``predict``
-        Competitors in car 0 and car 1.
-    policies : array_like of int, shape (B, 2)
-        Variant of each car: index of the start policy in the archive, or of a planner's policy.
-    starts : Starts
-        B starts.
-    seeds : array_like of int, shape (B,)
-        Keys of the games' noise.
-    """
-    cars = (as_agent(ego), as_agent(opponent))
-    pairing = Pairing(game, *cars, np.asarray(policies), starts, np.asarray(seeds), 0)
-    (columns,) = pairing.race([pairing.ego])
-    return race_table(pairing, columns)
-
-
 class Recording(NamedTuple):
     """A recorded game."""
 
@@ -71,36 +39,19 @@ class Recording(NamedTuple):
     game: RaceGame  #: Played game, with the planners of both cars.
 
 
-def record_game(
-    game: RaceGame,
-    ego: Competitor | Policy,
-    opponent: Competitor | Policy,
-    *,
-    policies: ArrayLike,
-    start: Starts,
-    seed: int,
-    candidates: bool = True,
-) -> Recording:
-    """Play one game like :func:`pcs_racing_agents.tournament.play_games`, and record its race.
+def repeat_race(pairing: Pairing, race: int, *, candidates: bool = True) -> Recording:
+    """Simulate one race of a pairing in this process, and record it.
 
-    Parameters
-    ----------
-    policies : array_like of int, shape (2,)
-    start : Starts
-        Start of the game.
-    seed : int
-        Key of the game's noise.
-    candidates : bool
-        True to record the candidate paths of each planner.
+    ``race``: index of the race. ``candidates``: True to record the candidate paths of each planner.
     """
-    variants = np.asarray(policies)
-    if variants.shape != (2,):
-        raise InputError(f"policies have shape {variants.shape}; one game has two")
-    cars = (as_agent(ego), as_agent(opponent))
-    pairing = Pairing(game, *cars, variants[None], start, np.array([seed], np.uint64), 0)
-    (columns,) = pairing.race([cars[0]])
+    if not 0 <= race < len(pairing):
+        raise InputError(
+            f"there is no race {race} in this pairing; there are races 0 to {len(pairing) - 1}"
+        )
+    one, cars = pairing.take([race]), (pairing.ego, pairing.opponent)
+    (columns,) = one.race([pairing.ego])
     path = columns["path"][0]
-    game = game_between(game, *cars)
+    game = game_between(pairing.game, *cars)
     # A step without an archive policy follows a crash. Two planners have no archive policies, and
     # drive a single step.
     driven = int((path >= 0).any(axis=0).sum()) or 1
@@ -108,27 +59,26 @@ def record_game(
     for car, competitor in enumerate(cars):
         for step in range(driven):
             if isinstance(competitor, Driver):
-                parameters = competitor.policies[variants[car]].parameters
+                parameters = competitor.policies[one.variants[0, car]].parameters
             else:
                 parameters = game.archive.policy(int(path[car, step])).parameters
             theta[step, car, : len(parameters)] = parameters
     replay = record_drive(
         game.setup,
-        start,
+        one.starts,
         columns["noise"][0],
         theta,
         names=pairing.names,
         ends=game.config.end_ticks[: driven - 1].tolist(),
         candidates=candidates,
     )
-    return Recording(replay, race_table(pairing, columns), game)
+    return Recording(replay, race_table(one, columns), game)
 
 
-def play_pairing(pairing: Pairing, **run: Unpack[Run]) -> RaceTable:
+def play_pairing(pairing: Pairing, *, observations: bool = False, **run: Unpack[Run]) -> RaceTable:
     """Simulate the races of one pairing; see :func:`play_pairings`."""
-    (races,) = play_pairings(
-        [pairing], name="-".join((pairing.game.track.name, *pairing.names)), **run
-    )
+    name = "-".join((pairing.game.track.name, *pairing.names))
+    (races,) = play_pairings([pairing], name=name, observations=observations, **run)
     return races
 
 

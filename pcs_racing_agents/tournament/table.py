@@ -127,7 +127,7 @@ def tournament_text(tournament: Tournament) -> str:
         (f"({k + 1}) {plan.names[i]}", *("-" if i == j else f"{payoffs[i, j]:.3f}" for j in order))
         for k, i in enumerate(order)
     ]
-    paid = "the car not to blame" if plan.config.crash_rule == "fault-loses" else "nobody"
+    paid = "the car not to blame" if plan.config.crash_rule == "fault-loses" else "no car"
     note = (
         f"score: {'races' if plan.config.heats == 1 else f'best of {plan.config.heats}'} won, a tie"
         f" counting half; a crash is won by {paid}; rating: Bradley-Terry, 400 are odds of 10,"

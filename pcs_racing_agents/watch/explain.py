@@ -7,21 +7,19 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.planner import Policy
 from pcs_racing.race.replay import Replay, ReplayEvent
-from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_agent
+from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.tournament import RaceTable, record_game
+from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
 
 Floats = NDArray[np.float64]
 
@@ -85,25 +83,17 @@ class Explanation:
         return self.replay.lead if self.car == 0 else -self.replay.lead
 
 
-def explain_game(
-    game: RaceGame,
-    ego: Competitor | Policy,
-    opponent: Competitor | Policy,
-    *,
-    policies: ArrayLike,
-    start: Starts,
-    seed: int,
-    car: int = 0,
-    candidates: bool = False,
+def explain_race(
+    pairing: Pairing, race: int, *, car: int = 0, candidates: bool = False
 ) -> Explanation:
-    """Repeat a game and explain the moves of one car.
+    """Repeat a race of a pairing and explain the moves of one car.
 
-    ``policies``, ``start``, ``seed``, ``candidates``: as for
-    :func:`pcs_racing_agents.tournament.runner.record_game`. ``car``: the explained car, 0 or 1.
+    ``race``, ``candidates``: as for :func:`pcs_racing_agents.tournament.repeat_race`. ``car``: the
+    explained car, 0 or 1.
     """
     if car not in (0, 1):
         raise InputError(f"car is {car!r}; it must be 0 or 1")
-    cars = (as_agent(ego), as_agent(opponent))
+    cars = (pairing.ego, pairing.opponent)
     competitor = cars[car]
     if isinstance(competitor, Driver):
         other = (
@@ -113,9 +103,7 @@ def explain_game(
             f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain;"
             f" {other}"
         )
-    recording = record_game(
-        game, *cars, policies=policies, start=start, seed=seed, candidates=candidates
-    )
+    recording = repeat_race(pairing, race, candidates=candidates)
     played, game = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = game.config, getattr(competitor, "strategy", None)

@@ -17,8 +17,8 @@ from pcs_racing.race.races import starts_of
 from pcs_racing.race.replay import Replay, replay_page, safe_json
 from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
-from pcs_racing_agents.tournament import RaceTable, record_game
-from pcs_racing_agents.watch.explain import ExplainedDecision, explain_game, mark_moves
+from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
+from pcs_racing_agents.watch.explain import ExplainedDecision, explain_race, mark_moves
 from pcs_racing_agents.watch.view_page import page_of
 from pcs_racing_agents.watch.view_server import Answer, error_answer
 
@@ -159,18 +159,21 @@ class PersonRaces:
                 )
         # The whole race each time: requests share no state.
         person = _GivenMoves(moves, len(names) - 1, len(game.archive.characteristics))
-        race: dict[str, Any] = {
-            "policies": self._policies(number),
-            "start": starts_of(game.track, game.setup.config, [number], self.seed),
-            "seed": int(race_seed(self.seed, number)),
-        }
+        pairing = Pairing(
+            game,
+            person,
+            self.opponent,
+            self._policies(number)[None],
+            starts_of(game.track, game.setup.config, [number], self.seed),
+            np.array([race_seed(self.seed, number)], np.uint64),
+        )
         if isinstance(self.opponent, Driver):
-            recording = record_game(game, person, self.opponent, **race, candidates=False)
+            recording = repeat_race(pairing, 0, candidates=False)
             whole, played = recording.replay, recording.played
             replay = mark_moves(whole, played, recording.game.competitor_moves, game.config.ends)
             steps: tuple[ExplainedDecision, ...] = ()
         else:
-            explanation = explain_game(game, person, self.opponent, **race, car=1)
+            explanation = explain_race(pairing, 0, car=1)
             replay, played, steps = explanation.replay, explanation.played, explanation.steps
         # Hide the future of the race, which assumes "stay" from now on.
         if not self._over(played, len(moves)):

@@ -23,7 +23,7 @@ OUTCOMES = (
     "a crash of its own",
     "a win without switching",
     "a crash of the other's",
-    "a tie, or a crash that is nobody's",
+    "a tie, or a no-contest",
 )
 
 

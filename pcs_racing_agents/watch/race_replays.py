@@ -18,14 +18,14 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import Replay, plain_parts
 from pcs_racing_agents.agents.observing import opponent, step_count
-from pcs_racing_agents.tournament import Pairing, RaceRow, record_game
+from pcs_racing_agents.tournament import Pairing, RaceRow, repeat_race
 from pcs_racing_agents.watch.explain import mark_moves
 from pcs_racing_agents.watch.pcs_picture import axis_limits, in_units, plane
 from pcs_racing_agents.watch.results_folder import ResultsFolder
 
 PLACES = 4000  # resolution of positions: steps across the picture
 PLAN_SKIP = 2  # every second plan is stored
-MOST_PAIRINGS = 64
+MAX_PAIRINGS = 64
 
 Floats = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class RaceRepeater:
         self.circuits: dict[str, dict[str, Any]] = {}
         #: Policy Characteristic Space (:func:`space_values`); None before the first race.
         self.space: dict[str, Any] | None = None
-        self._pairing = lru_cache(maxsize=MOST_PAIRINGS)(self._make_pairing)
+        self._pairing = lru_cache(maxsize=MAX_PAIRINGS)(self._make_pairing)
 
     def _make_pairing(self, track: str, ego: str, opponent: str, seed: int) -> Pairing:
         return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))
@@ -62,13 +62,7 @@ class RaceRepeater:
             )
         # An edited folder is detected here before the race, and by the lead after the race.
         _check_start(number, row, pairing)
-        recording = record_game(
-            pairing.game,
-            pairing.ego,
-            pairing.opponent,
-            **pairing.race_arguments(row.race),
-            candidates=False,
-        )
+        recording = repeat_race(pairing, row.race, candidates=False)
         played, game = recording.played, recording.game
         self.results.check_lead(number, played.lead[0])
         replay = mark_moves(recording.replay, played, game.move_names, game.config.ends)
@@ -117,7 +111,7 @@ def _check_start(number: int, row: RaceRow, pairing: Pairing) -> None:
     recorded = (f"{row.start_s:.4f}", row.side, row.ego_variant, row.opponent_variant)
     if recorded != drawn:
         raise InputError(
-            f"race {number} is not the one that its folder describes: its line tells of start"
+            f"race {number} is not the one that its folder describes: its line has start"
             f" {recorded[0]}, side {recorded[1]} and variants {recorded[2]} and {recorded[3]}, the"
             f" folder of {', '.join(map(str, drawn))}"
         )

@@ -19,8 +19,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.watch.race_replays import RaceRepeater
 
-MOST_KEPT = 200  # max answers cached in memory, some 40 kB each
-LONGEST_PATH = 100
+MAX_ANSWERS = 200  # max answers cached in memory, some 40 kB each
+MAX_PATH = 100
 
 _RACE = re.compile(r"/race/([0-9]{1,7})")
 
@@ -41,10 +41,10 @@ def error_answer(status: int, text: str) -> Answer:
 class RaceService:
     """A service that repeats races and caches the last answers."""
 
-    def __init__(self, driver: RaceRepeater, races: int) -> None:
-        self.driver = driver
+    def __init__(self, repeater: RaceRepeater, races: int) -> None:
+        self.repeater = repeater
         self.races = races
-        self._kept = lru_cache(maxsize=MOST_KEPT)(self._drive)
+        self._kept = lru_cache(maxsize=MAX_ANSWERS)(self._drive)
 
     def answer(self, path: str) -> Answer:
         """Answer ``/race/NUMBER`` with the race, its track and space as JSON, or ``error``."""
@@ -62,10 +62,10 @@ class RaceService:
             return error_answer(409, str(error))
 
     def _drive(self, number: int) -> bytes:
-        race = self.driver.drive(number)
-        circuit = [race.circuit, self.driver.circuits[race.circuit]]
+        race = self.repeater.drive(number)
+        circuit = [race.circuit, self.repeater.circuits[race.circuit]]
         return safe_json(
-            {"race": race.values, "circuit": circuit, "space": self.driver.space}
+            {"race": race.values, "circuit": circuit, "space": self.repeater.space}
         ).encode()
 
 
@@ -119,14 +119,12 @@ def make_server(
                 self._send(error_answer(403, "another site's page asked for this"))
             elif self.command != ("GET" if self.path == "/" else method):
                 self._send(
-                    error_answer(405, f"{self.path:.{LONGEST_PATH}} is asked for by another method")
+                    error_answer(405, f"{self.path:.{MAX_PATH}} is asked for by another method")
                 )
             elif self.path == "/":
                 self._send(Answer(200, content, "text/html; charset=utf-8"))
-            elif len(self.path) > LONGEST_PATH:
-                self._send(
-                    error_answer(404, f"an address here has at most {LONGEST_PATH} characters")
-                )
+            elif len(self.path) > MAX_PATH:
+                self._send(error_answer(404, f"an address here has at most {MAX_PATH} characters"))
             else:
                 with busy:
                     found = None if self._left() else answer(self.path)

@@ -17,7 +17,7 @@ from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
 from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace
-from pcs_racing_agents.watch.view_server import MOST_KEPT, Answer, RaceService, make_server
+from pcs_racing_agents.watch.view_server import MAX_ANSWERS, Answer, RaceService, make_server
 
 
 @pytest.fixture
@@ -353,12 +353,12 @@ def test_answers_are_kept_but_not_for_ever():
             return RepeatedRace(number, "c", {})
 
     driver = Counting()
-    service = RaceService(driver, MOST_KEPT + 10)
-    for number in (0, 1, 0, *range(2, MOST_KEPT + 1)):
+    service = RaceService(driver, MAX_ANSWERS + 10)
+    for number in (0, 1, 0, *range(2, MAX_ANSWERS + 1)):
         assert service.answer(f"/race/{number}").status == 200
-    assert driver.asked == list(range(MOST_KEPT + 1))
+    assert driver.asked == list(range(MAX_ANSWERS + 1))
     service.answer("/race/0")
-    assert driver.asked[-1] == MOST_KEPT  # was used again later than 1, so it is still there
+    assert driver.asked[-1] == MAX_ANSWERS  # was used again later than 1, so it is still there
     service.answer("/race/1")
     assert driver.asked[-1] == 1
 

@@ -286,7 +286,10 @@ def test_tables_of_a_study_are_told_apart_by_their_seeds():
     [
         (
             [0.0],
-            "a and b can't be told apart: in all of 1 row (+0.000) the 95 % interval contains 0.",
+            (
+                "no difference between a and b is certain: in all of 1 row (+0.000) the 95 %"
+                " interval contains 0."
+            ),
         ),
         ([0.2, 0.3], "a scores more in 2 of 2 rows than b (+0.200 to +0.300)."),
         (

@@ -8,25 +8,19 @@ from refusal import refused
 from same_arrays import assert_same
 from same_move import Model
 
-from pcs_racing import InputError, RaceGame
+from pcs_racing import RaceGame
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import as_agent, make_game_spec
 from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.tournament import play_games, record_game
+from pcs_racing_agents.tournament import play_pairing, repeat_race
 
 GAMES = 12
 
 
 def played(pairing, **changes):
-    """Races of a pairing by the function that documentation shows."""
-    given = {
-        "policies": pairing.variants,
-        "starts": pairing.starts,
-        "seeds": pairing.noise,
-        **changes,
-    }
-    return play_games(pairing.game, pairing.ego, pairing.opponent, **given)
+    """Races of a pairing with the observations of both cars."""
+    return play_pairing(replace(pairing, **changes), observations=True)
 
 
 def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
@@ -64,9 +58,7 @@ def test_a_game_whose_players_move_before_the_start_is_played_and_recorded(conte
     np.testing.assert_array_equal(races.lead, state.race.lead)
     whole, *_ = np.flatnonzero(~races.crashed)
     assert races.duration[whole] == config.horizon
-    recorded = record_game(
-        pairing.game, pairing.ego, pairing.opponent, **pairing.race_arguments(whole)
-    )
+    recorded = repeat_race(pairing, whole)
     np.testing.assert_array_equal(recorded.replay.cars[-1], state.race.cars[whole])
 
 
@@ -217,9 +209,7 @@ def test_a_recorded_game_is_the_game(contest, zoo, games_of, pair):
         else tuple(f"{name} (car {car})" for car, name in enumerate(pair))
     )
     for i in range(6):
-        recording = record_game(
-            contest, pairing.ego, pairing.opponent, **pairing.race_arguments(i), candidates=False
-        )
+        recording = repeat_race(pairing, i, candidates=False)
         replay = recording.replay
         assert replay.lead[-1] == races.lead[i]
         assert recording.played[0] == races[i]._replace(race=0)
@@ -244,15 +234,15 @@ def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monke
         ((Narrow(), "never-switch"), {}, r"'Narrow' .*\(7,\)"),
         (
             ("never-switch", "never-switch"),
-            {"policies": np.full((GAMES, 2), 12)},
+            {"variants": np.full((GAMES, 2), 12)},
             "game 0: the ego's variant is 12",
         ),
-        (("never-switch", "never-switch"), {"policies": np.zeros((3, 2), int)}, r"\(3, 2\)"),
-        (("never-switch", "never-switch"), {"policies": np.zeros((GAMES, 2))}, "whole numbers"),
-        (("never-switch", "never-switch"), {"seeds": race_seeds(0, 3)}, r"\(3,\)"),
+        (("never-switch", "never-switch"), {"variants": np.zeros((3, 2), int)}, r"\(3, 2\)"),
+        (("never-switch", "never-switch"), {"variants": np.zeros((GAMES, 2))}, "whole numbers"),
+        (("never-switch", "never-switch"), {"noise": race_seeds(0, 3)}, r"\(3,\)"),
         (
             ("never-switch", "pure-pursuit"),
-            {"policies": np.ones((GAMES, 2), int)},
+            {"variants": np.ones((GAMES, 2), int)},
             "opponent's variant is 1",
         ),
     ]:
@@ -260,26 +250,13 @@ def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monke
         refused(value, played, games_of(*(zoo.get(car, car) for car in cars)), **change)
 
 
-def test_impossible_egos_and_moves_are_refused(contest, zoo, games_of, starts):
+def test_impossible_egos_and_moves_are_refused(zoo, games_of):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
     other = build("never-switch", make_game_spec("default", "paper"))
     for egos, value in [
-        ([], "nobody"),
-        ([zoo["random-moves"], zoo["pure-pursuit"]], "a driver only alone"),
+        ([], "none"),
+        ([zoo["random-moves"], zoo["pure-pursuit"]], "a planner only alone"),
         ([zoo["random-moves"], other], "never-switch"),
     ]:
         refused(value, pairing.race, egos)
-    with pytest.raises(InputError, match="'never-switch' is not a competitor"):
-        play_games(
-            contest,
-            zoo["never-switch"],
-            "never-switch",
-            policies=pairing.variants,
-            starts=starts,
-            seeds=[1],
-        )
-    with pytest.raises(InputError, match=r"\(1, 2\)"):
-        record_game(
-            contest, *[zoo["never-switch"]] * 2, policies=[[1, 2]], start=starts.take([0]), seed=1
-        )
     refused("'Model': game 0: move 5", played, games_of(Model(5), zoo["never-switch"]))

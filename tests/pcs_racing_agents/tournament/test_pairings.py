@@ -9,7 +9,13 @@ from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.tournament import cross_pairing, play_pairing, play_pairings, runner
+from pcs_racing_agents.tournament import (
+    cross_pairing,
+    play_pairing,
+    play_pairings,
+    repeat_race,
+    runner,
+)
 from pcs_racing_agents.tournament.statistics import match_units
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
@@ -82,11 +88,7 @@ def test_races_of_a_pairing_in_words_and_of_chosen_variants(contest, zoo):
         contest, zoo["never-switch"], zoo["never-switch"], egos=[7, 2], opponents=[1], lines=1
     )
     assert pairing.variants.tolist() == [[7, 1], [7, 1], [2, 1], [2, 1]]
-    refused(
-        "race 48",
-        cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).race_arguments,
-        48,
-    )
+    refused("no race 4", repeat_race, pairing, 4)
 
 
 def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(

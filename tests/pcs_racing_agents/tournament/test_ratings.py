@@ -167,7 +167,7 @@ def test_bad_input():
         (lambda: rate(["a"], ["b"], [1, 1]), r"result has shape \(2,\)"),
         (lambda: rate(["a", "b"], ["b"], [1, 1]), "second has shape"),
         (lambda: rate([], [], []), "there are no races"),
-        (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "none of 1 races"),
+        (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "all of 1 races"),
         (lambda: rate(["a", "b"], ["c", "d"], [1, 0]), "b never met a"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=9e-7), "prior_sd is 9e-07"),
         (lambda: rate(["a"], ["b"], [1], prior_sd=1.1e6), "prior_sd is 1100000"),

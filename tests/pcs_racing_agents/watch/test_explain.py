@@ -16,7 +16,8 @@ from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
-from pcs_racing_agents.watch.explain import DefaultStrategy, Unit, explain_game, value_unit
+from pcs_racing_agents.tournament import Pairing
+from pcs_racing_agents.watch.explain import DefaultStrategy, Unit, explain_race, value_unit
 from pcs_racing_agents.watch.pcs_picture import archive_picture, in_units
 from pcs_racing_agents.watch.pictures import explanation_picture
 from pcs_racing_agents.watch.words import lead_words, story, why
@@ -39,9 +40,8 @@ def network_of(spec, target="advantage", **training):
 def explained(contest, ego, rival, **options):
     """A race that is not over before the moves are made."""
     start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
-    return explain_game(
-        contest, ego, rival, policies=[4, 6], start=start, seed=int(race_seeds(5, 8)[0]), **options
-    )
+    pairing = Pairing(contest, ego, rival, np.array([[4, 6]]), start, race_seeds(5, 8)[:1])
+    return explain_race(pairing, 0, **options)
 
 
 @pytest.fixture(scope="module")

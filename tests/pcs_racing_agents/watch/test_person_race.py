@@ -15,7 +15,8 @@ from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.races import starts_of
 from pcs_racing_agents import make
-from pcs_racing_agents.watch.explain import explain_game
+from pcs_racing_agents.tournament import Pairing
+from pcs_racing_agents.watch.explain import explain_race
 from pcs_racing_agents.watch.person_race import (
     PersonRaces,
     drive_page,
@@ -49,15 +50,10 @@ def test_a_person_is_told_what_every_move_leads_to_and_may_race_drivers(races):
     schedule = make(
         "best-schedule", archive=game.archive, race=CONFIG, moves=["restraint +", *["stay"] * 3]
     )
-    explained = explain_game(
-        game,
-        schedule,
-        races.opponent,
-        policies=races._policies(0),
-        seed=int(race_seed(3, 0)),
-        car=1,
-        start=starts_of(game.track, game.setup.config, [0], 3),
-    )
+    start = starts_of(game.track, game.setup.config, [0], 3)
+    noise = np.array([race_seed(3, 0)], np.uint64)
+    pairing = Pairing(game, schedule, races.opponent, races._policies(0)[None], start, noise)
+    explained = explain_race(pairing, 0, car=1)
     axes, first = game.archive.characteristics, explained.steps[0]
     assert after == {
         "number": 0,
