@@ -1,11 +1,11 @@
-"""Pictures of an explained race: paths in policy space and on the track, values, and lead."""
+"""Pictures of an explained race: paths in policy space and on the track, and values of moves."""
 
 from typing import Any
 
 import numpy as np
 
 from pcs_racing.base.packing import join_segments
-from pcs_racing_agents.base.style import CARS, EDGE, INK, SOFT, new_figure, picture, short, tidy
+from pcs_racing_agents.base.style import CARS, INK, SOFT, new_figure, picture, short, tidy
 from pcs_racing_agents.watch.explain import Explanation
 from pcs_racing_agents.watch.pcs_picture import draw_archive, draw_arrow, in_units, plane
 
@@ -18,15 +18,14 @@ def explanation_picture(explanation: Explanation) -> Any:
         for step in explanation.steps
         if step.values is not None or step.probabilities is not None
     ]
-    heights = [4.6, 1.9, 2.0] if decided else [4.6, 2.0]
+    heights = [4.6, 1.9] if decided else [4.6]
     figure = new_figure(11.0, sum(heights) + 0.6)
-    rows = figure.subfigures(len(heights), 1, height_ratios=heights)
+    rows = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
     space, track = rows[0].subplots(1, 2, width_ratios=[1.0, 1.15])
     draw_space(space, explanation)
     draw_track(track, explanation)
     if decided:
         draw_values(rows[1], explanation)
-    draw_lead(rows[-1].subplots(), explanation)
     replay = explanation.replay
     figure.suptitle(
         f"{replay.title}, {replay.track_name}, {explanation.race} rules: {replay.outcome}",
@@ -166,49 +165,6 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
         names = {"of a win": ", wins", "m of lead": ", m of lead"}
         words = f"value of each move{names.get('' if unit is None else unit.text, '')}"
     figure.supxlabel(f"{words}; coloured: made", fontsize=9, color=SOFT)
-
-
-def draw_lead(axes: Any, explanation: Explanation) -> None:
-    """Draw the lead over time, with the moves of both cars."""
-    replay, lead = explanation.replay, explanation.lead
-    time = np.arange(len(lead)) * replay.frame_dt
-    own_colour, other_colour = CARS[explanation.car], CARS[1 - explanation.car]
-    axes.fill_between(
-        time, lead, 0.0, where=lead >= 0.0, color=own_colour, alpha=0.18, lw=0.0, interpolate=True
-    )
-    axes.fill_between(
-        time, lead, 0.0, where=lead <= 0.0, color=other_colour, alpha=0.18, lw=0.0, interpolate=True
-    )
-    axes.plot(time, lead, color=INK, lw=1.4)
-    axes.axhline(0.0, color="#a5afbb", lw=0.8)
-    # At least 1 m on either side: a level race must not look dramatic.
-    low, high = min(float(lead.min()), -1.0), max(float(lead.max()), 1.0)
-    reach = high - low
-    axes.set_ylim(low - 0.2 * reach, high + 0.2 * reach)
-    for step in explanation.steps:
-        axes.axvline(step.time, color=EDGE, lw=1.0, zorder=0)
-        label = {"fontsize": 8.5, "ha": "left"}
-        axes.text(
-            step.time + 0.15,
-            high + 0.17 * reach,
-            explanation.moves[step.move],
-            color=own_colour,
-            va="top",
-            **label,
-        )
-        if step.opponent_move >= 0:
-            axes.text(
-                step.time + 0.15,
-                low - 0.17 * reach,
-                explanation.moves[step.opponent_move],
-                color=other_colour,
-                va="bottom",
-                **label,
-            )
-    axes.set_xlim(0.0, explanation.ends[-1])
-    axes.set_xlabel("time, s")
-    axes.set_ylabel("lead, m")
-    tidy(axes, "y")
 
 
 def _number(axes: Any, point: Any, number: int, colour: str) -> None:

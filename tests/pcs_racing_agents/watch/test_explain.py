@@ -319,7 +319,7 @@ def written(axes):
 
 def test_the_signs_of_a_race_stand_where_things_happened(told):
     figure = explanation_picture(told)
-    space, track, *panels, lead = figure.axes
+    space, track, *panels = figure.axes
     at, signs = told.replay.cars[:, :, :2].tolist(), []
     for car in (0, 1):
         signs += [("s", at[0][car], CARS[car]), ("o", at[-1][car], "white")]
@@ -340,15 +340,6 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
     ]
     assert {("1", seen[0]), ("2", seen[1]), ("2: kept", tuple(np.round(after, 9).tolist()))} <= (
         written(space)
-    )
-    # The lead from -0.25 to 2.3 m, with room for the names of the moves.
-    assert {text for text, _ in written(lead)} == {
-        "aggressiveness +",
-        "aggressiveness -",
-        "restraint +",
-    }
-    assert lead.lines[0].get_xydata() == pytest.approx(
-        np.stack([0.05 * np.arange(41), told.lead], axis=1)
     )
     assert [axes.get_visible() for axes in panels] == [True] * 2 + [False] * (len(panels) - 2)
 
@@ -374,12 +365,12 @@ def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_fo
     race, contest, spec
 ):
     steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
-    panels = explanation_picture(replace(race, steps=steps)).axes[2:-1]
+    panels = explanation_picture(replace(race, steps=steps)).axes[2:]
     assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [
         ["made"]
     ] * len(steps)
     race = explained(contest, build("random-moves", spec), build("never-switch", spec))
-    panels = [axes for axes in explanation_picture(race).axes[2:-1] if axes.get_visible()]
+    panels = [axes for axes in explanation_picture(race).axes[2:] if axes.get_visible()]
     assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
 
 
