@@ -17,7 +17,7 @@ group of options.
 
 import argparse
 import re
-from argparse import ArgumentParser, BooleanOptionalAction, Namespace, RawDescriptionHelpFormatter
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import partial
@@ -219,9 +219,6 @@ def _reading(parameter: Parameter, kind: Any, option: Option) -> dict[str, Any]:
     # A type or None: None means that the option was not stated.
     if get_origin(kind) is UnionType:
         (kind,) = (part for part in get_args(kind) if part is not NoneType)
-    # ``bool | None`` has three values: not stated, yes, and no.
-    if kind is bool:
-        return {**reading, "action": BooleanOptionalAction}
     # The origin of ``Sequence[str]`` is the class of collections.abc imported above.
     if get_origin(kind) is Sequence:
         kind, reading["nargs"] = get_args(kind)[0], "+"

@@ -1,13 +1,11 @@
 """``pcs-racing synthesize``: search for an archive of policies; a stopped search can be resumed."""
 
-import time
-from collections import deque
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 from pcs_racing.base.errors import require
-from pcs_racing_agents.base.progress import duration_text, show_line
+from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
 from pcs_racing_agents.policies.archive_run import ArchiveCallback, ArchiveProgress, make_archive
@@ -72,7 +70,7 @@ def run(
         flush=True,
     )
     with workers.start() as executor:
-        archive = make_archive(settings, out, executor=executor, callback=progress_line())
+        archive = make_archive(settings, out, executor=executor, callback=show_search())
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):
         print(f"{axis}: {low:.2f} to {high:.2f}")
@@ -92,29 +90,15 @@ def run(
     print(f"archive: {out}")
 
 
-def progress_line() -> ArchiveCallback:
-    """Return a callback that updates a line of progress and remaining time on stderr."""
-    print_line = show_line()
-    begin = time.monotonic()
-    # The last times and shares done, not the first: stored results make a resumed run start fast.
-    recent = deque([(begin, 0.0)], maxlen=8)
+def show_search() -> ArchiveCallback:
+    """Return a callback that keeps a line on stderr up to date: races, hypervolume, time left."""
+    show = show_progress("% of the races")
 
-    def show(state: ArchiveProgress) -> None:
-        recent.append((time.monotonic(), state.done))
-        (first_time, first_done), (time_now, done) = recent[0], recent[-1]
-        rest = ""
-        if done > first_done:
-            rest = (
-                ", about"
-                f" {duration_text((time_now - first_time) * (1.0 - done) / (done - first_done))}"
-                " left"
-            )
-        last = state.done >= 1.0
-        print_line(
-            f"{state.stage}: generation {state.generation}/{state.generations}, hypervolume"
-            f" {state.hypervolume:.3f}, {state.front} policies, own crashes {state.own_crash:.1%},"
-            f" {time_now - begin:.0f} s{'' if last else rest}",
-            last,
+    def update(state: ArchiveProgress) -> None:
+        label = (
+            f"{state.stage}, generation {state.generation}/{state.generations}, hypervolume"
+            f" {state.hypervolume:.3f}, {state.front} policies, own crashes {state.own_crash:.1%}"
         )
+        show(int(100 * state.done), 100, label)
 
-    return show
+    return update

@@ -1,8 +1,8 @@
 """``pcs-racing tree`` and ``solve``: build, solve and export game trees."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from pcs_racing_agents.cli.options import (
 from pcs_racing_agents.solvers.compare import METHODS, MethodRow, compare_methods
 from pcs_racing_agents.solvers.efg import write_efg
 from pcs_racing_agents.trees import StoredTrees, build_trees, load_trees
-from pcs_racing_agents.trees.tree import TreeStatistics, check_size
+from pcs_racing_agents.trees.tree import check_size
 
 
 @command(
@@ -40,10 +40,10 @@ def run(
     track: Circuit = DEFAULT_TRACK,
     rules: RulesName = "paper",
     moves: Annotated[
-        int | None, Option("number of moves of each player (default: that of the rules)", "M")
+        int | None, Option("number of moves of each player (default: from the rules)", "M")
     ] = None,
     step: Annotated[
-        float | None, Option("mean time of a move in s (default: that of the rules)", "S")
+        float | None, Option("mean time of a move in s (default: from the rules)", "S")
     ] = None,
     pairs: Annotated[int, Option("number of pairs of starting policies")] = 20,
     seeds: Annotated[
@@ -80,77 +80,27 @@ def run(
     print(f"{len(trees)} trees in {out}")
 
 
+TREE_NOTE = """driven: segments; of shared: their share of the segments of a tree whose branches
+share only beginnings; crashes: histories of moves that end in a crash"""
+
+
 def tree_table(trees: StoredTrees) -> str:
     """Return a table of each tree's simulated segments and the share saved by sharing."""
     rows: list[tuple[str, ...]] = [
-        (
-            "tree",
-            "policies",
-            "start",
-            "side",
-            "seeds",
-            "driven",
-            "of shared",
-            "of replayed",
-            "crashes",
-            "repeats",
-        )
+        ("tree", "policies", "start", "side", "seeds", "driven", "of shared", "crashes")
     ]
-    total = []
     for i, tree in enumerate(trees):
-        s = tree.statistics
-        total.append(s)
-        first, second = tree.policies
+        s, (first, second) = tree.statistics, tree.policies
+        place = (f"{first} {second}", f"{tree.start_s:.1f} m", str(tree.side), str(s.seeds))
         rows.append(
-            (
-                str(i),
-                f"{first} {second}",
-                f"{tree.start_s:.1f} m",
-                str(tree.side),
-                str(s.seeds),
-                *_shares(s),
-            )
+            (str(i), *place, str(s.driven), f"{s.driven / s.shared:.1%}", f"{s.crashed:.1%}")
         )
-    lines = aligned(rows, left=0)
-    driven, live, shared, replayed = (
-        sum(getattr(s, key) for s in total) for key in TreeStatistics._fields[1:5]
-    )
-    lines += [
-        (
-            f"{driven} segments driven of {live} different ones: {driven / shared:.0%} of the"
-            f" {shared} of trees that share only beginnings, {driven / replayed:.1%} of the"
-            f" {replayed} of races from the start"
-        ),
-        (
-            "driven: segments; crashes, repeats: histories of moves that end in a crash, or repeat"
-            " another's policies"
-        ),
-    ]
-    return "\n".join(lines)
-
-
-def _shares(s: TreeStatistics) -> tuple[str, ...]:
-    return (
-        str(s.driven),
-        f"{s.driven / s.shared:.1%}",
-        f"{s.driven / s.replayed:.1%}",
-        f"{s.crashed:.1%}",
-        f"{s.duplicates:.1%}",
-    )
+    return "\n".join([*aligned(rows, left=0), TREE_NOTE])
 
 
 NOTE = """value: utility of car 0; exploitability: half of the gain of both by best responses
 agreement: decisions whose likeliest move is a best one against the exact solution; on path: the
 same, weighted by the reach of the exact solution; decisions with equal values do not count"""
-
-
-class _SolvedTree(NamedTuple):
-    """The results of all methods on one tree."""
-
-    number: int  #: Number of the tree in its folder.
-    policies: tuple[int, int]  #: Policies of both cars at the start.
-    seeds: int  #: Number of noise realisations of the tree.
-    rows: list[MethodRow]
 
 
 @command(
@@ -182,39 +132,43 @@ def run_solve(
     if exported is not None:
         _export(stored, tree, exported)
         return
-    solved = []
-    for number, one in enumerate(stored):
-        first, second = (int(policy) for policy in one.policies)
-        rows = compare_methods(one.game_tree(), iterations, methods or METHODS)
-        solved.append(_SolvedTree(number, (first, second), len(one.seeds), rows))
+    solved = [compare_methods(one.game_tree(), iterations, methods or METHODS) for one in stored]
+    policies = [(int(one.policies[0]), int(one.policies[1])) for one in stored]
     names = {key: stored.settings[key]["name"] for key in ("archive", "track")}
     print(
         f"{len(stored)} trees of archive {names['archive']} on {names['track']}, preset"
         f" {stored.settings['preset']}; CFR with {iterations} iterations"
     )
-    print(solve_table(solved))
+    print(solve_table(policies, solved))
     if target is not None:
-        print(f"table: {write_csv(_csv_rows(solved), target)}")
+        rows: list[tuple[object, ...]] = [
+            ("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields)
+        ]
+        rows += [
+            (i, *policies[i], len(one.seeds), row.method, *(f"{number:.9g}" for number in row[1:]))
+            for i, one in enumerate(stored)
+            for row in solved[i]
+        ]
+        print(f"table: {write_csv(rows, target)}")
 
 
-def solve_table(solved: Sequence[_SolvedTree]) -> str:
-    """Return a text table of all trees and methods, with means over the trees."""
+def solve_table(policies: Sequence[tuple[int, int]], solved: Sequence[Sequence[MethodRow]]) -> str:
+    """Return a text table of all methods on all trees, with means over the trees.
+
+    ``policies``: policies of both cars at the start of each tree.
+    """
     lines: list[tuple[str, ...]] = [
         ("tree", "policies", "method", "value", "exploitability", "agreement", "on path", "ms")
     ]
-    for tree in solved:
-        for i, row in enumerate(tree.rows):
-            first, second = tree.policies
-            head = (str(tree.number), f"{first}, {second}") if i == 0 else ("", "")
-            lines.append((*head, *_cells(row)))
-    for i, rows in enumerate(zip(*(tree.rows for tree in solved), strict=True)):
-        mean = MethodRow(
-            rows[0].method,
-            *(float(np.mean(numbers)) for numbers in list(zip(*rows, strict=True))[1:]),
+    for number, ((first, second), rows) in enumerate(zip(policies, solved, strict=True)):
+        heads = [(str(number), f"{first}, {second}"), *[("", "")] * (len(rows) - 1)]
+        lines += [(*head, *_cells(row)) for head, row in zip(heads, rows, strict=True)]
+    for i, rows in enumerate(zip(*solved, strict=True)):
+        means = np.mean([row[1:] for row in rows], axis=0)
+        lines.append(
+            ("mean" if i == 0 else "", "", *_cells(MethodRow(rows[0].method, *means.tolist())))
         )
-        lines.append(("mean" if i == 0 else "", "", *_cells(mean)))
-    table = "\n".join(aligned(lines, left=3))
-    return f"{table}\n\n{NOTE}"
+    return "\n".join([*aligned(lines, left=3), "", NOTE])
 
 
 def _cells(row: MethodRow) -> tuple[str, ...]:
@@ -223,14 +177,6 @@ def _cells(row: MethodRow) -> tuple[str, ...]:
     )
     agreed = (f"{row.agreement:.1%}", f"{row.on_path:.1%}")
     return row.method, f"{row.value:.4f}", exploited, *agreed, f"{1e3 * row.seconds:.1f}"
-
-
-def _csv_rows(solved: Sequence[_SolvedTree]) -> Iterator[tuple[object, ...]]:
-    yield ("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields)
-    for tree in solved:
-        for row in tree.rows:
-            numbers = (f"{number:.9g}" for number in row[1:])
-            yield (tree.number, *tree.policies, tree.seeds, row.method, *numbers)
 
 
 def _export(stored: StoredTrees, number: int, target: Path) -> None:

@@ -33,12 +33,7 @@ if TYPE_CHECKING:
 
 
 REPLAYS = 60
-MOST_REPLAYS = 2000
-LONE_FILE = (
-    "there is no job.yaml beside this file that says how its races were driven, so they can't be"
-    " driven again"
-)
-
+MAX_REPLAYS = 2000
 
 Port = Annotated[int | None, Option("port of the page on this machine (default: a free port)", "P")]
 
@@ -51,7 +46,7 @@ Port = Annotated[int | None, Option("port of the page on this machine (default: 
 )
 def run(
     results: Annotated[
-        Path, Option("folder of a tournament or a study, or its results.csv", "RESULTS")
+        Path, Option("folder of a tournament, of a study, or of the ratings in a study", "RESULTS")
     ],
     *,
     out: Annotated[
@@ -78,7 +73,7 @@ def run(
     from dataclasses import replace
 
     from pcs_racing.base.files import write_atomically
-    from pcs_racing_agents.tournament.race_files import read_results
+    from pcs_racing_agents.study.results import open_results
     from pcs_racing_agents.watch.race_replays import RaceRepeater
     from pcs_racing_agents.watch.view_page import view_page
     from pcs_racing_agents.watch.view_server import RaceService, make_server
@@ -87,20 +82,18 @@ def run(
         raise InputError("--out goes without --serve: a page that is served is not written")
     if port is not None and not serve:
         raise InputError("--port goes with --serve")
-    if replays is not None and not 0 <= replays <= MOST_REPLAYS:
-        raise InputError(f"--replays is {replays}; it must be from 0 to {MOST_REPLAYS}")
-    if len(index) > MOST_REPLAYS:
-        raise InputError(f"--index names {len(index)} races; a page holds at most {MOST_REPLAYS}")
-    target = _page_file(results, out)
-    folder, file = _find(results, agents)
-    if folder is None and (replays or index or serve):
-        raise InputError(f"can't drive races of {results} again: {LONE_FILE}")
-    table = folder.races if folder is not None else read_results(file)
-    default = 0 if index or serve or folder is None else REPLAYS
-    picks = _picks(table, index, default if replays is None else replays)
-    content = _content(results, table, folder, picks)
+    if replays is not None and not 0 <= replays <= MAX_REPLAYS:
+        raise InputError(f"--replays is {replays}; it must be from 0 to {MAX_REPLAYS}")
+    if len(index) > MAX_REPLAYS:
+        raise InputError(f"--index names {len(index)} races; a page holds at most {MAX_REPLAYS}")
+    if not results.is_dir():
+        raise InputError(f"there is no folder {results}; give one of a tournament or a study")
+    target = output_file(out or results / "view.html", ".html")
+    folder = open_results(results, agents)
+    table = folder.races
+    picks = _picks(table, index, (0 if index or serve else REPLAYS) if replays is None else replays)
+    content = _content(folder, picks)
     if serve:
-        assert folder is not None  # refused above
         service = RaceService(RaceRepeater(folder), len(table))
         with make_server(
             view_page(replace(content, serve=True)), service.answer, port or 0
@@ -110,43 +103,9 @@ def run(
     page = view_page(content).encode()
     write_atomically(target, lambda stream: stream.write(page))
     print(f"{len(table)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
-    if folder is None:
-        print(f"{LONE_FILE}; the page lists them")
     print(f"page: {target}")
     if not no_open:
         open_page(target.resolve().as_uri())
-
-
-def _page_file(path: Path, out: Path | None) -> Path:
-    """Return the path of the page, after a check that it is writeable."""
-    if not path.exists():
-        raise InputError(f"there is no {path}; give the folder of a tournament or a study")
-    if out is None and path.is_file():
-        name = "view.html" if path.name == "results.csv" else f"{path.stem}-view.html"
-        return output_file(path.with_name(name), ".html")
-    return output_file(out or path / "view.html", ".html")
-
-
-def _find(path: Path, agents: Sequence[str]) -> "tuple[ResultsFolder | None, Path]":
-    """Return the folder of the races and their file; None for a file without a manifest."""
-    from pcs_racing_agents.study.results import open_results
-
-    folder = path
-    if path.is_file():
-        if path.suffix != ".csv":
-            raise InputError(f"{path} is no results file; give a folder, or the results.csv in it")
-        # The races of a study's ratings have a separate folder with the name of their file.
-        # Resolved: a link to a results file leads to the file's folder.
-        beside = (
-            path.resolve().parent if path.name == "results.csv" else path.resolve().with_suffix("")
-        )
-        if not (beside / "job.yaml").is_file():
-            return None, path
-        folder = path.parent if path.name == "results.csv" else path.with_suffix("")
-    elif not (path / "job.yaml").is_file() and (path / "results.csv").is_file():
-        return None, path / "results.csv"
-    results = open_results(folder, agents)
-    return results, results.file
 
 
 def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[SelectedRace]":
@@ -162,19 +121,11 @@ def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[Sele
     return list({**requested, **selected, **requested}.values())
 
 
-def _content(
-    path: Path, races: "RaceTable", results: "ResultsFolder | None", picks: "Sequence[SelectedRace]"
-) -> "ViewContent":
+def _content(results: "ResultsFolder", picks: "Sequence[SelectedRace]") -> "ViewContent":
     """Simulate the selected races, and return the content of the page."""
     from pcs_racing_agents.watch.race_replays import RaceRepeater
     from pcs_racing_agents.watch.view_page import ViewContent
 
-    title = path.resolve()
-    name = title.parent.name if title.name == "results.csv" else title.name
-    if results is None:
-        return ViewContent(
-            name, races, str(path), why_not=f"{LONE_FILE[:1].upper()}{LONE_FILE[1:]}."
-        )
     driver, progress = RaceRepeater(results), show_progress()
     driven = []
     try:
@@ -186,9 +137,9 @@ def _content(
             f"{error} (--replays 0 lists the races without any to be watched)"
         ) from None
     return ViewContent(
-        name,
-        races,
-        str(path),
+        results.folder.resolve().name,
+        results.races,
+        str(results.folder),
         start=results.start,
         picks=picks,
         driven=driven,
@@ -206,7 +157,7 @@ def _content(
 def run_play(
     *,
     opponent: Annotated[
-        str, Option(f"agent or driver in the other car: {AGENT_HELP}", "AGENT")
+        str, Option(f"agent or planner in the other car: {AGENT_HELP}", "AGENT")
     ] = "cfr-argmax",
     track: Circuit = DEFAULT_TRACK,
     rules: Rules,

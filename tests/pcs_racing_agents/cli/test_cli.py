@@ -35,7 +35,6 @@ from pcs_racing.track.maps import find_shipped
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_game_spec, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
-from pcs_racing_agents.base.progress import duration_text
 from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
@@ -110,21 +109,17 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     assert printed(*again).splitlines() == lines
 
 
-def test_progress_of_a_search_tells_the_time_that_is_left(monkeypatch):
-    """By the last eight news: the first ones of a run that resumes are too fast."""
-    told, clock = [], iter(range(0, 1000, 10))
-    monkeypatch.setattr(
-        synthesize, "show_line", lambda: lambda text, last: told.append((text, last))
-    )
-    monkeypatch.setattr(synthesize.time, "monotonic", lambda: next(clock))
-    show = synthesize.progress_line()
-    for done in (0.0, 0.1, *np.linspace(0.2, 0.9, 8), 1.0):
-        show(ArchiveProgress("search", 3, 60, 100, 0.5, 7, 0.125, float(done)))
-    begun = "search: generation 3/60, hypervolume 0.500, 7 policies, own crashes 12.5%, "
-    assert told[0] == (f"{begun}10 s", False)
-    assert told[1] == (f"{begun}20 s, about {duration_text(20 * 0.9 / 0.1)} left", False)
-    assert told[9] == (f"{begun}100 s, about {duration_text(70 * 0.1 / 0.7)} left", False)
-    assert told[10] == (f"{begun}110 s", True)
+def test_progress_of_a_search_tells_its_generation_and_front(capsys, monkeypatch):
+    clock = iter([0.0, 10.0, 20.0])
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    show = synthesize.show_search()
+    show(ArchiveProgress("search", 3, 60, 100, 0.5, 7, 0.125, 0.25))
+    show(ArchiveProgress("search", 60, 60, 2000, 0.6, 9, 0.0, 1.0))
+    assert capsys.readouterr().err.splitlines() == [
+        "25/100 % of the races, 10 s, about 30 s left: search, generation 3/60, hypervolume 0.500,"
+        " 7 policies, own crashes 12.5%",
+        "100/100 % of the races, 20 s",
+    ]
 
 
 def test_files_and_folders_are_checked_before_the_work(tmp_path):
@@ -410,7 +405,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
         name: Annotated[str, Option("who is greeted")],
         often: Annotated[int, Option("100 % of the waves")] = 1,
         *,
-        loud: Annotated[bool | None, Option("how")] = None,
+        loud: Annotated[float | None, Option("how")] = None,
         others: Annotated[Sequence[str], Option("who else", choices=("Bo", "Cy"))] = ("Bo",),
         weather: Weather,
         changes: Annotated[dict, ConfigOptions(Tea, "herbs", "sugar")],
@@ -425,7 +420,8 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
         [
             "Ada",
             "2",
-            "--no-loud",
+            "--loud",
+            "2.5",
             "--others",
             "Cy",
             "Bo",
@@ -447,7 +443,7 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
         (
             "Ada",
             2,
-            False,
+            2.5,
             ("Cy", "Bo"),
             Weather(rain=True, wind=[1.0, 2.5]),
             {"herbs": ("dill", "sage"), "sugar": 3},

@@ -42,7 +42,7 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     assert '"front"' in content  # the contest's cars start one behind the other
     assert "http://" not in content.replace("http://www.w3.org/2000/svg", "")
     assert "https://" not in content
-    assert main(["view", str(folder / "results.csv"), "--index", "3", "17", "--no-open"]) == 0
+    assert main(["view", str(folder), "--index", "3", "17", "--no-open"]) == 0
     assert opened == [page.as_uri()]
     content = page.read_text()
     assert content.count('<script type="application/json" id="race-') == 2
@@ -83,36 +83,23 @@ def test_a_browser_is_opened_where_there_is_a_screen(platform, variable, opened,
     assert asked == ["a page"] * opened
 
 
-def test_a_lone_file_is_listed_but_not_driven(folder, tmp_path, printed, told):
-    lone = tmp_path / "lone.csv"
-    shutil.copy(folder / "results.csv", lone)
-    captured = printed("view", lone, "--no-open")
-    assert "18 races, 0 of them to be watched" in captured
-    assert "can't be driven again" in captured
-    assert "lone.csv" in (tmp_path / "lone-view.html").read_text()
-    for option in (["--serve"], ["--index", "1"], ["--replays", "3"]):
-        assert "there is no job.yaml beside this file" in told("view", lone, *option, "--no-open")
-    (folder / "job.yaml").unlink()
-    printed("view", folder, "--no-open")
-
-
 def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed):
     folder = shutil.copytree(study_folder[0], tmp_path / "study")
     assert "40 races, 2 of them to be watched" in printed(
         "view", folder, "--index", 0, 12, "--no-open"
     )
     assert "2 races, 1 of them to be watched" in printed(
-        "view", folder / "ratings.csv", "--index", 1, "--no-open"
+        "view", folder / "ratings", "--index", 1, "--no-open"
     )
-    assert (folder / "ratings-view.html").is_file()
+    assert (folder / "ratings" / "view.html").is_file()
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["{folder}/nothing"], "there is no "),
+        (["{folder}/nothing"], "there is no folder"),
         (["{folder}/chunks"], "holds no races"),
-        (["{folder}/job.yaml"], "is no results file"),
+        (["{folder}/results.csv"], "there is no folder"),
         (["{folder}", "--out", "page.txt"], "its name must end in .html"),
         (["{folder}", "--out", "{folder}/none/page.html"], "there is no folder"),
         (["{folder}", "--out", "a.html", "--serve"], "--out goes without --serve"),

@@ -459,7 +459,7 @@ def test_the_command(tmp_path, run, told):
     assert code == 0
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
-    assert "measurement: generation 0/0, hypervolume " in err
+    assert "100/100 % of the races" in err
     assert load_archive(tmp_path / "a").name == "small"
     code, _, err = run(*arguments, "--name", "other")
     assert code == 2
