@@ -1,13 +1,14 @@
-"""Self-play against exact equilibria: Kuhn poker, a matrix game, and the tree of a short race."""
+"""Self-play against the known equilibrium of a matrix game, and on races by definition."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from refusal import refused
-from small_games import PENNIES, kuhn_poker
-from tree_sampler import TreeSampler
 from zoo_games import untrained
 
 from pcs_racing import load_race_config, make_game
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.agents import Agent, make_game_spec
 from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.base.jobs import open_job
@@ -19,12 +20,11 @@ from pcs_racing_agents.learning.self_play import (
     load_self_play_settings,
 )
 from pcs_racing_agents.networks import NetworkSet
-from pcs_racing_agents.solvers import exploitability, uniform_profile
 from pcs_racing_agents.tournament.games import game_between
 
 pytest.importorskip("torch", reason="torch is not installed")
 
-# A network without hidden layers on the number of the infoset is a table.
+# A network without hidden layers on the number of the situation is a table.
 TABLE = {
     "hidden": (),
     "exploration": 0.0,
@@ -33,6 +33,52 @@ TABLE = {
     "batch_size": 256,
 }
 SHORT = load_self_play_settings(iterations=2, starts=12, hidden=(8,), epochs=3, patience=3)
+PAYOFFS = np.array([[2.0, -1.0], [-1.0, 1.0]])  # of player 0
+"""Matching pennies with a larger prize for one side: both show it in 2 of 5 games."""
+
+
+@dataclass(frozen=True)
+class MatrixSampler:
+    """A matrix game played in each of some steps; players see the step and which player they are."""
+
+    steps: int = 1
+
+    @property
+    def identity(self):
+        seen = tuple(f"step and player {i}" for i in range(2 * self.steps))
+        return GameIdentity(seen, ("heads", "tails"), (0.5,), "toy", "0" * 64, "toy", self.steps)
+
+    def chances(self, network, exploration, step, player):
+        if network is None:
+            return np.full(2, 0.5)
+        seen = np.eye(2 * self.steps, dtype=np.float32)[[2 * step + player]]
+        return (1.0 - exploration) * regret_matching(network.unclipped(seen))[0] + exploration / 2
+
+    def traverse(self, network, exploration, step, keys):
+        """Let each player try both moves in half of the games, against a move that is drawn."""
+        rng, rows = np.random.default_rng(keys), []
+        for player, payoffs in enumerate((PAYOFFS, -PAYOFFS.T)):
+            own, other = (self.chances(network, exploration, step, p) for p in (player, 1 - player))
+            games = np.arange(player, len(keys), 2)
+            outcomes = payoffs[:, rng.choice(2, len(games), p=other)].T
+            seen = np.tile(np.eye(2 * self.steps)[2 * step + player], (len(games), 1))
+            rows.append((seen, outcomes - (outcomes @ own)[:, None], games))
+        names = ("observations", "advantages", "game")
+        return {
+            name: np.concatenate(part)
+            for name, part in zip(names, zip(*rows, strict=True), strict=True)
+        }
+
+    def exploited(self, networks):
+        """Half of what both players could gain on the average strategy, and its value."""
+        x, y = (
+            sum(
+                weight * self.chances(network, 0.0, 0, player)
+                for network, weight in zip(networks.networks, networks.weights, strict=True)
+            )
+            for player in (0, 1)
+        )
+        return 0.5 * (max(PAYOFFS @ y) - min(x @ PAYOFFS)), x @ PAYOFFS @ y
 
 
 def learned(samplers, settings, folder) -> NetworkSet:
@@ -40,44 +86,16 @@ def learned(samplers, settings, folder) -> NetworkSet:
         return learn_self_play(samplers, settings, job)
 
 
-def first(networks: NetworkSet, count: int) -> NetworkSet:
-    return NetworkSet(
-        "first", networks.networks[:count], networks.weights[:count], networks.decision
-    )
-
-
-@pytest.fixture(scope="module")
-def poker(tmp_path_factory):
-    sampler = TreeSampler(kuhn_poker())
-    settings = load_self_play_settings(
-        iterations=24, starts=192, epochs=10, patience=10, weights="uniform", **TABLE
-    )
-    return sampler, learned([sampler], settings, tmp_path_factory.mktemp("poker") / "run")
-
-
-def test_in_kuhn_poker_the_average_strategy_becomes_unexploitable(poker):
-    sampler, networks = poker
-    uniform = exploitability(sampler.tree, uniform_profile(sampler.tree)).exploitability
-    lost = [
-        exploitability(sampler.tree, sampler.average(first(networks, n))).exploitability
-        for n in (2, 24)
-    ]
-    assert lost[0] < uniform
-    assert lost[1] < 0.3 * lost[0]
-    assert lost[1] < 0.06
-    found = exploitability(sampler.tree, sampler.average(networks))
-    assert found.value == pytest.approx(-1.0 / 18.0, abs=0.03)
-
-
-def test_the_last_iteration_alone_is_no_equilibrium(tmp_path):
-    """In matching pennies the iterations go round in circles; only their average is even."""
-    sampler = TreeSampler(PENNIES)
+def test_the_average_strategy_becomes_unexploitable_and_the_last_iteration_alone_does_not(tmp_path):
+    """The iterations go round in circles; their average comes to the equilibrium of value 1/5."""
+    sampler = MatrixSampler()
     settings = load_self_play_settings(iterations=24, starts=64, epochs=10, patience=10, **TABLE)
     networks = learned([sampler], settings, tmp_path / "pennies")
     alone = [NetworkSet("one", (network,), np.ones(1), "argmax") for network in networks.networks]
-    lost = [exploitability(PENNIES, sampler.average(one)).exploitability for one in alone]
-    assert np.mean(lost) > 0.5
-    assert exploitability(PENNIES, sampler.average(networks)).exploitability < 0.35
+    assert np.mean([sampler.exploited(one)[0] for one in alone]) > 0.5
+    exploited, value = sampler.exploited(networks)
+    assert exploited < 0.25
+    assert value == pytest.approx(0.2, abs=0.15)
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +161,7 @@ def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before
 ):
     asked, fitted = [], []
 
-    class Counting(TreeSampler):
+    class Counting(MatrixSampler):
         def traverse(self, network, exploration, step, keys):
             asked.append((network and network.name, exploration, step, tuple(keys.tolist())))
             return super().traverse(network, exploration, step, keys)
@@ -164,8 +182,8 @@ def test_each_iteration_adds_its_rows_and_plays_by_the_network_of_the_one_before
         weights=weights,
         **{**TABLE, "exploration": 0.3},
     )
-    networks = learned([Counting(kuhn_poker())] * 2, settings, tmp_path / "run")
-    steps = kuhn_poker().depth
+    networks = learned([Counting(3)] * 2, settings, tmp_path / "run")
+    steps = 3
     assert [one[:3] for one in asked] == [
         (f"iteration-{k}" if k else None, 0.3, step)
         for k in range(3)
