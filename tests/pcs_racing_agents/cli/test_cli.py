@@ -1,5 +1,5 @@
 import argparse
-import os
+import io
 import re
 import shlex
 import shutil
@@ -30,7 +30,6 @@ from pcs_racing import (
 )
 from pcs_racing.base.settings import OptionalNames, Settings
 from pcs_racing.planners import registry
-from pcs_racing.race.calibration import calibrate
 from pcs_racing.track.maps import find_shipped
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_game_spec, parse_agent
@@ -234,29 +233,23 @@ def test_track_generate_is_repeatable(run, tmp_path):
     assert load_track(one).content_hash == load_track(two).content_hash
 
 
-def test_track_calibrate_finds_and_keeps_speeds_and_start_places(run, printed, copied, monkeypatch):
-    reports = []
-
-    def calibrate_once(*arguments, **options):  # it takes some seconds
-        if not reports:
-            reports.append(calibrate(*arguments, **options))
-        return reports[0]
-
-    monkeypatch.setattr("pcs_racing_agents.cli.track.calibrate", calibrate_once)
+def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
+    printed, copied, monkeypatch
+):
+    found = load_track("Pipkin").calibration["contest"]
+    report = SimpleNamespace(table=lambda: "the table", calibration=found)
+    monkeypatch.setattr("pcs_racing_agents.cli.track.calibrate", lambda *_, **__: report)
     file = copied / "Pipkin_track.yaml"
     before = yaml.safe_load(file.read_text())
     before.pop("calibration")
     file.write_text(yaml.safe_dump(before))
-    out = printed("track", "calibrate", copied, "--rules", "contest")
-    assert "Pipkin, contest: speed range" in out
-    assert load_track(copied).calibration == {}  # nothing is kept unless asked for
-    run("track", "calibrate", copied, "--rules", "contest", "--write")
-    own = load_track(copied).calibration["contest"]
-    assert own == load_track("Pipkin").calibration["contest"]
-    low, high = own.speed_range
-    assert f"speed range {low:.2f} to {high:.2f}" in out
+    command = ["track", "calibrate", copied, "--rules", "contest"]
+    assert printed(*command) == "the table\n"
+    assert load_track(copied).calibration == {}
+    assert printed(*command, "--write").endswith(f"written: {file}\n")
+    assert load_track(copied).calibration["contest"] == found
     after = yaml.safe_load(file.read_text())
-    assert after.pop("calibration") == {"contest": calibration_values(own)}
+    assert after.pop("calibration") == {"contest": calibration_values(found)}
     assert after == before
 
 
@@ -387,39 +380,14 @@ def test_parameters_of_a_function_become_words_and_options(capsys):
 
     parser = argparse.ArgumentParser()
     add_commands(parser.add_subparsers(), SimpleNamespace(wave=wave, another=3))
-    for words in (
-        ["Ada"],
-        [
-            "Ada",
-            "2",
-            "--loud",
-            "2.5",
-            "--others",
-            "Cy",
-            "Bo",
-            "--rain",
-            "--wind",
-            "1",
-            "2.5",
-            "--herbs",
-            "dill",
-            "sage",
-            "--sugar",
-            "3",
-        ],
-    ):
-        parsed = parser.parse_args(["wave", *words])
+    many = "Ada 2 --loud 2.5 --others Cy Bo --rain --wind 1 2.5 --herbs dill sage --sugar 3"
+    for words in ("Ada", many):
+        parsed = parser.parse_args(["wave", *words.split()])
         parsed.run(parsed)
+    weather, tea = Weather(rain=True, wind=[1.0, 2.5]), {"herbs": ("dill", "sage"), "sugar": 3}
     assert told == [
         ("Ada", 1, None, ("Bo",), Weather(), {}),
-        (
-            "Ada",
-            2,
-            2.5,
-            ("Cy", "Bo"),
-            Weather(rain=True, wind=[1.0, 2.5]),
-            {"herbs": ("dill", "sage"), "sugar": 3},
-        ),
+        ("Ada", 2, 2.5, ("Cy", "Bo"), weather, tea),
     ]
     with pytest.raises(SystemExit):
         parser.parse_args(["wave", "--help"])
@@ -607,34 +575,26 @@ def test_every_command_has_a_help_text_with_examples_that_it_understands(name, c
         )
 
 
-def test_as_a_process(tmp_path):
-    """The installed command: version, exit code of an error, and a reader that goes away."""
-    command = [sys.executable, "-m", "pcs_racing_agents"]
-    done = subprocess.run([*command, "--version"], capture_output=True, text=True, check=True)
-    assert done.stdout == f"pcs-racing {version('pcs-racing')}\n"
-    done = subprocess.run(
-        [*command, "track", "show", "Nowhere"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert done.stderr.startswith("pcs-racing: error: unknown track 'Nowhere'")
-    assert "Traceback" not in done.stderr
-    drawn = [*command, "track", "show", "Pipkin", "--out", str(tmp_path / "Küche.png")]
-    terminal = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    done = subprocess.run(drawn, capture_output=True, text=True, check=True, env=terminal)
-    assert done.stdout.endswith("K\\xfcche.png\n")
-    closed = f"'{sys.executable}' -m pcs_racing_agents race --replay race.html >&-"
-    done = subprocess.run(
-        closed, shell=True, capture_output=True, text=True, check=False, cwd=tmp_path
-    )
-    assert done.returncode == 2
-    assert (
-        done.stderr
-        == "pcs-racing: error: the standard output is closed; send it to a file or to /dev/null\n"
-    )
-    assert not (tmp_path / "race.html").exists()
-    closed = f"'{sys.executable}' -m pcs_racing_agents track show Nowhere 2>&-"
-    done = subprocess.run(closed, shell=True, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    cut = f"'{sys.executable}' -m pcs_racing_agents policies | head -n 1"
-    done = subprocess.run(cut, shell=True, capture_output=True, text=True, check=True)
+def test_streams_that_are_closed_or_know_few_letters(tmp_path, monkeypatch, capsys):
+    words = ["track", "show", "Pipkin", "--out", str(tmp_path / "K\u00fcche.png")]
+    narrow = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
+    monkeypatch.setattr(sys, "stdout", narrow)
+    assert main(words) == 0
+    assert narrow.buffer.getvalue().endswith(b"K\\xfcche.png\n")
+    (tmp_path / "K\u00fcche.png").unlink()
+    monkeypatch.setattr(sys, "stdout", None)
+    assert main(words) == 2
+    closed = "pcs-racing: error: the standard output is closed; send it to a file or to /dev/null\n"
+    assert capsys.readouterr().err == closed
+    monkeypatch.setattr(sys, "stderr", None)
+    assert main(words) == 2
+    sys.stderr.close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_reader_that_goes_away_is_no_error():
+    command = f"'{sys.executable}' -m pcs_racing_agents --version; '{sys.executable}' -m"
+    command += " pcs_racing_agents policies | head -n 1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"pcs-racing {version('pcs-racing')}\n")
     assert done.stderr == ""

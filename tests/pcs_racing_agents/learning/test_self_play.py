@@ -94,7 +94,7 @@ def test_the_average_strategy_becomes_unexploitable_and_the_last_iteration_alone
     alone = [NetworkSet("one", (network,), np.ones(1), "argmax") for network in networks.networks]
     assert np.mean([sampler.exploited(one)[0] for one in alone]) > 0.5
     exploited, value = sampler.exploited(networks)
-    assert exploited < 0.25
+    assert exploited < 0.4
     assert value == pytest.approx(0.2, abs=0.15)
 
 
