@@ -1,7 +1,5 @@
 """``pcs-racing benchmark``: score cards, their leaderboard, and an overtaking protocol."""
 
-import csv
-import io
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -231,6 +229,7 @@ def run_overtaking(
     from pcs_racing.track.loading import load_track
     from pcs_racing.track.maps import list_tracks
     from pcs_racing_agents.agents.own_code import parse_driver
+    from pcs_racing_agents.base.tables import write_csv
     from pcs_racing_agents.benchmark.overtaking import (
         detail,
         joined,
@@ -241,22 +240,19 @@ def run_overtaking(
     )
 
     target = output_file(out, ".csv") if out else None
+    egos = [parse_driver(text) for text in policies]
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
     found = {
         policy.name: joined([race_scenarios(one, policy, seed=seed) for one in given])
-        for policy in map(parse_driver, policies)
+        for policy in egos
     }
     count = len(next(iter(found.values())).start)
     print("\n".join([f"{count} scenarios", "", *summary(found), "", *detail(found)]))
     if target is not None:
-        text = io.StringIO()
-        writer = csv.writer(text)
         names = ("circuit", "start", "line", "factor", "fault", "overtakes")
-        writer.writerow(("driver", *names))
-        for driver, one in found.items():
-            writer.writerows(
-                (driver, *row) for row in zip(*(getattr(one, name) for name in names), strict=True)
-            )
-        write_atomically(target, lambda file: file.write(text.getvalue().encode()))
-        print(f"scenarios: {target}")
+        rows: list[tuple[object, ...]] = [("planner", *names)]
+        for name, one in found.items():
+            columns = (getattr(one, column) for column in names)
+            rows += [(name, *row) for row in zip(*columns, strict=True)]
+        print(f"scenarios: {write_csv(rows, target)}")

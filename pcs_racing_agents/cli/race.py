@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -79,24 +78,7 @@ def run(
     if config.heats > 1 and len(others) == 1:
         print(_series(circuit, driver, others[0], config, rules.seed, index))
     if target is None:
-        # Every option not left to the preset: a later version may have other defaults.
-        options = {
-            "track": track,
-            "ego": ego,
-            "opponent": tuple(opponent),
-            **asdict(rules),
-            "index": index,
-        }
-        stated = {
-            name: value if isinstance(value, tuple) else (value,) for name, value in options.items()
-        }
-        words = [
-            text
-            for name, value in stated.items()
-            if value != (None,)
-            for text in (f"--{name}", *map(str, value))
-        ]
-        print(f"to watch it: {shlex.join(['pcs-racing', 'race', *words])} --replay race.html")
+        print("to watch it: run the same command with --replay race.html")
     else:
         print(f"replay: {save_replay(recorded, target)}")
     if film is not None:
