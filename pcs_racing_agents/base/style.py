@@ -2,7 +2,7 @@
 
 import io
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
@@ -91,75 +91,6 @@ def tidy(axes: Any, grid: str = "both") -> None:
 def short(name: str, longest: int = 26) -> str:
     """Return a name, cut to ``longest`` characters."""
     return name if len(name) <= longest else f"{name[: longest - 1]}…"
-
-
-def place_labels(
-    axes: Any,
-    points: Sequence[Any],
-    texts: Sequence[str],
-    colours: Sequence[str],
-    avoid: Sequence[Any] = (),
-) -> None:
-    """Write a name next to each point, if possible without covering points or other names.
-
-    Limits and size of the axes must be final. Points to ``avoid`` have no names, but are not to be
-    covered either.
-    """
-    if not len(points):
-        return
-    figure = axes.figure
-    figure.draw_without_rendering()  # lays the figure out
-    scale = 72.0 / figure.dpi
-    anchors = scale * axes.transData.transform([*points, *avoid])
-    frame = scale * axes.get_window_extent().get_points()
-    taken = [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in anchors]
-    for (x, y), text, colour in zip(anchors[: len(points)], texts, colours, strict=True):
-        width, height = 5.4 * len(text), 10.0
-        best = None
-        # Near places first; a farther place, which takes an arrow, is chosen only if it covers
-        # less.
-        for away in (7.0, 14.0, 22.0, 32.0, 44.0):
-            for side, up in ((1, 1), (1, -1), (-1, 1), (-1, -1), (0, 1), (0, -1), (1, 0), (-1, 0)):
-                left = x + side * away - (width if side < 0 else 0.5 * width if side == 0 else 0.0)
-                low = y + up * away - 0.5 * height
-                box = (left, low, left + width, low + height)
-                inside = (
-                    box[0] >= frame[0, 0]
-                    and box[2] <= frame[1, 0]
-                    and frame[0, 1] <= low <= frame[1, 1] - height
-                )
-                hits = sum(_overlap(box, other) for other in taken) + (0 if inside else 1000)
-                if best is None or hits < best[0]:
-                    best = (hits, away, left, low + 0.5 * height, box)
-            if best is not None and best[0] == 0:
-                break
-        assert best is not None
-        _, away, left, middle, box = best
-        taken.append(box)
-        arrow = {
-            "arrowstyle": "-",
-            "color": colour,
-            "lw": 0.6,
-            "alpha": 0.6,
-            "shrinkA": 0.0,
-            "shrinkB": 4.0,
-        }
-        axes.annotate(
-            text,
-            (x, y),
-            xycoords="figure points",
-            xytext=(left, middle),
-            textcoords="figure points",
-            va="center",
-            ha="left",
-            fontsize=8.5,
-            color=colour,
-            arrowprops=arrow if away > 10.0 else None,
-        )
-
-
-def _overlap(box: tuple[float, ...], other: tuple[float, ...]) -> bool:
-    return box[0] < other[2] and other[0] < box[2] and box[1] < other[3] and other[1] < box[3]
 
 
 @picture

@@ -11,11 +11,9 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.base.style import (
     COLOURS,
-    INK,
     SOFT,
     new_figure,
     picture,
-    place_labels,
     short,
     tidy,
 )
@@ -123,9 +121,9 @@ def archive_picture(
     point = points[start, [right, up]]
     axes.plot(*point, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
     leads_to = move_table(archive, epsilon)[start]
-    ineffective, ends, labels = [], [], []
+    ineffective: list[str] = []
     # Moves to the same policy share an arrow.
-    for target in dict.fromkeys(leads_to.tolist()):
+    for i, target in enumerate(dict.fromkeys(leads_to.tolist())):
         names = [
             name
             for name, end in zip(move_names(archive, epsilon), leads_to, strict=True)
@@ -134,9 +132,10 @@ def archive_picture(
         if target == start:
             ineffective = names
             continue
-        ends.append(points[target, [right, up]])
-        labels.append(", ".join(names))
-        draw_arrow(axes, point, ends[-1], COLOURS[1])
+        colour = COLOURS[1:][i % len(COLOURS[1:])]
+        draw_arrow(axes, point, points[target, [right, up]], colour)
+        axes.plot([], [], color=colour, lw=1.6, label=", ".join(names))
+    axes.legend(loc="lower left")
     title = f"{len(archive)} policies"
     if len(archive.explored_coordinates):
         title += f", grey: {len(archive.explored_coordinates)} explored"
@@ -147,7 +146,4 @@ def archive_picture(
     axes.text(
         1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5
     )
-    # Labels avoid both the arrows and the policies.
-    shafts = [point + share * (end - point) for end in ends for share in (0.25, 0.5, 0.75)]
-    place_labels(axes, ends, labels, [INK] * len(ends), avoid=[*points[:, [right, up]], *shafts])
     return figure

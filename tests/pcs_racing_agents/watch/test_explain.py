@@ -384,11 +384,18 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     assert (axes.get_title("left"), axes.get_xlabel()) == (title, "restraint, s")
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     dots = axes.collections[0]
-    drawn = [dots.get_offsets(), dots.get_array(), *(line.get_xydata() for line in axes.lines)]
+    drawn = [dots.get_offsets(), dots.get_array(), *(line.get_xydata() for line in axes.lines[:2])]
     for found, expected in zip(
         drawn, [points, 100.0 * crashes, explored, points[3:4]], strict=True
     ):
         np.testing.assert_array_equal(found, expected)
+    named = [text.get_text() for text in axes.get_legend().get_texts()]
+    moved = {
+        name
+        for name, end in zip(move_names(archive, 0.5), leads_to, strict=True)
+        if end != 3
+    }
+    assert set(", ".join(named).split(", ")) == moved
     arrows = {
         (*text.xy, *text.xyann)
         for text in axes.texts
