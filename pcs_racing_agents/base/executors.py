@@ -113,8 +113,9 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     makes it again if the worker that had it is gone.
     """
     client = _dask_client(executor)
+    submit: Callable[..., Any] = executor.submit
     if client is None and not isinstance(executor, ProcessPoolExecutor):
-        yield partial(executor.submit, call_task, function)
+        yield partial(submit, call_task, function)
         return
     packed = dumps(function)
     if client is not None:
@@ -123,14 +124,14 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
         # large, but only once
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):
             sent = client.submit(loads, packed, pure=False)
-        yield partial(executor.submit, _call, sent)
+        yield partial(submit, _call, sent)
         return
     # A file instead of an argument: a ProcessPoolExecutor pickles its arguments again for every
     # task.
     with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
         file = Path(folder) / "function"
         file.write_bytes(packed)
-        yield partial(executor.submit, _call_packed, str(file))
+        yield partial(submit, _call_packed, str(file))
 
 
 def call_task(function: Callable[..., Any], argument: Any) -> Any:
@@ -229,43 +230,35 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
 
 
 def worker_identity() -> dict[str, str]:
-    """Return library versions ("" if missing) and the processor: equal values give equal bytes."""
+    """Return the versions of installed libraries and the processor: equal values, equal bytes."""
     from llvmlite import binding
 
-    def installed(name: str) -> str:
-        try:
-            return version(name)
-        except PackageNotFoundError:
-            return ""
-
-    return {
+    found = {
         "pcs-racing": package_version(),
         "Python": ".".join(platform.python_version_tuple()[:2]),
-        **{
-            name: installed(name)
-            for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3")
-        },
         "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
     }
+    for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3"):
+        # A task that needs a missing library fails with its own error.
+        with suppress(PackageNotFoundError):
+            found[name] = version(name)
+    return found
 
 
 def _check_workers(identities: dict[str, dict[str, str]]) -> None:
     """Refuse workers with other versions than this process; warn of another processor."""
     own = worker_identity()
     for address, other in identities.items():
-        for key, value in other.items():
-            # A task that needs a missing library fails with its own error.
-            if value == own[key] or "" in (value, own[key]):
-                continue
+        for key in (key for key, value in other.items() if own.get(key, value) != value):
             if key != "processor":
                 raise InputError(
-                    f"the worker at {address} has {key} {value}, not {own[key]}; install the same"
-                    " there"
+                    f"the worker at {address} has {key} {other[key]}, not {own[key]}; install the"
+                    " same there"
                 )
             _log.warning(
                 "the worker at %s has a processor of another kind (%s, here %s): what is trained or"
                 " searched there may differ in the last bit from what one machine makes",
                 address,
-                value,
+                other[key],
                 own[key],
             )

@@ -133,7 +133,7 @@ def run(
     }.get(method, responses.load_response_settings)
     settings = load(config or DEFAULTS[method], seed=games.rules.seed)
     name = name or method
-    identity = {
+    identity: dict[str, Any] = {
         "archive": spec.archive.content_hash,
         "rules": repr(made[0].config),
         "tracks": [game.track.content_hash for game in made],
@@ -148,7 +148,9 @@ def run(
         run: Any = {"executor": executor, "progress": show_progress("tasks")}
         learned: NetworkSet | RegretNetwork
         if method == "best-reply":
-            reply = responses.best_reply(made, *opponents, spec, settings, job, races=races, **run)
+            reply = responses.best_reply(
+                made, opponents[0], spec, settings, job, races=races, **run
+            )
             print(responses.reply_text(pool[0], reply, settings))
             print(f"written: {responses.write_reply(pool[0], reply, out)}")
             learned = reply.network

@@ -144,6 +144,16 @@ def _without_policies(
 REPLY_NOTE = """loss: half of the reply's wins minus the agent's wins, as a share of the races; 0.1 means
 that the reply won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a
 better reply. The interval is robust to clusters of start policies and start lines."""
+REPLY_HEAD = (
+    "agent",
+    "circuit",
+    "loss",
+    "95 % interval",
+    "races",
+    "reply won",
+    "agent won",
+    "own crashes",
+)
 COLUMNS = (
     "agent",
     "track",
@@ -161,18 +171,7 @@ COLUMNS = (
 
 def reply_text(agent: str, reply: BestReply, settings: ResponseSettings) -> str:
     """Return the table of an agent's loss, with the learner's budget."""
-    rows = [
-        (
-            "agent",
-            "circuit",
-            "loss",
-            "95 % interval",
-            "races",
-            "reply won",
-            "agent won",
-            "own crashes",
-        )
-    ]
+    rows: list[tuple[str, ...]] = [REPLY_HEAD]
     for track, loss, shares in _lines(reply):
         numbers = (f"{loss.mean:+.3f}", interval_text(loss.low, loss.high), str(loss.units))
         wins = (f"{share:.3f}" for share in shares[:2])
