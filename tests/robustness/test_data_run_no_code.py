@@ -260,7 +260,7 @@ KINDS = {
     "job of a tournament": Kind(
         lambda folder: tournament(folder) / "job.yaml",
         lambda file: raced(file.parent),
-        "is_unchanged _check_same",
+        "_check_same",
     ),
     "results of a study": Kind(
         lambda folder: study_folder(folder) / "results.csv", lambda file: raced(file.parent)
