@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 from repository import REPOSITORY
+from same_arrays import assert_same
 from warm_start import kill, start_python
 
 from pcs_racing import InputError, load_race_config, load_track
@@ -32,13 +33,8 @@ def square(task: float) -> dict[str, object]:
 
 
 def same(results, others):
-    assert len(results) == len(others)
     for result, other in zip(results, others, strict=True):
-        assert result.keys() == other.keys()
-        for key in result:
-            assert result[key].dtype == other[key].dtype
-            assert result[key].shape == other[key].shape
-            assert result[key].tobytes() == other[key].tobytes()
+        assert_same(result, other)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

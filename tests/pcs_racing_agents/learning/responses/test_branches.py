@@ -189,13 +189,7 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(
     assert [int(one.sum()) for one in games_of] == [7, 3]
     assert set(last.step[games_of[0]].tolist()) == {0}
     fit = settings.fit_settings(9)
-    assert (fit.seed, fit.epochs, fit.patience, fit.hidden, fit.batch_size) == (
-        9,
-        7,
-        4,
-        (64, 64),
-        512,
-    )
+    assert (fit.seed, fit.epochs, fit.patience, fit.batch_size) == (9, 7, 4, 512)
     assert (fit.learning_rate, fit.weight_decay, fit.rows_per_epoch) == (0.003, 0.001, 50_000)
 
 
