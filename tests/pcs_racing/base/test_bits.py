@@ -3,7 +3,7 @@
 Numba's code: it is looked through for what the rounding could depend on, which are operations that
 the compiler may fuse or put into another order, and functions of the C library. The rest: a second
 process is told to do without new instructions, so numpy, the C library and BLAS take the code that
-they keep for the oldest processors. `dev/benchmarks/bits.py` and `dev/tools/try_machines.py` also
+they keep for the oldest processors. `dev/benchmarks/bits.py` and `nox -s machines` also
 compile everything for any x86-64 processor, which takes minutes.
 """
 

@@ -1,7 +1,7 @@
 """What a race counts and whom it blames, against a second account of it in a few lines of numpy.
 
-All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``make mutants`` runs
-it that way.
+All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``nox -s coverage``
+runs it that way.
 """
 
 import numpy as np
