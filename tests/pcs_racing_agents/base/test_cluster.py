@@ -29,7 +29,10 @@ from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main
 
 Client = pytest.importorskip("dask.distributed").Client
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL")
+pytestmark = [
+    pytest.mark.cluster,
+    pytest.mark.skipif(sys.platform == "win32", reason="there is no SIGKILL"),
+]
 
 HERE = Path(__file__).resolve().parent
 PATIENCE = 120.0  # s, for a busy machine; nothing waits so long on another

@@ -19,9 +19,12 @@ from warm_start import call_python
 from pcs_racing_agents.base.folders import hold_folder
 from pcs_racing_agents.cli.main import main
 
-pytestmark = pytest.mark.skipif(
-    sys.platform != "linux", reason="needs SIGKILL, flock and a limit on the size of files"
-)
+pytestmark = [
+    pytest.mark.cluster,
+    pytest.mark.skipif(
+        sys.platform != "linux", reason="needs SIGKILL, flock and a limit on the size of files"
+    ),
+]
 
 TORCH = pytest.mark.skipif(find_spec("torch") is None, reason="torch is not installed")
 LONG = [
