@@ -57,7 +57,7 @@ def wheel(session: nox.Session) -> None:
 @nox.session
 @nox.parametrize("name", sorted(path.stem for path in ROOT.glob("examples/clients/*.py")))
 def clients(session: nox.Session, name: str) -> None:
-    """Run the example of a library with the versions that it names; `-s "clients(name='rllib_ppo')"`."""
+    """Run the example of a library with the versions that it names."""
     script = f"examples/clients/{name}.py"
     # Newer versions of torch would bring gigabytes of CUDA.
     limits = Path(session.create_tmp(), "limits.txt").resolve()
@@ -158,16 +158,16 @@ def mutants(session: nox.Session) -> None:
     out = ROOT / "out" / "mutants" / Path(changed).with_suffix("")
     done = str(out / "faults.sqlite")
     out.mkdir(parents=True, exist_ok=True)
-    if not (out / "tree").exists():
-        shutil.copytree(ROOT, out / "tree", ignore=NOT_COPIED)
+    # Also after a run that was stopped, which may have left a fault behind.
+    shutil.copytree(ROOT, out / "tree", ignore=NOT_COPIED, dirs_exist_ok=True)
+    session.chdir(out / "tree")
+    if not Path(done).exists():
         text = (ROOT / "dev" / "mutation.toml").read_text()
         command = f"{sys.executable} -m pytest -x -q -p no:cacheprovider {' '.join(tests)}"
         text = text.replace("CHANGED", changed).replace("COMMAND", command)
         (out / "mutation.toml").write_text(text)
-        session.chdir(out / "tree")
         session.run("cosmic-ray", "init", "../mutation.toml", done)
         session.run("cr-filter-operators", done, "../mutation.toml")
-    session.chdir(out / "tree")
     # Nothing is optimised: a compiled fault runs for seconds.
     env = {"PYTHONPATH": str(out / "tree"), "PYTHONHASHSEED": "0", "NUMBA_OPT": "1"}
     session.run("cosmic-ray", "exec", "../mutation.toml", done, env=env)

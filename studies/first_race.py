@@ -1,7 +1,7 @@
 """Which seed gives a first race worth watching: driven to its end, with overtakes, and close.
 
-    python studies/first_race.py                                  # the drivers that `pcs-racing race` has by itself
-    python studies/first_race.py --ego lattice --opponent lane-switcher:3 --track Brackwater --seeds 40
+    python studies/first_race.py  # the policies that `pcs-racing race` has by itself
+    python studies/first_race.py --ego lattice --opponent lane-switcher:3 --seeds 40
 
 A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. Seed
 0, the default of all commands, must be one of these for `EGO` and `OPPONENT` in

@@ -1,1 +1,1 @@
-"""The long report of headroom: within a slot of the grid, over lead plans, cycles and equilibria."""
+"""The long report of headroom: within a slot of the grid, lead plans, cycles and equilibria."""

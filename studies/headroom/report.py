@@ -40,13 +40,13 @@ HEAD = (
     "equilibrium",
 )
 LEAD_HEAD = ("track", "lead plan", "error", "then H", "error", "ahead", "behind")
-NOTE = """; in slot: H for a driver that knows its place on the grid, over the best fixed policy of each
-place; slot: what choosing by the place alone is worth; cycles: planes of rock, paper and scissors stronger than noise;
-strength, noise: singular value of the first plane, and what noise alone reaches in 95 of 100 draws; equilibrium:
-policies with more than 1 % of the probability"""
-LEAD_NOTE = """lead plan: what the best plan "this policy while ahead, that one while behind" wins over the best fixed
-policy; then H: what knowing the opponent is worth to a driver with such plans, over the best of them; errors: over
-opponents"""
+NOTE = """; in slot: H for a driver that knows its place on the grid, over the best fixed policy of
+each place; slot: gain of choosing by the place alone; cycles: planes of rock, paper and scissors
+stronger than noise; strength, noise: singular value of the first plane, and the value that noise
+alone reaches in 95 of 100 draws; equilibrium: policies with more than 1 % of the probability"""
+LEAD_NOTE = """lead plan: gain of the best plan "this policy ahead, that one behind" over
+the best fixed policy; then H: gain of knowing the opponent for a driver with such plans, over the
+best of them; errors: over opponents"""
 
 
 class TrackGame(NamedTuple):

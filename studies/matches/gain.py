@@ -47,9 +47,10 @@ HEAD = (
     "high",
 )
 NOTE = """learned: whether behaviours and scores were learned on this circuit, in other races;
-fixed: races won per race by the best fixed policy of the training races; gain: what remembering adds to it per race,
-over the whole match and by race; low, high: 95 % interval, clustered by opponent; nearest: gain of the reply to the
-nearest behaviour; known: gain if the opponent is known before the first race"""
+fixed: races won per race by the best fixed policy of the training races; gain: races that
+remembering adds to it per race, over the whole match and by race; low, high: 95 % interval,
+clustered by opponent; nearest: gain of the reply to the nearest behaviour; known: gain if the
+opponent is known before the first race"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +137,7 @@ def match_gains(test: MatchTest, **run: Unpack[Run]) -> list[TrackGain]:
 
 
 def _play_opponent(task: tuple[MatchTest, int, int], threads: int | None = None) -> Arrays:
-    """Play the matches of all players against one opponent on one circuit: scores, shape (A, M, R)."""
+    """Play all players' matches against one opponent on one circuit: scores, shape (A, M, R)."""
     test, number, opponent = task
     spec, table, count = test.spec, test.table, test.matches
     game = RaceGame(as_track(test.tracks[number]), spec.archive, spec.config, threads=threads)

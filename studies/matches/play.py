@@ -34,7 +34,7 @@ class FixedChoice(NamedTuple):
 
 
 class KnownOpponentChoice(NamedTuple):
-    """A chooser that is told the opponent of each match of a batch, and takes the best reply to it."""
+    """A chooser that knows the opponent of each match of a batch: takes the best reply to it."""
 
     replies: NDArray[np.int64]  #: shape (B,): Best reply to the opponent of each match.
 

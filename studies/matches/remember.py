@@ -10,13 +10,12 @@ learned from the races of the match but this.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_choice
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.observation import AFTER_AXES, decode_match
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import walk_to
@@ -85,7 +84,7 @@ def remember(
     *,
     name: str = "remember",
     seed: int = 0,
-    table: Any = None,
+    table: str | Path | Behaviours,
     reply: str = "likely",
 ) -> MatchAgent:
     """Choose, before each race of a match, the best reply to the opponents that behave like the one
@@ -97,20 +96,12 @@ def remember(
         Not used.
     table : Behaviours or path
         What each policy of the archive sees of a pool of opponents and wins against them; `python
-        -m studies match` writes it. By default the one that is shipped for the archive and the
-        rules.
+        -m studies match --out DIR` writes it to ``DIR/behaviours``.
     reply : str
         "likely": the best policy against all opponents of the pool, each by the likelihood of what
         was seen; "nearest": the best policy against the one whose behaviour is nearest.
     """
     check_choice("reply", reply, REPLIES)
-    if table is None:
-        table = Path(__file__).parent / f"{spec.archive.name}-{spec.race}-behaviours"
-    if isinstance(table, Path) and not table.is_dir():
-        raise UnknownNameError(
-            f"agent {name!r} needs a table of behaviours, and there is none at {table.name!r}; "
-            "'python -m studies match --out DIR' measures one: give it as table=DIR/behaviours"
-        )
     known = load_behaviours(table)
     known.check_fits(spec, f"the table of behaviours of agent {name!r}")
     strategy = walk_to(spec, known.best_fixed)

@@ -3,25 +3,15 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_race_config, parse_policy
-from pcs_racing_agents.base.executors import make_executor
-from pcs_racing_agents.base.jobs import open_job
+from pcs_racing import load_race_config, parse_policy
 from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
 from studies.headroom.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans
 
 POLICIES = tuple(parse_policy(f"lattice:pace={pace}") for pace in (0.1, 0.5, 1.0))
 
 
-def pool(**changes) -> PolicyPool:
-    given = {
-        "policies": POLICIES,
-        "tracks": ("Tarnfjord",),
-        "config": load_race_config("contest", duration=6.0, steering_noise=0.0),
-        "races": 8,
-        "folds": 4,
-        "seed": 3,
-    }
-    return PolicyPool(**given | changes)
+QUIET = load_race_config("contest", duration=6.0, steering_noise=0.0)
+POOL = PolicyPool(POLICIES, tracks=("Tarnfjord",), config=QUIET, races=8, folds=4, seed=3)
 
 
 def known(values: np.ndarray, races: int, seed: int = 0) -> np.ndarray:
@@ -36,31 +26,19 @@ def test_plans_are_all_fixed_policies_and_the_pairs_of_the_members():
 
 @pytest.fixture(scope="module")
 def payoffs():
-    return lead_plan_payoffs(pool(), make_lead_plans(3, [0, 2]), step_seconds=2.0)
+    return lead_plan_payoffs(POOL, make_lead_plans(3, [0, 2]), step_seconds=2.0)
 
 
 def test_a_plan_of_one_policy_is_this_policy(payoffs):
     """Without noise a policy drives the same race in steps as in one piece."""
     assert payoffs.shape == (1, 4, 5, 3)
-    np.testing.assert_array_equal(payoffs[:, :, :3], pool_payoffs(pool()))
+    np.testing.assert_array_equal(payoffs[:, :, :3], pool_payoffs(POOL))
 
 
 def test_who_is_slow_ahead_and_fast_behind_gets_the_lead_back(payoffs):
     """Against the slow policy; the plan that is slow behind never passes."""
     mean = payoffs.mean(axis=(0, 1))
     assert mean[3, 0] > mean[4, 0]
-
-
-def test_executors_and_stopped_runs_make_no_difference(payoffs, tmp_path, monkeypatch):
-    plans = make_lead_plans(3, [0, 2])
-    with make_executor("threads", 2) as executor, open_job(tmp_path, "plans", {}) as job:
-        again = lead_plan_payoffs(pool(), plans, step_seconds=2.0, job=job, executor=executor)
-    np.testing.assert_array_equal(again, payoffs)
-    monkeypatch.setattr("studies.headroom.lead_plans.advance", None)  # nothing is raced again
-    with open_job(tmp_path, "plans", {}) as job:
-        np.testing.assert_array_equal(
-            lead_plan_payoffs(pool(), plans, step_seconds=2.0, job=job), payoffs
-        )
 
 
 def test_the_value_of_a_plan_that_is_better_by_a_tenth():
@@ -76,28 +54,3 @@ def test_the_value_of_a_plan_that_is_better_by_a_tenth():
     assert result.value == pytest.approx(0.1, abs=0.02)
     assert result.best == plans[7]
     assert result.headroom < 0.01
-
-
-def test_what_is_left_for_those_who_know_the_opponent():
-    plans = make_lead_plans(2, [0, 1])
-    values = np.array([[0.2, 0.0], [0.0, 0.2], [-0.1, -0.1], [-0.1, -0.1]])
-    result = lead_plan_value(known(values, 400), plans)
-    assert result.value == 0.0  # no plan is better than the best fixed policy, which is one of them
-    assert result.headroom == pytest.approx(0.1, abs=0.02)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        lambda: lead_plan_payoffs(pool(), [(0, 3)]),
-        lambda: lead_plan_payoffs(
-            pool(policies=(*POLICIES, parse_policy("pure-pursuit"))), [(0, 0)]
-        ),
-        lambda: lead_plan_payoffs(pool(), [(0, 0)], step_seconds=0.0),
-        lambda: lead_plan_value(np.zeros((4, 2, 3)), [(0, 0)]),
-        lambda: lead_plan_value(np.zeros((4, 1, 3)), [(0, 1)]),
-    ],
-)
-def test_what_does_not_fit_is_refused(wrong):
-    with pytest.raises(InputError):
-        wrong()

@@ -50,9 +50,3 @@ def test_commands_are_those_of_the_experiments(page, line, monkeypatch):
 def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
     assert {line.split()[3] for _, line in COMMANDS} == {"headroom", "match", "reading"}
     assert not parsed(["headroom", "--trak", "Pipkin"], monkeypatch)
-
-
-def test_the_experiments_stay_small():
-    files = [file for file in (REPOSITORY / "studies").rglob("*.py") if "tests" not in file.parts]
-    assert len(files) > 10
-    assert sum(len(file.read_text(encoding="utf-8").splitlines()) for file in files) <= 3000

@@ -3,16 +3,9 @@
 import numpy as np
 import pytest
 
-from pcs_racing import InputError
 from studies.headroom.slots import slot_headroom
 
 RACES = 400
-
-
-def ladder(policies: int, step: float = 0.02) -> np.ndarray:
-    """Payoffs of policies that only differ in strength."""
-    strength = step * np.arange(policies)
-    return strength[:, None] - strength[None, :]
 
 
 def wheel(policies: int, size: float = 0.3) -> np.ndarray:
@@ -60,13 +53,3 @@ def test_headroom_within_slots_is_what_the_true_payoffs_say():
     assert np.mean([np.mean(e.slots) for e in estimates]) == pytest.approx(
         np.mean([e.value for e in estimates])
     )
-
-
-def test_to_know_the_slot_is_worth_nothing_where_one_policy_is_best_in_both():
-    estimates = [slot_headroom(in_slots(ladder(8, 0.03) + 0.1, seed)) for seed in range(10)]
-    assert abs(np.mean([estimate.slot_alone for estimate in estimates])) < 0.005
-
-
-def test_payoffs_without_slots_are_refused():
-    with pytest.raises(InputError):
-        slot_headroom(np.zeros((4, 3, 3)))
