@@ -10,6 +10,7 @@ import sys
 import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -389,11 +390,7 @@ def spoilt(file: Path) -> Iterator[bytes]:
     value = (json.loads if file.suffix == ".json" else yaml.safe_load)(file.read_text())
     for word in WORDS:
         for one in planted(value, word):
-            yield (
-                json.dumps(one).encode()
-                if file.suffix == ".json"
-                else yaml.safe_dump(one, sort_keys=False).encode()
-            )
+            yield json.dumps(one).encode()  # which is YAML, too
 
 
 @pytest.fixture
@@ -505,16 +502,19 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     }
 
 
-def calls() -> Iterator[tuple[str, str, str, ast.Call]]:
+@cache
+def calls() -> list[tuple[str, str, str, ast.Call]]:
     """Return file, function, called name and node of all calls in the functions of the packages."""
-    for package in ("pcs_racing", "pcs_racing_agents"):
-        for path in sorted((REPOSITORY / package).rglob("*.py")):
-            for function in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(function, ast.FunctionDef):
-                    for node in ast.walk(function):
-                        if isinstance(node, ast.Call):
-                            name = getattr(node.func, "attr", getattr(node.func, "id", ""))
-                            yield path.relative_to(REPOSITORY).as_posix(), function.name, name, node
+    return [
+        (path.relative_to(REPOSITORY).as_posix(), function.name, name, node)
+        for package in ("pcs_racing", "pcs_racing_agents")
+        for path in sorted((REPOSITORY / package).rglob("*.py"))
+        for function in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(function, ast.FunctionDef)
+        for node in ast.walk(function)
+        if isinstance(node, ast.Call)
+        for name in [getattr(node.func, "attr", getattr(node.func, "id", ""))]
+    ]
 
 
 COMMANDS = {
