@@ -16,7 +16,7 @@ ROOT = Path(__file__).parent
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", ".nox", "out", "build", "dist", ".*_cache")
 
 IN_WHEEL = """
-import gymnasium as gym, importlib.util, pcs_racing, pcs_racing_agents
+import gymnasium as gym, importlib.util, numpy as np, pcs_racing, pcs_racing_agents
 assert "site-packages" in pcs_racing.__file__ and "site-packages" in pcs_racing_agents.__file__
 extras = "torch", "stable_baselines3", "matplotlib", "cma", "moocore", "pandas", "skimage"
 assert not [name for name in extras if importlib.util.find_spec(name)]
@@ -24,7 +24,7 @@ agent = pcs_racing_agents.make("cfr-argmax")
 duel = gym.make("pcs_racing/Duel-v1", opponent="best-fixed", stay=True)
 seen, over = duel.reset(seed=1)[0], False
 while not over:
-    seen, reward, over, _, info = duel.step(int(agent.predict(seen)[0]))
+    seen, reward, over, _, info = duel.step(int(agent.act(np.stack([seen]))[0]))
 print("cfr-argmax against best-fixed:", duel.unwrapped.outcome()["result"], reward)
 """
 

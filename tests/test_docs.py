@@ -19,7 +19,7 @@ DOCS = REPOSITORY / "docs"
 OF_DOCS = [
     page for pattern in ("*.md", "reports/*.md", "notebooks/*.md") for page in DOCS.glob(pattern)
 ]
-PAGES = sorted([*OF_DOCS, *REPOSITORY.glob("*.md"), *REPOSITORY.glob("*/README.md")])
+PAGES = sorted([*OF_DOCS, *REPOSITORY.glob("*.md"), *REPOSITORY.glob("[!.]*/README.md")])
 TEXTS = {
     page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES
 }

@@ -23,10 +23,12 @@ def test_a_change_is_tested_in_its_rooms_and_by_the_pages_that_name_it():
     assert quick.select(["pcs_racing/race/replay.html"])[-1] == "tests/pcs_racing/race"
 
 
-def test_tests_that_wait_for_other_programs_run_where_their_rooms_changed():
-    assert quick.left_out([]) == "not browser and not cluster"
-    assert quick.left_out(["pcs_racing/race/replay.html"]) == "not cluster"
-    assert quick.left_out(["tests/pcs_racing_agents/base/test_cluster.py"]) == "not browser"
+def test_tests_that_start_many_programs_run_where_their_rooms_changed():
+    assert quick.left_out([]) == "not benchmarks and not browser and not cluster"
+    found = quick.left_out(["pcs_racing/race/replay.html", "dev/benchmarks/bits.py"])
+    assert found == "not cluster"
+    found = quick.left_out(["tests/pcs_racing_agents/base/test_cluster.py"])
+    assert found == "not benchmarks and not browser"
 
 
 def test_a_fault_that_no_test_noticed_is_found_and_compared_without_brackets():

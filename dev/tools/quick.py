@@ -18,10 +18,11 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 ALWAYS = ("tests/test_floors.py", "tests/test_budgets.py")
 PACKAGES = ("pcs_racing", "pcs_racing_agents")
 MARKS = {
+    "benchmarks": ("dev/benchmarks/", "test_benchmarks.py"),
     "browser": ("pcs_racing/race/", "pcs_racing_agents/watch/", "pcs_racing_agents/study/"),
     "cluster": ("pcs_racing_agents/base/",),
 }
-"""Marks of tests that wait for other programs, and the rooms whose changes these tests are for."""
+"""Marks of tests that start many programs, and the places whose changes these tests are for."""
 
 
 def left_out(changed: list[str]) -> str:

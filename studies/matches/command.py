@@ -16,14 +16,14 @@ from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuits, R
 
 @command(
     "match",
-    "python -m studies match --rules contest --track Pipkin Saltmere --unseen Tarnfjord --out"
+    "python -m studies match --rules contest --track Pipkin Saltmere --test-track Tarnfjord --out"
     " out/match",
 )
 def run(
     *,
     track: Circuits = (DEFAULT_TRACK,),
-    unseen: Annotated[
-        Sequence[str], Option(f"circuits that are not learned on: {TRACK_HELP}", "T")
+    test_track: Annotated[
+        Sequence[str], Option(f"held-out circuits: {TRACK_HELP}", "T")
     ] = (),
     archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest",
     rules: Rules,
@@ -53,7 +53,7 @@ def run(
 
     spec = make_game_spec(load_archive(archive), game_rules(rules.config()))
     learned = tuple(load_track(name) for name in track)
-    tracks = (*learned, *(load_track(name) for name in unseen))
+    tracks = (*learned, *(load_track(name) for name in test_track))
     learning = LearningRaces(spec, learned, learning_races, rules.seed)
     MatchTest.check(tracks, races, matches, rules.seed)
     settings = {

@@ -101,7 +101,7 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
         str(archive),
         "--track",
         "Pipkin",
-        "--unseen",
+        "--test-track",
         "Tarnfjord",
         *short,
     ]
