@@ -21,13 +21,15 @@ import sys
 from importlib.machinery import PathFinder
 
 MISSING = set(
-    "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas pygame "
-    "sklearn pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
+    "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas"
+    " pygame sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
 )
 find = PathFinder.find_spec
-PathFinder.find_spec = classmethod(
-    lambda cls, name, path=None, target=None: None if name.partition(".")[0] in MISSING else find(name, path, target)
-)
+
+def find_none(cls, name, path=None, target=None):
+    return None if name.partition(".")[0] in MISSING else find(name, path, target)
+
+PathFinder.find_spec = classmethod(find_none)
 """
 
 
@@ -43,15 +45,6 @@ def without_extras(code: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_the_libraries_are_hidden_and_nothing_was_begun_without_them(tmp_path, told):
-    code = (
-        "import importlib.util\nprint(importlib.util.find_spec('torch'),"
-        " importlib.util.find_spec('yaml') is not None)"
-    )
-    assert without_extras(code, tmp_path) == "None True\n"
-    assert told["begun"] == ["map"]
-
-
 def test_races_tournaments_and_agents_need_no_extra(tmp_path):
     code = """
 import gymnasium as gym
@@ -64,7 +57,8 @@ replay = pcs_racing.record_race(track, lattice, other, pcs_racing.PAPER, seed=1)
 pcs_racing.save_replay(replay, "race.html")
 
 agents = ("cfr-argmax", "never-switch", "lane-switcher")
-assert main(["tournament", "--track", "Pipkin", "--agents", *agents, "--races", "2", "--out", "zoo"]) == 0
+raced = ["--agents", *agents, "--races", "2", "--out", "zoo"]
+assert main(["tournament", "--track", "Pipkin", *raced]) == 0
 assert main(["race", "--track", "Pipkin", "--ego", "lattice", "--opponent", "gap-follower"]) == 0
 assert main(["track", "show", "Pipkin", "--out", "circuit.png"]) == 0
 
@@ -73,7 +67,8 @@ duel = gym.make("pcs_racing/Duel-v1", opponent=pcs_racing_agents.make("response"
 seen, _ = duel.reset(seed=1)
 (move,) = agent.act(seen[None])
 duel.step(int(move))
-print("none of", len(MISSING), "was imported:", not MISSING & {name.partition(".")[0] for name in sys.modules})
+imported = {name.partition(".")[0] for name in sys.modules}
+print("none was imported:", not MISSING & imported)
 """
     assert without_extras(code, tmp_path).endswith("was imported: True\n")
     assert (tmp_path / "race.html").is_file()
@@ -120,40 +115,6 @@ NEEDS = {
 }
 
 
-@pytest.fixture(scope="module")
-def told(tmp_path_factory):
-    """What each of them is told."""
-    folder = tmp_path_factory.mktemp("bare")
-    shutil.copytree(
-        REPOSITORY / "maps" / "Pipkin", folder / "map", ignore=shutil.ignore_patterns("*.csv")
-    )
-    code = f"""
-import contextlib, io, json
-import gymnasium as gym
-import pcs_racing
-from pcs_racing_agents.cli.main import main
-
-told = {{}}
-for who, (code, _) in {NEEDS!r}.items():
-    error = io.StringIO()
-    with contextlib.redirect_stderr(error):
-        try:
-            exec(code)
-        except ImportError as missing:
-            print(missing, file=error)
-    told[who] = error.getvalue()
-print(json.dumps(told))
-"""
-    told = json.loads(without_extras(code, folder).splitlines()[-1])
-    told["begun"] = sorted(path.name for path in folder.iterdir())
-    return told
-
-
-@pytest.mark.parametrize("who", NEEDS)
-def test_whoever_needs_an_extra_is_told_which(who, told):
-    assert f'pip install "pcs-racing[{NEEDS[who][1]}]"' in told[who]
-
-
 # Which library an example misses first, and what to install.
 LEARNING = (
     "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play imitate_from_lidar residual_ppo"
@@ -167,13 +128,26 @@ EXAMPLES = {
 }
 
 
-@pytest.fixture(scope="module")
-def ends(tmp_path_factory):
-    """How each of them ends, and what it prints before."""
+def test_whoever_needs_an_extra_is_told_which_in_one_line(tmp_path):
+    shutil.copytree(
+        REPOSITORY / "maps" / "Pipkin", tmp_path / "map", ignore=shutil.ignore_patterns("*.csv")
+    )
     code = f"""
-import contextlib, io, json, runpy
+import contextlib, importlib.util, io, json, runpy
+import gymnasium as gym
+import pcs_racing
+from pcs_racing_agents.cli.main import main
 
-ends = {{}}
+assert importlib.util.find_spec("torch") is None and importlib.util.find_spec("yaml")
+told, ends = {{}}, {{}}
+for who, (code, _) in {NEEDS!r}.items():
+    error = io.StringIO()
+    with contextlib.redirect_stderr(error):
+        try:
+            exec(code)
+        except ImportError as missing:
+            print(missing, file=error)
+    told[who] = error.getvalue()
 for name in {list(EXAMPLES)!r}:
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
@@ -181,15 +155,14 @@ for name in {list(EXAMPLES)!r}:
             runpy.run_path(f"{REPOSITORY / "examples"}/{{name}}.py", run_name="__main__")
         except SystemExit as end:
             ends[name] = end.code, printed.getvalue()
-print(json.dumps(ends))
+print(json.dumps([told, ends]))
 """
-    return json.loads(without_extras(code, tmp_path_factory.mktemp("bare")))
-
-
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_an_example_without_its_library_ends_in_one_line(name, ends):
-    library, missing = EXAMPLES[name]
-    assert ends[name] == [f"this example needs {library}: pip install {missing}", ""]
+    told, ends = json.loads(without_extras(code, tmp_path).splitlines()[-1])
+    for who, (_, extra) in NEEDS.items():
+        assert f'pip install "pcs-racing[{extra}]"' in told[who], who
+    for name, (library, missing) in EXAMPLES.items():
+        assert ends[name] == [f"this example needs {library}: pip install {missing}", ""]
+    assert [path.name for path in tmp_path.iterdir()] == ["map"]  # nothing was begun
 
 
 def test_examples_that_import_a_library_of_an_extra_are_all_tried():
@@ -207,16 +180,10 @@ def test_examples_that_import_a_library_of_an_extra_are_all_tried():
 
 
 def test_every_extra_folder_and_licence_that_is_named_exists():
-    named = set()
-    for package in ("pcs_racing", "pcs_racing_agents"):
-        for file in (REPOSITORY / package).rglob("*.py"):
-            text = file.read_text(encoding="utf-8")
-            named |= {
-                name
-                for found in re.findall(r"pcs-racing\[([a-z,]+)\]", text)
-                for name in found.split(",")
-            }
-            named |= set(re.findall(r'extra="([a-z]+)"', text))
+    files = [*REPOSITORY.glob("pcs_racing*/**/*.py")]
+    text = "\n".join(file.read_text(encoding="utf-8") for file in files)
+    lists = re.findall(r"pcs-racing\[([a-z,]+)\]", text)
+    named = {*",".join(lists).split(","), *re.findall(r'extra="([a-z]+)"', text)}
     assert len(named) >= 6
     assert named <= set(PROJECT["project"]["optional-dependencies"])
     included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]

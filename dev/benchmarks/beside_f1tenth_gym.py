@@ -2,7 +2,7 @@
 (v1.0.0).
 
     python dev/benchmarks/beside_f1tenth_gym.py                                  # our half alone
-    python dev/benchmarks/beside_f1tenth_gym.py --checkout PATH --python PATH    # both, and the ratio
+    python dev/benchmarks/beside_f1tenth_gym.py --checkout PATH --python PATH  # both, and the ratio
 
 PATH are a checkout of https://github.com/f1tenth/f1tenth_gym and the Python of an environment in
 which it is installed (``python -m venv ENV && ENV/bin/pip install -e CHECKOUT
@@ -69,13 +69,16 @@ if made.startswith("f1tenth_gym"):
 
     file = pathlib.Path(chosen)
     spec = TrackSpec(name="track", **yaml.safe_load(file.read_text()))
-    pixels = np.array(Image.open(file.parent / spec.image).convert("L").transpose(Image.FLIP_TOP_BOTTOM))
+    picture = Image.open(file.parent / spec.image).convert("L")
+    pixels = np.array(picture.transpose(Image.FLIP_TOP_BOTTOM))
     xs, ys = np.array(line, np.float32).T
     race = Raceline(xs, ys, np.ones_like(xs))
-    chosen = Track(spec, np.where(pixels > 128, 255.0, 0.0).astype(np.float32), centerline=race, raceline=race)
+    free = np.where(pixels > 128, 255.0, 0.0).astype(np.float32)
+    chosen = Track(spec, free, centerline=race, raceline=race)
 env = gymnasium.make(made, config={
     "map": chosen, "num_agents": cars, "timestep": 0.01, "integrator": "rk4",
-    "model": "st", "control_input": ["speed", "steering_angle"], "observation_config": {"type": "original"},
+    "model": "st", "control_input": ["speed", "steering_angle"],
+    "observation_config": {"type": "original"},
 }).unwrapped
 
 env.reset(options={"poses": np.array(task["poses"])})
@@ -83,7 +86,8 @@ actions, crashed = [], False
 while len(actions) < round(100 * task["seconds"]) and not crashed:
     x, y, heading = env.sim.agent_poses.T
     if len(actions) % 2 == 0:
-        action = np.array([[steer(line, x[i], y[i], heading[i]), task["speed"]] for i in range(cars)])
+        turns = [steer(line, x[i], y[i], heading[i]) for i in range(cars)]
+        action = np.array([[turn, task["speed"]] for turn in turns])
     actions.append(action)
     env.step(action)
     crashed = bool(np.any(env.sim.collisions))

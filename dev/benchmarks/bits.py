@@ -1,9 +1,10 @@
 """What is the same to the bit on another processor: digests of results, here and under other
 instructions.
 
-    python dev/benchmarks/bits.py                              # the digests of this machine, one a line
+    python dev/benchmarks/bits.py  # the digests of this machine, one a line
     python dev/benchmarks/bits.py --compare                    # and a table of what changes them
-    python dev/benchmarks/bits.py --compare --maps FOLDER      # with the circuits of another folder, too
+    # with the circuits of another folder, too
+    python dev/benchmarks/bits.py --compare --maps FOLDER
 
 Each comparison runs this script again in a process that is told to do without some instructions, or
 to use another kernel of the linear algebra library, and with caches of its own, so that everything

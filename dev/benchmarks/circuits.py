@@ -5,7 +5,8 @@ evenly from 0 to 1. The races come in pairs: the same two policies on the same s
 sides swapped. Nothing is configured: speed range and start places come from the calibration that
 the package does by itself.
 
-    python dev/benchmarks/circuits.py --maps ../shared/maps     # and the circuits that ship with the package
+    # and the circuits that ship with the package
+    python dev/benchmarks/circuits.py --maps ../shared/maps
 """
 
 import argparse

@@ -80,7 +80,7 @@ Floats = NDArray[np.float64]
 
 
 class Alone:
-    """Cars alone on a circuit: two in each race, half a lap apart, on the race line at its speed."""
+    """Place cars on the race line at its speed: two in each race, half a lap apart."""
 
     def __init__(
         self,
@@ -205,7 +205,7 @@ def grip(track: Track) -> Row:
 def score(
     track: Track, egos: list[Policy], rival: Policy, config: RaceConfig, each: int, seed: int
 ) -> dict[str, Floats]:
-    """Means over ``each`` races of every ego: won, own crashes, won from the rear slot, overtakes."""
+    """Return means over an ego's races: won, own crashes, won from the rear slot, overtakes."""
     result = run_races(
         track,
         [ego for ego in egos for _ in range(each)],
@@ -227,7 +227,7 @@ def score(
 
 
 def best_pursuit(tracks: list[Track]) -> Policy:
-    """The pace of pure pursuit with the best mean score against the default lattice and the others."""
+    """Return the pace of pure pursuit with the best mean score against lattice and others."""
     paces = [PURE_PURSUIT.policy({"pace": pace}) for pace in np.linspace(0.0, 1.0, 6)]
     rivals = [parse_policy(name) for name in ("lattice", *OPPONENTS[1:])]
     total = sum(

@@ -2,9 +2,12 @@
 lidar, on one core.
 
     python dev/benchmarks/environment_speed.py [--track NAME_OR_FOLDER] [--envs 256] [--seconds 1.0]
-    python dev/benchmarks/environment_speed.py --only duel "two agents"    # the variants whose names hold one of these
-    python dev/benchmarks/environment_speed.py --only cars         # steps of an agent with 1, 4 and 8 cars, and with 2
-    python dev/benchmarks/environment_speed.py --against PATH    # scalar environments beside those of another checkout
+    # the variants whose names hold one of these
+    python dev/benchmarks/environment_speed.py --only duel "two agents"
+    # steps of an agent with 1, 4 and 8 cars, and with 2
+    python dev/benchmarks/environment_speed.py --only cars
+    # scalar environments beside those of another checkout
+    python dev/benchmarks/environment_speed.py --against PATH
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of
 each counts. Times are the thread's own, so other work on the machine disturbs little. All on one

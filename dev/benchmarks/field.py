@@ -1,7 +1,7 @@
 """The drivers of the field: alone, what a race of them costs, and what their papers say of pairs of
 them.
 
-    python dev/benchmarks/field.py                                      # everything, on the circuits that ship
+    python dev/benchmarks/field.py  # everything, on the circuits that ship
     python dev/benchmarks/field.py --maps ../shared/maps --only alone --drivers spliner mppi
     python dev/benchmarks/field.py --only pairs --races 200
 
@@ -38,7 +38,7 @@ SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 def alone(track: Track, policy: Policy) -> tuple[float, float]:
-    """Own crashes in 40 s, and mean speed, m/s, with the noise of `contest` in its range of speeds."""
+    """Return own crashes in 40 s, and mean speed, m/s, with the noise and speeds of `contest`."""
     low, high = calibration_of(track, CONTEST).speed_range
     # A driver without a map begins at a speed at which it can still brake.
     begins = 0.5 if policy.planner.name in LIDAR else low

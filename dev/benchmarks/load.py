@@ -53,7 +53,7 @@ class Slice(NamedTuple):
 
 
 def resident_megabytes() -> float:
-    """Memory that the process holds now; where that can't be asked for, the most that it ever held."""
+    """Return the memory of the process; where the system does not say, the largest it ever had."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
@@ -143,7 +143,7 @@ def made(count: int) -> list[Slice]:
 
 
 def tournament(folder: Path, races: int, step_seconds: float, executor: str) -> list[Slice]:
-    """All against all through a job with chunks, as the command does it, and the file of results."""
+    """Race all against all through a job with chunks, as the command does; write the results."""
     from pcs_racing import load_track
     from pcs_racing_agents.base.executors import make_executor
     from pcs_racing_agents.base.jobs import open_job

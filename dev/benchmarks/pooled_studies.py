@@ -1,8 +1,8 @@
 """What several studies of the same races say together: gains over the baseline that was best in
 training.
 
-    python dev/benchmarks/pooled_studies.py out/contest out/table-1 out/table-2 out/table-3 out/table-4
-    python dev/benchmarks/pooled_studies.py out/first-0 out/first-1 out/again-0 out/again-1 --archives 0 1 0 1
+    python dev/benchmarks/pooled_studies.py out/contest out/table-1 out/table-2 out/table-3
+    python dev/benchmarks/pooled_studies.py out/first-0 out/first-1 out/again-0 --archives 0 1 0
 
 Each folder is that of a finished `pcs-racing study` with a seed of its own. A gain is the score of
 an agent minus that of the baseline that won most training races *of its study*. The mean over
@@ -187,10 +187,8 @@ def main() -> None:
         )
         print(f"|---|{'---|' * len(groups)}")
         for arm in arms:
-            print(
-                f"| {arm} |"
-                f" {' | '.join(spread(gains(tables, some, arm), archives) for some in groups.values())} |"
-            )
+            spreads = [spread(gains(tables, some, arm), archives) for some in groups.values()]
+            print(f"| {arm} | {' | '.join(spreads)} |")
     print(f"\n| circuit | opponent | {' | '.join(arms)} |\n|---|---|{'---|' * len(arms)}")
     for cell in cells:
         print(

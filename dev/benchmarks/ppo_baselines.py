@@ -3,7 +3,8 @@ they learned.
 
     python dev/benchmarks/ppo_baselines.py
     python dev/benchmarks/ppo_baselines.py --egos 20 --variants 20 --lines 5
-    python dev/benchmarks/ppo_baselines.py --lines 0 --picture docs/images/ppo_curves.png     # the picture alone
+    # the picture alone
+    python dev/benchmarks/ppo_baselines.py --lines 0 --picture docs/images/ppo_curves.png
 
 Every baseline that is shipped (or given with ``--policies``) races opponents on circuits that it
 learned on and on others: start policies x opponents x start lines x both sides, with seeds that no

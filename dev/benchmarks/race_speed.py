@@ -1,8 +1,10 @@
 """How long a 40 s race between two lattice cars takes on one core.
 
     python dev/benchmarks/race_speed.py                    # on a shipped circuit
-    python dev/benchmarks/race_speed.py --track DIR --json # ends with one JSON line holding ms_per_race_per_core
-    python dev/benchmarks/race_speed.py --against PATH     # times as fast as the package in another checkout
+    # ends with one JSON line holding ms_per_race_per_core
+    python dev/benchmarks/race_speed.py --track DIR --json
+    # times as fast as the package in another checkout
+    python dev/benchmarks/race_speed.py --against PATH
 
 Processor time, the best of several repeats, scaled to 40 s (races end early in a crash). With
 ``--against`` the two packages take turns, each in a process of its own.
@@ -43,7 +45,8 @@ import numpy as np
 import pcs_racing
 track, races = pcs_racing.load_track(sys.argv[1]), int(sys.argv[2])
 config, lattice = pcs_racing.load_race_config("paper"), pcs_racing.parse_policy("lattice")
-paces = [pcs_racing.parse_policy(f"lattice:pace={pace:.3f}") for pace in np.linspace(0.05, 0.95, races)]
+texts = [f"lattice:pace={pace:.3f}" for pace in np.linspace(0.05, 0.95, races)]
+paces = [pcs_racing.parse_policy(text) for text in texts]
 def run():
     start = time.process_time()
     state = pcs_racing.run_races(track, paces, lattice, config, seed=0, threads=1).state

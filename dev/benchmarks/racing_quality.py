@@ -1,8 +1,8 @@
 """Is the racing good? Random policies in the PCS, and how races between good ones go, for each
 preset and circuit.
 
-    python dev/benchmarks/racing_quality.py                              # all shipped circuits, both presets
-    python dev/benchmarks/racing_quality.py --tracks Tarnfjord --rules contest --picture docs/images/racing_quality.png
+    python dev/benchmarks/racing_quality.py  # all shipped circuits, both presets
+    python dev/benchmarks/racing_quality.py --picture docs/images/racing_quality.png
 
 Every policy races the same opponents from the same starts. "Non-dominated" are the policies of the
 random sample that no other one beats in both aggressiveness and restraint.

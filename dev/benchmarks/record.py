@@ -3,7 +3,7 @@ roughly.
 
     python dev/benchmarks/record.py            measure
     python dev/benchmarks/record.py --add      measure, and add a line to dev/benchmarks/history.csv
-    python dev/benchmarks/record.py --check    measure, and compare with the history; exit code 1 if slower
+    python dev/benchmarks/record.py --check    measure, and compare with the history (exit code 1)
     python dev/benchmarks/record.py --show     print the history
 
 Every time is divided by that of a fixed piece of compiled arithmetic (the reference), measured in

@@ -20,7 +20,8 @@ FIRST_RACE = """
 import time
 import pcs_racing
 track, lattice = pcs_racing.load_track("Tarnfjord"), pcs_racing.parse_policy("lattice")
-pcs_racing.run_races(track, [lattice], lattice, pcs_racing.load_race_config("paper"), seed=0, threads=1)
+paper = pcs_racing.load_race_config("paper")
+pcs_racing.run_races(track, [lattice], lattice, paper, seed=0, threads=1)
 print(time.process_time())
 """
 

@@ -1,7 +1,7 @@
 """Do the estimators keep their promises? Coverage, false positives and bias on simulated
 tournaments.
 
-    python dev/benchmarks/statistics_coverage.py                  # the tables of docs/reports/statistics.md
+    python dev/benchmarks/statistics_coverage.py  # the tables of docs/reports/statistics.md
     python dev/benchmarks/statistics_coverage.py --datasets 200   # a quick look
 
 Every data set is a tournament of two arms with a known difference. A 95 % interval should hold the
@@ -26,7 +26,7 @@ Draw = Callable[[np.random.Generator], "Data"]
 
 
 class Data(NamedTuple):
-    """Differences of two arms, race by race, the labels of the races, and the true mean difference."""
+    """Return differences of two arms by race, the labels of the races, and the true mean."""
 
     differences: Floats
     ego: NDArray[np.intp]

@@ -19,16 +19,17 @@ ROOT = Path(__file__).resolve().parents[2]
 HEAD = """# Circuits
 
 The {number} circuits that ship with the package were generated for this project and
-are free to use under its licence (MIT). `pcs_racing.load_track("Tarnfjord")` loads a circuit by its name. You can also
-[import a map of your own](../bring_a_map.md).
+are free to use under its licence (MIT). `pcs_racing.load_track("Tarnfjord")` loads a circuit by
+its name. You can also [import a map of your own](../bring_a_map.md).
 
 ## At a glance
 
-- **length** and **lap**: those of the race line at its full speed, which no car in a race reaches everywhere;
+- **length** and **lap**: those of the race line at its full speed, which no car in a race reaches
+  everywhere;
 - **width**: that of the drivable surface;
 - **speed**: smallest and largest speed of the race line;
-- **pace**: the scales of this speed that the parameter values "pace 0" and "pace 1" mean under the rules of each preset
-  ([how they are measured](../bring_a_map.md#how-fast-and-where-from)).
+- **pace**: the scales of this speed that the parameter values "pace 0" and "pace 1" mean under the
+  rules of each preset ([how they are measured](../bring_a_map.md#how-fast-and-where-from)).
 """
 
 

@@ -128,15 +128,16 @@ HEAD = """# Gallery
 A rule selects the scenes. On each circuit the races 0, 1, 2, ...
 of seed {seed} are simulated under the rules of the preset `contest`, between
 `{fast}` (fast, blue) and `{slow}` (slow, orange).
-The first race with a scene of a kind gives its GIF. It plays at the speed of the race, and its clock begins
-with the clip. The arrow, or the mark ahead of a car, shows which way the car drives.
+The first race with a scene of a kind gives its GIF. It plays at the speed of the race, and its
+clock begins with the clip. The arrow, or the mark ahead of a car, shows which way the car drives.
 """
 
 END = """## Make your own
 
-`pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch races](../view.md)).
-`pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a notebook](../notebooks/first_race.md) does it).
-"""
+`pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch
+races](../view.md)).
+`pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a
+notebook](../notebooks/first_race.md) does it). """
 
 
 class Clip(NamedTuple):

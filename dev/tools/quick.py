@@ -35,7 +35,7 @@ def left_out(changed: list[str]) -> str:
 
 
 def select(changed: list[str]) -> list[str]:
-    """Return the test files and folders of changed files, given by their paths in the repository."""
+    """Return the test files and folders of changed files; paths are those in the repository."""
     found = list(ALWAYS)
     for path in map(Path, changed):
         folder = Path("tests") / path.parent

@@ -33,31 +33,33 @@ shipped for.
 
 HEAD = """# The zoo
 
-`pcs-racing agents NAME` prints what an agent has learned from and the hash of the agent as it is now.
-[Agents](../agents.md) explains how to use agents and how to add your own.
+`pcs-racing agents NAME` prints what an agent has learned from and the hash of the agent as it is
+now. [Agents](../agents.md) explains how to use agents and how to add your own.
 """
 
 CONSTANT = f"{ALWAYS}MOVE"
 
 STRENGTH = """## Strength and cost
 
-`python dev/benchmarks/zoo.py --write` measures all agents and planners with their defaults, and the lattice, the
-planner of the archives' policies, with its defaults and with two parameters set by hand:
+`python dev/benchmarks/zoo.py --write` measures all agents and planners with their defaults, and the
+lattice, the planner of the archives' policies, with its defaults and with two parameters set by
+hand:
 
-- **score**: share of races won, where a tie counts half; the mean over six opponents (without the agent itself),
-  {field}, on two circuits ({tracks}).
-  With either archive, some agents trained on the first circuit and none on the second; the driver `ppo-drive` trained
-  on Tarnfjord and Kestrelheim. All drive the same races. With {races:.0f} races a score has a standard error of at
+- **score**: share of races won, where a tie counts half; the mean over six opponents (without the
+  agent itself), {field}, on two circuits ({tracks}). With either archive, some agents trained on
+  the first circuit and none on the second; the driver `ppo-drive` trained on Tarnfjord and
+  Kestrelheim. All drive the same races. With {races:.0f} races a score has a standard error of at
   least {error:.3f};
-- **rating**: Bradley-Terry with ties over the same races, with its 95 % interval. The mean is 0, and a difference of
-  400 means odds of ten to one. Crashes that pay neither car, as all in the paper's race, are left out. An agent that
-  either wins or crashes therefore has a high rating; read the rating together with score and crashes;
+- **rating**: Bradley-Terry with ties over the same races, with its 95 % interval. The mean is 0,
+  and a difference of 400 means odds of ten to one. Crashes that pay neither car, as all in the
+  paper's race, are left out. An agent that either wins or crashes therefore has a high rating; read
+  the rating together with score and crashes;
 - **crash**: share of its races that ended in a crash by its own fault;
-- **cost**: microseconds of processor time of a decision, for one observation and for each of 1,000 at once, on a shared
-  2-core machine that had other work at the time. A driver plans ten times a second, and its cost is that of one plan
-  with 0.1 s of simulation;
-- **hash**: the beginning of the SHA-256 of everything that determines its behaviour: weights or fit, archive, rules.
-  A measurement holds for the agent with this hash alone.
+- **cost**: microseconds of processor time of a decision, for one observation and for each of 1,000
+  at once, on a shared 2-core machine that had other work at the time. A driver plans ten times a
+  second, and its cost is that of one plan with 0.1 s of simulation;
+- **hash**: the beginning of the SHA-256 of everything that determines its behaviour: weights or
+  fit, archive, rules. A measurement holds for the agent with this hash alone.
 """
 
 
