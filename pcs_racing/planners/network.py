@@ -203,9 +203,7 @@ def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hol
         )
     count = weight_count(sizes)
     if count > MAX_WEIGHTS:
-        raise InputError(
-            f"network {name!r} would have {count} weights; {MAX_WEIGHTS} is the limit"
-        )
+        raise InputError(f"network {name!r} would have {count} weights; {MAX_WEIGHTS} is the limit")
     values = np.asarray(weights, np.float64)
     if values.shape != (count,):
         raise InputError(

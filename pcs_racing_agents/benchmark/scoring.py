@@ -198,7 +198,7 @@ def telling_races(
         telling.append((difference[race], cell, race))
     telling.sort(key=lambda entry: -entry[0])
     races = []
-    for _, (cell, pairing, _), race in telling[:count]:
-        played = repeat_race(pairing, race, candidates=False)
-        races.append((f"{cell.circuit}, race {race}: {played.replay.outcome}", played.replay))
+    for _, played, race in telling[:count]:
+        replay = repeat_race(played.pairing, race, candidates=False).replay
+        races.append((f"{played.cell.circuit}, race {race}: {replay.outcome}", replay))
     return races

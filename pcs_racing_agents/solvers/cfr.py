@@ -18,7 +18,7 @@ from pcs_racing_agents.solvers.cfr_kernels import (
     tree_layout,
 )
 from pcs_racing_agents.solvers.evaluation import Profile
-from pcs_racing_agents.solvers.game_tree import Floats, GameTree
+from pcs_racing_agents.solvers.game_tree import Floats, GameTree, Integers
 
 CHUNK = 200
 """Iterations of one compiled call; Ctrl-C is handled in between."""
@@ -72,6 +72,9 @@ class CFRResult:
     #: payoffs. The weight of an iteration is the probability that chance and the other player lead
     #: to the infoset.
     regrets: list[tuple[Floats, Floats]]
+    #: Sum of these probabilities over the iterations, shape (rows,) each; regrets divided by it are
+    #: per visit. It is discounted like positive regrets.
+    opponent_reach: list[tuple[Floats, Floats]]
 
 
 def cfr(tree: GameTree, iterations: int, variant: str = "alternating+") -> CFRResult:
@@ -94,10 +97,13 @@ def cfr(tree: GameTree, iterations: int, variant: str = "alternating+") -> CFRRe
     with first_call(iterate, "counterfactual regret minimisation", 5):
         for begin in range(1, last, CHUNK):
             iterate(layout, state, begin, min(begin + CHUNK, last), *VARIANTS[variant])
-    regrets = _copy_out(tree, layout, state.regrets)
-    sums = _copy_out(tree, layout, state.sums)
+    regrets = _copy_out(tree, layout, state.regrets, layout.regret_at)
+    sums = _copy_out(tree, layout, state.sums, layout.regret_at)
     average = [(_shares(first), _shares(second)) for first, second in sums]
-    return CFRResult(average, regrets)
+    reach = _copy_out(tree, layout, state.opponent_reach, layout.row_at, moves=False)
+    # A number of each infoset has the form of a single move.
+    opponent_reach = [(first[:, 0], second[:, 0]) for first, second in reach]
+    return CFRResult(average, regrets, opponent_reach)
 
 
 def _shares(weights: Floats) -> Floats:
@@ -107,14 +113,16 @@ def _shares(weights: Floats) -> Floats:
     return np.divide(weights, total, out=even, where=total > 0.0)
 
 
-def _copy_out(tree: GameTree, layout: Layout, flat: Floats) -> list[tuple[Floats, Floats]]:
+def _copy_out(
+    tree: GameTree, layout: Layout, flat: Floats, at: Integers, *, moves: bool = True
+) -> list[tuple[Floats, Floats]]:
     """Return an array of the kernels by level and player, with rows in the tree's order."""
     result = []
     for k in range(tree.depth):
         pair = []
         for player in (0, 1):
-            rows, count = tree.rows(k, player), tree.moves[k][player]
-            begin = int(layout.regret_at[player, k])
+            rows, count = tree.rows(k, player), tree.moves[k][player] if moves else 1
+            begin = int(at[player, k])
             array = np.empty((rows, count))
             # The kernels hold the numbers of one move together, and number nodes in another order
             # than the tree.

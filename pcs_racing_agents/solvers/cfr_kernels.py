@@ -52,6 +52,8 @@ class State(NamedTuple):
     #: Cumulative regrets (``regrets``) and summed strategies (``sums``), per infoset and move.
     regrets: Floats
     sums: Floats
+    #: Summed probability that chance and the other player lead to an infoset.
+    opponent_reach: Floats
 
 
 def node_order(tree: GameTree, level: int) -> Integers:
@@ -106,6 +108,7 @@ def initial_state(tree: GameTree, layout: Layout) -> State:
         reach=np.ones((2, inner)),
         regrets=np.zeros(entries),
         sums=np.zeros(entries),
+        opponent_reach=np.zeros(int(layout.rows.sum())),
     )
 
 
@@ -215,6 +218,7 @@ def _add_regrets(layout, state, player, work):
         other_sigma = state.sigma[layout.sigma_at[other, k] :]
         children = state.values[layout.node_at[k + 1] :]
         regrets = state.regrets[layout.regret_at[player, k] :]
+        reached = state.opponent_reach[layout.row_at[player, k] :]
         labels = layout.labels[layout.label_at[player, k] :]
         for low in range(0, nodes, BLOCK):
             n = min(BLOCK, nodes - low)
@@ -243,12 +247,17 @@ def _add_regrets(layout, state, player, work):
                 # moves.
                 weight[j] = reach[j] * chance[j]
             if single:
+                infoset_reach = reached[low : low + n]
+                for j in range(n):
+                    infoset_reach[j] += weight[j]
                 for a in range(own_moves):
                     q = work[(a + 1) * BLOCK : (a + 1) * BLOCK + n]
                     r = regrets[a * rows + low : a * rows + low + n]
                     for j in range(n):
                         r[j] += sign * weight[j] * (q[j] - value[j])
             else:
+                for j in range(n):
+                    reached[labels[low + j]] += weight[j]
                 for a in range(own_moves):
                     for j in range(n):
                         gain = sign * weight[j] * (work[(a + 1) * BLOCK + j] - value[j])
@@ -291,3 +300,11 @@ def _discount(layout, state, player, keep_gains, keep_losses):
     for j in range(regrets.size):
         r = regrets[j]
         regrets[j] = r * keep_gains if r > 0.0 else r * keep_losses
+    # Regrets per visit are divided by this sum, so both are discounted alike.
+    if keep_gains != 1.0:
+        rows = layout.rows[player, last]
+        reached = state.opponent_reach[
+            layout.row_at[player, 0] : layout.row_at[player, last] + rows
+        ]
+        for j in range(reached.size):
+            reached[j] *= keep_gains

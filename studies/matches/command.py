@@ -22,9 +22,7 @@ from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuits, R
 def run(
     *,
     track: Circuits = (DEFAULT_TRACK,),
-    test_track: Annotated[
-        Sequence[str], Option(f"held-out circuits: {TRACK_HELP}", "T")
-    ] = (),
+    test_track: Annotated[Sequence[str], Option(f"held-out circuits: {TRACK_HELP}", "T")] = (),
     archive: Annotated[str, Option("archive: its name or folder", "A")] = "contest",
     rules: Rules,
     races: Annotated[int, Option("races of a match", "R")] = 3,

@@ -265,9 +265,7 @@ def test_the_ros_bridge_drives_by_commands_and_publishes_what_the_gym_does(monke
     frames = SimpleNamespace(transforms=None)
     new = lambda: SimpleNamespace(
         header=SimpleNamespace(stamp=SimpleNamespace()),
-        transform=SimpleNamespace(
-            translation=SimpleNamespace(), rotation=SimpleNamespace()
-        ),
+        transform=SimpleNamespace(translation=SimpleNamespace(), rotation=SimpleNamespace()),
     )
     logic.fill(frames, messages["/tf"].fields, {"transforms": new})
     assert [frame.child_frame_id for frame in frames.transforms][:2] == [

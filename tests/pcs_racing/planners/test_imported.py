@@ -192,19 +192,19 @@ def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file
     }
     driver = team(file.parent / "own", DRIVER.format(top, lines, speed), **beside)
     random.seed(1)
-    np.random.seed(1)  # noqa: NPY002
+    np.random.seed(1)
     expected = (
         random.random(),
         np.random.randn(),
         random.random(),
         np.random.randn(),
-    )  # noqa: NPY002
+    )
     random.seed(1)
-    np.random.seed(1)  # noqa: NPY002
-    seen = [random.random(), np.random.randn()]  # noqa: NPY002
+    np.random.seed(1)
+    seen = [random.random(), np.random.randn()]
     alone = speeds(driver)[0]
     assert seen == list(expected[:2])
-    assert (random.random(), np.random.randn()) == expected[2:]  # noqa: NPY002
+    assert (random.random(), np.random.randn()) == expected[2:]
     assert 0.0 < alone < 3.0
     for races in (3, 1):
         assert speeds(driver, races)[0] == alone

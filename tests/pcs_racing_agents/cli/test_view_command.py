@@ -272,7 +272,9 @@ def test_answers_are_kept_but_not_for_ever():
         asked.append(number)
         return RepeatedRace(number, "c", {})
 
-    service = RaceService(SimpleNamespace(circuits={"c": {}}, space={}, drive=drive), MAX_ANSWERS + 9)
+    service = RaceService(
+        SimpleNamespace(circuits={"c": {}}, space={}, drive=drive), MAX_ANSWERS + 9
+    )
     # Race 0 was used again later than race 1, so it is still there at the end.
     for number in (0, 1, 0, *range(2, MAX_ANSWERS + 1), 0, 1):
         assert service.answer(f"/race/{number}").status == 200

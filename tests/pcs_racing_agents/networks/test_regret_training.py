@@ -87,12 +87,12 @@ def weights(result) -> bytes:
 
 def test_training_repeats_and_leaves_torch_and_numpy_as_they_were():
     torch.set_num_threads(2)
-    np.random.seed(5)  # noqa: NPY002 - the state that must not be touched
-    before = torch.get_rng_state(), np.random.get_state()[1].copy()  # noqa: NPY002
+    np.random.seed(5)
+    before = torch.get_rng_state(), np.random.get_state()[1].copy()
     quick = load_train_settings(QUICK, epochs=3)
     one = train_layers(rows_of(*situations(300)), quick)
     assert torch.equal(torch.get_rng_state(), before[0])
-    np.testing.assert_array_equal(np.random.get_state()[1], before[1])  # noqa: NPY002
+    np.testing.assert_array_equal(np.random.get_state()[1], before[1])
     assert torch.get_num_threads() == 2
     torch.manual_seed(99)
     torch.set_num_threads(1)

@@ -120,10 +120,10 @@ def test_a_search_repeats_itself_stays_within_bounds_and_leaves_numpy_alone():
         return spheres(unit), unit[:, 0] - 0.8
 
     options = {"bounds": bounds, "population": 12, "step_size": 0.5}
-    np.random.seed(5)  # noqa: NPY002
-    state = np.random.get_state()  # noqa: NPY002
+    np.random.seed(5)
+    state = np.random.get_state()
     first, points = searched(evaluate, 6, seed=3, **options)
-    after = np.random.get_state()  # noqa: NPY002
+    after = np.random.get_state()
     np.testing.assert_array_equal(state[1], after[1])
     assert (points >= bounds[:, 0]).all()
     assert (points <= bounds[:, 1]).all()

@@ -29,6 +29,7 @@ class SlowCFR:
         self.regrets, self.sums = (
             [[np.zeros(shape) for shape in pair] for pair in shapes] for _ in range(2)
         )
+        self.reached = [[np.zeros(shape[0]) for shape in pair] for pair in shapes]
         self.strategy = [[np.full(shape, 1.0 / shape[1]) for shape in pair] for pair in shapes]
 
     def visit(self, level, node, player, own, others):
@@ -50,6 +51,7 @@ class SlowCFR:
         value = mine @ gains
         row = rows[player]
         self.regrets[level][player][row] += others * (gains - value)
+        self.reached[level][player][row] += others
         self.own_reach[level][row] = own
         return value
 
@@ -79,6 +81,7 @@ class SlowCFR:
         for level in range(self.tree.depth):
             regrets = self.regrets[level][player]
             regrets *= np.where(regrets > 0.0, *kept)
+            self.reached[level][player] *= kept[0]
             positive = np.maximum(regrets, 0.0)
             total = positive.sum(axis=1, keepdims=True)
             even = np.full_like(positive, 1.0 / positive.shape[1])
@@ -105,6 +108,7 @@ def test_every_iteration_is_that_of_the_definition(tree, variant):
         slow.iterate(t)
         result = cfr(tree, t, variant)
         assert same(result.regrets, slow.regrets, 1e-9)
+        assert same(result.opponent_reach, slow.reached, 1e-9)
         played = [[sums / sums.sum(axis=1, keepdims=True) for sums in pair] for pair in slow.sums]
         assert same(result.average, played, 1e-9)
 

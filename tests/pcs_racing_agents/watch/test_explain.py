@@ -11,7 +11,7 @@ from zoo_games import untrained
 
 from pcs_racing import draw_starts, make_game
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.moves import move_table
+from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
@@ -390,11 +390,7 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     ):
         np.testing.assert_array_equal(found, expected)
     named = [text.get_text() for text in axes.get_legend().get_texts()]
-    moved = {
-        name
-        for name, end in zip(move_names(archive, 0.5), leads_to, strict=True)
-        if end != 3
-    }
+    moved = {name for name, end in zip(move_names(archive, 0.5), leads_to, strict=True) if end != 3}
     assert set(", ".join(named).split(", ")) == moved
     arrows = {
         (*text.xy, *text.xyann)

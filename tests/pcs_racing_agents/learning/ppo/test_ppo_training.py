@@ -126,14 +126,14 @@ def test_the_first_of_the_best_is_kept_a_plateau_ends_and_random_generators_are_
     level = replace(settings["drive"], steps=10**6, patience=2, evaluate_every=170)
     task = trained["drive"].task
     parts = {field.name: getattr(task, field.name) for field in fields(task)}
-    before = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()  # noqa: NPY002
+    before = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()
     result = train_seed(Scripted(**{**parts, "settings": level}), None, 3)
     # An evaluation follows the first update that passes a multiple of the interval.
     assert result["steps"].tolist() == [0, 320, 480, 640]
     assert result["scores"][:, 0, 1].tolist() == payoffs[:4]
     best = trained["drive"].folder.parent / "x"
     assert layers_of(result, level, best) == pytest.approx(asked[1].flat())
-    np.testing.assert_array_equal(np.random.get_state()[1], before[0])  # noqa: NPY002
+    np.testing.assert_array_equal(np.random.get_state()[1], before[0])
     assert torch.equal(torch.get_rng_state(), before[1])
     assert torch.get_num_threads() == before[2]
 

@@ -6,8 +6,8 @@ from refusal import refused
 from pcs_racing import InputError, load_game_config, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents import make
+from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import (
