@@ -116,9 +116,7 @@ NEEDS = {
 
 
 # Which library an example misses first, and what to install.
-LEARNING = (
-    "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play imitate_from_lidar residual_ppo"
-)
+LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play"
 EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
     "clients/openspiel_tree": ("pyspiel", '".[games]"'),

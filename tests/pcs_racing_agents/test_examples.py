@@ -159,7 +159,8 @@ def test_a_lidar_driver_is_trained(tmp_path, script):
         "--hold-out",
         "Tarnfjord",
     )
-    out = run_python(EXAMPLES / file, *size, "--out", "made", folder=tmp_path)
+    file = EXAMPLES.parent / "dev" / "training" / file
+    out = run_python(file, *size, "--out", "made", folder=tmp_path)
     assert re.search(
         r"^(round 1: drove [\d.]+% of the time, loss [\d.]+|\| +total_timesteps +\| 256 +\|)$",
         out,

@@ -5,7 +5,7 @@ two imitate a planner with a map. The inputs of a network, ten times a second, a
 beams and the own car's speed, yaw rate, steering angle and speed scale (from the pace). The outputs
 are the slope and the bend of the path ahead, relative to the car's heading, and the speeds nearby
 and farther on. The network was trained to imitate the predictive spliner, which has a map and knows
-the opponent's state, in the same places (``examples/imitate_from_lidar.py``).
+the opponent's state, in the same places (``dev/training/imitate_from_lidar.py``).
 
 Differences: networks are smaller, for 135 beams, and have more inputs about the own car; their
 output is a path ten times a second, which is followed fifty times a second, instead of steering

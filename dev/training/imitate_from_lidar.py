@@ -1,7 +1,7 @@
 """Train a lidar driver by imitation, write its folder, and count its own crashes alone.
 
-    python examples/imitate_from_lidar.py cnn --out out/lidar-cnn
-    python examples/imitate_from_lidar.py gru --out out/lidar-gru --hold-out Pipkin Saltmere
+    python dev/training/imitate_from_lidar.py cnn --out out/lidar-cnn
+    python dev/training/imitate_from_lidar.py gru --out out/lidar-gru --hold-out Pipkin Saltmere
 
 First a driver with a map races, then in every round the network, and each time the driver with the
 map says what it would do there (DAgger [1]_). Half of the cars race each other, half are alone; all

@@ -1,7 +1,7 @@
 """Train a driver that corrects a potential field by PPO, write its folder, and count its own
 crashes alone.
 
-    python examples/residual_ppo.py --out out/residual
+    python dev/training/residual_ppo.py --out out/residual
 
 Two cars race, both driven by the network that learns, some of them at a share of its speed; one
 half starts 50 m apart, as good as alone. Every 0.1 s a car is rewarded for its progress and for
