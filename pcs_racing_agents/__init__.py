@@ -1,15 +1,15 @@
-"""Policies and agents for :mod:`pcs_racing`: planners, archives, strategies and tournaments.
+"""Policies and agents for :mod:`pcs_racing`: archives, strategies and tournaments.
 
-``make(name)`` returns an agent; ``names()`` lists the names of all agents.
+The folders in the order of the method: ``policies`` (search of archives), ``trees``, ``solvers``,
+``networks``, ``agents``, ``learning``, ``tournament``. The other folders serve it: ``study``,
+``benchmark``, ``watch``, ``base`` and ``cli``.
+
+Examples
+--------
+>>> import pcs_racing_agents
+>>> agent = pcs_racing_agents.make("cfr-argmax")
 """
 
-from typing import Any
+import lazy_loader
 
-
-def __getattr__(name: str) -> Any:
-    """Import the agents on access to a public name."""
-    if name in ("Agent", "make", "names"):
-        from pcs_racing_agents import agents
-
-        return getattr(agents, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -215,7 +215,7 @@ def statistics(folders: list[Path]) -> Digests:
 
 def archive(folders: list[Path]) -> Digests:
     """A small search."""
-    from pcs_racing_agents.policies.archive_run import make_archive
+    from pcs_racing_agents.policies.archive_run import synthesize
     from pcs_racing_agents.policies.config import ArchiveConfig
 
     config = ArchiveConfig(
@@ -237,7 +237,7 @@ def archive(folders: list[Path]) -> Digests:
         seed=1,
     )
     with tempfile.TemporaryDirectory() as folder:
-        made = make_archive(config, Path(folder) / "archive")
+        made = synthesize(config, Path(folder) / "archive")
     yield "archive search", (made.parameters, made.coordinates)
 
 

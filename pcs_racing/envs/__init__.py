@@ -4,43 +4,6 @@ Importing :mod:`pcs_racing` registers them with Gymnasium and PettingZoo. The mo
 environment is imported when the environment is made.
 """
 
-import gymnasium
-import pettingzoo
+import lazy_loader
 
-PETTINGZOO_IDS = {
-    "pcs_racing/head_to_head-v1": "pcs_racing.envs.duel",
-    "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive",
-    "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.match",
-}
-"""Modules with ``parallel_env`` and ``env``, by id."""
-
-GYMNASIUM_IDS = {
-    "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
-    "pcs_racing/Match-v0": (
-        "pcs_racing.envs.match:MatchEnv",
-        "pcs_racing.envs.match:MatchVectorEnv",
-    ),
-    "pcs_racing/Drive-v1": (
-        "pcs_racing.envs.drive:DriveEnv",
-        "pcs_racing.envs.drive:DriveVectorEnv",
-    ),
-}
-"""Entry points of each environment and its vector environment, by id."""
-
-
-def register_environments() -> None:
-    """Register the environments with Gymnasium and PettingZoo.
-
-    Afterwards ``gymnasium.make``, ``gymnasium.make_vec`` and ``pettingzoo.make`` find them.
-    Registered names are left unchanged, so repeated calls are safe.
-    """
-    for name, (single, vector) in GYMNASIUM_IDS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=single, vector_entry_point=vector)
-    if not hasattr(pettingzoo, "register"):  # releases before 1.27 have no registry
-        return
-    for name, module in PETTINGZOO_IDS.items():
-        if name not in pettingzoo.parallel_registry:
-            pettingzoo.register("parallel", name, f"{module}:parallel_env")
-        if name not in pettingzoo.aec_registry:
-            pettingzoo.register("aec", name, f"{module}:env")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

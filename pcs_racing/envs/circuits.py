@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import MAX_STEPS, check_within
 from pcs_racing.game.starting import random_bits
-from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits
+from pcs_racing.race.random_circuits import CircuitBuilder
+from pcs_racing.race.random_circuits import RandomCircuits as RandomCircuits
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
 

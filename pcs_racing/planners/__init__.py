@@ -1,1 +1,5 @@
 """Policy families: motion planners that drive a car inside the compiled race."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

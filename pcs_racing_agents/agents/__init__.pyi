@@ -1,15 +1,19 @@
-from pcs_racing_agents.agents.agent import Agent as Agent
-from pcs_racing_agents.agents.agent import Competitor as Competitor
-from pcs_racing_agents.agents.agent import Driver as Driver
-from pcs_racing_agents.agents.agent import Strategy as Strategy
-from pcs_racing_agents.agents.agent import as_agent as as_agent
-from pcs_racing_agents.agents.game_spec import GameSpec as GameSpec
-from pcs_racing_agents.agents.game_spec import make_game_spec as make_game_spec
-from pcs_racing_agents.agents.zoo import Entry as Entry
-from pcs_racing_agents.agents.zoo import make as make
-from pcs_racing_agents.agents.zoo import names as names
-from pcs_racing_agents.agents.zoo import parse_agent as parse_agent
-from pcs_racing_agents.agents.zoo import register_agent as register_agent
+from .agent import Agent as Agent
+from .agent import Competitor as Competitor
+from .agent import Driver as Driver
+from .agent import Strategy as Strategy
+from .agent import as_agent as as_agent
+from .game_spec import GameSpec as GameSpec
+from .game_spec import make_game_spec as make_game_spec
+from .sb3_files import load_model as load_model
+from .sb3_files import save_model as save_model
+from .from_torch import TorchPolicy as TorchPolicy
+from .zoo import Entry as Entry
+from .zoo import make as make
+from .zoo import names as names
+from .zoo import parse_agent as parse_agent
+from .zoo import register_agent as register_agent
+from . import observing as observing
 
 __all__ = [
     "Agent",
@@ -18,10 +22,14 @@ __all__ = [
     "Entry",
     "GameSpec",
     "Strategy",
+    "TorchPolicy",
     "as_agent",
+    "load_model",
     "make",
     "make_game_spec",
     "names",
+    "observing",
     "parse_agent",
     "register_agent",
+    "save_model",
 ]

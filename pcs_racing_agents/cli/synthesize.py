@@ -8,7 +8,7 @@ from pcs_racing.base.errors import require
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
-from pcs_racing_agents.policies.archive_run import ArchiveCallback, ArchiveProgress, make_archive
+from pcs_racing_agents.policies.archive_run import ArchiveCallback, ArchiveProgress, synthesize
 from pcs_racing_agents.policies.config import (
     SHIPPED_TRACKS,
     ArchiveConfig,
@@ -70,7 +70,7 @@ def run(
         flush=True,
     )
     with workers.start() as executor:
-        archive = make_archive(settings, out, executor=executor, callback=show_search())
+        archive = synthesize(settings, out, executor=executor, callback=show_search())
     print(archive)
     for axis, low, high in zip(archive.characteristics, archive.nadir, archive.ideal, strict=True):
         print(f"{axis}: {low:.2f} to {high:.2f}")

@@ -42,7 +42,7 @@ def run(
     from pcs_racing_agents.base.curves import curves_picture
     from pcs_racing_agents.base.progress import show_progress
     from pcs_racing_agents.base.style import save_picture
-    from pcs_racing_agents.networks.from_trees import train_on_trees
+    from pcs_racing_agents.networks.from_trees import train_regrets
     from pcs_racing_agents.networks.metrics import score_table
     from pcs_racing_agents.networks.network_files import save_network
     from pcs_racing_agents.networks.settings import load_train_settings
@@ -60,7 +60,7 @@ def run(
     require("torch", extra="learning")
     with hold_folder(out), workers.start() as executor:
         folder = output_folder(out)
-        network, result, rows, scores = train_on_trees(
+        network, result, rows, scores = train_regrets(
             lambda number: index[number][0][index[number][1]],
             np.concatenate([np.asarray(part.settings["pairs"]) for part in stored]),
             stored_identity(manifests[0]),

@@ -44,7 +44,7 @@ class TrainedOnTrees(NamedTuple):
     scores: dict[str, NDArray[np.float64]]
 
 
-def train_on_trees(
+def train_regrets(
     tree_at: "Callable[[int], RaceTree]",
     pairs: ArrayLike,
     identity: GameIdentity,

@@ -1,6 +1,6 @@
 """Policy archives: search for Pareto sets, of any function and of policies; payoffs of pools."""
 
-from pcs_racing_agents.policies.archive_run import ArchiveProgress, make_archive
+from pcs_racing_agents.policies.archive_run import ArchiveProgress, synthesize
 from pcs_racing_agents.policies.config import (
     ArchiveConfig,
     list_archive_configs,

@@ -83,7 +83,7 @@ ArchiveCallback = Callable[[ArchiveProgress], object]
 """Callback after the initial sample (generation 0), every generation, and parts of later stages."""
 
 
-def make_archive(
+def synthesize(
     config: ArchiveConfig,
     folder: str | Path,
     *,

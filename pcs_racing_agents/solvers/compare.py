@@ -62,7 +62,7 @@ def compare_methods(
     return rows
 
 
-def solve(tree: GameTree, method: str, iterations: int) -> Profile:
+def solve(tree: GameTree, method: str = "exact", iterations: int = 1000) -> Profile:
     """Return the solution of a tree by one of :data:`METHODS`."""
     if method == "exact":
         return solve_exact(tree).profile

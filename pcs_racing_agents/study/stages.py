@@ -66,10 +66,10 @@ FIXED_TARGETS = 16  # candidates for the targets of best-fixed and best-lead-pla
 def make_the_archive(study: Study) -> None:
     """Make the archive by the configuration's synthesis, unless it names an existing archive."""
     if study.config.synthesis is not None:
-        from pcs_racing_agents.policies.archive_run import make_archive
+        from pcs_racing_agents.policies.archive_run import synthesize
 
         config = load_archive_config(study.config.synthesis)
-        make_archive(config, study.folder / "archive", executor=study.executor)
+        synthesize(config, study.folder / "archive", executor=study.executor)
 
 
 def play_trees(study: Study) -> None:
@@ -146,10 +146,10 @@ def _train(
     ``pairs`` (ndarray of int, shape (trees, 2)): starting policies of the trees. ``progress``:
     factory of a progress function for epochs.
     """
-    from pcs_racing_agents.networks.from_trees import train_on_trees
+    from pcs_racing_agents.networks.from_trees import train_regrets
 
     places = [(own, i) for own in trees for i in range(len(own))]
-    return train_on_trees(
+    return train_regrets(
         lambda number: places[number][0][places[number][1]],
         pairs,
         identity,

@@ -9,7 +9,7 @@ from toy_trees import random_tree
 from pcs_racing import ConfigError, UnknownNameError, make_game
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
-from pcs_racing_agents.networks.from_trees import train_on_trees
+from pcs_racing_agents.networks.from_trees import train_regrets
 from pcs_racing_agents.networks.metrics import TreeScore
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.training import Epoch
@@ -129,7 +129,7 @@ def toy_trees(count=6):
 
 def train_toys(trees, settings=QUICK, **options):
     pairs = [tree.policies for tree in trees]
-    return train_on_trees(trees.__getitem__, pairs, TOY, settings, name="toy", **options)
+    return train_regrets(trees.__getitem__, pairs, TOY, settings, name="toy", **options)
 
 
 def test_no_starting_pair_is_learned_from_and_judged_by():

@@ -17,7 +17,7 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies.archive_report import front_picture, hypervolume_error
-from pcs_racing_agents.policies.archive_run import ArchiveRun, make_archive, stage_scenarios
+from pcs_racing_agents.policies.archive_run import ArchiveRun, synthesize, stage_scenarios
 from pcs_racing_agents.policies.config import ArchiveConfig, load_archive_config
 from pcs_racing_agents.policies.evaluate import Evaluation, race_policies, summarise
 from pcs_racing_agents.policies.headroom import headroom
@@ -85,14 +85,14 @@ POOL = ArchiveConfig(
 def made(tmp_path_factory):
     """An archive, its folder, and the progress of its run."""
     folder, progress = tmp_path_factory.mktemp("archive") / "made", []
-    return make_archive(TINY, folder, callback=progress.append), folder, progress
+    return synthesize(TINY, folder, callback=progress.append), folder, progress
 
 
 @pytest.fixture(scope="module")
 def pool(tmp_path_factory):
     """An archive chosen for headroom, its folder, and the progress of its run."""
     folder, progress = tmp_path_factory.mktemp("archive") / "pool", []
-    return make_archive(POOL, folder, callback=progress.append), folder, progress
+    return synthesize(POOL, folder, callback=progress.append), folder, progress
 
 
 def stated(facts: dict) -> dict:
@@ -249,12 +249,12 @@ def test_the_pool_has_the_maximum_headroom_of_its_candidates(monkeypatch, pool, 
 
     monkeypatch.setattr("pcs_racing_agents.policies.archive_run.choose_for_headroom", choose)
     copy = Path(shutil.copytree(pool[1], tmp_path / "copy"))
-    archive = make_archive(POOL, copy)
+    archive = synthesize(POOL, copy)
     ((shape, groups, count, notes),) = seen
     assert (shape, groups, count) == ((1, 8, 8, 8), 2, 4)
     assert {key: archive.settings[key] for key in notes} == stated(notes)
     few = load_archive_config(POOL, initial_sample=8, generations=0, max_policies=10, candidates=10)
-    refused("8 candidates differ in speed", make_archive, few, tmp_path / "few")
+    refused("8 candidates differ in speed", synthesize, few, tmp_path / "few")
 
 
 def test_the_error_of_a_hypervolume_is_its_spread_over_draws_of_the_races():
@@ -330,7 +330,7 @@ def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
 def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
     """The search has a dimension less for each; its opponents do not vary them either."""
     config = with_(generations=1, fixed=("pace_behind", "blocking"))
-    archive = make_archive(config, tmp_path / "made")
+    archive = synthesize(config, tmp_path / "made")
     assert archive.parameter_names == config.varied
     assert set(LATTICE.parameter_names) - set(config.varied) == {"pace_behind", "blocking"}
     assert archive.settings["fixed"] == "pace_behind, blocking"
@@ -352,7 +352,7 @@ def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
 def test_the_executor_has_no_influence(made, pool, tmp_path):
     with make_executor("threads", 2) as executor:
         for config, folder in ((TINY, made[1]), (POOL, pool[1])):
-            make_archive(config, tmp_path / config.name, executor=executor)
+            synthesize(config, tmp_path / config.name, executor=executor)
             assert files(tmp_path / config.name) == files(folder)
 
 
@@ -362,21 +362,21 @@ def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
     monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)
-    np.testing.assert_array_equal(make_archive(POOL, pool[1]).parameters, pool[0].parameters)
+    np.testing.assert_array_equal(synthesize(POOL, pool[1]).parameters, pool[0].parameters)
     # of a run that was killed while it wrote
     (folder / ".archive.npz.0123abcd").write_bytes(b"half")
-    again = make_archive(TINY, folder)
+    again = synthesize(TINY, folder)
     np.testing.assert_array_equal(again.coordinates, made[0].coordinates)
     assert files(folder) == files(made[1])
     shipped = Path(
         shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job"))
     )
     before = files(shipped)
-    refused(r"archive\.npz but no run", make_archive, TINY, shipped)
+    refused(r"archive\.npz but no run", synthesize, TINY, shipped)
     assert files(shipped) == before
     assert len(list(shipped.iterdir())) == len(before)
     before = files(made[1])
-    refused("generations is 3, not 4", make_archive, with_(generations=4), made[1])
+    refused("generations is 3, not 4", synthesize, with_(generations=4), made[1])
     assert files(made[1]) == before
 
 
@@ -389,7 +389,7 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     config = with_(preset=str(wild), crash_limit=0.3, seed=12)
     assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
     assert config.axes == ("speed", "reaction")
-    archive = make_archive(config, tmp_path / "archive")
+    archive = synthesize(config, tmp_path / "archive")
     assert (archive.own_crash <= 0.3).all()
     over = np.sum(archive.explored.own_crash > config.search_crash_limit)
     assert archive.settings["search_over_crash_limit"] == over > 0
@@ -400,16 +400,16 @@ def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
     assert archive.preset == "wild"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
     with pytest.raises(InputError, match=r"all 30 policies|crash limit of 0%"):
-        make_archive(
+        synthesize(
             with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none"
         )
 
 
 def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_path, made, caplog):
-    archive = make_archive(with_(min_coordinates=(0.0, 0.0), seed=7), tmp_path / "least")
+    archive = synthesize(with_(min_coordinates=(0.0, 0.0), seed=7), tmp_path / "least")
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
     assert (archive.explored.coordinates[:, 0] < 0.0).any()
-    archive = make_archive(with_(min_policies=60, crash_limit=0.0), tmp_path / "few")
+    archive = synthesize(with_(min_policies=60, crash_limit=0.0), tmp_path / "few")
     assert not archive.own_crash.any()
     assert f"the archive holds {len(archive)} policies; 60 were wanted" in caplog.text
 

@@ -12,7 +12,7 @@ from repository import REPOSITORY
 
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import driving
-from pcs_racing_agents.policies.archive_run import make_archive
+from pcs_racing_agents.policies.archive_run import synthesize
 from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.policies.search import CubeCMAES
 
@@ -80,7 +80,7 @@ def test_theta_passes_eight_files_between_the_search_and_the_kernel_and_none_twi
     settings = tmp_path / "small.yaml"
     settings.write_text(SETTINGS)
     # Without an executor the tasks run in this thread, where the spy sees all callers.
-    make_archive(load_archive_config(settings), tmp_path / "archive")
+    synthesize(load_archive_config(settings), tmp_path / "archive")
     # of the search; the choice and the measurement race policies of the archive once more
     road = spy.roads[0]
     assert road[0] == "pcs_racing_agents/policies/archive_run.py"

@@ -1,0 +1,43 @@
+from .archive import PolicyArchive as PolicyArchive
+from .archive_files import list_archives as list_archives
+from .archive_files import load_archive as load_archive
+from .archive_files import save_archive as save_archive
+from .characteristics import Characteristic as Characteristic
+from .characteristics import Segment as Segment
+from .characteristics import get_characteristics as get_characteristics
+from .characteristics import measure as measure
+from .characteristics import register_characteristic as register_characteristic
+from .config import GameConfig as GameConfig
+from .config import load_game_config as load_game_config
+from .kit import ITTC as ITTC
+from .kit import ITTC_SAMPLES as ITTC_SAMPLES
+from .kit import draw_starts as draw_starts
+from .kit import race_seeds as race_seeds
+from .make import make_game as make_game
+from .moves import duplicate_moves as duplicate_moves
+from .moves import move_table as move_table
+from .rules import RaceGame as RaceGame
+from .state import GameState as GameState
+
+__all__ = [
+    "Characteristic",
+    "GameConfig",
+    "GameState",
+    "ITTC",
+    "ITTC_SAMPLES",
+    "PolicyArchive",
+    "RaceGame",
+    "Segment",
+    "draw_starts",
+    "duplicate_moves",
+    "get_characteristics",
+    "list_archives",
+    "load_archive",
+    "load_game_config",
+    "make_game",
+    "measure",
+    "move_table",
+    "race_seeds",
+    "register_characteristic",
+    "save_archive",
+]
