@@ -3,11 +3,9 @@ from .envs.duel import env as env
 from .envs.duel import parallel_env as parallel_env
 from .game.archive_files import load_archive as load_archive
 from .game.make import make_game as make_game
-from .planners.planner import Parameter as Parameter
-from .planners.planner import Planner as Planner
 from .planners.registry import parse_policy as parse_policy
-from .planners.registry import register_planner as register_planner
-from .race.config import RaceConfig as RaceConfig
+from .race.config import CONTEST as CONTEST
+from .race.config import PAPER as PAPER
 from .race.config import load_race_config as load_race_config
 from .race.races import run_field as run_field
 from .race.races import run_races as run_races
@@ -17,10 +15,9 @@ from .track.loading import load_track as load_track
 from .track.maps import list_tracks as list_tracks
 
 __all__ = [
+    "CONTEST",
     "InputError",
-    "Parameter",
-    "Planner",
-    "RaceConfig",
+    "PAPER",
     "env",
     "list_tracks",
     "load_archive",
@@ -30,7 +27,6 @@ __all__ = [
     "parallel_env",
     "parse_policy",
     "record_race",
-    "register_planner",
     "run_field",
     "run_races",
     "save_replay",

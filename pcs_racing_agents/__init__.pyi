@@ -1,6 +1,5 @@
 from .agents.agent import Agent as Agent
 from .agents.zoo import make as make
-from .agents.zoo import names as names
 from .learning.ppo.train import train_ppo as train_ppo
 from .networks.from_trees import train_regrets as train_regrets
 from .networks.network_files import load_network as load_network
@@ -17,7 +16,6 @@ __all__ = [
     "explain_race",
     "load_network",
     "make",
-    "names",
     "play_tournament",
     "rate",
     "solve",

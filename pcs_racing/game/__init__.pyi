@@ -11,8 +11,13 @@ from .config import GameConfig as GameConfig
 from .config import load_game_config as load_game_config
 from .kit import ITTC as ITTC
 from .kit import ITTC_SAMPLES as ITTC_SAMPLES
+from .kit import RaceConfig as RaceConfig
+from .kit import RaceSetup as RaceSetup
+from .kit import RaceState as RaceState
+from .kit import advance as advance
 from .kit import draw_starts as draw_starts
 from .kit import race_seeds as race_seeds
+from .kit import start_races as start_races
 from .make import make_game as make_game
 from .moves import duplicate_moves as duplicate_moves
 from .moves import move_table as move_table
@@ -26,8 +31,12 @@ __all__ = [
     "ITTC",
     "ITTC_SAMPLES",
     "PolicyArchive",
+    "RaceConfig",
     "RaceGame",
+    "RaceSetup",
+    "RaceState",
     "Segment",
+    "advance",
     "draw_starts",
     "duplicate_moves",
     "get_characteristics",
@@ -40,4 +49,5 @@ __all__ = [
     "race_seeds",
     "register_characteristic",
     "save_archive",
+    "start_races",
 ]
