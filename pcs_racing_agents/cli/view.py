@@ -76,7 +76,7 @@ def run(
     from pcs_racing_agents.study.results import open_results
     from pcs_racing_agents.watch.race_replays import RaceRepeater
     from pcs_racing_agents.watch.view_page import view_page
-    from pcs_racing_agents.watch.view_server import RaceService, make_server
+    from pcs_racing_agents.watch.view_server import make_server
 
     if serve and out is not None:
         raise InputError("--out goes without --serve: a page that is served is not written")
@@ -94,10 +94,8 @@ def run(
     picks = _picks(table, index, (0 if index or serve else REPLAYS) if replays is None else replays)
     content = _content(folder, picks)
     if serve:
-        service = RaceService(RaceRepeater(folder), len(table))
-        with make_server(
-            view_page(replace(content, serve=True)), service.answer, port or 0
-        ) as server:
+        served = view_page(replace(content, serve=True))
+        with make_server(served, RaceRepeater(folder).answer, port or 0) as server:
             run_server(server, f"{len(table)} races", open_it=not no_open)
         return
     page = view_page(content).encode()

@@ -80,11 +80,12 @@ def races_of(cells: Sequence[StudyRaces], table: str = "main") -> RaceTable:
 
 def study_table(study: Study, races: RaceTable) -> StudyTable:
     """Compare the agents of one of the study's tables."""
-    config = study.config
+    config, open_loop = study.config, best_open_loop(study)
     table = make_table(
         races,
         best=config.best,
-        open_loop=best_open_loop(study),
+        # The second table may lack the baselines of the first.
+        open_loop=open_loop if open_loop in races.agents.words else None,
         seen={load_track(name).name for name in config.learning.tracks},
     )
     if config.game.race.name == "paper":

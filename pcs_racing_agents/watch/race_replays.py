@@ -5,6 +5,7 @@ once for all races, plans are stored every 0.2 s in centimetres, and data not dr
 omitted.
 """
 
+import re
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from typing import Any, NamedTuple
@@ -16,16 +17,19 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import COARSE, FINE, pack, pack_paths, pack_segments
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.race.replay import Replay, plain_parts
+from pcs_racing.race.replay import Replay, plain_parts, safe_json
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.tournament import Pairing, RaceRow, repeat_race
 from pcs_racing_agents.watch.explain import mark_moves
 from pcs_racing_agents.watch.pcs_picture import axis_limits, in_units, plane
 from pcs_racing_agents.watch.results_folder import ResultsFolder
+from pcs_racing_agents.watch.view_server import Answer, error_answer
 
 PLACES = 4000  # resolution of positions: steps across the picture
 PLAN_SKIP = 2  # every second plan is stored
 MAX_PAIRINGS = 64
+MAX_ANSWERS = 200  # cached in memory, some 40 kB each
+_RACE = re.compile(r"/race/([0-9]{1,7})")
 
 Floats = NDArray[np.float64]
 
@@ -48,6 +52,23 @@ class RaceRepeater:
         #: Policy Characteristic Space (:func:`space_values`); None before the first race.
         self.space: dict[str, Any] | None = None
         self._pairing = lru_cache(maxsize=MAX_PAIRINGS)(self._make_pairing)
+        self._json = lru_cache(maxsize=MAX_ANSWERS)(self._make_json)
+
+    def answer(self, path: str) -> Answer:
+        """Answer ``/race/NUMBER`` with the race, its track and space as JSON, or ``error``."""
+        match, count = _RACE.fullmatch(path), len(self.results.races)
+        if match is None or int(match.group(1)) >= count:
+            return error_answer(404, f"there is / and /race/NUMBER here, from 0 to {count - 1}")
+        try:
+            return Answer(200, self._json(int(match.group(1))))
+        except (InputError, ModuleNotFoundError, OSError) as error:
+            return error_answer(409, str(error))
+
+    def _make_json(self, number: int) -> bytes:
+        race = self.drive(number)
+        circuit = [race.circuit, self.circuits[race.circuit]]
+        values = {"race": race.values, "circuit": circuit, "space": self.space}
+        return safe_json(values).encode()
 
     def _make_pairing(self, track: str, ego: str, opponent: str, seed: int) -> Pairing:
         return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))

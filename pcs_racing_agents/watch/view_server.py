@@ -6,23 +6,17 @@ refused by the requested host name (a page that rebinds its own name to 127.0.0.
 that name) and by the origin that the browser reports.
 """
 
-import re
 import socket
 import threading
 from collections.abc import Callable
-from functools import lru_cache
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, NamedTuple
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import safe_json
-from pcs_racing_agents.watch.race_replays import RaceRepeater
 
-MAX_ANSWERS = 200  # max answers cached in memory, some 40 kB each
 MAX_PATH = 100
-
-_RACE = re.compile(r"/race/([0-9]{1,7})")
 
 
 class Answer(NamedTuple):
@@ -36,37 +30,6 @@ class Answer(NamedTuple):
 def error_answer(status: int, text: str) -> Answer:
     """Return the answer to a failed request: JSON with one line, ``error``."""
     return Answer(status, safe_json({"error": " ".join(text.split())}).encode())
-
-
-class RaceService:
-    """A service that repeats races and caches the last answers."""
-
-    def __init__(self, repeater: RaceRepeater, races: int) -> None:
-        self.repeater = repeater
-        self.races = races
-        self._kept = lru_cache(maxsize=MAX_ANSWERS)(self._drive)
-
-    def answer(self, path: str) -> Answer:
-        """Answer ``/race/NUMBER`` with the race, its track and space as JSON, or ``error``."""
-        match = _RACE.fullmatch(path)
-        if match is None:
-            return error_answer(404, "there is / and /race/NUMBER here")
-        number = int(match.group(1))
-        if not 0 <= number < self.races:
-            return error_answer(
-                404, f"there is no race {number}; there are races 0 to {self.races - 1}"
-            )
-        try:
-            return Answer(200, self._kept(number))
-        except (InputError, ModuleNotFoundError, OSError) as error:
-            return error_answer(409, str(error))
-
-    def _drive(self, number: int) -> bytes:
-        race = self.repeater.drive(number)
-        circuit = [race.circuit, self.repeater.circuits[race.circuit]]
-        return safe_json(
-            {"race": race.values, "circuit": circuit, "space": self.repeater.space}
-        ).encode()
 
 
 def make_server(

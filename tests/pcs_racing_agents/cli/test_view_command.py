@@ -16,8 +16,8 @@ from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
-from pcs_racing_agents.watch.race_replays import RaceRepeater, RepeatedRace
-from pcs_racing_agents.watch.view_server import MAX_ANSWERS, Answer, RaceService, make_server
+from pcs_racing_agents.watch.race_replays import MAX_ANSWERS, RaceRepeater, RepeatedRace
+from pcs_racing_agents.watch.view_server import Answer, make_server
 
 
 @pytest.fixture
@@ -130,9 +130,8 @@ def test_a_changed_folder_is_one_clear_error_and_its_races_can_still_be_listed(f
 @pytest.fixture
 def ask(folder, served):
     """Asks a running server; returns status and content."""
-    results = open_results(folder)
-    service = RaceService(RaceRepeater(results), len(results.races))
-    port = int(served("<p>the page", service.answer).strip("/").rpartition(":")[2])
+    repeater = RaceRepeater(open_results(folder))
+    port = int(served("<p>the page", repeater.answer).strip("/").rpartition(":")[2])
 
     def get(path, method="GET", **headers):
         connection = HTTPConnection("127.0.0.1", port, timeout=120)
@@ -194,8 +193,7 @@ def test_the_server_is_for_reading(ask):
 
 def test_a_race_that_can_not_be_driven_is_told(folder):
     another_agent(folder)
-    service = RaceService(RaceRepeater(open_results(folder)), 18)
-    answer = service.answer("/race/3")
+    answer = RaceRepeater(open_results(folder)).answer("/race/3")
     assert answer.status == 409
     assert "has changed since the races were driven" in json.loads(answer.body)["error"]
 
@@ -272,13 +270,15 @@ def test_answers_are_kept_but_not_for_ever():
         asked.append(number)
         return RepeatedRace(number, "c", {})
 
-    service = RaceService(
-        SimpleNamespace(circuits={"c": {}}, space={}, drive=drive), MAX_ANSWERS + 9
-    )
-    # Race 0 was used again later than race 1, so it is still there at the end.
-    for number in (0, 1, 0, *range(2, MAX_ANSWERS + 1), 0, 1):
-        assert service.answer(f"/race/{number}").status == 200
-    assert asked == [*range(MAX_ANSWERS + 1), 1]
+    repeater = RaceRepeater(SimpleNamespace(races=range(MAX_ANSWERS + 10)))
+    repeater.circuits["c"], repeater.drive = {}, drive
+    for number in (0, 1, 0, *range(2, MAX_ANSWERS + 1)):
+        assert repeater.answer(f"/race/{number}").status == 200
+    assert asked == list(range(MAX_ANSWERS + 1))
+    repeater.answer("/race/0")
+    assert asked[-1] == MAX_ANSWERS  # was used again later than 1, so it is still there
+    repeater.answer("/race/1")
+    assert asked[-1] == 1
 
 
 @pytest.mark.parametrize(

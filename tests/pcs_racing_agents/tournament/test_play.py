@@ -5,12 +5,9 @@ from same_move import Model
 from pcs_racing import GameConfig, load_archive, load_race_config, parse_policy, save_archive
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.base.executors import make_executor
-from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import (
     game_rules,
     plan_tournament,
-    play_plan,
     play_tournament,
     tournament_settings,
 )
@@ -85,36 +82,6 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
     refused(
         "was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza")
     )
-
-
-def test_the_same_rows_whoever_drives_them_also_after_a_stop(mixed, tmp_path):
-    with make_executor("threads", 2) as executor:
-        assert list(play_plan(mixed.plan, executor=executor).races) == list(mixed.races)
-    plan = mixed.plan
-    folder = tmp_path / "tournament"
-    done = []
-
-    def stop(count: int, total: int, what: str) -> None:
-        done.append(count)
-        if len(done) == 2:
-            raise KeyboardInterrupt
-
-    with (
-        pytest.raises(KeyboardInterrupt),
-        open_job(folder, "tournament", tournament_settings(plan)) as job,
-    ):
-        play_plan(plan, job=job, progress=stop)
-    counts: list[int] = []
-    with (
-        open_job(folder, "tournament", tournament_settings(plan)) as job,
-        make_executor("threads", 2) as executor,
-    ):
-        again = play_plan(plan, job=job, executor=executor, progress=lambda n, *_: counts.append(n))
-    assert list(again.races) == list(mixed.races)
-    # Two agents race the same driver in one task: six pairs are four tasks, of which one was there
-    # already.
-    assert counts[0] == done[-1] == 12
-    assert counts[-1] == 48
 
 
 def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(

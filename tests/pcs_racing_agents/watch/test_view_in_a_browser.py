@@ -14,7 +14,6 @@ from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
 from pcs_racing_agents.watch.race_replays import RaceRepeater
 from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
-from pcs_racing_agents.watch.view_server import RaceService
 
 NASTY = (
     "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
@@ -224,9 +223,8 @@ def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(
 def test_a_served_page_drives_any_race(browser, tournament_folder, served):
     place, _ = tournament_folder
     results = open_results(place)
-    service = RaceService(RaceRepeater(results), len(results.races))
     page = view_page(ViewContent("served", results.races, str(place), serve=True))
-    browser.open(served(page, service.answer) + "#race=7")
+    browser.open(served(page, RaceRepeater(results).answer) + "#race=7")
     assert played(browser)[1] > 0.1
     assert browser.complaints == []
     assert browser.run("space.archive") == "toy"
