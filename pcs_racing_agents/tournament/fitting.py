@@ -49,8 +49,6 @@ class TrainingRaces:
     def __post_init__(self) -> None:
         if len(self.tracks) == 0 or len(self.opponents) == 0:
             raise InputError("training races need at least one track and one opponent")
-        object.__setattr__(self, "tracks", tuple(self.tracks))
-        object.__setattr__(self, "opponents", tuple(self.opponents))
 
     def facts(self, reached: float, candidates: int) -> dict[str, str | int | float]:
         """Return facts about the selection of a fit, for its file."""
@@ -252,18 +250,7 @@ def fit_psro(
     known : MetaStrategy, optional
         Equilibrium of the first members; their payoffs are reused.
     """
-    names = [member.name for member in members]
-    if len(members) < 2 or len(set(names)) < len(names):
-        raise InputError(
-            f"members are {', '.join(names) or 'none'}; psro needs at least two, with different"
-            " names"
-        )
     first = 0 if known is None else len(known.payoffs)
-    if first > len(members):
-        raise InputError(
-            f"payoffs of {first} agents are known, and there are {len(members)} members; give all"
-            " of them"
-        )
     pairs = [(i, j) for i, j in combinations(range(len(members)), 2) if j >= first]
     pairings = [
         schedule_pairing(game, members[i], members[j], schedule, training.seed)

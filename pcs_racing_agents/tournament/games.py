@@ -68,11 +68,6 @@ def race_columns(
         Result columns of a :class:`pcs_racing_agents.tournament.races.RaceTable` by name. ``moves``
         are indices of moves; the extra column ``noise`` holds the keys of the steering noise.
     """
-    if not egos or (len(egos) > 1 and any(isinstance(ego, Driver) for ego in egos)):
-        raise InputError(
-            f"egos are {', '.join(map(competitor_name, egos)) or 'none'}; give one or more, a"
-            " planner only alone"
-        )
     game = game_between(game, egos[0], opponent)
     for ego in egos[1:]:
         check_competitor(game, ego)

@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
@@ -155,11 +154,6 @@ def payoffs_picture(names: Sequence[str], payoffs: ArrayLike) -> Any:
     for pairs without races.
     """
     matrix = np.asarray(payoffs, np.float64)
-    if matrix.shape != (len(names), len(names)) or len(names) == 0:
-        raise InputError(
-            f"payoffs have shape {matrix.shape}; {len(names)} agents need ({len(names)},"
-            f" {len(names)})"
-        )
     labels = [short(name) for name in names]
     size = 0.58 * len(names)
     figure = new_figure(size + 2.0, size + 1.4)

@@ -254,8 +254,6 @@ def test_impossible_egos_and_moves_are_refused(zoo, games_of):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
     other = build("never-switch", make_game_spec("default", "paper"))
     for egos, value in [
-        ([], "none"),
-        ([zoo["random-moves"], zoo["pure-pursuit"]], "a planner only alone"),
         ([zoo["random-moves"], other], "never-switch"),
     ]:
         refused(value, pairing.race, egos)
