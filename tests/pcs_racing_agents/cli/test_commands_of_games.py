@@ -170,8 +170,8 @@ def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, t
     assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
     (study,) = begun
     assert (study.archive, study.seed) == ("default", 7)
-    assert study.tracks[-1] == "Vellindra"
-    assert "Vellindra" not in study.circuits
+    assert study.table.tracks[-1] == "Vellindra"
+    assert "Vellindra" not in study.learning.tracks
 
 
 def test_trees_are_played_and_taken_up(run, saved_archive, tmp_path):

@@ -195,50 +195,62 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
     assert [lead_words(lead) for lead in (-0.4, 0.29)] == ["behind by 0.4 m", "level"]
 
 
-def test_a_move_is_compared_with_staying_and_counted_in_what_values_mean(race, spec):
-    step = race.steps[0]._replace(move=0, values=np.array([0.3, 0.1, 0.22, -0.1, 0.2]))
-    assert (
-        why(race, step)
-        == "worth 0.100 of a win more than staying, 0.080 of a win more than restraint +"
-    )
-    assert why(race, step._replace(move=4)) == "worth 0.100 of a win less than aggressiveness +"
-    drawn = step._replace(move=2, values=np.array([0.3, 0.1, 0.22]))
-    assert why(race, drawn) == "worth 0.080 of a win less than aggressiveness +"
-    assert why(race, drawn._replace(move=4)) == "its network has no value for stay"
-    assert why(race, step._replace(values=None)) == ""
-    assert why(race, step._replace(values=np.array([0.3]))) == "there is no other move"
-    metres, bare = (replace(race, unit=Unit(0.5, text)) for text in ("m of lead", ""))
-    assert (
-        why(metres, step)
-        == "worth 0.05 m of lead more than staying, 0.04 m of lead more than restraint +"
-    )
-    assert (
-        why(bare, step)
-        == "the highest value of all moves, worth 0.05 more than staying, 0.04 more than"
-        " restraint +"
-    )
-    assert (
-        why(bare, step._replace(move=2))
-        == "worth 0.01 more than staying, 0.04 less than aggressiveness +"
-    )
-    habit = replace(race, default=DefaultStrategy("habit", 0.25))
-    for change, words in [
+VALUES = np.array([0.3, 0.1, 0.22, -0.1, 0.2])
+WIN, METRES, BARE = Unit(1.0, "of a win"), Unit(0.5, "m of lead"), Unit(0.5, "")
+
+
+@pytest.mark.parametrize(
+    ("move", "values", "unit", "words"),
+    [
+        (0, VALUES, WIN, "worth 0.100 {} more than staying, 0.080 {} more than restraint +"),
+        (4, VALUES, WIN, "worth 0.100 {} less than aggressiveness +"),
+        (2, VALUES[:3], WIN, "worth 0.080 {} less than aggressiveness +"),
+        (4, VALUES[:3], WIN, "its network has no value for stay"),
+        (0, None, WIN, ""),
+        (0, VALUES[:1], WIN, "there is no other move"),
+        (0, VALUES, METRES, "worth 0.05 {} more than staying, 0.04 {} more than restraint +"),
         (
-            {"move": 2, "default_move": 0},
+            0,
+            VALUES,
+            BARE,
+            "the highest value of all moves, worth 0.05 more than staying, 0.04 more than"
+            " restraint +",
+        ),
+        (2, VALUES, BARE, "worth 0.01 more than staying, 0.04 less than aggressiveness +"),
+    ],
+)
+def test_a_move_is_compared_with_staying_in_the_unit_of_values(race, move, values, unit, words):
+    step = race.steps[0]._replace(move=move, values=values)
+    assert why(replace(race, unit=unit), step) == words.replace("{}", unit.text)
+
+
+@pytest.mark.parametrize(
+    ("move", "default", "values", "words"),
+    [
+        (
+            2,
+            0,
+            VALUES,
             "worth 0.000 of a win more than aggressiveness +, what habit would do, and ",
         ),
-        ({"move": 0, "default_move": 0}, "what habit would do, and the best move too"),
+        (0, 0, VALUES, "what habit would do, and the best move too"),
         (
-            {"move": 4, "default_move": 4},
-            (
-                "keeps to habit: the best move, aggressiveness +, promises 0.300 of a win "
-                "more, which is not above the margin of 0.250 of a win"
-            ),
+            4,
+            4,
+            VALUES[:4],
+            "keeps to habit: the best move, aggressiveness +, promises 0.300 of a win more, which"
+            " is not above the margin of 0.250 of a win",
         ),
-    ]:
-        values = step.values[: 4 if change["move"] == 4 else 5]
-        assert why(habit, step._replace(**change, values=values)).startswith(words)
-    assert value_unit(network_of(spec, worth="win"), "lead") == Unit(1.0, "of a win")
+    ],
+)
+def test_a_move_is_compared_with_the_default_strategy(race, move, default, values, words):
+    habit = replace(race, default=DefaultStrategy("habit", 0.25))
+    step = race.steps[0]._replace(move=move, default_move=default, values=values)
+    assert why(habit, step).startswith(words)
+
+
+def test_the_training_of_a_network_decides_the_unit_of_its_values(spec):
+    assert value_unit(network_of(spec, worth="win"), "lead") == WIN
     assert value_unit(network_of(spec), "win") == Unit(0.5, "of a win")
     assert value_unit(network_of(spec, "static-q"), "lead") == Unit(1.0, "m of lead")
     assert value_unit(network_of(spec, "regret"), "win") == Unit(1.0, "")
