@@ -131,21 +131,19 @@ def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournam
     assert values["lead"] == pytest.approx(races.lead, abs=0.00051)
     assert values["start_s"] == pytest.approx(races.start_s, abs=0.005)
     assert packed["seeds"] == ["2"]
-    for number, row in enumerate(races):
-        for car, (agent, overtakes, variant, moves) in enumerate(
-            (
-                (row.ego, row.ego_overtakes, row.ego_variant, row.ego_moves),
-                (row.opponent, row.opponent_overtakes, row.opponent_variant, row.opponent_moves),
-            )
-        ):
-            assert packed["agents"][int(values[("ego", "opponent")[car]][number])] == agent
-            assert packed["moves"][int(values[f"moves{car}"][number])] == "; ".join(moves)
-            assert values[f"overtakes{car}"][number] == overtakes
-            assert values[f"variants{car}"][number] == variant
-            assert values[f"switches{car}"][number] == races.switches[number, car]
-        assert ("none", "ego", "opponent")[int(values["winner"][number])] == row.winner
-        assert ("none", "wall", "car")[int(values["crash"][number])] == row.crash
-        assert ("none", "ego", "opponent", "both")[int(values["fault"][number])] == row.fault
+    for car, name in enumerate(("ego", "opponent")):
+        for key in ("overtakes", "variants", "switches"):
+            np.testing.assert_array_equal(values[f"{key}{car}"], getattr(races, key)[:, car])
+        agents = [packed["agents"][int(code)] for code in values[name]]
+        moves = [packed["moves"][int(code)] for code in values[f"moves{car}"]]
+        assert agents == [getattr(row, name) for row in races]
+        assert moves == ["; ".join(getattr(row, f"{name}_moves")) for row in races]
+    for name, words in (
+        ("winner", ("none", "ego", "opponent")),
+        ("crash", ("none", "wall", "car")),
+        ("fault", ("none", "ego", "opponent", "both")),
+    ):
+        assert [words[int(code)] for code in values[name]] == [getattr(row, name) for row in races]
     assert values["duration"] == pytest.approx(races.duration, abs=0.005)
     for name in ("race", "side"):
         np.testing.assert_array_equal(values[name], getattr(races, name))
