@@ -43,10 +43,10 @@ def run(
         return
     if agent not in listed:
         raise UnknownNameError(f"agent {agent!r} is unknown; {choices(agent, listed)}")
-    told = f"{_CONSTANT.capitalize()}.\n"
+    about = f"{_CONSTANT.capitalize()}.\n"
     if agent in available:
-        told = describe(agent, available[agent]).replace("`", "")
-    print(f"{agent}\n\n{told}\n\nWith archive {spec.archive.name} in the {spec.race} race:")
+        about = describe(agent, available[agent]).replace("`", "")
+    print(f"{agent}\n\n{about}\n\nWith archive {spec.archive.name} in the {spec.race} race:")
     print("\n".join(f"- {line}" for line in facts_of(agent, spec)))
 
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from pcs_racing_agents.policies.headroom import Headroom
     from pcs_racing_agents.policies.policy_pool import PolicyPool
 
-MOST = 16
+POOL_SIZE = 16
 """Default size of a pool: all pairs of its policies race in less than a minute per track."""
 NOTE = """H: value of knowing the opponent before the start, in races won, over the best fixed
 policy; low: a lower bound; opponents, pool: standard errors over opponents and over draws of the
@@ -45,7 +45,7 @@ class PoolOptions:
         int | None,
         Option(
             "policies of the pool, evenly spaced in the order of the archive's first axis "
-            f"(default: {MOST}, or all if the archive has fewer)"
+            f"(default: {POOL_SIZE}, or all if the archive has fewer)"
         ),
     ] = None
     policies: Annotated[
@@ -66,7 +66,7 @@ class PoolOptions:
         else:
             archive = load_archive(archive_for(self.archive, self.rules.config()))
             names, policies = spanning_policies(
-                archive, min(MOST, len(archive)) if self.size is None else self.size
+                archive, min(POOL_SIZE, len(archive)) if self.size is None else self.size
             )
         tracks = tuple(load_track(name) for name in self.track)
         return names, PolicyPool(

@@ -47,7 +47,7 @@ class Rules:
 
     rules: RulesName = "paper"
     duration: Annotated[
-        float | None, Option("duration of a race in s (default: that of the preset, 40)", "S")
+        float | None, Option("duration of a race in s (default: from the preset, 40)", "S")
     ] = None
     seed: Annotated[int, Option("seed of the starts and of the noise")] = 0
 

@@ -58,7 +58,7 @@ def run(
     config = rules.config()
     check_seed(rules.seed)
     check_whole("index", index, 0, LAST_INDEX)
-    driver, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
+    first, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
     target = output_file(replay, ".html", ".json") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None
     bag = output_file(mcap, ".mcap") if mcap else None
@@ -72,11 +72,11 @@ def run(
     about = f"preset {config.name}, seed {rules.seed}, race {index}"
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
     recorded = record_race(
-        circuit, driver, others, config, seed=rules.seed, index=index, candidates=target is not None
+        circuit, first, others, config, seed=rules.seed, index=index, candidates=target is not None
     )
     print(_story(recorded))
     if config.heats > 1 and len(others) == 1:
-        print(_series(circuit, driver, others[0], config, rules.seed, index))
+        print(_series(circuit, first, others[0], config, rules.seed, index))
     if target is None:
         print("to watch it: run the same command with --replay race.html")
     else:

@@ -46,7 +46,7 @@ def run(
         ),
     ] = None,
     rules: Annotated[
-        str | None, Option("preset of the rules (default: that of the configuration)")
+        str | None, Option("preset of the rules (default: from the configuration)")
     ] = None,
     changes: Annotated[
         dict[str, Any],

@@ -36,7 +36,7 @@ def run(
     track: Circuits = (DEFAULT_TRACK,),
     agents: Annotated[
         Sequence[str],
-        Option(f"agent or driver: {AGENT_HELP}", "AGENT"),
+        Option(f"agent or planner: {AGENT_HELP}", "AGENT"),
     ] = (),
     policies: Annotated[Sequence[str], Option(POLICY_HELP, "POLICY")] = (),
     rules: Rules,
@@ -45,8 +45,7 @@ def run(
     out: Annotated[
         Path | None,
         Option(
-            "folder for results.csv and the payoff matrix; a tournament that was stopped resumes"
-            " there",
+            "folder for results.csv and the payoff matrix; an interrupted run resumes here",
             "DIR",
         ),
     ] = None,
@@ -63,7 +62,7 @@ def run(
 
     if len(agents) + len(policies) < 2:
         raise InputError(
-            "a tournament needs at least 2 competitors: name them behind --agents, or --policies"
+            "a tournament needs at least 2 competitors: name them after --agents or --policies"
         )
     config = rules.config()
     plan = plan_tournament(

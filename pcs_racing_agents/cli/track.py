@@ -25,7 +25,7 @@ group = Command(
 )
 
 MapFolder = Annotated[Path, Option("map folder to write", "DIR")]
-Name = Annotated[str | None, Option("name of the circuit (default: that of the folder)")]
+Name = Annotated[str | None, Option("name of the circuit (default: name of the folder)")]
 
 
 @command("track list", "pcs-racing track list")

@@ -34,7 +34,7 @@ def run(
     changes: Annotated[
         dict[str, Any], ConfigOptions(TrainSettings, "target", "epochs", "hidden", "seed")
     ],
-    name: Annotated[str | None, Option("name of the network (default: that of the folder)")] = None,
+    name: Annotated[str | None, Option("name of the network (default: name of the folder)")] = None,
     out: Annotated[Path, Option("folder for the network and its learning curves", "DIR")],
     workers: Workers,
 ) -> None:

@@ -124,10 +124,10 @@ def _content(results: "ResultsFolder", picks: "Sequence[SelectedRace]") -> "View
     from pcs_racing_agents.watch.race_replays import RaceRepeater
     from pcs_racing_agents.watch.view_page import ViewContent
 
-    driver, progress = RaceRepeater(results), show_progress()
+    repeater, progress = RaceRepeater(results), show_progress()
     driven = []
     try:
-        for race in driver.drive_all([pick.race for pick in picks]):
+        for race in repeater.drive_all([pick.race for pick in picks]):
             driven.append(race)
             progress(len(driven), len(picks), race.circuit)
     except InputError as error:
@@ -141,8 +141,8 @@ def _content(results: "ResultsFolder", picks: "Sequence[SelectedRace]") -> "View
         start=results.start,
         picks=picks,
         driven=driven,
-        circuits=driver.circuits,
-        space=driver.space,
+        circuits=repeater.circuits,
+        space=repeater.space,
     )
 
 

@@ -88,7 +88,7 @@ class PPOSettings(Settings):
         int,
         Interval(ge=2, le=1_000_000),
         "Races of an evaluation on each circuit (and under each set of rules), against the"
-        " opponents in turn.",
+        " opponents by equal shares.",
     ] = 200
     patience: Annotated[
         int,
@@ -135,12 +135,12 @@ class DriveSettings(PPOSettings):
     duration: Annotated[
         float,
         Interval(ge=0.1, le=3600.0),
-        "Length of a race in training, s; evaluations use that of the rules.",
+        "Length of a race in training, s; evaluations use the length of the rules.",
     ] = 16.0
     slowest: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Speed scale of an opponent's pace 0 in training; 0 for that of the rules. Slow opponents"
+        "Speed scale of an opponent's pace 0 in training; 0 for the scale of the rules. Slow opponents"
         " let the agent learn to overtake; behind an opponent of equal speed the risk is not"
         " worth it.",
     ] = 0.3

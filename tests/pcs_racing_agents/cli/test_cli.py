@@ -272,7 +272,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
             ["tournament", "--track", "Pipkin", "--policies", "lattice"],
             "a tournament needs at least 2",
         ),
-        (["tournament"], "name them behind --agents"),
+        (["tournament"], "name them after --agents"),
         (["tornament"], "command 'tornament' is unknown; did you mean 'tournament'?"),
         (["race", "--ego", "lane-switcher:33"], "no variant '33'; did you mean '3'?"),
         (["race", "--track", ""], "unknown track ''"),
