@@ -31,7 +31,7 @@ from pcs_racing_agents.watch.view_server import make_server
 
 @pytest.fixture(scope="session")
 def processes() -> Iterator[Executor]:
-    """Two processes for all tests: those of each executor would import and load everything again."""
+    """Two processes for all tests: new ones would import and load everything again."""
     with make_executor("processes", 2) as executor:
         yield executor
 

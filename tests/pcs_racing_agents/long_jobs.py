@@ -44,7 +44,7 @@ def commands() -> dict[str, list[str]]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return what a command left, by path: all but times, in locks, PPO's chunks and notes of stages."""
+    """Return the files of a command, without times in locks, PPO's chunks and notes of stages."""
     found = {
         str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()
     }

@@ -264,10 +264,11 @@ def test_the_ros_bridge_drives_by_commands_and_publishes_what_the_gym_does(monke
     assert abs(speeds[1]) < 0.1
     assert len(messages["/scan"].fields["ranges"]) == 9
     frames = SimpleNamespace(transforms=None)
-    new = lambda: SimpleNamespace(
-        header=SimpleNamespace(stamp=SimpleNamespace()),
-        transform=SimpleNamespace(translation=SimpleNamespace(), rotation=SimpleNamespace()),
-    )
+
+    def new():
+        parts = SimpleNamespace(translation=SimpleNamespace(), rotation=SimpleNamespace())
+        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace()), transform=parts)
+
     logic.fill(frames, messages["/tf"].fields, {"transforms": new})
     assert [frame.child_frame_id for frame in frames.transforms][:2] == [
         "ego_racecar/base_link",

@@ -140,9 +140,9 @@ class DriveSettings(PPOSettings):
     slowest: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Speed scale of an opponent's pace 0 in training; 0 for the scale of the rules. Slow opponents"
-        " let the agent learn to overtake; behind an opponent of equal speed the risk is not"
-        " worth it.",
+        "Speed scale of an opponent's pace 0 in training; 0 for the scale of the rules. Slow"
+        " opponents let the agent learn to overtake; behind an opponent of equal speed the risk is"
+        " not worth it.",
     ] = 0.3
     hold: Annotated[
         int,

@@ -141,9 +141,9 @@ def _without_policies(
     return excess - np.where(balanced, 0.5 * (mean[cells] - mean[mirrored]), 0.0)
 
 
-REPLY_NOTE = """loss: half of the reply's wins minus the agent's wins, as a share of the races; 0.1 means
-that the reply won 60 of 100 races. It is a lower bound: a learner with a larger budget may find a
-better reply. The interval is robust to clusters of start policies and start lines."""
+REPLY_NOTE = """loss: half of the reply's wins minus the agent's wins, as a share of the races;
+0.1 means that the reply won 60 of 100 races. It is a lower bound: a learner with a larger budget
+may find a better reply. The interval is robust to clusters of start policies and start lines."""
 REPLY_HEAD = (
     "agent",
     "circuit",

@@ -39,7 +39,7 @@ PAYOFFS = np.array([[2.0, -1.0], [-1.0, 1.0]])  # of player 0
 
 @dataclass(frozen=True)
 class MatrixSampler:
-    """A matrix game played in each of some steps; players see the step and which player they are."""
+    """A matrix game, played in each of some steps; players see the step and their number."""
 
     steps: int = 1
 
