@@ -126,10 +126,7 @@ def make_model(
             n_epochs=settings.epochs,
             gamma=settings.discount,
             gae_lambda=settings.gae_lambda,
-            clip_range=settings.clip_range,
             ent_coef=settings.entropy,
-            vf_coef=settings.value_weight,
-            max_grad_norm=settings.max_gradient,
             policy_kwargs=policy,
             device="cpu",
         )

@@ -72,12 +72,7 @@ class PPOSettings(Settings):
     gae_lambda: Annotated[
         float, Interval(ge=0.0, le=1.0), "Lambda of generalised advantage estimation."
     ] = 0.95
-    clip_range: Annotated[
-        float, Interval(ge=1e-3, le=10.0), "Clip range of the probability ratio."
-    ] = 0.2
     entropy: Annotated[float, Interval(ge=0.0, le=10.0), "Weight of the entropy in the loss."] = 0.0
-    value_weight: Annotated[float, Interval(ge=0.0, le=100.0), "Weight of the value loss."] = 0.5
-    max_gradient: Annotated[float, Interval(ge=1e-6, le=1e6), "Maximum norm of a gradient."] = 0.5
     hidden: Annotated[Layers, "Units of each hidden layer of the policy."] = (64, 64)
     value_hidden: Annotated[Layers, "Units of each hidden layer of the value network."] = (64, 64)
     reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 1.0
