@@ -72,6 +72,9 @@ def hold_folder(folder: Path) -> Iterator[None]:
         clear_half_written(folder)
     with lock:
         yield
+        # On Windows a locked file can't be deleted.
+        with suppress(OSError):
+            (folder / ".lock").unlink()
 
 
 def clear_half_written(folder: Path) -> None:
