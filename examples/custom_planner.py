@@ -14,16 +14,9 @@ import argparse
 
 import numpy as np
 
-from pcs_racing import (
-    Parameter,
-    Planner,
-    get_planner,
-    load_race_config,
-    load_track,
-    register_planner,
-    run_races,
-)
+from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.base.compilation import compiled
+from pcs_racing.planners import Parameter, Planner, get_planner, register_planner
 from pcs_racing.planners import view as view_of  # the names of the numbers in `view`
 from pcs_racing.planners.view import PATH_KAPPA, PATH_POINTS, PATH_SPEED, PATH_X, PATH_Y
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES

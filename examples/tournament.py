@@ -11,7 +11,8 @@ import argparse
 from dataclasses import dataclass, fields
 from pathlib import Path
 
-from pcs_racing import Policy, get_planner, load_race_config, load_track, save_replay
+from pcs_racing import load_race_config, load_track, save_replay
+from pcs_racing.planners import Policy, get_planner
 from pcs_racing_agents.tournament import (
     RaceRow,
     play_tournament,

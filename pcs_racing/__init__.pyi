@@ -16,8 +16,8 @@ from .track.maps import list_tracks as list_tracks
 
 __all__ = [
     "CONTEST",
-    "InputError",
     "PAPER",
+    "InputError",
     "env",
     "list_tracks",
     "load_archive",

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-from pcs_racing import F1TENTH, Parameter, Planner, RaceSetup, load_race_config
+from pcs_racing import load_race_config
 from pcs_racing.base.compilation import compiled
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.positions import place_cars
+from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.state import empty_state
 
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)

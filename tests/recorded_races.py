@@ -4,7 +4,7 @@ Python.
 
 import numpy as np
 
-from pcs_racing import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import OWN_D, OWN_PSI, OWN_S
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.track.frenet import SPEED

@@ -107,7 +107,7 @@ def generated(folders: list[Path]) -> Digests:
 
 def vehicles(folders: list[Path]) -> Digests:
     """Random controls, from standstill to the limit."""
-    from pcs_racing import simulate
+    from pcs_racing.car.vehicle import simulate
 
     rng = np.random.default_rng(0)
     targets = np.stack(
@@ -118,8 +118,9 @@ def vehicles(folders: list[Path]) -> Digests:
 
 def lidar(folders: list[Path]) -> Digests:
     """Scans with an opponent, with noise, and times to collision."""
-    from pcs_racing import Lidar, load_track
+    from pcs_racing import load_track
     from pcs_racing.car.ittc import minimum_ittc
+    from pcs_racing.car.lidar import Lidar
 
     track = load_track("Quillburg")
     places = track.to_cartesian(np.column_stack([np.linspace(0.0, 110.0, 200), np.zeros(200)]))
@@ -139,17 +140,16 @@ def lidar(folders: list[Path]) -> Digests:
 
 def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
-    from pcs_racing import (
+    from pcs_racing import load_race_config, load_track, parse_policy
+    from pcs_racing.planners.network import driver_weight_count, network_planner
+    from pcs_racing.race.races import (
         RaceSetup,
         advance,
         draw_starts,
-        load_race_config,
-        load_track,
-        parse_policy,
+        pad_parameters,
+        race_seeds,
         start_races,
     )
-    from pcs_racing.planners.network import driver_weight_count, network_planner
-    from pcs_racing.race.races import pad_parameters, race_seeds
 
     ego, track = parse_policy("lattice"), load_track("Quillburg")
     weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, driver_weight_count((16,))), 3)

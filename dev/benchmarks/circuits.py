@@ -19,11 +19,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing import CONTEST, PAPER, Policy, RaceConfig, Track, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, PAPER, list_tracks, load_track, run_races
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import Policy
 from pcs_racing.race.calibration import calibration_of
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.maps import find_map, find_shipped, parse_map, read_bytes
+from pcs_racing.track.track import Track
 
 EARLY = 2.0  # s
 COLUMNS = (

@@ -17,11 +17,14 @@ from pathlib import Path
 import numpy as np
 from driving import Alone, circuits, show
 
-from pcs_racing import CONTEST, RaceConfig, Starts, Track, load_track, parse_policy, run_races
+from pcs_racing import CONTEST, load_track, parse_policy, run_races
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import SHIPPED
 from pcs_racing.race.calibration import calibration_of
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import kernel_settings
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track
 from pcs_racing_agents.tournament.statistics import clustered_mean
 
 LIDAR = (

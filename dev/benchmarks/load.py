@@ -208,7 +208,8 @@ def yardstick() -> Callable[[], tuple[float, float]]:
     """Return a function that drives the same races, and says how many microseconds of processor
     each took, and all.
     """
-    from pcs_racing import PAPER, draw_starts, load_track, parse_policy, run_races
+    from pcs_racing import PAPER, load_track, parse_policy, run_races
+    from pcs_racing.race.races import draw_starts
 
     track, car = load_track("Tarnfjord"), parse_policy("lattice")
     starts = draw_starts(track, PAPER, 50, 1)

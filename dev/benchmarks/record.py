@@ -89,8 +89,10 @@ def reference() -> Callable[[], object]:
 
 def measured() -> dict[str, tuple[Callable[[], object], int]]:
     """What is timed, and how many units are in a call."""
-    from pcs_racing import PAPER, Lidar, draw_starts, load_track, parse_policy, run_races
+    from pcs_racing import PAPER, load_track, parse_policy, run_races
+    from pcs_racing.car.lidar import Lidar
     from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+    from pcs_racing.race.races import draw_starts
     from pcs_racing_agents.solvers import GameTree, cfr, solve_exact
 
     track, car = load_track("Tarnfjord"), parse_policy("lattice")

@@ -18,16 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from pcs_racing import (
-    CONTEST,
-    RaceConfig,
-    get_planner,
-    load_track,
-    parse_policy,
-    planner_names,
-    record_race,
-)
+from pcs_racing import CONTEST, load_track, parse_policy, record_race
 from pcs_racing.base.files import write_atomically
+from pcs_racing.planners.registry import get_planner, planner_names
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import replay_frames, write_gif
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay

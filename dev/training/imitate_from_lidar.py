@@ -24,19 +24,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
-from pcs_racing import (
-    CONTEST,
-    Parameter,
-    Planner,
-    RaceConfig,
-    RaceSetup,
-    Starts,
-    Track,
-    get_planner,
-    list_tracks,
-    load_track,
-    run_races,
-)
+from pcs_racing import CONTEST, list_tracks, load_track, run_races
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import weight_count
 from pcs_racing.base.elementary import sine_cosine
@@ -54,10 +42,15 @@ from pcs_racing.planners.field.lidar_networks import (
     load_lidar_driver,
     save_lidar_driver,
 )
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.scanning import WORK
 from pcs_racing.race.calibration import calibration_of
-from pcs_racing.race.races import advance, start_races
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import RaceSetup, advance, start_races
 from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track
 
 TEACHER = "predictive-spliner"
 SCALES = (0.8, 1.4)  # speed scales of pace 0 and 1 while data are collected

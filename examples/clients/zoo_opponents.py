@@ -15,7 +15,8 @@ import pettingzoo
 
 import pcs_racing  # noqa: F401  registers the environments
 import pcs_racing_agents
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import InputError
+from pcs_racing.base.errors import UnknownNameError
 
 GAMES = {"default": "paper", "contest": "contest"}  # the rules by the archive
 ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Match-v0", "pcs_racing/Drive-v1")

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing import Lidar, load_track
+from pcs_racing import load_track
+from pcs_racing.car.lidar import Lidar
 from pcs_racing.envs.drive import DriveHeadToHeadEnv
 from pcs_racing_agents.watch.ros_messages import (
     RosMessage,

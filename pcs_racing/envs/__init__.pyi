@@ -1,4 +1,8 @@
+from . import drive as drive
+from . import duel as duel
+from . import match as match
 from .batch import Step as Step
+from .circuits import RandomCircuits as RandomCircuits
 from .drive import DriveEnv as DriveEnv
 from .drive import DriveHeadToHeadEnv as DriveHeadToHeadEnv
 from .drive import DriveHeadToHeadVectorEnv as DriveHeadToHeadVectorEnv
@@ -7,12 +11,11 @@ from .duel import DuelEnv as DuelEnv
 from .duel import DuelVectorEnv as DuelVectorEnv
 from .duel import HeadToHeadEnv as HeadToHeadEnv
 from .duel import SelfPlayVectorEnv as SelfPlayVectorEnv
+from .infos import Result as Result
 from .match import HeadToHeadMatchEnv as HeadToHeadMatchEnv
 from .match import MatchEnv as MatchEnv
 from .match import MatchVectorEnv as MatchVectorEnv
 from .match import SelfPlayMatchVectorEnv as SelfPlayMatchVectorEnv
-from .infos import Result as Result
-from .circuits import RandomCircuits as RandomCircuits
 from .obstacles import Obstacles as Obstacles
 from .registration import GYMNASIUM_IDS as GYMNASIUM_IDS
 from .registration import PETTINGZOO_IDS as PETTINGZOO_IDS
@@ -20,24 +23,21 @@ from .registration import register_environments as register_environments
 from .sb3 import SB3VecEnv as SB3VecEnv
 from .sb3 import make_sb3_vec_env as make_sb3_vec_env
 from .video import RecordRaces as RecordRaces
-from . import drive as drive
-from . import duel as duel
-from . import match as match
 
 __all__ = [
+    "GYMNASIUM_IDS",
+    "PETTINGZOO_IDS",
     "DriveEnv",
     "DriveHeadToHeadEnv",
     "DriveHeadToHeadVectorEnv",
     "DriveVectorEnv",
     "DuelEnv",
     "DuelVectorEnv",
-    "GYMNASIUM_IDS",
     "HeadToHeadEnv",
     "HeadToHeadMatchEnv",
     "MatchEnv",
     "MatchVectorEnv",
     "Obstacles",
-    "PETTINGZOO_IDS",
     "RandomCircuits",
     "RecordRaces",
     "Result",

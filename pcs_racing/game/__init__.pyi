@@ -25,11 +25,11 @@ from .rules import RaceGame as RaceGame
 from .state import GameState as GameState
 
 __all__ = [
+    "ITTC",
+    "ITTC_SAMPLES",
     "Characteristic",
     "GameConfig",
     "GameState",
-    "ITTC",
-    "ITTC_SAMPLES",
     "PolicyArchive",
     "RaceConfig",
     "RaceGame",

@@ -1,3 +1,4 @@
+from . import view as view
 from .imported import drivers_from as drivers_from
 from .kit import KAPPA as KAPPA
 from .kit import LEFT as LEFT
@@ -17,7 +18,6 @@ from .registry import get_planner as get_planner
 from .registry import parse_policy as parse_policy
 from .registry import planner_names as planner_names
 from .registry import register_planner as register_planner
-from . import view as view
 from .view import PATH_KAPPA as PATH_KAPPA
 from .view import PATH_POINTS as PATH_POINTS
 from .view import PATH_SPEED as PATH_SPEED
@@ -34,12 +34,12 @@ __all__ = [
     "PATH_X",
     "PATH_Y",
     "PSI",
-    "Parameter",
-    "Planner",
-    "Policy",
     "RIGHT",
     "SPEED",
     "VIEW",
+    "Parameter",
+    "Planner",
+    "Policy",
     "angle_between",
     "compiled",
     "driver_weight_count",

@@ -1,19 +1,19 @@
+from . import observing as observing
 from .agent import Agent as Agent
 from .agent import Competitor as Competitor
 from .agent import Driver as Driver
 from .agent import Strategy as Strategy
 from .agent import as_agent as as_agent
+from .from_torch import TorchPolicy as TorchPolicy
 from .game_spec import GameSpec as GameSpec
 from .game_spec import make_game_spec as make_game_spec
 from .sb3_files import load_model as load_model
 from .sb3_files import save_model as save_model
-from .from_torch import TorchPolicy as TorchPolicy
 from .zoo import Entry as Entry
 from .zoo import make as make
 from .zoo import names as names
 from .zoo import parse_agent as parse_agent
 from .zoo import register_agent as register_agent
-from . import observing as observing
 
 __all__ = [
     "Agent",

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive
 
-from pcs_racing import RaceGame, load_track, save_archive
+from pcs_racing import load_track
 from pcs_racing.envs.match import MatchEnv
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.match import MatchGame
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents import make_game_spec
 from studies.__main__ import main
 from studies.matches.behaviours import Behaviours

@@ -12,11 +12,13 @@ import numpy as np
 import pettingzoo
 
 import pcs_racing
-from pcs_racing import PolicyArchive, get_planner, load_race_config, load_track, parse_policy
+from pcs_racing import load_race_config, load_track, parse_policy
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
 from pcs_racing.envs.match import parallel_env as head_to_head_match_env
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 

@@ -9,10 +9,11 @@ are quick enough run that way, too.
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, PAPER, draw_starts, load_race_config, parse_policy, run_races
+from pcs_racing import CONTEST, PAPER, load_race_config, parse_policy, run_races
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
+from pcs_racing.race.races import draw_starts
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample
 from pcs_racing.track.mapping.circuits import generate_circuit

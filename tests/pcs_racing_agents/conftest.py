@@ -6,14 +6,10 @@ import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
-from pcs_racing import (
-    PolicyArchive,
-    RaceGame,
-    load_race_config,
-    load_track,
-    make_game,
-    save_archive,
-)
+from pcs_racing import load_race_config, load_track, make_game
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import save_archive
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.base.executors import make_executor

@@ -8,10 +8,11 @@ import pytest
 from repository import REPOSITORY, run_python
 from warm_start import call_python
 
-from pcs_racing import Starts, load_race_config, load_track, run_races
+from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_networks import read_lidar_driver
 from pcs_racing.race.races import start_lines
+from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import own
 from pcs_racing_agents.agents.zoo import load_entrant

@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from pcs_racing import GameConfig, PolicyArchive, get_planner
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import GameSpec
 from pcs_racing_agents.networks import RegretNetwork
 

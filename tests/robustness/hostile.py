@@ -21,19 +21,13 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from pcs_racing import (
-    InputError,
-    load_archive,
-    load_race_config,
-    load_track,
-    parse_policy,
-    read_replay,
-)
+from pcs_racing import InputError, load_archive, load_race_config, load_track, parse_policy
 from pcs_racing.base.packing import unpack
 from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
+from pcs_racing.race.replay import read_replay
 from pcs_racing.track.map_files import parse_csv, parse_grid, parse_ros_yaml
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit

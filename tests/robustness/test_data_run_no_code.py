@@ -21,14 +21,11 @@ from repository import REPOSITORY
 
 from pcs_racing import (
     InputError,
-    RaceConfig,
     load_archive,
-    load_game_config,
     load_race_config,
     load_track,
     make_game,
     parse_policy,
-    read_replay,
     record_race,
     save_replay,
 )
@@ -38,8 +35,10 @@ from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
+from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.trained import load_driver
-from pcs_racing.race.replay import replay_page
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.replay import read_replay, replay_page
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import make, parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec

@@ -16,27 +16,27 @@ from PIL import Image
 from refusal import refused
 
 from pcs_racing import (
-    GameConfig,
     InputError,
-    RaceConfig,
     load_archive,
     load_race_config,
     load_track,
     make_game,
     parse_policy,
-    read_replay,
     record_race,
-    save_archive,
     save_replay,
 )
 from pcs_racing.base.checks import check_number, check_seed
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.planners.trained import load_driver
+from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import write_gif
+from pcs_racing.race.replay import read_replay
 from pcs_racing.track.map_files import parse_grid
 from pcs_racing.track.maps import read_map, write_map
 from pcs_racing_agents.agents import parse_agent

@@ -2,8 +2,8 @@ import pytest
 import yaml
 from refusal import refused
 
-from pcs_racing import UnknownNameError
 from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat, shipped_folder
+from pcs_racing.base.errors import UnknownNameError
 
 NOTE = ManifestFormat("note", ("text", "pages"), "write_note")
 

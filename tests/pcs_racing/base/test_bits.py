@@ -24,18 +24,19 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
-from pcs_racing import (
-    build_track,
+from pcs_racing import load_race_config, load_track, parse_policy
+from pcs_racing.race.races import (
+    RaceSetup,
+    advance,
     draw_starts,
-    load_race_config,
-    load_track,
-    parse_policy,
+    pad_parameters,
+    race_seeds,
     start_races,
 )
-from pcs_racing.race.races import RaceSetup, advance, pad_parameters, race_seeds
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.raceline import minimum_curvature_raceline
 from pcs_racing.track.maps import find_shipped, read_map
+from pcs_racing.track.track import build_track
 
 WITHOUT = {
     "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),

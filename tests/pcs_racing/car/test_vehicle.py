@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing import F1TENTH, VehicleParams, simulate
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.lanes import (
     LANES,
@@ -17,7 +16,16 @@ from pcs_racing.car.lanes import (
     step_slow_car,
     store_car,
 )
-from pcs_racing.car.vehicle import DELTA, RULES_NOISE, STEER_DELAY, V, load_vehicle
+from pcs_racing.car.vehicle import (
+    DELTA,
+    F1TENTH,
+    RULES_NOISE,
+    STEER_DELAY,
+    V,
+    VehicleParams,
+    load_vehicle,
+    simulate,
+)
 
 
 def constant(steer: float, speed: float, steps: int) -> np.ndarray:

@@ -1,7 +1,7 @@
 import pytest
 from faces import MATCH
 
-from pcs_racing import PolicyArchive
+from pcs_racing.game.archive import PolicyArchive
 
 
 @pytest.fixture(scope="package")

@@ -3,7 +3,6 @@
 import numpy as np
 from gymnasium.spaces import MultiDiscrete
 
-from pcs_racing import PolicyArchive, get_planner
 from pcs_racing.envs.drive import (
     DriveEnv,
     DriveHeadToHeadEnv,
@@ -17,7 +16,9 @@ from pcs_racing.envs.match import (
     MatchVectorEnv,
     SelfPlayMatchVectorEnv,
 )
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import decode_match
+from pcs_racing.planners.registry import get_planner
 
 AGENTS = ("car_0", "car_1")  # of two
 AXES = ("aggressiveness", "restraint")

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from faces import AGENTS, begun, flat, follow_the_line, poses
 
-from pcs_racing import Planner, get_planner, load_race_config
+from pcs_racing import load_race_config
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash, Result
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.registry import get_planner
 
 
 def episode(env, seed, steps=400, policy=follow_the_line):

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V
 
-from pcs_racing import F1TENTH, load_race_config
+from pcs_racing import load_race_config
+from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions

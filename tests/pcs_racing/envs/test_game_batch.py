@@ -5,9 +5,10 @@ Python, too.
 import numpy as np
 import pytest
 
-from pcs_racing import PolicyArchive, get_planner
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
 from pcs_racing.envs.infos import Crash, Result, words
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.planners.registry import get_planner
 
 MOVES = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -", "stay")
 

@@ -11,7 +11,9 @@ from faces import begun, follow_the_line, poses
 from gymnasium.utils.env_checker import check_env
 from refusal import refused
 
-from pcs_racing import ConfigError, InputError, Lidar, load_race_config
+from pcs_racing import InputError, load_race_config
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.car.lidar import Lidar
 from pcs_racing.envs.drive import (
     DriveEnv,
     DriveHeadToHeadEnv,

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import draw_starts, load_race_config, parse_policy, run_races
+from pcs_racing import load_race_config, parse_policy, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.models import model_policy
+from pcs_racing.race.races import draw_starts
 
 RIVAL = "lattice:pace=0.3"
 CONFIG = load_race_config("paper", duration=3.0)

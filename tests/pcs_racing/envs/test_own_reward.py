@@ -8,7 +8,7 @@ import pytest
 from faces import MANY, USUAL, act, begun, make, make_many
 from refusal import refused
 
-from pcs_racing import ConfigError
+from pcs_racing.base.errors import ConfigError
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv

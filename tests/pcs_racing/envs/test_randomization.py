@@ -11,7 +11,9 @@ import pytest
 from faces import begun
 from refusal import refused
 
-from pcs_racing import ConfigError, Lidar, VehicleParams
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchVectorEnv

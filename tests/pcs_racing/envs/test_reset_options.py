@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError, RaceSetup, load_race_config
+from pcs_racing import InputError, load_race_config
 from pcs_racing.envs.batch import place_poses, poses_option, start_option
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.race.races import RaceSetup
 from pcs_racing.track.frenet import X, Y
 
 

@@ -8,7 +8,7 @@ import pytest
 from faces import MATCH, flat
 from refusal import refused
 
-from pcs_racing import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 
 sb3 = pytest.importorskip("stable_baselines3")
 

@@ -9,15 +9,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from refusal import refused
 
-from pcs_racing import (
-    InputError,
-    Parameter,
-    Planner,
-    PolicyArchive,
-    UnknownNameError,
-    load_archive,
-    save_archive,
-)
+from pcs_racing import InputError, load_archive
+from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.moves import (
     check_epsilon,
     duplicate_moves,
@@ -28,6 +23,7 @@ from pcs_racing.game.moves import (
     no_op_share,
 )
 from pcs_racing.planners import registry
+from pcs_racing.planners.planner import Parameter, Planner
 
 AXES = ("aggressiveness", "restraint")
 COORDINATES = np.array([[0.0, 4.0], [2.0, 3.0], [6.0, 2.0], [8.0, 0.0], [10.0, -1.0]])

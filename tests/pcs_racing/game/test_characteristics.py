@@ -2,19 +2,15 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import (
-    InputError,
-    Starts,
-    UnknownNameError,
-    draw_starts,
-    load_race_config,
-    load_track,
-)
+from pcs_racing import InputError, load_race_config, load_track
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game import characteristics as measures
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race import races as racing
 from pcs_racing.race import state as kept
+from pcs_racing.race.races import draw_starts
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.testing import check_characteristic
 
 

@@ -12,7 +12,8 @@ import pytest
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import InputError, UnknownNameError, make_game, parse_policy
+from pcs_racing import InputError, make_game, parse_policy
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game import competitor as competitors
 from pcs_racing.game.competitor import (
     Chooser,

@@ -6,18 +6,11 @@ import pytest
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import (
-    CONTEST,
-    GameConfig,
-    PolicyArchive,
-    RaceGame,
-    Starts,
-    load_archive,
-    load_track,
-    make_game,
-)
+from pcs_racing import CONTEST, load_archive, load_track, make_game
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
+from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import (
     decode_match,
@@ -27,12 +20,14 @@ from pcs_racing.game.observation import (
     observation_elements,
 )
 from pcs_racing.game.reward import reward
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import TIE_WITHIN, advance, start_lines, start_races
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import empty_state
 
 

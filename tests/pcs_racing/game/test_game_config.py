@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, ConfigError, GameConfig, load_archive, load_game_config
+from pcs_racing import CONTEST, PAPER, load_archive
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.identity import check_same_game, game_identity
 
 

@@ -10,11 +10,12 @@ import pytest
 from same_move import Model
 
 import pcs_racing
-from pcs_racing import PolicyArchive, get_planner
 from pcs_racing.envs import game_batch
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.game import competitor as competitors
 from pcs_racing.game import rules
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.race import driving
 
 HOME = Path(pcs_racing.__file__).resolve().parent

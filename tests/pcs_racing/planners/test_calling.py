@@ -7,17 +7,10 @@ import pytest
 from numba import njit
 from refusal import refused
 
-from pcs_racing import (
-    Planner,
-    RaceSetup,
-    advance,
-    draw_starts,
-    load_race_config,
-    load_track,
-    run_races,
-    start_races,
-)
+from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.planners.calling import control_address
+from pcs_racing.planners.planner import Planner
+from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 
 
 def control(track, theta, view, memory, scratch, path, command):

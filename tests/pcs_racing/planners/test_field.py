@@ -9,15 +9,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import (
-    InputError,
-    RaceConfig,
-    Starts,
-    get_planner,
-    load_track,
-    parse_policy,
-    run_races,
-)
+from pcs_racing import InputError, load_track, parse_policy, run_races
 from pcs_racing.planners import line_following as line
 from pcs_racing.planners.field.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.field.bimatrix import MOVES, solve
@@ -36,8 +28,11 @@ from pcs_racing.planners.field.predictive_spliner import (
     smooth_ahead,
 )
 from pcs_racing.planners.field.spliner import SCRATCH, SPLINER, lay_spline, spline_at
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.scanning import ANGLES, BEAMS, STEP
 from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS, STEER_MAX, VIEW_SIZE, WHEELBASE
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.testing import check_planner
 
 PASSING = (

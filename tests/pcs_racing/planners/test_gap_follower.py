@@ -3,7 +3,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcs_racing import Lidar, list_tracks, load_track
+from pcs_racing import list_tracks, load_track
+from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners.field import gap_follower as gaps
 from pcs_racing.planners.view import OWN_BETA, OWN_PSI, PATH_POINTS
 

@@ -12,21 +12,15 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import (
-    CONTEST,
-    Policy,
-    RaceConfig,
-    Starts,
-    drivers_from,
-    load_race_config,
-    load_track,
-    parse_policy,
-    register_planner,
-    run_races,
-)
+from pcs_racing import CONTEST, load_race_config, load_track, parse_policy, run_races
 from pcs_racing.planners import registry
+from pcs_racing.planners.imported import drivers_from
 from pcs_racing.planners.own_files import run_file
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import register_planner
 from pcs_racing.planners.shipped import split_name
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.own_code import own_code
 from pcs_racing_agents.cli.main import main
 

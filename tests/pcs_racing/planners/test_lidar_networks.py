@@ -6,10 +6,11 @@ import yaml
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import UnknownNameError, get_planner
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.field import lidar_networks as networks
 from pcs_racing.planners.field import residual
 from pcs_racing.planners.field.potential_field import POTENTIAL_FIELD
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.scanning import WORK
 from pcs_racing.planners.view import OWN_PSI, OWN_X, OWN_Y, PATH_POINTS, VIEW_SIZE, WHEELBASE
 

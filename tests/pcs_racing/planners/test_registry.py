@@ -8,16 +8,11 @@ from types import ModuleType
 import pytest
 from refusal import refused
 
-from pcs_racing import (
-    Parameter,
-    Planner,
-    UnknownNameError,
-    get_planner,
-    parse_policy,
-    planner_names,
-    register_planner,
-)
+from pcs_racing import parse_policy
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners import registry
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.registry import get_planner, planner_names, register_planner
 
 PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
 

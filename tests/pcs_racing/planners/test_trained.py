@@ -8,8 +8,8 @@ import yaml
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import UnknownNameError
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners import trained
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import load_driver, read_driver, save_driver, trained_planner

@@ -5,9 +5,10 @@ import pytest
 from placed_cars import V, placed
 from test_many_cars import of_cars
 
-from pcs_racing import ROBORACER, advance, load_race_config, load_track, parse_policy, run_races
+from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
-from pcs_racing.race.races import RaceResult, winners
+from pcs_racing.race.config import ROBORACER
+from pcs_racing.race.races import RaceResult, advance, winners
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 HALF = 0.29, 0.155  # m, of a car

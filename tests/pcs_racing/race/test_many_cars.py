@@ -11,15 +11,8 @@ from placed_cars import HOLD, placed, view_of
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import (
-    Starts,
-    VehicleParams,
-    load_race_config,
-    parse_policy,
-    read_replay,
-    record_race,
-    save_replay,
-)
+from pcs_racing import load_race_config, parse_policy, record_race, save_replay
+from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.view import VIEW
 from pcs_racing.race.conditions import RaceConditions
 from pcs_racing.race.races import (
@@ -34,6 +27,8 @@ from pcs_racing.race.races import (
     winners,
 )
 from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.replay import read_replay
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, empty_state, take
 
 QUIET = load_race_config(

@@ -9,21 +9,13 @@ from recorded_races import PYTHON
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import (
-    CONTEST,
-    PAPER,
-    InputError,
-    Parameter,
-    Planner,
-    RaceState,
-    Starts,
-    load_race_config,
-)
+from pcs_racing import CONTEST, PAPER, InputError, load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.race.config import DT
 from pcs_racing.race.driving import _pieces, pad_parameters
 from pcs_racing.race.races import (
@@ -35,7 +27,8 @@ from pcs_racing.race.races import (
     start_races,
     starts_of,
 )
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, RaceState
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
 

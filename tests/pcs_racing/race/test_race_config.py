@@ -3,8 +3,9 @@ import dataclasses
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, ConfigError, RaceConfig, UnknownNameError, load_race_config
-from pcs_racing.race.config import PRESETS, ROBORACER
+from pcs_racing import CONTEST, PAPER, load_race_config
+from pcs_racing.base.errors import ConfigError, UnknownNameError
+from pcs_racing.race.config import PRESETS, ROBORACER, RaceConfig
 
 
 def test_the_presets():

@@ -8,21 +8,15 @@ import numpy as np
 import pytest
 from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 
-from pcs_racing import (
-    Parameter,
-    Planner,
-    RaceSetup,
-    Starts,
-    VehicleParams,
-    advance,
-    load_race_config,
-    start_races,
-)
+from pcs_racing import load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
-from pcs_racing.car.vehicle import F1TENTH, simulate
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW
 from pcs_racing.race.positions import move_along, update_progress
+from pcs_racing.race.races import RaceSetup, advance, start_races
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
 from pcs_racing.race.steering import delayed, steering_noise
 from pcs_racing.track.frenet import SPEED

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from same_arrays import assert_same
 
-from pcs_racing import RaceState
-from pcs_racing.race.state import concatenate, empty_state, take
+from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
 
 @pytest.fixture

@@ -6,23 +6,18 @@ from recorded_races import PYTHON
 from refusal import refused
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import (
-    InputError,
-    Planner,
-    RaceResult,
-    Starts,
-    VehicleParams,
-    load_race_config,
-    record_race,
-)
+from pcs_racing import InputError, load_race_config, record_race
+from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.view import PATH_SPEED, PATH_X
 from pcs_racing.race import recording
 from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, run_races, start_races
+from pcs_racing.race.races import RaceResult, RaceSetup, advance, run_races, start_races
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
 from pcs_racing.race.replay import ReplayEvent
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import empty_state, take
 
 PAPER = load_race_config("paper", duration=6.0)

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, ConfigError, Starts, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, PAPER, list_tracks, load_track, run_races
+from pcs_racing.base.errors import ConfigError
 from pcs_racing.race import start_places
 from pcs_racing.race.driving import kernel_settings
 from pcs_racing.race.random_circuits import RandomCircuits, _calibration, random_circuit
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.start_places import (
     BLOCK,
     PLACE_EVERY,

@@ -2,16 +2,11 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import (
-    Parameter,
-    Planner,
-    PolicyArchive,
-    get_planner,
-    load_archive,
-    load_track,
-    run_races,
-)
+from pcs_racing import load_archive, load_track, run_races
 from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.view import OPP_V
 from pcs_racing.testing import check_archive, check_planner
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import MapError, UnknownNameError, load_track
+from pcs_racing import load_track
+from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import loading
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
 from pcs_racing.track.maps import MapFolder, read_map, write_map

@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing import Lidar
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
+from pcs_racing.car.lidar import Lidar
 from pcs_racing.track.obstacles import with_obstacles
 
 # on the lower straight of the oval, whose race line runs through (x, -4)

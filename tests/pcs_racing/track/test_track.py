@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import MapError, build_track
+from pcs_racing.base.errors import MapError
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, PSI, RIGHT, SIN, SPEED
+from pcs_racing.track.track import build_track
 
 
 def test_the_oval_has_the_measures_of_a_stadium(oval):

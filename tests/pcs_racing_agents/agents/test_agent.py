@@ -5,8 +5,8 @@ import numpy as np
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import get_planner
 from pcs_racing.game.competitor import RandomMoves
+from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_agent, make, observing
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
 from pcs_racing_agents.agents.blind import always, random_moves

@@ -6,9 +6,11 @@ import pytest
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import UnknownNameError, get_planner, make_game
+from pcs_racing import make_game
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.network import INPUTS
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import read_driver, save_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.tournament import cross_pairing, play_pairing

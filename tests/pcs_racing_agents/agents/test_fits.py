@@ -4,7 +4,7 @@ import pytest
 import yaml
 from refusal import refused
 
-from pcs_racing import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.fits import find_fit, load_fit, make_fit, save_fit
 from pcs_racing_agents.agents.zoo import build

@@ -8,7 +8,8 @@ from hypothesis.extra.numpy import arrays
 from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import InputError, UnknownNameError
+from pcs_racing import InputError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.blind import random_moves
 from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, from_network, get_decision

@@ -2,7 +2,7 @@ import numpy as np
 from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents import Agent, make_game_spec
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.from_network import from_network

@@ -11,7 +11,8 @@ from refusal import refused
 from slow_follower import slow_follower
 
 import pcs_racing_agents
-from pcs_racing import UnknownNameError, make_game
+from pcs_racing import make_game
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.game.competitor import competitor_names, make_competitor

@@ -9,7 +9,8 @@ from same_move import Model
 from zoo_games import CONFIG, untrained
 
 import pcs_racing_agents
-from pcs_racing import UnknownNameError, make_game
+from pcs_racing import make_game
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.trained import save_driver
 from pcs_racing_agents.agents import (

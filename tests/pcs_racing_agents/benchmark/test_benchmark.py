@@ -11,7 +11,7 @@ from refusal import refused
 from repository import REPOSITORY
 from zoo_games import toy_archive
 
-from pcs_racing import save_archive
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.zoo import load_entrant
 from pcs_racing_agents.benchmark.card import (

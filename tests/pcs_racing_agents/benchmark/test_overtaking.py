@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import MapError, Planner, load_track, parse_policy
+from pcs_racing import load_track, parse_policy
+from pcs_racing.base.errors import MapError
+from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import hold_command
 from pcs_racing_agents.benchmark.overtaking import (
     AHEAD,

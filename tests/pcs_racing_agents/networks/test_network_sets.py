@@ -6,7 +6,7 @@ import yaml
 from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.networks import (
     NetworkSet,
     list_networks,

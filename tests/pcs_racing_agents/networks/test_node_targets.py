@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from refusal import refused
 from toy_trees import ToyTree, random_tree
 
-from pcs_racing import UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.targets import (
     TARGETS,

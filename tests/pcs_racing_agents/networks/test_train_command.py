@@ -6,7 +6,8 @@ import yaml
 from refusal import refused
 from toy_trees import random_tree
 
-from pcs_racing import ConfigError, UnknownNameError, make_game
+from pcs_racing import make_game
+from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
 from pcs_racing_agents.networks.from_trees import train_regrets

@@ -17,7 +17,7 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies.archive_report import front_picture, hypervolume_error
-from pcs_racing_agents.policies.archive_run import ArchiveRun, synthesize, stage_scenarios
+from pcs_racing_agents.policies.archive_run import ArchiveRun, stage_scenarios, synthesize
 from pcs_racing_agents.policies.config import ArchiveConfig, load_archive_config
 from pcs_racing_agents.policies.evaluate import Evaluation, race_policies, summarise
 from pcs_racing_agents.policies.headroom import headroom

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing import PolicyArchive
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing_agents.policies import diverse
 

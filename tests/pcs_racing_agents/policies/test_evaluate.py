@@ -6,12 +6,14 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError, Policy, Starts, load_track, parse_policy
+from pcs_racing import InputError, load_track, parse_policy
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import Policy
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
+from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import SUMS
 from pcs_racing_agents.policies import evaluate as evaluation
 from pcs_racing_agents.policies.config import ArchiveConfig, load_archive_config

@@ -13,7 +13,8 @@ from refusal import refused
 from toy_races import of, toy_races, toy_table
 from toy_report import NASTY, toy_report
 
-from pcs_racing import make_game, read_replay
+from pcs_racing import make_game
+from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.study import report, report_page

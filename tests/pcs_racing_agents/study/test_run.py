@@ -14,8 +14,10 @@ import yaml
 from long_jobs import SETTINGS, files
 from repository import load_tool
 
-from pcs_racing import ConfigError, InputError, UnknownNameError, load_archive, save_archive
+from pcs_racing import InputError, load_archive
+from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.tables import read_csv

@@ -1,16 +1,11 @@
 import numpy as np
 import pytest
 
-from pcs_racing import (
-    RaceGame,
-    Starts,
-    draw_starts,
-    load_race_config,
-    load_track,
-    make_game,
-    parse_policy,
-)
+from pcs_racing import load_race_config, load_track, make_game, parse_policy
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.races import draw_starts
+from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents import as_agent, make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import Pairing, Tournament, play_tournament

@@ -8,8 +8,8 @@ from refusal import refused
 from same_arrays import assert_same
 from same_move import Model
 
-from pcs_racing import RaceGame
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents import as_agent, make_game_spec
 from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
 from pcs_racing_agents.agents.zoo import build

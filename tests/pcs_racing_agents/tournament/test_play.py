@@ -2,7 +2,9 @@ import pytest
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import GameConfig, load_archive, load_race_config, parse_policy, save_archive
+from pcs_racing import load_archive, load_race_config, parse_policy
+from pcs_racing.game.archive_files import save_archive
+from pcs_racing.game.config import GameConfig
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.tournament import (

@@ -4,17 +4,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pcs_racing import (
-    CONTEST,
-    GameState,
-    PolicyArchive,
-    RaceGame,
-    Starts,
-    Track,
-    load_track,
-    make_game,
-)
+from pcs_racing import CONTEST, load_track, make_game
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.state import GameState
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.track import Track
 from pcs_racing_agents.trees import RaceTree
 
 

@@ -8,8 +8,11 @@ from hypothesis import strategies as st
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, InputError, PolicyArchive, RaceGame, Starts, make_game
+from pcs_racing import CONTEST, InputError, make_game
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
+from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.solvers import solve_exact
 from pcs_racing_agents.trees import build_tree
 from pcs_racing_agents.trees import driving as _driving

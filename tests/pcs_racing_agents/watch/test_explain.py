@@ -9,9 +9,10 @@ from refusal import refused
 from same_move import Model
 from zoo_games import untrained
 
-from pcs_racing import draw_starts, make_game
+from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names, move_table
+from pcs_racing.race.races import draw_starts
 from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build

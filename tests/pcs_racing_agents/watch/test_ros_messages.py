@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import Lidar, load_race_config, load_track, parse_policy, record_race
+from pcs_racing import load_race_config, load_track, parse_policy, record_race
+from pcs_racing.car.lidar import Lidar
 from pcs_racing.race.frames import write_video
 from pcs_racing_agents.watch.ros_messages import car_topics, definition, race_messages, write_bag
 

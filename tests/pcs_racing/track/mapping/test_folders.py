@@ -8,7 +8,8 @@ import yaml
 from refusal import refused
 from repository import REPOSITORY
 
-from pcs_racing import MapError, load_track
+from pcs_racing import load_track
+from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import resample, signed_area
 from pcs_racing.track.building.raceline import raceline_rows

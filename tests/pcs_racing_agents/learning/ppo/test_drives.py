@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from random_layers import random_layers
 
-from pcs_racing import advance, load_race_config, load_track, parse_policy, run_races
+from pcs_racing import load_race_config, load_track, parse_policy, run_races
 from pcs_racing.envs.duel import DuelEnv
 from pcs_racing.planners.network import INPUTS, network_planner
 from pcs_racing.planners.trained import trained_planner
+from pcs_racing.race.races import advance
 from pcs_racing.race.state import take
 from pcs_racing_agents.learning.ppo.drives import LearnerEnv
 from pcs_racing_agents.learning.ppo.evaluation import (

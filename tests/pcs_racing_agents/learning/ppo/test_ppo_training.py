@@ -7,7 +7,8 @@ import pytest
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import load_archive, load_track, make_game, save_archive
+from pcs_racing import load_archive, load_track, make_game
+from pcs_racing.game.archive_files import save_archive
 from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.base.chunks import read_chunk

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_game_config, make_game
+from pcs_racing import make_game
+from pcs_racing.game.config import load_game_config
 from pcs_racing_agents import make
 from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.game_spec import make_game_spec

@@ -3,8 +3,9 @@ import pytest
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import InputError, load_game_config, make_game
+from pcs_racing import InputError, make_game
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.config import load_game_config
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents import make
 from pcs_racing_agents.agents.blind import always, never_switch, random_moves
