@@ -32,7 +32,7 @@ Rows = NDArray[np.int64]
 Generators = Sequence[np.random.Generator]
 """Random generators, one for each episode."""
 
-MOST_EPISODES = 100_000
+MAX_EPISODES = 100_000
 
 MAX_STEPS = 2**62
 
@@ -92,7 +92,7 @@ class BatchStep(NamedTuple):
 
 def check_batch_size(episodes: int, threads: int | None) -> None:
     """Check the numbers of environments and threads of a batch."""
-    check_whole("num_envs", episodes, 1, MOST_EPISODES)
+    check_whole("num_envs", episodes, 1, MAX_EPISODES)
     if threads is not None:
         check_whole("threads", threads, 1)
 
@@ -229,8 +229,8 @@ def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -
     """Refuse numbers of a state outside a range, both ends included."""
     wrong = (values < low) | (values > high)
     if wrong.any():
-        most = float(np.broadcast_to(high, values.shape)[wrong][0])
-        raise InputError(f"{name} holds {values[wrong][0]}; it must be from {low:g} to {most:g}")
+        end = float(np.broadcast_to(high, values.shape)[wrong][0])
+        raise InputError(f"{name} holds {values[wrong][0]}; it must be from {low:g} to {end:g}")
 
 
 def check_races(

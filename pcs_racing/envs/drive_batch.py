@@ -89,7 +89,7 @@ from pcs_racing.track.track import Track
 
 US_OF_A_THREAD = 250.0  # min work of a thread in a step, us; less is not worth a handover
 TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # approximate times of a tick, a scan and a beam
-MOST_NUMBERS = 250_000_000  # max size of all observations together: 1 GB
+MAX_NUMBERS = 250_000_000  # max size of all observations together: 1 GB
 KEPT = 64  # number of cached tracks without a race
 
 
@@ -150,7 +150,7 @@ def drive_rules(
     if cars > 2 and (moving or any(len(several) > 1 for several in rivals)):
         raise InputError(
             f"opponents is {list(given)!r:.120}; in a race of {cars} cars each is one"
-            " driver, no list, and none makes moves"
+            " planner, no list, and none makes moves"
         )
     game = make_game() if moving else None
     planners = tuple(shared_planner(several, game) for several in rivals)
@@ -158,10 +158,10 @@ def drive_rules(
     delay = randomization.ranges.most_delay
     setup = RaceSetup(track, config, planners, randomization.cars, delay, steered=players)
     elements = drive_elements(options, cars)
-    if randomization.episodes * players * len(elements) > MOST_NUMBERS:
+    if randomization.episodes * players * len(elements) > MAX_NUMBERS:
         raise InputError(
             f"{randomization.episodes * players} environments observe {len(elements)} numbers each;"
-            f" take fewer environments or beams: {MOST_NUMBERS} numbers are the limit"
+            f" take fewer environments or beams: {MAX_NUMBERS} numbers are the limit"
         )
     noise = randomization.drawn.get("lidar_noise")
     if noise is None:
@@ -356,8 +356,8 @@ class DriveBatch:
         for (circuit, some), grid in zip(groups, grids, strict=True):
             self._set_inputs(rows[some], circuit.inputs)
             begun = take(grid, places[some])._replace(seed=seeds[some])
-            for own, new in zip(self.state, begun, strict=True):
-                own[rows[some]] = new
+            for name, own in self.state._asdict().items():
+                own[rows[some]] = getattr(begun, name)
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
 

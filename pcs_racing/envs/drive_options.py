@@ -126,7 +126,7 @@ class DriveOptions(EpisodeOptions):
     opponents: Annotated[
         tuple[Any, ...] | None,
         Checked(_opponents, "at most 7"),
-        "One driver for each other car, in place of `opponent`; they may have different planners."
+        "One opponent for each other car, in place of `opponent`; planners may differ."
         " `opponent` in the infos is -1 if there are several.",
     ] = None
     race: Annotated[
@@ -137,7 +137,7 @@ class DriveOptions(EpisodeOptions):
     duration: Annotated[
         float | None,
         ANYTHING,
-        "Length of a race, s, a multiple of 0.1; by default that of the rules.",
+        "Length of a race, s, a multiple of 0.1; by default the duration of the rules.",
     ] = None
     laps: Annotated[
         int | None,
@@ -186,7 +186,7 @@ class DriveOptions(EpisodeOptions):
         " are none",
     ] = "always"
     time_left: Annotated[
-        bool, "Whether an element before the beams tells the share of the race that is left."
+        bool, "Whether an element before the beams is the share of the race that is left."
     ] = False
     normalize: Annotated[bool, "Whether observations are scaled to [-1, 1]."] = False
     progress_reward: Annotated[
@@ -252,11 +252,11 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
     pi = float(np.pi)
     top = max(F1TENTH.v_max, *(car.v_max for car in vehicles))
     turn = max(F1TENTH.steer_max, *(car.steer_max for car in vehicles))
-    least = min(F1TENTH.v_min, *(car.v_min for car in vehicles))
+    low = min(F1TENTH.v_min, *(car.v_min for car in vehicles))
     elements: list[Element] = []
     if options.own_state:
         elements += [
-            Element("speed", "m/s", least, top, "own speed"),
+            Element("speed", "m/s", low, top, "own speed"),
             Element("steering", "rad", -turn, turn, "own steering angle, positive to the left"),
             Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
             Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
@@ -271,7 +271,7 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             Element(
                 "offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"
             ),
-            Element("heading error", "rad", -pi, pi, "own heading minus that of the race line"),
+            Element("heading error", "rad", -pi, pi, "own heading minus heading of the race line"),
         ]
     if options.own_pose:
         elements += [Element(name, "m", -1e4, 1e4, "own place on the map") for name in ("x", "y")]

@@ -27,9 +27,9 @@ from pcs_racing.envs.infos import (
     Result,
     common_codes,
     of_players,
-    race_info,
     race_infos,
     race_results,
+    rows_of,
 )
 from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import (
@@ -110,14 +110,14 @@ class GameOptions(EpisodeOptions):
         Any,
         ANYTHING,
         'By name: "random-moves"; "never-switch" (a policy of the archive, drawn for each episode'
-        ' and kept); "always-<move>", for instance "always-aggressiveness +"; a driver such as'
+        ' and kept); "always-<move>", for instance "always-aggressiveness +"; a planner such as'
         ' "lane-switcher:3", which makes no moves; or any agent of :mod:`pcs_racing_agents`, such'
         ' as "cfr-argmax". As an object: any agent with ``act(observations, turn)``; a policy; a'
         " model of Stable-Baselines3 or any object with its ``predict(observation, state,"
         " episode_start, deterministic)``; or a function ``f(observation, generator) -> move``. Of"
         " a list, in which entries may be (weight,"
         " opponent), one is drawn for each episode. The opponent observes what car 1 observes, and"
-        " may also stay, whatever moves the rules offer. With None a second agent drives car 1,"
+        " may also stay, with all rules. With None a second agent drives car 1,"
         " where the environment has one.",
     ] = "random-moves"
     race: Annotated[
@@ -285,7 +285,7 @@ class GameBatch:
         self.randomization.place_obstacles(rows, places, generators, boxes)
         # A game is a function of this key and does not depend on later draws of the generator.
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
-        drawn, drivers = self._draw_opponents(generators)
+        drawn, fixed = self._draw_opponents(generators)
         if self.state is None:
             self.state = self._blank()
         for circuit, some in self.randomization.groups(rows):
@@ -293,7 +293,7 @@ class GameBatch:
                 keys[some],
                 policies=policies[some],
                 starts=None if starts is None else starts.take(some),
-                opponents=[drivers[i] for i in some],
+                opponents=[fixed[i] for i in some],
                 conditions=self.randomization.conditions(rows[some]),
             )
             put_games(self.state, rows[some], fresh)
@@ -322,11 +322,11 @@ class GameBatch:
         drawn = np.zeros(len(generators), np.int64)
         if not self.opponents:
             return drawn, [None] * len(generators)
-        drivers = []
+        fixed = []
         for i, generator in enumerate(generators):
             drawn[i] = draw_opponent(self._edges, generator)
-            drivers.append(self.opponents[drawn[i]].draw_policy(generator))
-        return drawn, drivers
+            fixed.append(self.opponents[drawn[i]].draw_policy(generator))
+        return drawn, fixed
 
     def started(self) -> GameState:
         """Return the state; raise an error before the first reset."""
@@ -406,7 +406,7 @@ class GameBatch:
     def infos(self) -> dict[str, NDArray[Any]]:
         """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""
         state, players = self.started(), self.players
-        # A fixed policy makes no moves, whatever the array of moves holds.
+        # A fixed policy makes no moves; its entry in the array of moves has no meaning.
         moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
         opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
@@ -424,23 +424,8 @@ class GameBatch:
         }
 
     def info(self, environment: int) -> dict[str, Any]:
-        """Return the info of one player: plain numbers, and the mask as an array.
-
-        This is faster than arrays of length one.
-        """
-        state, (row, car) = self.started(), divmod(environment, self.players)
-        info = race_info(state.race, row, car)
-        over = bool(self.game.done(state)[row])
-        info["result"] = int(self._results()[row, car]) if over else int(Result.RUNNING)
-        info["opponent"] = self.drawn.item(row) if self.opponents else -1
-        for name, each in (("move", car), ("opponent_move", 1 - car)):
-            info[name] = (
-                NO_MOVE if state.policy.item(row, each) == OUTSIDE else self.moves.item(row, each)
-            )
-        info["policy"] = state.policy.item(row, car)
-        info["action_mask"] = self.game.action_mask(state)[row, car].astype(np.int8)
-        info.update(self.randomization.info(row))
-        return info
+        """Return the info of one player: plain numbers, and the mask as an array."""
+        return rows_of(self.infos())[environment]
 
     def _results(self) -> NDArray[np.int64]:
         """Return the :class:`pcs_racing.envs.infos.Result` of each game, shape (B, players)."""

@@ -85,7 +85,7 @@ def of_players(values: NDArray[Any], players: int) -> NDArray[Any]:
     return np.array(values[:, :players]).reshape(-1, *values.shape[2:])
 
 
-def most_of_others(values: NDArray[Any]) -> NDArray[Any]:
+def max_of_others(values: NDArray[Any]) -> NDArray[Any]:
     """Return the max value of the other cars for each car of B races, shape (B, N).
 
     A single car gets its own value.
@@ -104,7 +104,7 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
     The result is not included.
     """
     progress, crash = races.progress, races.crash | races.contact
-    others = most_of_others(crash) if races.number > 1 else np.zeros_like(crash)
+    others = max_of_others(crash) if races.number > 1 else np.zeros_like(crash)
     laps = races.laps[:, :players].reshape(-1, LAP_COLUMNS)
     count = laps[:, LAPS].astype(np.int64)
     last, best = laps[:, LAP_TIME].copy(), laps[:, BEST_LAP].copy()
@@ -112,7 +112,7 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
     return {
         "time": (races.tick * DT).repeat(players),
         "progress": progress[:, :players].flatten(),
-        "lead": (progress - most_of_others(progress))[:, :players].flatten(),
+        "lead": (progress - max_of_others(progress))[:, :players].flatten(),
         "crash": crash[:, :players].flatten().astype(np.int64),
         "opponent_crash": others[:, :players].flatten().astype(np.int64),
         "fault": races.fault[:, :players].flatten().astype(np.int64),
@@ -156,10 +156,10 @@ def race_results(
 ) -> NDArray[np.int64]:
     """Return the :class:`Result` of finished races for each player, shape (B, players)."""
     # A race without a winner was a tie or a no-contest crash.
-    nobody = np.where(crashed, Result.CRASH, Result.TIE)
+    unwon = np.where(crashed, Result.CRASH, Result.TIE)
     cars = np.arange(players)
     won = np.where(winner[:, None] == cars, Result.WIN, Result.LOSS)
-    return np.where(winner[:, None] < 0, nobody[:, None], won).astype(np.int64)
+    return np.where(winner[:, None] < 0, unwon[:, None], won).astype(np.int64)
 
 
 def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
@@ -184,6 +184,15 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
         "lap_time": races.laps.item(race, car, LAP_TIME) if laps else NO_LAP,
         "best_lap": races.laps.item(race, car, BEST_LAP) if laps else NO_LAP,
     }
+
+
+def rows_of(infos: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the info of each environment: plain numbers and rows of arrays, without masks."""
+    names = [name for name in infos if not name.startswith(("_", "final_"))]
+    columns = [
+        infos[name].tolist() if infos[name].ndim == 1 else list(infos[name]) for name in names
+    ]
+    return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
 
 
 def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:

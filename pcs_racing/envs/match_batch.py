@@ -90,9 +90,9 @@ class MatchBatch(GameBatch):
         starts, policies, boxes = self._read(options, len(rows))
         self.randomization.draw(rows, generators)
         keys = np.array([generator.integers(2**63) for generator in generators], np.uint64)
-        drawn, drivers = self._draw_opponents(generators)
+        drawn, fixed = self._draw_opponents(generators)
         # All rows on any track, for the shapes; then each track writes its own rows.
-        fresh = self.match.begin(keys, opponents=drivers)
+        fresh = self.match.begin(keys, opponents=fixed)
         for circuit, some in self.randomization.groups(rows):
             own = None if starts is None else starts.take(some)
             begun = self.match_on(circuit).begin(
@@ -100,7 +100,7 @@ class MatchBatch(GameBatch):
                 policies=policies[some],
                 lines=None if own is None else own.s[:, None],
                 sides=None if own is None else own.side,
-                opponents=[drivers[i] for i in some],
+                opponents=[fixed[i] for i in some],
             )
             put_matches(fresh, some, begun)
         self.randomization.place_obstacles(rows, fresh.starts, generators, boxes)
@@ -235,13 +235,6 @@ class MatchBatch(GameBatch):
             "action_mask": of_players(self._masks(), players).astype(np.int8),
         }
 
-    def info(self, environment: int) -> dict[str, Any]:
-        """Return the info of one player: plain numbers, and the mask as an array."""
-        return {
-            name: values[environment] if values.ndim > 1 else values[environment].item()
-            for name, values in self.infos().items()
-        }
-
     # State of the batch
 
     def value(self) -> MatchState | None:
@@ -264,5 +257,5 @@ class MatchBatch(GameBatch):
     def _blank(self) -> MatchState:
         # A policy of car 1 for each match, if its planner is not the archive's planner.
         policies = self.opponents[0].policies if self.opponents else ()
-        anybody = [policies[0] if policies else None] * self.episodes
-        return self.match.begin(np.zeros(self.episodes, np.uint64), opponents=anybody)
+        fixed = [policies[0] if policies else None] * self.episodes
+        return self.match.begin(np.zeros(self.episodes, np.uint64), opponents=fixed)

@@ -16,7 +16,7 @@ from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.obstacles import BOX
 from pcs_racing.track.track import Track
 
-MOST = 20
+MAX_COUNT = 20
 SHAPES = ("box", "circle", "both")
 TRIES = 50  # max number of places tried for an obstacle
 BEFORE_START, AFTER_START = 3.0, 8.0  # free distances before and after the start, m
@@ -28,7 +28,7 @@ class Obstacles(Settings):
 
     count: Annotated[
         tuple[int, int],
-        number_range(0, MOST, " of obstacles", is_whole),
+        number_range(0, MAX_COUNT, " of obstacles", is_whole),
         "How many there are: a number, or the smallest and the largest.",
     ] = (1, 3)
     size: Annotated[

@@ -36,7 +36,7 @@ class OverBatch:
     options: Any  #: Configuration of the environment: an instance of ``options_type``.
     metadata: dict[str, Any] = METADATA
     render_mode: str | None
-    _own: dict[str, Any]  # arguments of the constructor beside the configuration
+    _own: dict[str, Any]  # arguments of the constructor that are no part of the configuration
     _spec: EnvSpec | None = None
     _renderer: Renderer | None = None
 

@@ -49,8 +49,8 @@ class Randomization(Settings):
     steering_noise: Annotated[
         tuple[float, float] | None,
         number_range(0.0, 0.4),
-        "Standard deviation of the disturbance of every steering command, in place of that of the"
-        " rules, rad.",
+        "Standard deviation of the disturbance of every steering command, in place of the value of"
+        " the rules, rad.",
     ] = None
     lidar_noise: Annotated[
         tuple[float, float] | None,
@@ -168,8 +168,9 @@ class EpisodeOptions(Settings):
     vehicle: Annotated[
         Any,
         Checked(_vehicles),
-        "Parameters of all cars, or a list with those of each one: a dict or a YAML file names"
-        ' those that differ from F1TENTH\'s (:class:`pcs_racing.VehicleParams`), such as ``{"mu":'
+        "Parameters of all cars, or a list with the parameters of each car: a dict or a YAML file"
+        " names the values that differ from F1TENTH's (:class:`pcs_racing.VehicleParams`), such as"
+        ' ``{"mu":'
         " 0.8}``.",
     ] = F1TENTH
     randomize: Annotated[

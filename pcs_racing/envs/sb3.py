@@ -20,6 +20,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.envs.batch import FREE, check_part
 from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
+from pcs_racing.envs.infos import rows_of
 from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.track.track import Track
@@ -160,7 +161,7 @@ class SB3VecEnv(VecEnv):
                         )
                 seen, info = group.reset(seed=own, options=shared if any(shared) else None)
                 observations.append(seen)
-                infos += _infos(info)
+                infos += rows_of(info)
         self._reset_seeds()
         self._reset_options()
         self.reset_infos = infos
@@ -184,13 +185,13 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = [info for step in steps for info in _infos(step[4])]
+        infos = [info for step in steps for info in rows_of(step[4])]
         for i in np.flatnonzero(~done).tolist():
             infos[i]["TimeLimit.truncated"] = False
         for first, step in zip(self._edges, steps, strict=False):
             if "final_info" not in step[4]:
                 continue
-            finals, rows = _infos(step[4]["final_info"]), np.flatnonzero(step[4]["_final_info"])
+            finals, rows = rows_of(step[4]["final_info"]), np.flatnonzero(step[4]["_final_info"])
             for row in rows.tolist():
                 i = first + row
                 self.reset_infos[i] = infos[i]
@@ -328,10 +329,3 @@ class OneOfBatch:
     def render(self) -> Any:
         """Return a frame; a window shows the first environment of a batch."""
         return None if self.render_mode == "human" and self._row else self._group.frame(self._row)
-
-
-def _infos(info: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return the info of each environment of a batch as a dict of plain numbers and array rows."""
-    names = [name for name in info if not name.startswith("_") and not name.startswith("final_")]
-    columns = [info[name].tolist() if info[name].ndim == 1 else list(info[name]) for name in names]
-    return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]

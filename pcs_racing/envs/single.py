@@ -71,7 +71,7 @@ class SingleEnv(OverBatch):
         if self.render_mode == "human":
             self.render()
 
-    def _advance(self, actions: NDArray[Any], most_steps: int | None = None) -> Any:
+    def _advance(self, actions: NDArray[Any], max_steps: int | None = None) -> Any:
         """Make a step with checked actions.
 
         Return observations, rewards, and the flags of termination and truncation.
@@ -85,7 +85,7 @@ class SingleEnv(OverBatch):
         )
         self._steps = (self._steps or 0) + 1
         ended = bool(terminated[0])
-        late = bool(truncated[0]) or (most_steps is not None and self._steps >= most_steps)
+        late = bool(truncated[0]) or (max_steps is not None and self._steps >= max_steps)
         self._running = not (ended or late)
         if self.render_mode == "human":
             self._show_step()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import as_array, check_seed, check_whole, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import FREE, MAX_STEPS, check_part, check_within, generator_of
-from pcs_racing.envs.infos import words
+from pcs_racing.envs.infos import rows_of, words
 from pcs_racing.envs.over_batch import Batch, OverBatch
 
 VectorStep = tuple[
@@ -198,10 +198,15 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
             self._show_step()
         return observations, rewards, terminated, truncated, self._infos() | final
 
+    @property
+    def np_random(self) -> Any:
+        """Random generators of the episodes, as in Gymnasium's own vector environments."""
+        return tuple(self._generators)
+
     def outcome(self) -> list[dict[str, Any]]:
         """Return the current info of each environment with labels in place of codes."""
         self._check_started()
-        return [words(self.batch.info(i), self.batch.codes) for i in range(self.num_envs)]
+        return [words(info, self.batch.codes) for info in rows_of(self.batch.infos())]
 
     def render(self) -> Any:
         """Return frames of all environments (``"rgb_array"``), or show the first (``"human"``)."""

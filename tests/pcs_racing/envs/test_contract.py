@@ -290,7 +290,7 @@ MATCHES = [
 
 
 @pytest.mark.parametrize(
-    ("kind", "arguments", "count", "steps", "least_ends"),
+    ("kind", "arguments", "count", "steps", "min_ends"),
     [
         *((DriveEnv, arguments, 37, 60, 38) for arguments in DRIVES),
         *((DuelEnv, arguments, 6, 7, 6) for arguments in DUELS),
@@ -302,7 +302,7 @@ MATCHES = [
     ],
 )
 def test_vector_and_scalar_environment_agree_to_the_last_bit(
-    kind, arguments, count, steps, least_ends, monkeypatch
+    kind, arguments, count, steps, min_ends, monkeypatch
 ):
     monkeypatch.setattr(drive_batch, "US_OF_A_THREAD", 10.0)  # two threads for short steps, too
     envs = make_many(kind, count, threads=2, autoreset_mode="SAME_STEP", **arguments)
@@ -338,7 +338,7 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(
                 seen, told = sides(env, *env.reset())
             np.testing.assert_array_equal(batch[list(rows)], seen)
             compare_infos(info, rows, told)
-    assert ended >= least_ends
+    assert ended >= min_ends
 
 
 def sides(env, *answer):

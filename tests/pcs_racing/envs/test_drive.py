@@ -190,30 +190,6 @@ def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
         assert [element.name for element in env.elements] == kept
 
 
-def test_by_default_the_rewards_are_the_lead_that_was_gained(coarse_oval):
-    """Whole races between two line followers of different speed, to their last moment."""
-    for share, faster, places in ((0.5, "car_1", (3.0, 8.0)), (0.9, "car_0", (8.0, 3.0))):
-        env = make(coarse_oval, duration=8.0)
-        start = poses(coarse_oval, *((s, 0.0, 2.0) for s in places))
-        observations, infos = env.reset(seed=2, options={"poses": start})
-        began, total = infos["car_0"]["lead"], dict.fromkeys(AGENTS, 0.0)
-        while env.agents:
-            actions = (
-                follow_the_line(observations["car_0"], share),
-                follow_the_line(observations["car_1"], 0.7),
-            )
-            observations, rewards, terminated, truncated, infos = env.step(both(*actions))
-            assert rewards["car_0"] + rewards["car_1"] == pytest.approx(0.0, abs=1e-12)
-            total = {agent: total[agent] + rewards[agent] for agent in AGENTS}
-        assert truncated == dict.fromkeys(AGENTS, True)
-        assert terminated == dict.fromkeys(AGENTS, False)
-        assert infos["car_0"]["time"] == pytest.approx(8.0)
-        for agent, sign in zip(AGENTS, (1.0, -1.0), strict=True):
-            assert total[agent] == pytest.approx(infos[agent]["lead"] - sign * began)
-            assert infos[agent]["result"] == (Result.WIN if agent == faster else Result.LOSS)
-        assert env.outcome()[faster]["result"] == "win"
-
-
 @pytest.mark.parametrize(
     ("race", "penalties", "results"),
     [

@@ -182,7 +182,7 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
             DriveEnv,
             {"opponents": ["lattice", ["lattice", "lattice:pace=0.3"]]},
             InputError,
-            "each is one driver",
+            "each is one planner",
         ),
         (DriveEnv, {"opponents": ["lattice", "random-moves"]}, InputError, "none makes moves"),
         (

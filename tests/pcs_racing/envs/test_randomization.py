@@ -121,22 +121,6 @@ def test_random_circuits_follow_from_the_seed_whatever_the_threads_do(oval, oval
     assert single.outcome()["track"] == f"random-{seen[-1][1]}"
 
 
-def test_the_next_circuit_is_built_while_this_one_is_driven(ovals, monkeypatch):
-    # several threads may take turns in any order
-    monkeypatch.setattr(random_circuits, "THREADS", 1)
-    env = DriveEnv(track=RandomCircuits(count=10**6), opponent=None, start_lines=2)
-    _, info = env.reset(seed=1)
-    _, later = env.reset()
-    for _ in range(100):
-        if len(ovals) >= 4:
-            break
-        time.sleep(0.01)
-    # number 0 says what the environment looks like
-    assert ovals[:3] == [0, info["track"], later["track"]]
-    assert len(ovals) == 4  # and the one that comes next
-    env.close()
-
-
 def test_a_random_circuit_can_be_raced_on():
     settings = RandomCircuits(style="hull")
     track = random_circuit(settings, 3)
@@ -171,18 +155,6 @@ def test_cars_are_what_the_argument_says(oval, tmp_path):
     assert (second.mu, second.m) == (0.5, 5.0)
     game = DuelEnv(track=oval, vehicle=VehicleParams(mu=0.9), **DUEL).game
     assert [car.mu for car in game.setup.vehicles] == [0.9, 0.9]
-
-
-def test_less_friction_makes_a_car_slide(oval):
-    """With the same commands at speed the car with less grip leaves its line."""
-    offsets = []
-    for mu in (1.0489, 0.4):
-        env = DriveEnv(track=oval, opponent=None, vehicle={"mu": mu}, time_step=0.02)
-        env.reset(seed=0, options={"poses": [[0.0, -4.0, 0.0, 6.0], [5.0, 4.0, 3.1, 0.0]]})
-        for _ in range(20):
-            env.step([0.5, 0.5])
-        offsets.append(env.batch.state.cars[0, 0, 1])
-    assert offsets[1] < offsets[0] - 0.1
 
 
 @pytest.mark.parametrize("opponent", [None, "lattice"])
