@@ -35,6 +35,7 @@ RUN_HERE = (
     "docs/first_race.md",
     "docs/game.md",
     "docs/own_reward.md",
+    "docs/recipes.md",
     "docs/ppo.md",
     "docs/self_play.md",
     "docs/solvers.md",
@@ -59,8 +60,9 @@ SHORTER = {".learn(100_000)": "", "learn(60_000)": "learn(1)"}
 )
 def test_the_code_runs(page, number, tmp_path, monkeypatch):
     code = python_blocks(TEXTS[page])[number]
-    if "stable_baselines3" in code or ".ppo." in code:
-        pytest.importorskip("stable_baselines3")
+    for library in ("stable_baselines3", "sb3_contrib", "supersuit", "torchrl"):
+        if library in code:
+            pytest.importorskip(library)
     for words, library in (("pcs_racing_agents.learning", "torch"), ("import pyspiel", "pyspiel")):
         if words in code:
             pytest.importorskip(library, reason=f"{library} is not installed")
