@@ -200,7 +200,7 @@ def wrapped(one=lambda env: env, many=lambda envs: envs, make_env=DriveEnv, othe
     """A model that trained in environments of which the last one is wrapped, or all together."""
 
     def plain():
-        return make_env("Pipkin", None, beams=5)
+        return make_env(track="Pipkin", opponent=None, beams=5)
 
     envs = vec.DummyVecEnv([*([plain] * others), lambda: one(plain())])
     return sb3.PPO("MlpPolicy", many(envs), n_steps=4, batch_size=4, device="cpu", seed=0)
