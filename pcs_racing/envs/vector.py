@@ -203,6 +203,10 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         """Random generators of the episodes, as in Gymnasium's own vector environments."""
         return tuple(self._generators)
 
+    @np_random.setter
+    def np_random(self, value: Any) -> None:
+        raise InputError("each episode has a generator of its own; reset(seed=...) sets them")
+
     def outcome(self) -> list[dict[str, Any]]:
         """Return the current info of each environment with labels in place of codes."""
         self._check_started()
