@@ -6,14 +6,13 @@ larger than the frame. Frames are cut out of this region until the camera leaves
 
 import os
 from collections.abc import Sequence
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Union
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from pcs_racing.base.checks import check_choice, check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.packing import join_segments
 from pcs_racing.car.vehicle import LENGTH, WIDTH
 from pcs_racing.race.painting import (
@@ -229,7 +228,11 @@ class Window:
     """Window that shows frames of one size."""
 
     def __init__(self, width: int, height: int, fps: float) -> None:
-        self._pygame, self._size, self.fps = _import_pygame(), (width, height), fps
+        require("pygame", extra="window")
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        import pygame
+
+        self._pygame, self._size, self.fps = pygame, (width, height), fps
         self._surface: Any = None
 
     def show(self, frame: np.ndarray) -> None:
@@ -272,13 +275,3 @@ def _scene(
     if arrays is None:
         raise InputError(f"scene must be a Track or a Replay, got {type(scene).__name__}")
     return arrays.walls, arrays.line[:, :2], arrays.line[:, SPEED], np.full((2, 2), (0.29, 0.155))
-
-
-def _import_pygame() -> Any:
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        return import_module("pygame")
-    except ImportError:
-        raise ImportError(
-            "mode='human' needs pygame-ce: pip install \"pcs-racing[window]\""
-        ) from None

@@ -70,6 +70,12 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapError(f"{file}: origin must be [x, y, yaw], got {origin!r}")
     x, y, yaw = (_number(file, "origin", value, -1e6, 1e6) for value in origin)
+    quarters = round(yaw / (0.5 * math.pi))
+    if abs(yaw - 0.5 * math.pi * quarters) > 1e-5:
+        raise MapError(
+            f"{file}: origin has a yaw of {yaw:g} rad; turn the picture, so that it is 0 or a"
+            " quarter turn"
+        )
     if values.get("mode", "trinary") not in ("trinary", "scale"):
         raise MapError(f"{file}: mode must be trinary or scale, got {values['mode']!r}")
     if negate not in (0, 1):
@@ -87,7 +93,7 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
         "image": image,
         "resolution": resolution,
         "origin": (x, y),
-        "yaw": yaw,
+        "quarters": quarters,
         "negate": bool(negate),
         "occupied_thresh": occupied,
         "free_thresh": free,
@@ -166,43 +172,14 @@ def parse_grid(file: Path, data: bytes, ros: dict[str, Any]) -> Grid:
 
 def turned(grid: Grid, ros: dict[str, Any]) -> tuple[Grid, tuple[float, float]]:
     """Return a grid turned by the yaw of its origin, and the new origin (lower left corner)."""
-    x, y = ros["origin"]
-    quarters = ros["yaw"] / (0.5 * math.pi)
-    if abs(quarters - round(quarters)) < 1e-5:
-        quarters = round(quarters)
-    # imports numba, which names of tracks do without
-    from pcs_racing.base.elementary import sine_cosine
-
-    sine, cosine = sine_cosine(0.5 * math.pi * (quarters % 4))
-    if isinstance(quarters, int):  # no rounding errors
-        sine, cosine = round(sine), round(cosine)
+    sine, cosine = ((0, 1), (1, 0), (0, -1), (-1, 0))[ros["quarters"] % 4]
     height, width = grid.shape
-    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]]) @ [
-        [cosine, sine],
-        [-sine, cosine],
-    ]
-    low, high = np.floor(corners.min(axis=0)), np.ceil(corners.max(axis=0))
-    origin = (float(x + low[0] * ros["resolution"]), float(y + low[1] * ros["resolution"]))
-    if isinstance(quarters, int):
-        # Row 0 is the bottom: numpy's quarter turns have the opposite sense.
-        return np.ascontiguousarray(np.rot90(grid, -quarters % 4)), origin
-    columns, rows = (high - low).astype(int)
-    if columns * rows > 2 * MAX_PIXELS:
-        raise MapError(
-            f"a yaw of {ros['yaw']} makes a grid of {columns} x {rows} cells: crop the picture"
-        )
-    turned = np.zeros((rows, columns), dtype=np.bool_)
-    # Four points per cell, so that no thin wall falls between two points.
-    for dx, dy in ((0.25, 0.25), (0.75, 0.25), (0.25, 0.75), (0.75, 0.75)):
-        u = np.arange(columns) + (low[0] + dx)
-        v = np.arange(rows)[:, None] + (low[1] + dy)
-        j, i = (
-            np.floor(cosine * u + sine * v).astype(int),
-            np.floor(cosine * v - sine * u).astype(int),
-        )
-        inside = (i >= 0) & (j >= 0) & (i < height) & (j < width)
-        turned[inside] |= grid[i[inside], j[inside]]
-    return turned, origin
+    x, y = ros["origin"]
+    left = min(0, width * cosine) + min(0, -height * sine)
+    bottom = min(0, width * sine) + min(0, height * cosine)
+    # Row 0 is the bottom: numpy's quarter turns have the opposite sense.
+    turned = np.ascontiguousarray(np.rot90(grid, -ros["quarters"] % 4))
+    return turned, (x + left * ros["resolution"], y + bottom * ros["resolution"])
 
 
 def without_specks(file: Path, grid: Grid, resolution: float, origin: tuple[float, float]) -> Grid:
@@ -260,7 +237,7 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
     try:
         text = io.StringIO(data.decode("utf-8-sig"))
         with warnings.catch_warnings(action="ignore"):  # of a file without rows
-            rows = np.loadtxt(text, delimiter=separator, ndmin=2, max_rows=MAX_POINTS + 1)
+            rows = np.loadtxt(text, delimiter=separator, ndmin=2)
     except UnicodeDecodeError as error:
         raise MapError(f"{file} is no text: a csv file is needed") from error
     except ValueError as error:

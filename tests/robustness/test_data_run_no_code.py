@@ -348,9 +348,9 @@ NAMELESS = {
     "load_config",
     "_cached",
     "load_cached",
-    "_restore",
     "read_chunk",
     "parse_waypoints",  # numbers alone
+    "unpack",
     # the text of a copy of the gym beside a program that is run anyway: literals alone
     "read_defaults",
     # parts of the settings of a study
@@ -488,7 +488,6 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/planners/own_files.py:importlib.import_module",  # of numpy, and for own files
         "pcs_racing/planners/own_files.py:spec_from_file_location",
         "pcs_racing/planners/registry.py:resolve_name",
-        "pcs_racing/race/rendering.py:import_module",  # of pygame
         "pcs_racing/track/loading.py:json.loads",  # of the cache
         "pcs_racing/track/track.py:json.loads",
         "pcs_racing_agents/agents/__init__.py:import_module",

@@ -183,7 +183,7 @@ def test_grey_pictures_of_any_mode_are_read(folder, mode):
     np.testing.assert_array_equal(read_map(folder).occupied, _map(folder).occupied)
 
 
-@pytest.mark.parametrize("yaw", [1e-17, 1.5707963, -3.14159265, 4.7123890, 0.5, -2.0])
+@pytest.mark.parametrize("yaw", [1e-17, 1.5707963, -3.14159265, 4.7123890])
 def test_a_yaw_turns_the_picture_about_its_lower_left_corner_and_other_keys_are_ignored(
     folder, yaw
 ):
@@ -199,12 +199,7 @@ def test_a_yaw_turns_the_picture_about_its_lower_left_corner_and_other_keys_are_
     )
     cols, rows = np.floor((points - found.origin) / found.resolution + 1e-9).astype(int).T
     assert found.occupied[rows, cols].all()
-    # Turned by other angles a wall may grow by a part of a cell.
-    assert (
-        len(i)
-        <= np.count_nonzero(found.occupied)
-        <= len(i) * (1.0 if yaw not in (0.5, -2.0) else 1.35)
-    )
+    assert np.count_nonzero(found.occupied) == len(i)
 
 
 def test_single_dark_cells_are_left_out_and_said(folder, capsys):
@@ -264,6 +259,7 @@ def test_the_lines_of_a_race_stack_are_read_where_there_are_no_csv_files(folder)
         ({"resolution": "wide"}, "resolution is .wide."),
         ({"origin": [0.0, float("inf"), 0.0]}, "line 7 holds .inf"),
         ({"origin": 3}, r"origin must be \[x, y, yaw\]"),
+        ({"origin": [0.0, 0.0, 0.5]}, "origin has a yaw of 0.5 rad"),
         ({"negate": 2}, r"negate .* 2"),
         ({"mode": "raw"}, r"mode .*'raw'"),
         ({"occupied_thresh": 0.1, "free_thresh": 0.2}, r"free_thresh 0.2"),
