@@ -16,7 +16,7 @@ RADIUS, INNER, OUTER, CELL, SIDE = 4.5, 3.0, 6.0, 0.05, 300  # m, m, m, m, cells
 
 
 def write_ring(folder: Path) -> Path:
-    """Write a map: a ring around the origin, run counter-clockwise; return its path without ending."""
+    """Write a map, a ring around the origin; return its path without ending."""
     at = (np.arange(SIDE) + 0.5) * CELL - 0.5 * SIDE * CELL
     radius = np.hypot(*np.meshgrid(at, at))
     free = (radius > INNER) & (radius < OUTER)
@@ -99,16 +99,19 @@ from f1tenth_gym.envs.track import Track
 from f1tenth_gym.envs.track.track import TrackSpec
 from f1tenth_gym.envs.track.raceline import Raceline
 task = json.loads(sys.stdin.read())
-pixels = np.array(Image.open(task["map"] + ".png").transpose(Image.FLIP_TOP_BOTTOM)).astype(np.float32)
+picture = Image.open(task["map"] + ".png").transpose(Image.FLIP_TOP_BOTTOM)
+pixels = np.array(picture).astype(np.float32)
 corner = [-0.5 * pixels.shape[1] * task["cell"]] * 2 + [0.0]
 angle = np.arange(0.0, 6.28, 0.05)
 line = Raceline(np.cos(angle), np.sin(angle), np.ones_like(angle))
 spec = TrackSpec(name="ring", image="ring.png", resolution=task["cell"], origin=corner, negate=0,
                  occupied_thresh=0.65, free_thresh=0.196)
-track = Track(spec, np.where(pixels > 128, 255.0, 0.0).astype(np.float32), centerline=line, raceline=line)
+levels = np.where(pixels > 128, 255.0, 0.0).astype(np.float32)
+track = Track(spec, levels, centerline=line, raceline=line)
 out = {}
 for name, config, poses, actions in task["runs"]:
-    env = gymnasium.make("f1tenth_gym:f1tenth-v0", config={**config, "map": track, "num_agents": len(poses)}).unwrapped
+    config = {**config, "map": track, "num_agents": len(poses)}
+    env = gymnasium.make("f1tenth_gym:f1tenth-v0", config=config).unwrapped
     obs, info = env.reset(options={"poses": np.array(poses)})
     rows = []
     for action in [None, *actions]:
@@ -118,7 +121,8 @@ for name, config, poses, actions in task["runs"]:
         states = np.zeros((len(poses), 7))
         for i, agent in enumerate(env.sim.agents):
             states[i, : len(agent.state)] = agent.state
-        facts = (env.sim.collisions, env.lap_counts, env.lap_times, obs["lap_times"], info["checkpoint_done"])
+        facts = (env.sim.collisions, env.lap_counts, env.lap_times, obs["lap_times"],
+                 info["checkpoint_done"])
         rows.append((states, np.stack(facts), done, env.sim.agent_scans.astype(np.float32)))
     for k, what in enumerate(("states", "facts", "done", "scans")):
         out[name + "/" + what] = np.array([row[k] for row in rows])

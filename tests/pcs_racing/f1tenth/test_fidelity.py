@@ -186,7 +186,7 @@ def test_laps_are_counted_by_the_way_and_steering_arrives_without_the_faults(rin
 
 
 def test_euler_contacts_and_the_border_without_the_faults(ring):
-    """Euler is Runge-Kutta, the feature tells contacts of cars, and beams end where the map does."""
+    """Euler is Runge-Kutta, the feature has contacts of cars, and beams end at the border."""
     features = {"type": "features", "features": ["collision", "scan"]}
     angle = np.linspace(0.0, 6.0, 60)
     empty = Track.from_refline(3.0 * np.cos(angle), 3.0 * np.sin(angle), np.ones(60))
