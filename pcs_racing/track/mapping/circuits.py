@@ -1,5 +1,6 @@
 """Random circuits with grid and race line; map folders of circuits or pictures of walls."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.checks import check_number, check_seed
+from pcs_racing.base.checks import check_choice, check_number, check_seed
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError, require
@@ -85,17 +86,10 @@ def generate_circuit(
         Max number of drafts.
     """
     require("clarabel")
-    if style not in STYLES:
-        raise UnknownNameError(f"style {style!r} is unknown: choose one of {', '.join(STYLES)}")
-    if direction not in ("counterclockwise", "clockwise"):
-        raise InputError(
-            f"direction is {direction!r}: it must be 'counterclockwise' or 'clockwise'"
-        )
-    for name, value, low, high in (
-        ("width", width, 1.2, 10.0),
-        ("resolution", resolution, 0.02, 0.2),
-    ):
-        check_number(name, value, low, high)
+    check_choice("style", style, STYLES, UnknownNameError)
+    check_choice("direction", direction, ("counterclockwise", "clockwise"))
+    check_number("width", width, 1.2, 10.0)
+    check_number("resolution", resolution, 0.02, 0.2)
     shortest, longest = (float(value) for value in length_range)
     if not 10.0 * width <= shortest < longest <= 1000.0:
         raise InputError(
@@ -103,7 +97,7 @@ def generate_circuit(
             " to 1000 m"
         )
     check_seed(seed)
-    refusals: dict[str, int] = {}
+    refusals: Counter[str] = Counter()
     for attempt in range(attempts):
         key = (list(STYLES).index(style), attempt)
         rng = np.random.default_rng(np.random.SeedSequence(int(seed), spawn_key=key))
@@ -122,10 +116,8 @@ def generate_circuit(
                     center = np.hstack([line, np.full((len(line), 2), 0.5 * width)])
                     return Circuit(center, raceline, grid, resolution, origin)
                 refusal = "with too few braking zones"
-        refusals[refusal] = refusals.get(refusal, 0) + 1
-    why = ", ".join(
-        f"{count} {reason}" for reason, count in sorted(refusals.items(), key=lambda item: -item[1])
-    )
+        refusals[refusal] += 1
+    why = ", ".join(f"{count} {reason}" for reason, count in refusals.most_common())
     raise MapError(
         f"no circuit of style {style!r} came from seed {seed} in {attempts} drafts: {why}"
     )

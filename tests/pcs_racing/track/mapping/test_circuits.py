@@ -47,7 +47,7 @@ def test_circuits_are_what_they_promise(seed, style, clockwise):
 
 def test_impossible_wishes_are_refused():
     for arguments, error, words in [
-        ({"style": "spiral"}, UnknownNameError, "style 'spiral'"),
+        ({"style": "spiral"}, UnknownNameError, "style is 'spiral'"),
         ({"seed": -1}, InputError, "seed is -1"),
         ({"seed": 1.5}, InputError, "seed is 1.5"),
         ({"width": 0.4}, InputError, "width is 0.4"),
