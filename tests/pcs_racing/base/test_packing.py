@@ -1,5 +1,6 @@
 import base64
 import json
+import tracemalloc
 import zlib
 
 import numpy as np
@@ -49,6 +50,15 @@ def test_broken_parts_are_refused(part):
     for value in BROKEN[part]:
         packed = packing.pack(np.array([1.0, 2.0]), 1)
         refused(r"speed", packing.unpack, packed | {part: value}, "speed")
+
+
+def test_a_bomb_is_unpacked_no_further_than_its_shape():
+    bomb = packing.pack(np.array([1.0, 2.0]), 1) | {"data": deflated("[" + "0," * 10**7)}
+    tracemalloc.start()
+    refused("speed", packing.unpack, bomb, "speed")
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 1_000_000  # bytes
 
 
 def test_numbers_without_a_step_and_wrong_counts_are_refused():
