@@ -11,7 +11,7 @@ import pytest
 from long_jobs import SETTINGS, files
 from refusal import refused
 
-from pcs_racing import InputError, load_archive
+from pcs_racing import load_archive
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.testing import check_archive
@@ -23,7 +23,6 @@ from pcs_racing_agents.policies.evaluate import Evaluation, race_policies, summa
 from pcs_racing_agents.policies.headroom import headroom
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume, non_dominated
 from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
-from pcs_racing_agents.policies.selection import choose_for_headroom
 
 pytest.importorskip("cma")
 pytest.importorskip("moocore")
@@ -238,23 +237,9 @@ def test_a_pool_is_an_ordinary_archive_chosen_and_judged_by_payoffs(pool):
     assert abs(elsewhere - settings["headroom_elsewhere"]) < 0.3
 
 
-def test_the_pool_has_the_maximum_headroom_of_its_candidates(monkeypatch, pool, tmp_path):
-    """The choice sees the payoffs of all candidates in the order of the first axis."""
-    seen = []
-
-    def choose(payoffs, groups, count, seed):
-        chosen = choose_for_headroom(payoffs, groups, count, seed)
-        seen.append((payoffs.shape, groups, count, chosen[1]))
-        return chosen
-
-    monkeypatch.setattr("pcs_racing_agents.policies.archive_run.choose_for_headroom", choose)
-    copy = Path(shutil.copytree(pool[1], tmp_path / "copy"))
-    archive = synthesize(POOL, copy)
-    ((shape, groups, count, notes),) = seen
-    assert (shape, groups, count) == ((1, 8, 8, 8), 2, 4)
-    assert {key: archive.settings[key] for key in notes} == stated(notes)
+def test_a_pool_needs_as_many_candidates_as_policies(tmp_path):
     few = load_archive_config(POOL, initial_sample=8, generations=0, max_policies=10, candidates=10)
-    refused("8 candidates differ in speed", synthesize, few, tmp_path / "few")
+    refused("8 candidates differ in speed", synthesize, few, tmp_path)
 
 
 def test_the_error_of_a_hypervolume_is_its_spread_over_draws_of_the_races():
@@ -297,34 +282,21 @@ def test_limits_are_violated_by_the_largest_shortfall():
 def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
     pytest.importorskip("matplotlib")
     archive = replace(made[0], own_crash=np.linspace(0.0, 0.3, len(made[0])))
-    figure = front_picture(archive)
-    plot, bar = figure.axes
+    plot, bar = front_picture(archive).axes
     points, spread = archive.coordinates[:, ::-1], archive.spread[:, ::-1]
-    together = np.corrcoef(points.T)[0, 1]
-    assert (
-        plot.get_title("left")
-        == f"archive tiny, preset paper; bars: one standard error; correlation {together:+.2f}"
-    )
+    assert plot.get_title("left").startswith("archive tiny, preset paper; bars: one standard error")
     assert (plot.get_xlabel(), plot.get_ylabel()) == ("restraint (s)", "aggressiveness (m)")
-    assert [text.get_text() for text in plot.get_legend().get_texts()] == [
-        "30 explored",
-        f"{len(archive)} policies",
-    ]
-    dots, (across, upright) = (
-        plot.collections[-1],
-        [c for c in plot.collections if hasattr(c, "get_segments")],
-    )
-    drawn = plot.lines[0].get_xydata(), dots.get_offsets(), dots.get_array()
-    for found, expected in zip(
-        drawn,
-        (archive.explored.coordinates[:, ::-1], points, 100.0 * archive.own_crash),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(found, expected)
-    ends = [[(points[:, k] - spread[:, k]), (points[:, k] + spread[:, k])] for k in (0, 1)]
-    for k, lines in enumerate((across, upright)):
-        np.testing.assert_allclose(np.array(lines.get_segments())[:, :, k].T, ends[k])
     assert bar.get_ylabel() == "own crashes in % of the measuring races"
+    labels = [text.get_text() for text in plot.get_legend().get_texts()]
+    assert labels == ["30 explored", f"{len(archive)} policies"]
+    explored, dots = plot.lines[0].get_xydata(), plot.collections[-1]
+    np.testing.assert_array_equal(explored, archive.explored.coordinates[:, ::-1])
+    np.testing.assert_array_equal(dots.get_offsets(), points)
+    np.testing.assert_array_equal(dots.get_array(), 100.0 * archive.own_crash)
+    bars = [part for part in plot.collections if hasattr(part, "get_segments")]
+    for k, lines in enumerate(bars):
+        ends = np.array(lines.get_segments())[:, :, k].T
+        np.testing.assert_allclose(ends, [points[:, k] - spread[:, k], points[:, k] + spread[:, k]])
 
 
 def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
@@ -333,19 +305,11 @@ def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
     archive = synthesize(config, tmp_path / "made")
     assert archive.parameter_names == config.varied
     assert set(LATTICE.parameter_names) - set(config.varied) == {"pace_behind", "blocking"}
-    assert archive.settings["fixed"] == "pace_behind, blocking"
-    rows = LATTICE.indices(config.fixed)
-    final = stage_scenarios(config)[2]
-    complete = archive.complete
-    for policies in (
-        complete(archive.parameters),
-        complete(archive.explored_parameters),
-        final.opponents,
-    ):
-        np.testing.assert_array_equal(
-            policies[:, rows], np.tile(LATTICE.default[rows], (len(policies), 1))
-        )
-    found = summarise(race_policies((final, archive.complete(archive.parameters))))
+    rows, final = LATTICE.indices(config.fixed), stage_scenarios(config)[2]
+    policies = archive.complete(archive.parameters)
+    for theta in (policies, archive.complete(archive.explored_parameters), final.opponents):
+        np.testing.assert_array_equal(theta[:, rows] - LATTICE.default[rows], 0.0)
+    found = summarise(race_policies((final, policies)))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
 
 
@@ -356,53 +320,64 @@ def test_the_executor_has_no_influence(made, pool, tmp_path):
             assert files(tmp_path / config.name) == files(folder)
 
 
-def test_a_finished_run_races_nothing_again_and_other_folders_are_left_alone(
-    made, pool, monkeypatch, tmp_path
-):
+def test_a_finished_run_races_nothing_again(made, pool, monkeypatch, tmp_path):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
     monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)
     np.testing.assert_array_equal(synthesize(POOL, pool[1]).parameters, pool[0].parameters)
     # of a run that was killed while it wrote
     (folder / ".archive.npz.0123abcd").write_bytes(b"half")
-    again = synthesize(TINY, folder)
-    np.testing.assert_array_equal(again.coordinates, made[0].coordinates)
+    synthesize(TINY, folder)
     assert files(folder) == files(made[1])
-    shipped = Path(
-        shutil.copytree(made[1], tmp_path / "shipped", ignore=shutil.ignore_patterns("job"))
-    )
-    before = files(shipped)
-    refused(r"archive\.npz but no run", synthesize, TINY, shipped)
-    assert files(shipped) == before
-    assert len(list(shipped.iterdir())) == len(before)
-    before = files(made[1])
-    refused("generations is 3, not 4", synthesize, with_(generations=4), made[1])
-    assert files(made[1]) == before
 
 
-def test_a_crash_limit_leaves_out_those_that_crash(tmp_path, made):
-    """Rules under which many crash; the limit is for the longer races, so it is lower for the
-    shorter ones.
-    """
+def test_other_folders_and_runs_are_left_alone(made, tmp_path):
+    shipped = tmp_path / "shipped"
+    shutil.copytree(made[1], shipped, ignore=shutil.ignore_patterns("job"))
+    for folder, config, words in (
+        (shipped, TINY, r"archive\.npz but no run"),
+        (made[1], with_(generations=4), "generations is 3, not 4"),
+    ):
+        before = files(folder)
+        refused(words, synthesize, config, folder)
+        assert files(folder) == before
+
+
+def test_a_crash_limit_leaves_out_policies_that_crash(tmp_path):
+    """Rules under which many crash; the limit is lower in the shorter races of the search."""
     wild = tmp_path / "wild.yaml"
     wild.write_text("preset: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
     config = with_(preset=str(wild), crash_limit=0.3, seed=12)
     assert config.search_crash_limit == pytest.approx(1.0 - 0.7**0.5)
-    assert config.axes == ("speed", "reaction")
     archive = synthesize(config, tmp_path / "archive")
+    assert (archive.preset, archive.characteristics) == ("wild", ("speed", "reaction"))
     assert (archive.own_crash <= 0.3).all()
-    over = np.sum(archive.explored.own_crash > config.search_crash_limit)
-    assert archive.settings["search_over_crash_limit"] == over > 0
-    assert (
-        archive.settings["search_hypervolume"]
-        < archive.settings["search_hypervolume_without_crash_limit"]
-    )
-    assert archive.preset == "wild"
+    facts, over = archive.settings, archive.explored.own_crash > config.search_crash_limit
+    assert facts["search_over_crash_limit"] == over.sum() > 0
+    assert facts["search_hypervolume"] < facts["search_hypervolume_without_crash_limit"]
     wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
-    with pytest.raises(InputError, match=r"all 30 policies|crash limit of 0%"):
-        synthesize(
-            with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",)), tmp_path / "none"
-        )
+    hopeless = with_(preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",))
+    refused(r"all 30 policies|crash limit of 0%", synthesize, hopeless, tmp_path / "none")
+
+
+def test_a_measurement_leaves_out_policies_that_score_too_little(monkeypatch, tmp_path):
+    config = with_(rivals=("lane-switcher",), min_score=0.2, generations=0, crash_limit=1.0)
+    real, left_out = ArchiveRun._race, []
+
+    def race(run, stage, name, scenarios, parameters):
+        raced = real(run, stage, name, scenarios, parameters)
+        if stage == "measurement":
+            raced["winner"][0], raced["crashed"][0] = 1, False  # every race lost
+            left_out.append(len(parameters))
+        return raced
+
+    monkeypatch.setattr(ArchiveRun, "_race", race)
+    archive = synthesize(config, tmp_path / "made")
+    outside, beaten = (
+        archive.settings[f"measurement_{why}"] for why in ("outside_limits", "beaten")
+    )
+    assert outside >= 1
+    assert len(archive) == left_out[0] - outside - beaten
 
 
 def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_path, made, caplog):
@@ -445,22 +420,13 @@ def test_impossible_settings_are_refused():
 
 
 def test_the_command(tmp_path, run, told):
-    arguments = [
-        "synthesize",
-        "--config",
-        SETTINGS / "synthesis.yaml",
-        "--track",
-        "Pipkin",
-        "--generations",
-        0,
-    ]
-    arguments += ["--population", 4, "--out", tmp_path / "a"]
-    code, out, err = run(*arguments, "--name", "small", "--workers", 1)
+    given = ["--config", SETTINGS / "synthesis.yaml", "--track", "Pipkin", "--generations", 0]
+    arguments = ["synthesize", *given, "--population", 4, "--out", tmp_path / "a"]
+    code, out, err = run(*arguments, "--name", "small", "--executor", "serial")
     assert code == 0
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out
-    assert "100/100 % of the races" in err
-    assert load_archive(tmp_path / "a").name == "small"
+    assert "measurement: generation 0/0, hypervolume " in err
     code, _, err = run(*arguments, "--name", "other")
     assert code == 2
     assert "its name is 'small', not 'other'" in err
