@@ -49,7 +49,9 @@ def save_network(network: RegretNetwork, folder: str | Path) -> Path:
         "elements": list(identity.elements),
         "moves": list(identity.moves),
         "epsilon": list(identity.epsilon),
-        **{key: getattr(identity, key) for key in _IDENTITY[3:]},
+        "archive": identity.archive,
+        "archive_sha256": identity.archive_sha256,
+        "preset": identity.preset,
         "training": dict(network.training),
     }
     scaling = dict(zip(_SCALING, (network.mean, network.scale), strict=True))
@@ -74,7 +76,9 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
             elements=check_names("elements", fields["elements"]),
             moves=check_names("moves", fields["moves"]),
             epsilon=check_epsilon(fields["epsilon"]),
-            **{key: check_text(key, fields[key]) for key in _IDENTITY[3:]},
+            archive=check_text("archive", fields["archive"]),
+            archive_sha256=check_text("archive_sha256", fields["archive_sha256"]),
+            preset=check_text("preset", fields["preset"]),
         )
         return RegretNetwork(
             name=fields["name"],

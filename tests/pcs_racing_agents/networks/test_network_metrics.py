@@ -137,3 +137,4 @@ def test_scores_on_several_trees_are_a_table():
     assert f"{scores['network'][:, 0].mean():.3f}" in lines[7]
     assert len(lines) == 7 + 5
     assert "nan" in metrics.score_table(found, metrics.score_trees(plays, race_trees[:1]))
+    assert metrics.score_table(found, {}).splitlines() == lines[:4]

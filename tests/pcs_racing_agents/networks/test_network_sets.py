@@ -36,22 +36,27 @@ def test_a_set_comes_back_as_it_was_and_others_are_refused(known, tmp_path):
     refused("'nowhere'", load_network_set, "nowhere", error=UnknownNameError)
 
 
-def test_sets_that_can_not_be_and_files_that_are_none_are_refused(known, spec, tmp_path):
+def test_a_set_is_replaced_as_a_whole_and_another_network_in_it_is_refused(known, spec, tmp_path):
     save_network_set(known, tmp_path / "set")
-    one = NetworkSet("one", (untrained(spec, "advantage", 5),), np.ones(1), "argmax")
+    one = NetworkSet("one", known.networks[:1], np.ones(1), "argmax")
     assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
     folder = save_network_set(known, tmp_path / "set")
     save_network(untrained(spec, "advantage", 9), folder / "01")
     refused("01", load_network_set, folder)
-    for change, value in [
+
+
+@pytest.mark.parametrize(
+    ("change", "value"),
+    [
         ({"weights": [1.0]}, r"weights is \[1.0\]"),
         ({"weights": ["a", "b"]}, "weights"),
         ({"networks": ["00", "../01"]}, "../01"),
         ({"decision": 3}, "3"),
         ({"training": []}, r"\[\]"),
         ({"weights": [0.0, 0.0]}, "not all of them 0"),
-    ]:
-        folder = save_network_set(known, tmp_path / "set")
-        file = folder / "set.yaml"
-        file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **change}))
-        refused(value, load_network_set, folder)
+    ],
+)
+def test_a_damaged_set_is_one_clear_error(known, tmp_path, change, value):
+    file = save_network_set(known, tmp_path) / "set.yaml"
+    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **change}))
+    refused(value, load_network_set, tmp_path)

@@ -23,21 +23,22 @@ def targets_of(payoffs, target):
     return node_targets(tree, solve_for(tree, target), target)
 
 
-def test_regrets_of_matching_pennies_by_hand():
+def test_targets_of_matching_pennies_by_hand():
     """Payoff 3 instead of 1 in a corner; both begin with even moves, so the first regrets are q -
     v.
     """
     payoffs = np.array([[3.0, -1.0], [-1.0, 1.0]])
     tree = GameTree.from_payoffs(payoffs)
-    one = solve_for(tree, "regret", iterations=1)
-    ((r0, r1),) = node_targets(tree, one, "regret")
+    ((r0, r1),) = node_targets(tree, solve_for(tree, "regret", iterations=1), "regret")
     np.testing.assert_allclose(r0, [[1.0 - 0.5, 0.0 - 0.5]])  # q (1, 0), value 0.5
     np.testing.assert_allclose(r1, [[-1.0 + 0.5, 0.0 + 0.5]])
-    ((q0, q1),) = targets_of(payoffs, "static-q")
-    np.testing.assert_allclose([q0[0], q1[0]], [[1.0, 0.0], [-1.0, 0.0]])
-    ((a0, a1),) = targets_of(payoffs, "advantage")
-    # mixed: no move is better
-    np.testing.assert_allclose([a0[0], a1[0]], np.zeros((2, 2)), atol=1e-9)
+    for target, first, second in (
+        ("static-q", [1.0, 0.0], [-1.0, 0.0]),
+        ("advantage", [0.0, 0.0], [0.0, 0.0]),  # mixed: no move is better
+        ("nash", [1 / 3, 2 / 3], [1 / 3, 2 / 3]),
+    ):
+        ((one, two),) = targets_of(payoffs, target)
+        np.testing.assert_allclose([one[0], two[0]], [first, second], atol=1e-9)
 
 
 def test_regrets_fade_with_the_opponents_reach_and_are_unknown_where_cfr_never_was():
@@ -78,16 +79,13 @@ def test_every_target_treats_both_roles_alike(seed):
             np.testing.assert_allclose(here[k][1], there[k][0][order], rtol=1e-6, atol=1e-6)
 
 
-def test_advantages_are_zero_for_what_is_played_and_nash_targets_the_equilibrium():
+def test_advantages_are_zero_for_moves_of_the_equilibrium():
     tree = random_tree().game_tree()
     exact = solve_for(tree, "advantage")
     for pair, played in zip(node_targets(tree, exact, "advantage"), exact.profile, strict=True):
         for values, strategy in zip(pair, played, strict=True):
             assert values.max() < 1e-9
             np.testing.assert_allclose(values[strategy > 1e-9], 0.0, atol=1e-9)
-    payoffs = np.array([[3.0, -1.0], [-1.0, 1.0]])
-    ((first, second),) = targets_of(payoffs, "nash")
-    np.testing.assert_allclose([first[0], second[0]], [[1 / 3, 2 / 3]] * 2)
 
 
 def test_a_static_opponent_draws_its_moves_beforehand_and_rounding_is_forgiven():

@@ -111,16 +111,8 @@ def test_a_network_never_changes_and_shipped_ones_are_sound(network):
 def test_a_network_reads_back_exactly(tmp_path, clipped):
     network = random_network(clipped=clipped, hidden=(9,))
     again = load_network(save_network(network, tmp_path / "deep" / "net"))
-    assert (again.name, again.identity, again.target) == (
-        network.name,
-        network.identity,
-        network.target,
-    )
-    assert (again.clipped, again.hidden, dict(again.training)) == (
-        clipped,
-        (9,),
-        dict(network.training),
-    )
+    for key in ("name", "identity", "target", "clipped", "hidden", "training"):
+        assert getattr(again, key) == getattr(network, key), key
     np.testing.assert_array_equal(again(observations(50)), network(observations(50)))
     assert load_network(network) is network
     before = {file.name: file.read_bytes() for file in (tmp_path / "deep" / "net").iterdir()}

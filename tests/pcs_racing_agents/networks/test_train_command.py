@@ -2,7 +2,6 @@ import csv
 
 import numpy as np
 import pytest
-import yaml
 from refusal import refused
 from toy_trees import random_tree
 
@@ -36,73 +35,52 @@ def folder(game, tmp_path_factory):
     return folder
 
 
+def names_in(folder) -> set[str]:
+    return {file.name for file in folder.iterdir()}
+
+
 @pytest.mark.parametrize("target", ["regret", "static-q"])
 def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, printed, target):
     out = tmp_path / "net"
-    text = printed(
-        "train", folder, "--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3, "--out", out
-    )
-    files = {file.name for file in out.iterdir()}
-    assert files == {"weights.safetensors", "manifest.yaml"} | {
-        "learning_curves.csv",
-        "learning_curves.png",
-        "scores.csv",
-    }
+    options = ["--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3]
+    text = printed("train", folder, *options, "--out", out)
+    files = {"weights.safetensors", "manifest.yaml", "scores.csv"}
+    assert names_in(out) == files | {"learning_curves.csv", "learning_curves.png"}
     network = load_network(out)
     network.check_fits(game)
-    assert (network.name, network.target, network.clipped, network.hidden) == (
-        "net",
-        target,
-        target == "regret",
-        (8,),
-    )
-    summary = dict(network.training)
-    assert (summary["trees"], summary["tracks"], summary["setting_seed"]) == (8, "Pipkin", 3)
+    known = (network.name, network.target, network.clipped, network.hidden)
+    assert known == ("net", target, target == "regret", (8,))
+    facts = network.training
+    assert (facts["trees"], facts["tracks"], facts["setting_seed"]) == (8, "Pipkin", 3)
     curves = list(csv.DictReader((out / "learning_curves.csv").read_text().splitlines()))
     assert list(curves[0]) == list(Epoch._fields)
     assert [row["epoch"] for row in curves] == ["0", "1", "2", "3", "4"]
     scores = list(csv.DictReader((out / "scores.csv").read_text().splitlines()))
     assert list(scores[0]) == ["strategy", "tree", *TreeScore._fields]
     own = [float(row["lost_to_best_response"]) for row in scores if row["strategy"] == "net"]
-    assert len(own) == summary["test_trees"] >= 1
-    assert np.mean(own) == pytest.approx(summary["test_lost_to_best_response"], rel=1e-3)
+    assert len(own) == facts["test_trees"] >= 1
+    assert np.mean(own) == pytest.approx(facts["test_lost_to_best_response"], rel=1e-3)
     assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
-    assert "choices on held-out rows:" in text
-    assert "  random moves " in text
-    assert f"network: {out}" in text
+    for words in ("choices on held-out rows:", "  random moves ", f"network: {out}"):
+        assert words in text
 
 
-def test_one_command_has_one_result_and_folders_must_be_of_one_game(folder, tmp_path, printed, run):
+def test_one_command_has_one_result_and_folders_must_be_of_one_game(
+    game, folder, tmp_path, printed, run
+):
+    options = ["--epochs", 2, "--name", "same", "--out"]
     for name in ("one", "two"):
-        arguments = [
-            "--epochs",
-            2,
-            "--name",
-            "same",
-            "--out",
-            tmp_path / name,
-        ]
-        printed("train", folder, *arguments)
-    one, two = (
-        {file.name: file.read_bytes() for file in (tmp_path / name).iterdir()}
-        for name in ("one", "two")
-    )
-    assert one == two
-    build_trees(make_game("Pipkin", moves=2, step_seconds=1.0), tmp_path / "more", pairs=3, seed=1)
-    out = tmp_path / "out"
-    printed(
-        "train",
-        folder,
-        tmp_path / "more",
-        "--epochs",
-        1,
-        "--out",
-        out,
-    )
-    assert yaml.safe_load((out / "manifest.yaml").read_text())["training"]["trees"] == 11
-    build_trees(
-        make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2), tmp_path / "other", pairs=2
-    )
+        printed("train", folder, *options, tmp_path / name)
+    files = names_in(tmp_path / "one")
+    curves = {"learning_curves.csv", "learning_curves.png"}
+    assert files == {"weights.safetensors", "manifest.yaml", "scores.csv"} | curves
+    for name in files:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    build_trees(game, tmp_path / "more", pairs=3, seed=1)
+    printed("train", folder, tmp_path / "more", *options, tmp_path / "both")
+    assert load_network(tmp_path / "both").training["trees"] == 11
+    other = make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2)
+    build_trees(other, tmp_path / "other", pairs=2)
     code, _, err = run("train", folder, tmp_path / "other", "--out", tmp_path / "none")
     assert code == 2
     assert "hold trees of different games: epsilon is 0.2 in one and" in err
