@@ -14,6 +14,7 @@ from zoo_games import toy_archive
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.zoo import load_entrant
+from pcs_racing_agents.benchmark import scoring
 from pcs_racing_agents.benchmark.card import (
     Card,
     CardScore,
@@ -25,8 +26,15 @@ from pcs_racing_agents.benchmark.card import (
     read_cards,
     write_card,
 )
-from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
-from pcs_racing_agents.benchmark.scoring import decision_cost, gain, play_protocol, summarise
+from pcs_racing_agents.benchmark.protocol import KINDS, Cell, ProtocolConfig, load_protocol
+from pcs_racing_agents.benchmark.scoring import (
+    CellRaces,
+    decision_cost,
+    gain,
+    play_protocol,
+    summarise,
+    telling_races,
+)
 from pcs_racing_agents.cli.main import main
 
 SMALL = {
@@ -104,6 +112,20 @@ def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(pr
     assert decision_cost(protocol, agent, repeats=3) > 0.0
     assert asked == [1, 1, 1]
     assert decision_cost(protocol, make("lattice:pace=0.4")) is None
+
+
+def test_races_to_watch_are_won_by_one_and_lost_by_the_other_alternately(monkeypatch):
+    def cell(name, *scores):
+        pairing = SimpleNamespace(game=0, ego=0, opponent=0, race_arguments=lambda race: {})
+        place = Cell(name, True, "keeps", "x")
+        return CellRaces(place, pairing, SimpleNamespace(score=np.array(scores)))
+
+    played = SimpleNamespace(replay=SimpleNamespace(outcome="over"))
+    monkeypatch.setattr(scoring, "record_game", lambda *_, **__: played)
+    own = [cell("a", 1.0, 0.0, 1.0), cell("b", 1.0, 0.0, 0.5), cell("c", 0.5, 0.5, 0.5)]
+    others = [cell("a", 1.0, 1.0, 0.0), cell("b", 0.0, 0.5, 0.5), cell("c", 0.5, 0.5, 0.0)]
+    titles = [title for title, _ in telling_races(own, others, 2)]
+    assert titles == ["a, race 2: over", "b, race 1: over"]
 
 
 def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
