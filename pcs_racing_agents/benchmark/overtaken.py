@@ -3,7 +3,7 @@
 Ten times a second it compares `GOALS` places across half of the track, each at `SPEEDS` shares of
 the line's speed. The cost of a candidate consists of its distance from the line, its lack of speed,
 and curvature times speed. A candidate is rejected if it leads into a wall or the other car, or if
-its time to collision with a car ahead is below `LEAST_TTC`.
+its time to collision with a car ahead is below `MIN_TTC`.
 
 Difference from [1]_: this package's pursuit follows the chosen lane, with smaller deviations.
 
@@ -26,7 +26,7 @@ from pcs_racing.track.frenet import wrap_s
 GOALS, SPEEDS = 15, 19
 SLOWEST = 0.1  # min share of the line's speed; the max is 1
 LINE, SPEED, BEND = 1.0, 1.0, 0.02  # costs: m from the line, lost share of speed, m/s times 1/m
-LEAST_TTC = 2.0  # s
+MIN_TTC = 2.0  # s
 CHECKS, CHECK_STEP = 8, 0.2  # number and spacing (s) of the checks against the other car
 NEAR = 12.0  # m: range of the checks against the other car
 WALL_AIR, CAR_AIR = 0.05, 0.1  # m: margins to walls and to the other car
@@ -57,7 +57,7 @@ def _clear(view, gap, v, d, reach):
         gap > 0.0
         and abs(view[_view.OPP_D] - d) < wide
         and closing > 0.0
-        and gap - long < LEAST_TTC * closing
+        and gap - long < MIN_TTC * closing
     ):
         return False
     for k in range(1, CHECKS + 1):

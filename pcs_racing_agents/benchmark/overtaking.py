@@ -72,10 +72,10 @@ def made_lines(track: Track) -> Lines:
     around = np.stack(
         [np.roll(np.clip(room, 0.0, ASIDE), k, axis=1) for k in range(-MERGE, MERGE + 1)]
     )
-    least = np.stack(
+    room_around = np.stack(
         [np.roll(around.min(axis=0), k, axis=1) for k in range(-MERGE, MERGE + 1)]
     ).mean(axis=0)
-    d = np.array([[1.0], [0.0], [-1.0]]) * least
+    d = np.array([[1.0], [0.0], [-1.0]]) * room_around
     speed = samples[:, SPEED] * np.sqrt(np.clip(1.0 - samples[:, KAPPA] * d, 0.25, 1.0))
     return Lines(track, d, speed)
 
@@ -195,11 +195,11 @@ HEAD = "without collision", "overtaking", "following", "collision: ego", "oppone
 
 def summary(found: Mapping[str, Outcomes]) -> list[str]:
     """Return the table of planners: shares (95 % intervals, clusters: starts), collision faults."""
-    rows: list[Sequence[str]] = [("driver", *HEAD)]
-    for driver, one in found.items():
+    rows: list[Sequence[str]] = [("planner", *HEAD)]
+    for planner, one in found.items():
         shares = (one.safe, one.overtakes, one.safe & ~one.overtakes)
         faults = (f"{np.mean(one.fault == k):.1%}" for k in (1, 2, 3))
-        rows.append((driver, *(_share(values, one.start) for values in shares), *faults))
+        rows.append((planner, *(_share(values, one.start) for values in shares), *faults))
     name, safe, overtakes = PUBLISHED
     rows.append((name, f"{safe:.1%}", f"{overtakes:.1%}", f"{safe - overtakes:.1%}", "-", "-", "-"))
     return aligned(rows, left=1)
@@ -208,13 +208,13 @@ def summary(found: Mapping[str, Outcomes]) -> list[str]:
 def detail(found: Mapping[str, Outcomes]) -> list[str]:
     """Return the shares without collision / with overtaking by track, speed factor and line."""
     rows: list[Sequence[str]] = []
-    for driver, one in found.items():
+    for planner, one in found.items():
         groups = {name: one.circuit == name for name in dict.fromkeys(one.circuit.tolist())}
         groups |= {f"speed {factor:g}": one.factor == factor for factor in FACTORS}
         groups |= {f"line {line}": one.line == line for line in range(LINES)}
-        rows = rows or [("driver", *groups)]
+        rows = rows or [("planner", *groups)]
         shares = [
             f"{one.safe[on].mean():.1%} / {one.overtakes[on].mean():.1%}" for on in groups.values()
         ]
-        rows.append((driver, *shares))
+        rows.append((planner, *shares))
     return aligned(rows, left=1)

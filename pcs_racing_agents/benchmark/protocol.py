@@ -30,7 +30,7 @@ from pcs_racing_agents.tournament.play import game_rules
 KINDS = {
     "keeps": "keep one policy of the archive",
     "switches": "change their policy at random",
-    "planners": "drivers of other families",
+    "planners": "planners other than the lattice",
     "agents": "agents that look at the race",
 }
 """Kinds of opponents, with descriptions."""
@@ -49,7 +49,7 @@ class ProtocolConfig(Settings):
     switches: Annotated[Names, "Opponents that change it at random."] = ("random-moves",)
     planners: Annotated[
         Names,
-        "Drivers of other families; not to be trained on.",
+        "Planners other than the lattice; not to be trained on.",
     ] = (
         "lane-switcher",
         "pure-pursuit",

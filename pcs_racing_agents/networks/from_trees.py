@@ -122,11 +122,11 @@ def train_regrets(
 
 def _hold_out(numbers: NDArray[np.int64], settings: TrainSettings) -> NDArray[np.bool_]:
     """Return a mask of held-out trees, shape (trees,), drawn by numbers of starting pairs."""
-    different, least = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
-    if different < least:
+    different, minimum = len(np.unique(numbers)), 3 if settings.test_share > 0.0 else 2
+    if different < minimum:
         raise InputError(
-            f"the trees come from {different} starting pairs; it takes {least}: some to learn from,"
-            f" some to stop by{', and some to judge by' if least == 3 else ''}"
+            f"the trees come from {different} starting pairs; it takes {minimum}: some to learn"
+            f" from, some to stop by{', and some to judge by' if minimum == 3 else ''}"
         )
     if settings.test_share == 0.0:
         return np.zeros(len(numbers), np.bool_)

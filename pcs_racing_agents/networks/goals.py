@@ -3,7 +3,7 @@
 Targets are learned in one of three ways:
 
 - *clipped*: values below 0 count as 0, as the regrets of the paper. In a row without a positive
-  value the values are learned as they are, so that the network learns which move is the least bad;
+  value the values are learned as they are, so that the network learns the best of the bad moves;
 - *relative*: the mean of a row's moves, and their differences from it, are each in units of their
   own spread, since situations differ much more than the moves in one situation. Targets far below
   the highest of their row are raised: it does not matter which of two bad moves is worse;
@@ -99,8 +99,8 @@ def row_goals(rows: Rows, by: Scaling, clipped: bool) -> Goals:
     weights = (rows.mask / rows.mask.sum(axis=1, keepdims=True)).astype(np.float32)
     if not clipped:
         return Goals(inputs, values, weights, np.zeros(values.shape, np.bool_))
-    # In a row without a positive regret clipped values do not identify the least bad move. Such
-    # rows can lie far below 0: they count in units of their own spread.
+    # In a row without a positive regret clipped values do not identify the best of the bad moves.
+    # Such rows can lie far below 0: they count in units of their own spread.
     hopeless = ~(values > 0.0).any(axis=1, keepdims=True)
     one_sided = (values <= 0.0) & ~hopeless
     weights = np.where(hopeless, np.float32(1.0 / max(by.hopeless, 1.0)) * weights, weights)

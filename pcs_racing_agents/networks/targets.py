@@ -91,7 +91,7 @@ def best_moves(
 
 
 def solve_for(tree: GameTree, target: str, *, iterations: int = 1000) -> Solution:
-    """Solve a tree with the solver of a target; ``iterations`` are those of CFR."""
+    """Solve a tree with the solver of a target; ``iterations``: iterations of CFR."""
     if get_target(target).solver is CFRResult:
         return cfr(tree, iterations, variant="vanilla")
     return solve_exact(tree)

@@ -58,8 +58,8 @@ class ArchiveConfig(Settings):
     characteristics: Annotated[
         Names | None,
         "Axes; None takes what the rules name as their aggressiveness, which is aggressiveness"
-        " itself (the lead), pace or speed, and then restraint, beside speed the reaction to the"
-        " lead.",
+        " itself (the lead), pace or speed, and then restraint (with speed: the reaction to the"
+        " lead).",
     ] = None
     generations: Annotated[int, Interval(ge=0, le=100_000), "Number of generations."] = 60
     population: Annotated[int, Interval(ge=4, le=10_000), "Number of policies in a generation."] = (
@@ -86,8 +86,8 @@ class ArchiveConfig(Settings):
     ] = 4
     rivals: Annotated[
         OptionalNames,
-        "Policies of other planners that are met in every stage beside the random policies, each as"
-        " often.",
+        "Policies of other planners that are met in every stage as well as the random policies,"
+        " each as often.",
     ] = ()
     min_score: Annotated[
         float,
