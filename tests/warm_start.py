@@ -19,14 +19,13 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from subprocess import CompletedProcess, TimeoutExpired
 from typing import Any
+from unittest.mock import patch
 
 IMPORTED = [
     "pcs_racing",
     "pcs_racing_agents.cli.main",
     "pcs_racing_agents.tournament",
     "pcs_racing_agents.trees",
-]
-IMPORTED += [
     "stable_baselines3",
     "matplotlib.pyplot",
     "distributed.cli.dask_worker",
@@ -44,16 +43,9 @@ def _context() -> Any:
 
     context = get_context("forkserver")
     context.set_forkserver_preload(IMPORTED)
-    before = os.environ.get("PYTHONPATH")
-    # It would look for our packages in the folder of this moment, and then find those of another
-    # checkout.
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, sys.path))
-    try:
+    # Without it our packages would be those of another checkout.
+    with patch.dict(os.environ, PYTHONPATH=os.pathsep.join(filter(None, sys.path))):
         forkserver.ensure_running()
-    finally:
-        os.environ.pop("PYTHONPATH")
-        if before is not None:
-            os.environ["PYTHONPATH"] = before
     return context
 
 
@@ -68,14 +60,9 @@ def start_python(
 
     Its output is added to the end of the given files; without one it goes nowhere.
     """
-    given = (
-        tuple(map(str, arguments)),
-        str(cwd or Path.cwd()),
-        dict(os.environ if env is None else env),
-    )
-    process = _context().Process(
-        target=_run, args=(*given, str(stdout or os.devnull), str(stderr or os.devnull))
-    )
+    outputs = [str(file or os.devnull) for file in (stdout, stderr)]
+    given = (list(map(str, arguments)), str(cwd or Path.cwd()), dict(env or os.environ), outputs)
+    process = _context().Process(target=_run, args=given)
     process.start()
     return process
 
@@ -87,13 +74,13 @@ def call_python(
     code and output.
     """
     with tempfile.TemporaryDirectory() as folder:
-        stdout, stderr = Path(folder, "stdout"), Path(folder, "stderr")
-        process = start_python(*arguments, cwd=cwd, env=env, stdout=stdout, stderr=stderr)
+        outputs = [Path(folder, name) for name in ("stdout", "stderr")]
+        process = start_python(*arguments, cwd=cwd, env=env, stdout=outputs[0], stderr=outputs[1])
         process.join(300)
         if process.is_alive():
             kill(process)
             raise TimeoutExpired(arguments, 300)
-        said = [file.read_text() if file.exists() else "" for file in (stdout, stderr)]
+        said = [file.read_text() for file in outputs]
         return CompletedProcess(arguments, process.exitcode or 0, *said)
 
 
@@ -104,25 +91,22 @@ def kill(process: BaseProcess) -> None:
     assert process.exitcode == -signal.SIGKILL
 
 
-def _run(
-    arguments: tuple[str, ...], cwd: str, environment: dict[str, str], stdout: str, stderr: str
-) -> None:
-    for number, path in ((1, stdout), (2, stderr)):
-        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        os.dup2(file, number)
-        os.close(file)
+def _run(arguments: list[str], cwd: str, environment: dict[str, str], outputs: list[str]) -> None:
+    for number, path in enumerate(outputs, 1):
+        with open(path, "ab") as file:
+            os.dup2(file.fileno(), number)
     os.environ.clear()
     os.environ.update(environment)
     os.chdir(cwd)
     sys.path[:0] = filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))
     what, *rest = arguments
     sys.path.insert(0, cwd if what in ("-c", "-m") else str(Path(what).resolve().parent))
-    if what == "-c":
-        sys.argv = ["-c", *rest[1:]]
-        exec(compile(rest[0], "<string>", "exec"), {"__name__": "__main__"})
-    elif what == "-m":
+    if what == "-m":
         sys.argv = rest
         runpy.run_module(rest[0], run_name="__main__", alter_sys=True)
+    elif what == "-c":
+        sys.argv = ["-c", *rest[1:]]
+        exec(compile(rest[0], "<string>", "exec"), {"__name__": "__main__"})
     else:
-        sys.argv = [what, *rest]
+        sys.argv = arguments
         runpy.run_path(what, run_name="__main__")
