@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints, is_typeddict
 
 import numpy as np
 import pytest
@@ -240,8 +240,10 @@ def parameters(cls: type) -> list[inspect.Parameter]:
 
 
 def arguments(data: Any, cls: type) -> dict[str, Any]:
-    """Draw values of a few arguments of a class."""
-    names = st.sampled_from([one.name for one in parameters(cls)])
+    """Draw values of a few arguments of a class, also of those listed as a typed dictionary."""
+    listed = [get_args(hint) for hint in get_type_hints(cls.__init__).values()]
+    more = [name for of in listed if of and is_typeddict(of[0]) for name in of[0].__annotations__]
+    names = st.sampled_from([one.name for one in parameters(cls)] + more)
     return data.draw(st.dictionaries(names, OBJECTS, min_size=1, max_size=3))
 
 
