@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from repository import load_tool
 
-from pcs_racing_agents import make, names
-from pcs_racing_agents.agents import describe, make_game_spec
+from pcs_racing_agents import make
+from pcs_racing_agents.agents import describe, make_game_spec, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, entries, options

@@ -20,7 +20,7 @@ from pcs_racing.game.competitor import competitor_names, make_competitor
 SHORT = {"step_seconds": 0.4}
 UNTRAINED = {"psro", "self-play"}
 """Agents that are shipped for the contest alone; of these games they say so."""
-NAMES = [name for name in pcs_racing_agents.names() if name not in UNTRAINED]
+NAMES = [name for name in pcs_racing_agents.agents.names() if name not in UNTRAINED]
 
 
 @pytest.fixture(scope="module")
