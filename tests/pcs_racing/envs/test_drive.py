@@ -10,13 +10,13 @@ from faces import AGENTS, begun, flat, follow_the_line, poses
 from refusal import refused
 
 from pcs_racing import InputError, load_race_config
-from pcs_racing.planners.planner import Planner
-from pcs_racing.planners.registry import get_planner
-from pcs_racing.race.races import RaceSetup
 from pcs_racing.envs.batch import place_poses, poses_option, start_option
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.race.races import RaceSetup
 from pcs_racing.track.frenet import X, Y
 
 
