@@ -12,7 +12,8 @@ Reductions and coefficients come from fdlibm (sine and cosine) [1]_ and Cephes (
 References
 ----------
 .. [1] Sun Microsystems, "Freely distributable libm", 1993, ``k_sin.c`` and ``k_cos.c``.
-.. [2] S. L. Moshier, "Methods and Programs for Mathematical Functions", 1989, ``atan.c``, ``exp.c`` and ``tanh.c``.
+.. [2] S. L. Moshier, "Methods and Programs for Mathematical Functions", 1989, ``atan.c``, ``exp.c``
+   and ``tanh.c``.
 """
 
 import numpy as np

@@ -194,7 +194,7 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):
 
 @inner_kernel
 def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):
-    """Draw a rectangle, centred at (x, y) relative to the lidar, into a buffer of inverse ranges."""
+    """Draw a rectangle, centred at (x, y) from the lidar, into a buffer of inverse ranges."""
     s, c = sine_cosine(psi)
     px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
     px[:] = np.nan
@@ -323,7 +323,7 @@ def scan_walls(track, beams, x, y, psi, s, work, out):
 
 @kernel
 def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out):
-    """Add a car's rectangle around (ox, oy, opsi), in m and rad, to the inverse ranges of a scan."""
+    """Add a car's rectangle at (ox, oy, opsi), in m and rad, to the inverse ranges of a scan."""
     # Cars come last: their edges are exact and need not be settled on the grid.
     dx, dy, reach = ox - x, oy - y, beams.max_range + half_length + half_width
     if dx * dx + dy * dy < reach * reach:

@@ -52,8 +52,9 @@ TRAILING = (
 )
 """First parameters of planners that use `trailing_speed`; the values are from [1]_.
 
-.. [1] N. Baumann et al., "ForzaETH Race Stack: Scaled autonomous head-to-head racing on fully commercial off-the-shelf
-   hardware", Journal of Field Robotics, 2024, and its published configuration.
+.. [1] N. Baumann et al., "ForzaETH Race Stack: Scaled autonomous head-to-head racing on fully
+   commercial off-the-shelf hardware", Journal of Field Robotics, 2024, and its published
+   configuration.
 """
 _PACE, _GAP, _P, _D = range(len(TRAILING))
 

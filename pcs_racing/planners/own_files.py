@@ -2,7 +2,8 @@
 
 A module in the file's folder, or in a folder that the file adds to ``sys.path``, belongs to the
 run: two files with a ``utils`` in each of their folders use two modules. A race runs the file
-again, so that its globals are fresh. While the file's code runs, the global generators of
+again, so that its globals are fresh. While the file's code runs, ``sys.modules`` has the run's
+modules under their plain names, where pickle looks for them, and the global generators of
 ``random``, numpy and torch are the run's own, seeded by the race. The run's module ``time`` shows
 the race time.
 """
@@ -17,7 +18,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import lru_cache, partial
-from importlib.abc import MetaPathFinder
+from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
@@ -46,6 +47,7 @@ _entropy: Any = importlib.import_module("numpy.random.bit_generator")
 # Held while a file's code runs: it has the global generators, and may not be thread-safe.
 _lock = RLock()
 _runs: dict[str, "Run"] = {}
+_running: list["Run"] = []  # whose code runs now, the innermost last
 
 
 class Run:
@@ -59,26 +61,23 @@ class Run:
         self.driver: Any = None
         self._folders, self._known_path = [str(path.resolve().parent)], list[str]()
         self._owned: dict[str, bool] = {}
-        self._draws = self._active = False
-        self._seed, torch = (
-            int(np.random.SeedSequence(seed).generate_state(1)[0]),
-            sys.modules.get("torch"),
-        )
-        states = (
+        self._shown: dict[str, ModuleType] = {}  # the run's modules by their plain names
+        self._hidden: dict[str, ModuleType | None] = {}  # others of these names meanwhile
+        self._draws = False
+        self._seed = int(np.random.SeedSequence(seed).generate_state(1)[0])
+        torch = sys.modules.get("torch")
+        self._generators: Any = (
             random.Random(self._seed).getstate(),
             np.random.MT19937(self._seed),
             {"has_gauss": 0},
+            None if torch is None else torch.Generator().manual_seed(self._seed).get_state(),
+            lambda size: random.getrandbits(size),
         )
-        tensor = (
-            torch.Generator().manual_seed(self._seed).get_state() if torch is not None else None
-        )
-        self._generators: Any = *states, tensor, lambda size: random.getrandbits(size)
         self._outside: Any = None  # the generators of this process while the file's code runs
         self._stand_ins = {
             "argparse": _over(argparse, ArgumentParser=_Parser),
             **ros_nodes.modules(),
         }
-        self._stand_ins["importlib"] = _over(importlib, import_module=self._import_module)
         if number:
             self._stand_ins["time"] = self._time()
         # Last: the file imports modules while it is loaded.
@@ -116,8 +115,11 @@ class Run:
         An error of any kind becomes one line that begins with ``what``.
         """
         with _lock, one_line(what, ()):
-            argv, self._known_path, self._active = sys.argv, sys.path[:], True
+            argv, self._known_path = sys.argv, sys.path[:]
             folder, streams = os.getcwd(), (sys.stdout, sys.stderr)
+            _running.append(self)
+            for name, module in self._shown.items():
+                self.show(name, module)
             sys.argv = [str(self.path)]
             if self._draws:
                 self._seed_generators()
@@ -127,9 +129,30 @@ class Run:
                 self._note_folders()
                 os.chdir(folder)
                 sys.stdout, sys.stderr = streams
-                sys.argv, sys.path[:], self._active = argv, self._known_path, False
+                sys.argv, sys.path[:] = argv, self._known_path
+                _running.pop()
+                self._hide()
                 if self._outside is not None:
                     self._generators, self._outside = _swap(self._outside), None
+
+    def show(self, name: str, module: ModuleType) -> None:
+        """Show a module of the run under its plain name while the file's code runs."""
+        self._shown[name] = module
+        if self.runs and name not in self._hidden:
+            self._hidden[name] = sys.modules.get(name)
+            sys.modules[name] = module
+
+    def _hide(self) -> None:
+        for name, module in self._hidden.items():
+            sys.modules.pop(name, None)
+            if module is not None:
+                sys.modules[name] = module
+        self._hidden = {}
+
+    @property
+    def runs(self) -> bool:
+        """True while the file's code runs."""
+        return self in _running
 
     def _note_folders(self) -> None:
         """Add the folders that the file's code added to ``sys.path`` to the run's folders."""
@@ -144,9 +167,9 @@ class Run:
         if self._outside is None:
             self._outside = _swap(self._generators)
 
-    def _owns(self, head: str) -> bool:
+    def owns(self, head: str) -> bool:
         """Return whether a module belongs to the run, by its folder."""
-        if self._active:
+        if self.runs:
             self._note_folders()
         if head not in self._owned:
             spec = (
@@ -174,7 +197,7 @@ class Run:
         Some other modules have replacements.
         """
         head, dot, _ = name.partition(".")
-        if level == 0 and self._owns(head):
+        if level == 0 and self.owns(head):
             module = _import(f"{self.name}.{name}", names, local, fromlist)
             return module if fromlist else sys.modules[f"{self.name}.{head}"]
         if level == 0 and (stand_in := self._stand_ins.get(name if fromlist else head)) is not None:
@@ -197,17 +220,10 @@ class Run:
             )
         return module
 
-    def _import_module(self, name: str, package: str | None = None) -> Any:
-        return (
-            importlib.import_module(name, package)
-            if name[0] == "."
-            else self.import_own(name, fromlist=("x",))
-        )
-
     def draw(self) -> None:
         """Give the file's code its own generators from now on: it may draw random numbers."""
         self._draws = True
-        if self._active:
+        if self.runs:
             self._seed_generators()
 
     def read_clock(self) -> float:
@@ -300,7 +316,10 @@ class _Loader(SourceFileLoader):
         return _code(self.path)
 
     def exec_module(self, module: ModuleType) -> None:
-        run = _runs[module.__name__.partition(".")[0]]
+        owner, _, plain = module.__name__.partition(".")
+        run = _runs[owner]
+        if plain:
+            run.show(plain, module)
         module.__dict__["__builtins__"] = {**vars(builtins), "__import__": run.import_own}
         if b"random" in self.get_data(self.path):
             run.draw()
@@ -312,15 +331,28 @@ class _Loader(SourceFileLoader):
                 setattr(module, name, value)
 
 
+class _PlainLoader(Loader):
+    """Loader of a run's module for pickle, under its plain name."""
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        self.module = importlib.import_module(f"{_running[-1].name}.{spec.name}")
+        self.own_spec = self.module.__spec__
+        return self.module
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__spec__ = self.own_spec  # the import system has set another
+
+
 class _Finder(MetaPathFinder):
     """Finder of the modules of runs, also used by pickle for their classes."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        spec = (
-            PathFinder.find_spec(fullname, path, target) if fullname.startswith(_PREFIX) else None
-        )
+        if not fullname.startswith(_PREFIX):
+            owned = _running and _running[-1].owns(fullname.partition(".")[0])
+            return ModuleSpec(fullname, _PlainLoader()) if owned else None
+        spec = PathFinder.find_spec(fullname, path, target)
         if spec is not None and isinstance(spec.loader, SourceFileLoader):
             spec.loader = _Loader(fullname, spec.loader.path)
         return spec

@@ -14,6 +14,10 @@ from importlib.util import find_spec
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+from pcs_racing.base.errors import say_once
+
+SILENCE = 1.0  # s from the start, after which a node without a command is reported
+
 _PACKAGES = (
     "ackermann_msgs",
     "builtin_interfaces",
@@ -109,7 +113,7 @@ class Node:
     def __init__(self, node_name: str = "node", **other: Any) -> None:
         # One attribute, with a name that a derived class will not use.
         self._in_race = SimpleNamespace(
-            name=node_name, now=0.0, command=(0.0, 0.0), heard=[], timers=[], parameters={}
+            name=node_name, now=0.0, command=None, heard=[], timers=[], parameters={}
         )
 
     def __getattr__(self, name: str) -> Any:
@@ -132,13 +136,10 @@ class Node:
 
         def publish(message: Any) -> None:
             if type(message).__name__.startswith("AckermannDrive"):
-                drive = vars(
-                    message.drive if type(message).__name__.endswith("Stamped") else message
-                )
-                self._in_race.command = (
-                    float(drive.get("steering_angle", 0.0)),
-                    float(drive.get("speed", 0.0)),
-                )
+                stamped = type(message).__name__.endswith("Stamped")
+                drive = vars(message.drive if stamped else message)
+                fields = drive.get("steering_angle", 0.0), drive.get("speed", 0.0)
+                self._in_race.command = tuple(map(float, fields))
 
         return SimpleNamespace(publish=publish, topic_name=topic, get_subscription_count=lambda: 1)
 
@@ -149,10 +150,8 @@ class Node:
         timer = SimpleNamespace(
             period=max(float(timer_period_sec), 1e-3), due=None, callback=callback, on=True
         )
-        timer.cancel, timer.reset = (
-            partial(setattr, timer, "on", False),
-            partial(setattr, timer, "on", True),
-        )
+        timer.cancel = partial(setattr, timer, "on", False)
+        timer.reset = partial(setattr, timer, "on", True)
         self._in_race.timers.append(timer)
         return timer
 
@@ -190,13 +189,13 @@ def ask_node(
     odometry: Mapping[str, float],
     opponent: Mapping[str, float],
 ) -> tuple[float, float]:
-    """Send messages to a node at a time (s), and return its last steering angle and speed."""
-    own, kinds = (
-        node._in_race,
-        ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan"),
-    )
+    """Send messages to a node at a time (s), and return its last steering angle and speed.
+
+    A car without a command stands still, which is reported once after a second.
+    """
+    own = node._in_race
     own.now, stamp = now, _time(seconds=now).to_msg()
-    for wanted in kinds:
+    for wanted in ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan"):
         for kind, topic, callback in [one for one in own.heard if one[0] == wanted]:
             seen = opponent if "opp" in topic else odometry
             callback(_heard(kind, Free(stamp=stamp, frame_id="map"), ranges, seen))
@@ -205,8 +204,12 @@ def ask_node(
         while timer.on and timer.due <= now + 1e-9:
             timer.due += timer.period
             timer.callback()
-    command: tuple[float, float] = own.command
-    return command
+    if own.command is None and now > SILENCE:
+        say_once(
+            f"node {type(node).__name__} has published no AckermannDrive message in the first"
+            f" {SILENCE:g} s of a race; its car stands still"
+        )
+    return own.command or (0.0, 0.0)
 
 
 def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> Any:

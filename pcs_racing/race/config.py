@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from annotated_types import Interval, MultipleOf
 
-from pcs_racing.base.checks import check_path, is_number
+from pcs_racing.base.checks import check_path, check_text, is_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Checked, Settings, Text, load_settings
 
@@ -23,6 +23,13 @@ def _speed_range(name: str, value: Any) -> tuple[float, float]:
     if not pair or not 0.1 <= value[0] < value[1] <= 3.0:
         raise InputError(f"{name} is {value!r}; it must be [low, high] with 0.1 <= low < high <= 3")
     return value[0], value[1]
+
+
+def _printable(name: str, value: Any) -> str:
+    """Return a text that a terminal can show on one line."""
+    if not check_text(name, value).isprintable():
+        raise InputError(f"{name} is {value!r}; it must be a text of printable characters")
+    return str(value)
 
 
 def check_steps(name: str, value: Any, minimum: int = 2) -> tuple[float, ...]:
@@ -53,7 +60,9 @@ CONTACTS = ("end", "stop", "restart")
 class RaceConfig(Settings):
     """How cars race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
 
-    name: Annotated[Text, "Name of the rules in archives, trees, networks and results."] = "paper"
+    name: Annotated[
+        Text, Checked(_printable), "Name of the rules in archives, trees, networks and results."
+    ] = "paper"
     duration: Annotated[
         float, Interval(ge=0.1, le=3600.0), MultipleOf(0.1), "Length of a race, s."
     ] = 40.0

@@ -1,4 +1,4 @@
-"""Contacts that do not end a race: the car at fault stands still, or is put back on the race line."""
+"""Contacts that do not end a race: the car at fault stops, or is put back on the race line."""
 
 import numpy as np
 

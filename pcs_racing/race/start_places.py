@@ -107,7 +107,7 @@ def _race(
     first_key: int,
     threads: int | None = None,
 ) -> RaceState:
-    """Drive one race from each start with the parameters of its two policies, shape (races, 2, P)."""
+    """Drive a race from each start with the parameters of its policies, shape (races, 2, P)."""
     cars = (F1TENTH, F1TENTH)
     state = place_on_grid(
         track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total

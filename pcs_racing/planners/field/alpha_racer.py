@@ -17,10 +17,11 @@ profile, and not to make way for a car behind. There are two cars instead of thr
 
 References
 ----------
-.. [1] D. Kalaria, C. Maheshwari and S. Sastry, "alpha-RACER: Real-time algorithm for game-theoretic motion planning and
-   control in autonomous racing using near-potential function", L4DC, 2025, arXiv:2412.08855.
-.. [2] O. Candogan, I. Menache, A. Ozdaglar and P. Parrilo, "Flows and decompositions of games: harmonic and potential
-   games", Mathematics of Operations Research 36(3), 2011.
+.. [1] D. Kalaria, C. Maheshwari and S. Sastry, "alpha-RACER: Real-time algorithm for game-theoretic
+   motion planning and control in autonomous racing using near-potential function", L4DC, 2025,
+   arXiv:2412.08855.
+.. [2] O. Candogan, I. Menache, A. Ozdaglar and P. Parrilo, "Flows and decompositions of games:
+   harmonic and potential games", Mathematics of Operations Research 36(3), 2011.
 """
 
 from dataclasses import replace

@@ -17,10 +17,11 @@ corridor.
 
 References
 ----------
-.. [1] R. Spica, E. Cristofalo, Z. Wang, E. Montijano and M. Schwager, "A real-time game theoretic planner for
-   autonomous two-player drone racing", IEEE Transactions on Robotics, 2020, arXiv:1801.02302.
-.. [2] M. Wang, Z. Wang, J. Talbot, J. C. Gerdes and M. Schwager, "Game-theoretic planning for self-driving cars in
-   multivehicle competitive scenarios", IEEE Transactions on Robotics, 2021.
+.. [1] R. Spica, E. Cristofalo, Z. Wang, E. Montijano and M. Schwager, "A real-time game theoretic
+   planner for autonomous two-player drone racing", IEEE Transactions on Robotics, 2020,
+   arXiv:1801.02302.
+.. [2] M. Wang, Z. Wang, J. Talbot, J. C. Gerdes and M. Schwager, "Game-theoretic planning for
+   self-driving cars in multivehicle competitive scenarios", IEEE Transactions on Robotics, 2021.
 """
 
 import numpy as np

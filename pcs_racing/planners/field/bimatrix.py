@@ -14,8 +14,8 @@ Nash equilibrium drove the same races.
 
 References
 ----------
-.. [1] A. Liniger and J. Lygeros, "A noncooperative game approach to autonomous racing", IEEE Transactions on Control
-   Systems Technology 28(3), 2020, arXiv:1712.03913.
+.. [1] A. Liniger and J. Lygeros, "A noncooperative game approach to autonomous racing", IEEE
+   Transactions on Control Systems Technology 28(3), 2020, arXiv:1712.03913.
 """
 
 import numpy as np

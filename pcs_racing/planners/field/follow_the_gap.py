@@ -10,8 +10,8 @@ than in the exercise of the course.
 
 References
 ----------
-.. [1] V. Sezer and M. Gokasan, "A novel obstacle avoidance algorithm: Follow the Gap Method", Robotics and Autonomous
-   Systems 60(9), 2012.
+.. [1] V. Sezer and M. Gokasan, "A novel obstacle avoidance algorithm: Follow the Gap Method",
+   Robotics and Autonomous Systems 60(9), 2012.
 .. [2] University of Pennsylvania, F1TENTH course, laboratory "Follow the Gap", 2020.
 """
 

@@ -14,8 +14,8 @@ the race line.
 
 References
 ----------
-.. [1] M. Werling, J. Ziegler, S. Kammel and S. Thrun, "Optimal trajectory generation for dynamic street scenarios in a
-   Frenet frame", ICRA 2010.
+.. [1] M. Werling, J. Ziegler, S. Kammel and S. Thrun, "Optimal trajectory generation for dynamic
+   street scenarios in a Frenet frame", ICRA 2010.
 """
 
 import numpy as np

@@ -8,8 +8,8 @@ opponent is one more obstacle in the scan, and the planner does not know that it
 
 References
 ----------
-.. [1] V. Sezer and M. Gokasan, "A novel obstacle avoidance algorithm: Follow the Gap Method", Robotics and Autonomous
-   Systems 60(9), 2012.
+.. [1] V. Sezer and M. Gokasan, "A novel obstacle avoidance algorithm: Follow the Gap Method",
+   Robotics and Autonomous Systems 60(9), 2012.
 """
 
 import numpy as np

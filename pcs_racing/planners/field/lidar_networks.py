@@ -14,10 +14,10 @@ teacher drives.
 
 References
 ----------
-.. [1] M. M. Zarrar, Q. Weng, B. Yerjan, A. Soyyigit and H. Yun, "TinyLidarNet: 2D LiDAR-based end-to-end deep learning
-   model for F1TENTH autonomous racing", 2024, arXiv:2410.07447.
-.. [2] Z. Qiao, H. Li, Z. Cao and H. X. Liu, "End2Race: Efficient end-to-end imitation learning for real-time F1Tenth
-   racing", 2025, arXiv:2509.16894.
+.. [1] M. M. Zarrar, Q. Weng, B. Yerjan, A. Soyyigit and H. Yun, "TinyLidarNet: 2D LiDAR-based
+   end-to-end deep learning model for F1TENTH autonomous racing", 2024, arXiv:2410.07447.
+.. [2] Z. Qiao, H. Li, Z. Cao and H. X. Liu, "End2Race: Efficient end-to-end imitation learning for
+   real-time F1Tenth racing", 2025, arXiv:2509.16894.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

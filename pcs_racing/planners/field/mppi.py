@@ -14,7 +14,8 @@ that one race has one result, and is held for some steps.
 
 References
 ----------
-.. [1] G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA 2017.
+.. [1] G. Williams et al., "Information theoretic MPC for model-based reinforcement learning", ICRA
+   2017.
 """
 
 import numpy as np

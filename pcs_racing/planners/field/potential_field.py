@@ -10,10 +10,11 @@ the speed.
 
 References
 ----------
-.. [1] O. Khatib, "Real-Time Obstacle Avoidance for Manipulators and Mobile Robots", International Journal of Robotics
-   Research 5(1), 1986.
-.. [2] R. Trumpp, E. Javanmardi, J. Nakazato, M. Tsukada and M. Caccamo, "RaceMOP: Mapless Online Path Planning for
-   Multi-Agent Autonomous Racing using Residual Policy Learning", 2024, arXiv:2403.07129.
+.. [1] O. Khatib, "Real-Time Obstacle Avoidance for Manipulators and Mobile Robots", International
+   Journal of Robotics Research 5(1), 1986.
+.. [2] R. Trumpp, E. Javanmardi, J. Nakazato, M. Tsukada and M. Caccamo, "RaceMOP: Mapless Online
+   Path Planning for Multi-Agent Autonomous Racing using Residual Policy Learning", 2024,
+   arXiv:2403.07129.
 """
 
 import numpy as np

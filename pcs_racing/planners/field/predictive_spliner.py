@@ -13,8 +13,8 @@ region's ends instead of found by an optimiser; speeds are learned as shares of 
 
 References
 ----------
-.. [1] N. Baumann et al., "Predictive Spliner: Data-driven overtaking in autonomous racing using opponent trajectory
-   prediction", IEEE Robotics and Automation Letters, 2025, arXiv:2410.04868.
+.. [1] N. Baumann et al., "Predictive Spliner: Data-driven overtaking in autonomous racing using
+   opponent trajectory prediction", IEEE Robotics and Automation Letters, 2025, arXiv:2410.04868.
 """
 
 import numpy as np

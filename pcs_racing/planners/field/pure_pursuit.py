@@ -8,7 +8,8 @@ track until the opponent has gone by.
 
 References
 ----------
-.. [1] R. C. Coulter, "Implementation of the pure pursuit path tracking algorithm", CMU-RI-TR-92-01, 1992.
+.. [1] R. C. Coulter, "Implementation of the pure pursuit path tracking algorithm", CMU-RI-TR-92-01,
+   1992.
 """
 
 import numpy as np

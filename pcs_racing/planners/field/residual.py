@@ -11,8 +11,9 @@ convolutional, and its input is several scans.
 
 References
 ----------
-.. [1] R. Trumpp, E. Javanmardi, J. Nakazato, M. Tsukada and M. Caccamo, "RaceMOP: Mapless Online Path Planning for
-   Multi-Agent Autonomous Racing using Residual Policy Learning", 2024, arXiv:2403.07129.
+.. [1] R. Trumpp, E. Javanmardi, J. Nakazato, M. Tsukada and M. Caccamo, "RaceMOP: Mapless Online
+   Path Planning for Multi-Agent Autonomous Racing using Residual Policy Learning", 2024,
+   arXiv:2403.07129.
 """
 
 from functools import cache

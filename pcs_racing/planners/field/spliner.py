@@ -11,8 +11,8 @@ lane.
 
 References
 ----------
-.. [1] N. Baumann et al., "ForzaETH Race Stack: Scaled autonomous head-to-head racing on fully commercial off-the-shelf
-   hardware", Journal of Field Robotics, 2024, arXiv:2403.11784.
+.. [1] N. Baumann et al., "ForzaETH Race Stack: Scaled autonomous head-to-head racing on fully
+   commercial off-the-shelf hardware", Journal of Field Robotics, 2024, arXiv:2403.11784.
 """
 
 import numpy as np

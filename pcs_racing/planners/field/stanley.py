@@ -9,9 +9,10 @@ Differences: the gain for the steady yaw is not tuned; it follows from the car's
 
 References
 ----------
-.. [1] S. Thrun et al., "Stanley: The robot that won the DARPA Grand Challenge", Journal of Field Robotics 23(9), 2006.
-.. [2] G. M. Hoffmann, C. J. Tomlin, M. Montemerlo and S. Thrun, "Autonomous automobile trajectory tracking for off-road
-   driving: Controller design, experimental validation and racing", ACC 2007.
+.. [1] S. Thrun et al., "Stanley: The robot that won the DARPA Grand Challenge", Journal of Field
+   Robotics 23(9), 2006.
+.. [2] G. M. Hoffmann, C. J. Tomlin, M. Montemerlo and S. Thrun, "Autonomous automobile trajectory
+   tracking for off-road driving: Controller design, experimental validation and racing", ACC 2007.
 """
 
 import numpy as np

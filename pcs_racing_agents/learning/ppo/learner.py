@@ -37,12 +37,12 @@ def check_packages() -> None:
 def own_randomness() -> Iterator[None]:
     """Restore the process's random generators at exit; reserve them and torch for one thread."""
     with torch_alone() as torch:
-        states = random.getstate(), np.random.get_state(), torch.get_rng_state()
+        states = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
         try:
             yield
         finally:
             random.setstate(states[0])
-            np.random.set_state(states[1])
+            np.random.set_state(states[1])  # noqa: NPY002
             torch.set_rng_state(states[2])
 
 

@@ -187,7 +187,10 @@ def test_two_writers_of_one_index_take_turns(monkeypatch):
 
     with monkeypatch.context() as patch:
         patch.setattr(IndexDataCacheFile, "_load_index", slowly)
-        save = lambda self, sig, data: self._cache_file.save(sig, data)
+
+        def save(self, sig, data):
+            self._cache_file.save(sig, data)
+
         patch.setattr(FunctionCache, "_save_overload", save)
         caches = [numba_parts.CodeCache(add) for _ in range(6)]
         with ThreadPoolExecutor(6) as pool:

@@ -134,6 +134,9 @@ class Driver:
         ("import parts.speeds.fast", "", "parts.speeds.fast.SPEED", "parts__speeds__fast"),
         ("from .utils import SPEED", "", "SPEED", "utils"),
         ("import importlib", "", "importlib.import_module('utils').SPEED", "utils"),
+        ("import pickle", "", r"pickle.loads(b'cutils\nSPEED\n.')", "utils"),
+        ("import pickle", "", r"pickle.loads(b'cparts.fast\nSPEED\n.')", "parts__fast"),
+        ("import sys, utils", "", "sys.modules['utils'].SPEED", "utils"),
         (
             "import os, sys\nsys.path.append(os.path.dirname(__file__) + '/lib')\nimport utils",
             "",
@@ -185,20 +188,18 @@ def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file
         "drawing": "import random\ndef speed():\n    return 1.0 + random.random()\n",
     }
     driver = team(file.parent / "own", DRIVER.format(top, lines, speed), **beside)
-    random.seed(1)
-    np.random.seed(1)
-    expected = (
-        random.random(),
-        np.random.randn(),
-        random.random(),
-        np.random.randn(),
-    )
-    random.seed(1)
-    np.random.seed(1)
-    seen = [random.random(), np.random.randn()]
+    draws = [random.random, np.random.randn] * 2
+
+    def seed() -> None:
+        random.seed(1)
+        np.random.seed(1)  # noqa: NPY002
+
+    seed()
+    expected = [draw() for draw in draws]
+    seed()
+    before = [draw() for draw in draws[:2]]
     alone = speeds(driver)[0]
-    assert seen == list(expected[:2])
-    assert (random.random(), np.random.randn()) == expected[2:]
+    assert before + [draw() for draw in draws[2:]] == expected
     assert 0.0 < alone < 3.0
     for races in (3, 1):
         assert speeds(driver, races)[0] == alone
@@ -446,3 +447,14 @@ def test_a_file_changes_neither_the_working_folder_nor_the_output(tmp_path, monk
         seed=1,
     )
     assert (Path.cwd(), sys.stdout) == (tmp_path, stdout)
+
+
+def test_a_node_that_never_commands_is_reported_once(file, capsys):
+    silent = NODE.format(imported="").replace("self.drive.publish(message)", "pass")
+    driver = team(file.parent / "own", silent)
+    config = load_race_config(SHORT, duration=1.2)
+    result = run_races(load_track("Tarnfjord"), [driver] * 2, "pure-pursuit", config, seed=1)
+    assert (result.state.memory[:, 0, :2] == 0.0).all()
+    said = capsys.readouterr().err
+    assert "node Follower has published no AckermannDrive message in the first 1 s" in said
+    assert said.count("\n") == 1

@@ -108,6 +108,8 @@ def test_impossible_values_and_speed_ranges_are_refused_by_name():
     }
     for key, value in {**wrong, "aggressiveness": "anger", "stay_move": 1}.items():
         refused(f"^{key} is", RaceConfig, error=ConfigError, **{key: value})
+    for name in ("two\nlines", "\x1b[31mred"):
+        refused("^name is .* printable characters", RaceConfig, error=ConfigError, name=name)
     for start in ["staggered", "rolling"]:
         refused(rf"start_gap is 0\.0 m; a {start}", RaceConfig, start=start, error=ConfigError)
         RaceConfig(start=start, start_gap=0.8)
