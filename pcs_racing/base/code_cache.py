@@ -11,7 +11,7 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-from numba.core import config
+from pcs_racing.base.numba_parts import config
 
 SIMULATOR = ("base", "track", "car", "planners", "race")
 """Lowest floors of ``pcs_racing``, without imports from the others. Their digest is separate: an

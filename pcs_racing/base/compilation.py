@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
-from numba.core import config
 
 from pcs_racing.base.code_cache import code_folder
 from pcs_racing.base.errors import say, say_once
-from pcs_racing.base.numba_parts import CodeCache, inner
+from pcs_racing.base.numba_parts import CodeCache, config, inner
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:

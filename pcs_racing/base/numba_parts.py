@@ -2,25 +2,25 @@
 
 - `CodeCache`: numba fails in every later run on a file that a full disk left unreadable, and two
   processes that compile a function at the same time may swap their code.
-- `inner`: without a wrapper for calls from Python, a first race compiles in half of the time, but
-  such a call would end the process.
+- `inner`: without a wrapper for calls from Python, code compiles faster; such a call would crash.
 - `compiled_for`, `address_of`, `call_with`: calls without a lookup of types, which takes longer
   than a step of a race. Numba's function types would also compile the race for each planner.
 """
 
-from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
+import numba
 from numba import typeof, types
-from numba.core import cgutils, config
+from numba.core import cgutils, errors
 from numba.core.caching import FunctionCache
-from numba.core.errors import TypingError
 from numba.core.registry import CPUDispatcher
 from numba.extending import intrinsic
 
 from pcs_racing.base.errors import say_once
+
+config: Any = numba.config  # without declared names
 
 
 class CodeCache(FunctionCache):
@@ -30,7 +30,7 @@ class CodeCache(FunctionCache):
         """Return the code for a signature, or None without readable code."""
         try:
             return super().load_overload(sig, target_context)
-        except Exception:  # damaged pickles raise a dozen types of errors
+        except Exception:  # damaged pickles raise many types of errors
             say_once("cached code can't be read; it is compiled again")
             with suppress(OSError):
                 self.flush()
@@ -63,12 +63,10 @@ def inner(dispatcher: Any) -> Any:
     return dispatcher
 
 
-def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
-    """Return the machine code of a compiled function for arguments of these types.
+def compiled_for(function: Any, arguments: tuple[Any, ...]) -> Any:
+    """Return the machine code of a compiled function for arguments of exactly these types.
 
-    A call skips the lookup of all argument types, which takes longer than a step of one race. All
-    later arguments must have exactly these types. Without compilation (``NUMBA_DISABLE_JIT``),
-    return the function itself.
+    Without compilation (``NUMBA_DISABLE_JIT``), return the function itself.
     """
     if not hasattr(function, "compile"):
         return function
@@ -83,7 +81,7 @@ def address_of(code: Any) -> int:
 def call_with(wanted: tuple[types.Type, ...]) -> Any:
     """Return a compiled function that calls an address with a tuple of arguments."""
 
-    def generate(context, builder, signature, values):
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         function = context.call_conv.get_function_type(types.none, wanted)
         callee = builder.inttoptr(values[0], function.as_pointer())
         given = cgutils.unpack_tuple(builder, values[1], len(wanted))
@@ -93,9 +91,9 @@ def call_with(wanted: tuple[types.Type, ...]) -> Any:
         return context.get_dummy_value()
 
     @intrinsic
-    def call(typing, address, arguments):
+    def call(typing: Any, address: Any, arguments: Any) -> Any:
         if tuple(arguments) != wanted:
-            raise TypingError(f"a planner's function takes {wanted}, not {arguments}")
+            raise errors.TypingError(f"a planner's function takes {wanted}, not {arguments}")
         return types.none(types.intp, arguments), generate
 
     return (lambda function, given: function(*given)) if config.DISABLE_JIT else call

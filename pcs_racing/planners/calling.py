@@ -6,12 +6,11 @@ from types import FunctionType
 from typing import Any
 
 from numba import types
-from numba.core import config
 from numba.core.errors import NumbaError
 
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.numba_parts import address_of, call_with
+from pcs_racing.base.numba_parts import address_of, call_with, config
 from pcs_racing.track.frenet import TrackArrays
 
 _VECTOR = types.Array(types.float64, 1, "C")
