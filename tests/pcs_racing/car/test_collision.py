@@ -6,7 +6,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pcs_racing.car.collision import (
-    FIELD_ERROR,
     Rectangle,
     car_hits_wall,
     inside_wall,
@@ -86,14 +85,6 @@ def contact_fault(first, second, sizes=(HALF, HALF)):
     return fault_of_bodies(first, second, *bodies)
 
 
-def test_overlaps_of_the_reference(reference):
-    data = np.load(reference / "collision_pairs.npz")
-    pairs = zip(data["pose_a"], data["pose_b"], strict=True)
-    found = [rectangles_overlap(Rectangle(*a, *HALF), Rectangle(*b, *HALF)) for a, b in pairs]
-    assert np.array_equal(found, data["overlap"])
-    assert 0 < sum(found) < len(found)
-
-
 @settings(deadline=None, max_examples=300)
 @given(
     st.floats(-1.2, 1.2),
@@ -148,20 +139,6 @@ def test_walls_are_hit_where_one_is_inside_the_car(oval):
 
 def test_walls_of_a_real_circuit_are_hit_where_one_is_inside_the_car(real_maps):
     assert 0.05 < check_walls(load_track(real_maps / "Spielberg"), 1000) < 0.95
-
-
-def test_clear_cases_lie_within_the_error_of_the_distance_field(real_maps):
-    track = load_track(real_maps / "Spielberg")
-    walls = track.arrays.walls
-    a, e = walls[:, :2], walls[:, 2:] - walls[:, :2]
-    worst = 0.0
-    for x, y, _, _ in poses_around(track, 500, np.random.default_rng(2)):
-        field = track.wall_distance([x, y])
-        if field > track.arrays.cell:
-            p = np.array([x, y]) - a
-            t = np.clip((p * e).sum(axis=1) / (e * e).sum(axis=1), 0.0, 1.0)
-            worst = max(worst, abs(np.linalg.norm(p - t[:, None] * e, axis=1).min() - field))
-    assert 0.0 < worst < FIELD_ERROR * track.arrays.cell
 
 
 def test_outside_the_map_and_inside_walls_is_wall_even_for_a_speck_and_a_point(oval):

@@ -8,7 +8,6 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from pcs_racing.car.ittc import minimum_ittc, segment_ittc
-from pcs_racing.track.loading import load_track
 
 HALF = (0.29, 0.155)
 HORIZON = 10.0
@@ -81,24 +80,6 @@ def test_agrees_with_a_dense_scan_of_walls_and_opponent(oval):
         assert measure(oval, row) <= min(walls, opponent) + 1e-12
         nearer += opponent < walls
     assert 10 < nearer < 140
-
-
-def test_agrees_with_dense_samples_of_every_wall_of_a_real_circuit(real_maps):
-    track = load_track(real_maps / "Spielberg")
-    walls = track.arrays.walls
-    share = np.linspace(0.0, 1.0, 300)[:, None, None]
-    points = walls[:, :2] * (1.0 - share) + walls[:, 2:] * share
-    for row in situations(track, 60, seed=1):
-        if track.wall_distance(row[:2]) < 0.2:
-            continue  # too near for the samples
-        p = points - row[:2]
-        approach = p @ row[2:4]
-        square = (p * p).sum(axis=-1)
-        ahead = approach > 0.0
-        exact = min((square[ahead] / approach[ahead]).min(), HORIZON)
-        found = measure(track, row, use_opponent=False)
-        assert found == pytest.approx(exact, rel=1e-3)
-        assert found <= exact + 1e-12
 
 
 @settings(deadline=None, max_examples=200)

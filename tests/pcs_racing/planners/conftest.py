@@ -1,4 +1,4 @@
-"""Ways to look at a planner alone: on an empty track, or at the views that it gets while it races."""
+"""Ways to look at a planner alone: on an empty track, or at its views during a race."""
 
 from collections.abc import Callable
 

@@ -112,7 +112,7 @@ def test_stanley_follows_a_slow_car_like_pure_pursuit():
 
 @pytest.mark.parametrize("name", [*MAPPED, *LIDAR])
 def test_it_keeps_the_protocol(name):
-    """It depends on nothing but its arguments: one seed, one result, in any pieces and any company."""
+    """It depends on nothing but its arguments: one seed, one result, in any pieces and batch."""
     check_planner(get_planner(name), load_track("Pipkin"), seconds=2.0)
 
 
@@ -233,7 +233,7 @@ def test_the_game_is_solved_for_the_leaders_equilibrium():
 
 
 def test_the_best_pair_is_that_of_the_nearest_potential_game():
-    """Against least squares over all differences that one car's choice makes, with random payoffs."""
+    """Against least squares over all differences by one car's choice, with random payoffs."""
     own, opponent = np.random.default_rng(4).normal(size=(2, SAMPLES, SAMPLES))
     cells = np.eye(SAMPLES * SAMPLES).reshape(SAMPLES, SAMPLES, -1)
     rows, gains = [], []

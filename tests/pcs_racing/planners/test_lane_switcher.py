@@ -59,13 +59,6 @@ def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
 
 
 # The ranges are those that calibration finds for the preset "paper", in some 10 s each.
-@pytest.mark.parametrize(
-    ("name", "speeds"),
-    [("Catalunya", (0.72, 0.92)), ("Oschersleben", (0.71, 0.91)), ("Spielberg", (0.69, 0.89))],
-)
-def test_all_variants_drive_real_circuits_alone(name, speeds, real_maps, drive_alone):
-    policies = [switcher.LANE_SWITCHER.policy(variant) for variant in VARIANTS]
-    assert not drive_alone(load_track(real_maps / name), policies, speed_range=speeds).crashed.any()
 
 
 @pytest.mark.parametrize("name", list_tracks())

@@ -148,15 +148,6 @@ def test_the_shipped_ones_are_read_when_they_are_first_asked_for():
         networks.OTHER  # noqa: B018
 
 
-def test_a_convolution_is_a_dense_layer_on_every_window():
-    layers = random_layers(6, 4, seed=1)
-    x, y = np.random.default_rng(2).normal(size=20), np.zeros(5 * 4)
-    networks.convolve(layers.flat().astype(float), (6, 4), 3, x, y)
-    windows = np.lib.stride_tricks.sliding_window_view(x, 6)[::3]
-    expected = np.maximum(windows @ layers.weights[0].T + layers.biases[0], 0.0)
-    np.testing.assert_allclose(y.reshape(5, 4), expected, rtol=1e-6, atol=1e-9)
-
-
 def test_recurrent_units_move_on_by_their_gates():
     from_inputs, from_state = random_layers(5, 9, seed=3), random_layers(3, 9, seed=4)
     flat = np.concatenate([from_inputs.flat(), from_state.flat()]).astype(float)

@@ -117,44 +117,6 @@ def test_pure_pursuit_drives_the_arc_along_the_course_of_a_steady_bend(view):
     assert pursuit_steering(view, 1.0, 0.2, 0.5, 0.0) == pytest.approx(usual)
 
 
-def strays(speed, course, seconds=4.0):
-    """How far a car strays from a straight each second after a push, when it is steered by pursuit
-    from a course, m.
-    """
-    car = F1TENTH.as_row()
-    state = np.array([0.0, 0.02, 0.0, speed, 0.0, 0.0, 0.0])
-    view = np.zeros(views.VIEW_SIZE)
-    view[views.WHEELBASE], view[views.STEER_MAX] = F1TENTH.wheelbase, F1TENTH.steer_max
-    view[views.REAR_AXLE], view[views.REAR_SLIP] = (
-        F1TENTH.lr,
-        1.0 / (F1TENTH.mu * 9.81 * F1TENTH.c_sr),
-    )
-    ahead, away = 0.3 + 0.1 * speed, []
-    for _ in range(round(50 * seconds)):  # a command every 0.02 s
-        psi = np.mod(state[PSI] + np.pi, 2.0 * np.pi) - np.pi
-        view[views.OWN_V], view[views.OWN_PSI], view[views.OWN_Y] = (
-            speed,
-            psi + course(state[BETA]),
-            state[Y],
-        )
-        view[views.OWN_BETA] = state[BETA]
-        x, y = np.sqrt(ahead**2 - min(state[Y] ** 2, 0.9 * ahead**2)), 0.0
-        steer = pursuit_steering(view, x, y, 0.0, 0.0)
-        for _ in range(2):
-            step(state, np.clip((steer - state[DELTA]) / 0.01, -3.2, 3.2), 0.0, car, 0.01)
-        away.append(abs(state[Y]))
-    return np.array(away).reshape(-1, 50).max(axis=1)
-
-
-def test_pursuit_is_stable_along_the_steady_course_and_not_along_the_slip_of_the_moment():
-    for speed in [4.0, 6.0, 9.0, 11.0]:
-        away = strays(speed, lambda slip: 0.0)
-        assert (np.diff(away) < 0.0).all()
-        assert away[-1] < 0.1 * away[0]
-    assert strays(9.0, lambda slip: slip)[-1] > 0.2
-    assert strays(4.0, lambda slip: slip)[-1] < 0.002
-
-
 def followed(path, view):
     """The command of the default control; it needs neither a track nor parameters, memory or
     scratch.
@@ -167,7 +129,7 @@ def followed(path, view):
 
 
 def at_distance(values, away, wanted):
-    """Value where a path is first so far from the car, between the two points around that distance."""
+    """Value where a path is first so far from the car, between the points around that distance."""
     after = next((k for k in range(1, len(away)) if away[k] >= wanted), None)
     if after is None:
         return values[-1]
@@ -175,7 +137,7 @@ def at_distance(values, away, wanted):
     return values[after - 1] + share * (values[after] - values[after - 1])
 
 
-@pytest.mark.parametrize("seed", range(40))
+@pytest.mark.parametrize("seed", range(12))
 def test_the_default_control_drives_through_a_point_ahead_at_the_speed_that_the_path_has_there(
     view, seed
 ):

@@ -80,13 +80,6 @@ def test_it_drives_shipped_circuits_at_any_pace(name, drive_alone):
     assert (np.diff(progress) > 10.0).all()
 
 
-@pytest.mark.parametrize("name", ["Catalunya", "Oschersleben", "Spielberg"])
-def test_it_drives_real_circuits(name, real_maps, drive_alone):
-    track = load_track(real_maps / name)
-    result = drive_alone(track, [PURE_PURSUIT.policy({"pace": 0.5})], speed_range=(0.7, 0.95))
-    assert not result.crashed.any()
-
-
 def test_it_keeps_to_the_line_and_two_of_them_sort_themselves_out_at_the_start(views):
     track = load_track("Larkmoor")
     config = RaceConfig(duration=20.0, start="staggered", start_gap=50.0, start_spacing=0.0)

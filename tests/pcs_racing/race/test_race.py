@@ -17,7 +17,7 @@ from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.race.config import DT
-from pcs_racing.race.driving import _pieces, pad_parameters
+from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import (
     RaceSetup,
     advance,
@@ -65,18 +65,6 @@ def begin(track, config, egos, opponents, seed=0):
         axis=1,
     )
     return setup, state, theta
-
-
-@pytest.mark.parametrize(("ticks", "size"), [(4000, 4), (100, 28), (2, 100)])
-def test_threads_get_pieces_of_whole_groups_or_of_equal_size(oval, ticks, size):
-    """200 races on two circuits: many pieces of a few milliseconds, or few equal ones; each race is
-    in one piece.
-    """
-    pieces = _pieces([(oval, 0, 100), (oval, 100, 200)], 200, ticks, workers=2)
-    ranges = sorted((first, last) for _, first, last in pieces)
-    assert [race for first, last in ranges for race in range(first, last)] == list(range(200))
-    assert ranges[0] == (0, size)
-    assert max(last - first for first, last in ranges) == size
 
 
 def test_the_seed_decides_a_race_and_its_times_to_collision_do_not(oval):
@@ -197,16 +185,6 @@ def test_laps_are_those_that_progress_tells(oval):
         else:
             assert state.lap_time[0, car] == state.best_lap[0, car] == -1.0
     assert state.lap_count[0, 0] >= 2
-
-
-def test_driving_into_a_wall_ends_the_race(oval):
-    ahead = load_race_config("paper", start="staggered", start_gap=4.0, start_spacing=0.5)
-    result = run_races(oval, STRAIGHT.policy(), lattice(), ahead)
-    assert result.state.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
-    assert result.state.fault[0].tolist() == [1, 0]
-    assert result.crashed.all()
-    assert result.own_crash.tolist() == [[True, False]]
-    assert 0.0 < result.time[0] < PAPER.duration
 
 
 ROLLING = load_race_config("contest", start="rolling")

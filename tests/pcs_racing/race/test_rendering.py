@@ -4,13 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image, ImageFont
+from PIL import Image
 from recorded_races import race_on_a_circle, race_on_a_straight
 from refusal import refused
 
-from pcs_racing.race import painting
 from pcs_racing.race.frames import replay_frames, write_gif, write_track_picture
-from pcs_racing.race.painting import COLOURS, Camera
+from pcs_racing.race.painting import COLOURS
 from pcs_racing.race.rendering import Renderer, views
 from pcs_racing.race.state import MOST_CARS
 
@@ -45,14 +44,6 @@ def test_a_frame_shows_both_cars_where_they_are_and_the_track_between_its_walls(
     for (x, y), colour in [((15.0, 0.5), asphalt), ((10.0, 5.0), ground), ((10.0, -0.2), ground)]:
         pixel = frame[round(200 - (y - 5.0) * scale), round(400 + (x - 10.0) * scale)]
         assert tuple(pixel) == colour
-
-
-def test_both_cars_stay_in_sight(race):
-    renderer = Renderer(race, 300, 300, view="both")
-    for apart in (0.5, 4.0, 14.0):
-        frame = renderer.render(np.array([state(2.0, 0.6, 0.0), state(2.0 + apart, 0.6, 0.0)]))
-        assert near(frame, BLUE).sum() > 20
-        assert near(frame, AMBER).sum() > 20
 
 
 @pytest.mark.parametrize("view", views(2))
@@ -238,147 +229,6 @@ def test_frames_show_each_moment_with_its_plan_its_trail_and_who_leads(race):
     assert len(list(replay_frames(dataclasses.replace(race, **alone, **bare), renderer))) == 81
     assert asked[-1][1].keys() == {"trails", "names", "text"}
     assert asked[-1][1]["text"] == "4.0 s    one leads by 0.0 m"
-
-
-def painted(paint, *given) -> list[tuple]:
-    """The polygons and lines that a function paints: points, colour and width of each."""
-    drawn: list[tuple] = []
-
-    def draw(points, fill, width=0, **rest):
-        drawn.append((np.reshape(points, (-1, 2)), fill, 0 if "outline" in rest else width))
-
-    paint(SimpleNamespace(polygon=draw, line=draw), *given)
-    return drawn
-
-
-def check(drawn, expected) -> None:
-    assert [rest for _, *rest in drawn] == [rest for _, *rest in expected]
-    for (points, *_), (wanted, *_) in zip(drawn, expected, strict=True):
-        np.testing.assert_allclose(points, wanted, atol=1e-9)
-
-
-def test_paths_are_painted_where_they_are_in_their_colours():
-    camera = Camera(2.0, 1.0, 10.0, 200, 100)
-    np.testing.assert_array_equal(
-        camera.pixels(np.array([[2.0, 1.0, 9.0], [3.0, 3.0, 9.0]])), [[100, 50], [110, 30]]
-    )
-    trails = np.arange(16.0).reshape(4, 2, 2)
-    # fine pixels: 13 cm, or two pixels
-    for view, width in ((camera, 4), (camera._replace(scale=100.0), 13)):
-        trail = [
-            (
-                view.pixels(trails[i : i + 2, car]),
-                (*COLOURS[f"car{car}"], round(120 * (0.25 + i / 4) ** 1.6)),
-                width,
-            )
-            for car in range(2)
-            for i in range(3)
-        ]
-        # the oldest piece is the faintest
-        check(painted(painting.paint_trails, view, trails), trail)
-    paths = np.stack([np.column_stack([np.arange(3.0), np.full(3, k)]) for k in range(5)])
-    paths[3, 2], paths[4, 1:] = np.nan, np.nan  # a shorter one, and one that is a point alone
-    red, worst, best = (np.array(COLOURS[name]) for name in ("rejected", "worst", "best"))
-    mixed = [
-        (*np.rint(worst + (best - worst) * (share / 3) ** 1.7).astype(int).tolist(), 190)
-        for share in (1, 2, 3)
-    ]
-    points = [camera.pixels(path[~np.isnan(path[:, 0])]) for path in paths]
-    fans = zip([points[k] for k in (1, 3, 0, 2)], [(*red, 90), *mixed], [2] * 4, strict=True)
-    check(
-        painted(painting.paint_candidates, camera, paths, np.array([2.0, np.inf, 1.0, 3.0, 4.0])),
-        list(fans),
-    )
-    check(painted(painting.paint_plan, camera, BLUE, paths[3]), [(points[3], BLUE, 6)])
-    check(painted(painting.paint_plan, camera, BLUE, paths[4]), [])
-    stops, found = (
-        [(0, 100), (40, 0), (100, 100)],
-        [(0, 100), (0, 100), (20, 50), (70, 50), (100, 100), (100, 100)],
-    )
-    assert [painting._between(stops, share) for share in (-1.0, 0.0, 0.25, 0.75, 1.0, 2.0)] == found
-
-
-@pytest.mark.parametrize(("scale", "gap"), [(10.0, 4.0 + 1.7 * 11.0), (120.0, 4.0 + 1.85 * 30.0)])
-def test_a_name_ends_a_gap_before_its_car_and_in_the_frame(scale, gap):
-    """A small car is an arrow of 11 pixels, a large one has its arrow at 1.85 half lengths."""
-
-    def box(cars, car):
-        image = Image.new("RGB", (600, 400), "white")
-        camera = Camera(
-            0.0, 0.0, scale * painting.FINER, 600 * painting.FINER, 400 * painting.FINER
-        )
-        names = [*[""] * car, "driver"]
-        cars, font = np.array(cars) / scale, ImageFont.load_default(16)
-        painting.paint_names(image, camera, cars, np.array([[0.25, 0.1]]), names, font, 30.0)
-        rows, columns = np.nonzero((np.asarray(image) != 255).any(axis=2))
-        return columns.min(), rows.min(), columns.max() + 1, rows.max() + 1
-
-    left, top, right, bottom = box([(0.0, 0.0), (90.0, 0.0), (-80.0, 0.0)], 0)
-    assert (left, (top + bottom) / 2) == pytest.approx((300 + gap, 200), abs=2.0)
-    assert box([(0.0, 0.0), (80.0, 0.0)], 0)[2] == pytest.approx(300 - gap, abs=2.0)
-    left, _, right, bottom = box([(0.0, 0.0)], 0)
-    assert ((left + right) / 2, bottom) == pytest.approx((300, 200 - gap), abs=2.0)
-    assert box([(0.0, 0.0), (0.5, 0.0)], 1)[1] == pytest.approx(200 + gap, abs=2.0)
-    assert box([(295.0, 195.0), (0.0, 0.0)], 0)[1:3] == pytest.approx((30, 600), abs=2.0)
-    left, _, _, bottom = box([(-295.0, -195.0), (0.0, 0.0)], 0)
-    assert (left, bottom) == pytest.approx((0, 400), abs=2.0)
-
-
-@pytest.mark.parametrize(("scale", "arrow"), [(53.4, False), (53.3, True)])
-def test_a_car_is_its_rectangle_with_wheels_or_an_arrow_where_it_is_small(scale, arrow):
-    """A car of 0.6 m x 0.4 m that drives to the upper left; an arrow from a length of 16 pixels of
-    the frame down.
-    """
-    for shape in (
-        painting._BODY,
-        painting._COCKPIT,
-        painting._WHEELS,
-        painting._ARROW,
-        painting._AHEAD,
-    ):
-        assert {(x, -y) for x, y in shape} == set(shape)  # both sides are alike
-        inside = shape not in (painting._ARROW, painting._AHEAD)
-        # or points ahead
-        assert np.abs(shape).max() <= 1.0 if inside else np.argmax(shape, axis=0)[0] == 0
-    camera, psi, delta, half, square = (
-        Camera(0.0, 0.0, scale, 400, 400),
-        2.5,
-        0.3,
-        (0.3, 0.2),
-        [1, -1, -1, 1],
-    )
-
-    def turned(points, angle):
-        return np.asarray(points) @ [
-            [np.cos(angle), np.sin(angle)],
-            [-np.sin(angle), np.cos(angle)],
-        ]
-
-    def place(shape, factor=1.0):
-        return camera.pixels(np.array([1.0, 0.5]) + turned(np.multiply(shape, half) * factor, psi))
-
-    box = np.column_stack([square, [1, 1, -1, -1]])
-    tyre, bars = (
-        COLOURS["tyre"],
-        [[[x - 0.05 * -s, w * t] for s, t in box] for x, w in ((0.92, 0.72), (-0.9, 0.8))],
-    )
-    wheels = [
-        np.array(at) + turned(box * (0.06, 0.034), delta if at[0] > 0.0 else 0.0) / half
-        for at in painting._WHEELS
-    ]
-    whole = [
-        (painting._AHEAD, BLUE),
-        (box, (*BLUE, 50)),
-        *((wheel, tyre) for wheel in wheels),
-        (painting._BODY, BLUE),
-        *((bar, BLUE) for bar in bars),
-        (painting._COCKPIT, tyre),
-    ]
-    small = [(place(painting._ARROW, 11.0 * 2 / (0.3 * scale)), BLUE, 0)]
-    drawn = painted(
-        painting.paint_car, camera, BLUE, np.array(state(1.0, 0.5, psi, delta)), np.array(half)
-    )
-    check(drawn, small if arrow else [(place(shape), colour, 0) for shape, colour in whole])
 
 
 def test_the_camera_shows_the_whole_track_or_the_cars_as_near_as_fits(race):
