@@ -192,7 +192,7 @@ def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file
 
     def seed() -> None:
         random.seed(1)
-        np.random.seed(1)  # noqa: NPY002
+        np.random.seed(1)
 
     seed()
     expected = [draw() for draw in draws]

@@ -6,7 +6,6 @@ from refusal import refused
 
 from pcs_racing import InputError
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.car.vehicle import BETA, DELTA, F1TENTH, PSI, Y, step
 from pcs_racing.planners import view as views
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, pursuit_steering, steady_course

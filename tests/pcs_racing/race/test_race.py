@@ -28,7 +28,7 @@ from pcs_racing.race.races import (
     starts_of,
 )
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES, NO_CRASH, WALL_CRASH, RaceState
+from pcs_racing.race.state import ITTC, ITTC_SAMPLES, RaceState
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
 
