@@ -200,7 +200,8 @@ def copied_page(source: str) -> str:
         target = Path(os.path.normpath(file.parent / link))
         if target in own_page:
             return f"{match[1]}({own_page[target]}{mark}{anchor})"
-        return f"{match[1]}({os.path.relpath(target, REPOSITORY / 'docs' / 'generated')}{mark}{anchor})"
+        place = os.path.relpath(target, REPOSITORY / "docs" / "generated")
+        return f"{match[1]}({place}{mark}{anchor})"
 
     return re.sub(r"(\[[^\]]*\])\(([^)\s]+)\)", turned, file.read_text(encoding="utf-8"))
 

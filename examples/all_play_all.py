@@ -2,7 +2,7 @@
 choosing an agent.
 
     python examples/all_play_all.py
-    python examples/all_play_all.py --track Saltmere --rules paper --races 200 --agents never-switch random-moves
+    python examples/all_play_all.py --track Saltmere --rules paper --agents never-switch ppo
 
 Every pair drives the same races from both seats of the grid. Stop it and start it again: it goes on
 where it was.
@@ -14,18 +14,19 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import load_track
-from pcs_racing_agents.base.executors import make_executor
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
+from pcs_racing_agents import solvers
 from pcs_racing_agents.tournament import (
+    excess,
+    make_executor,
+    open_job,
     plan_tournament,
     play_plan,
+    rate,
+    show_progress,
     tournament_settings,
     tournament_text,
     write_results,
 )
-from pcs_racing_agents.tournament.ratings import excess, rate
 
 # Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what
 # they need.
@@ -98,7 +99,7 @@ def main() -> None:
 
     # 4. How often to send whom, if the other side chooses its agent as cleverly: an equilibrium of
     # that game.
-    weights = solve_matrix_games(excess(tournament.summary.scores)).rows[0]
+    weights = solvers.solve_matrix_games(excess(tournament.summary.scores)).rows[0]
     shares = zip(weights, plan.names, strict=True)
     print(
         "\nequilibrium: "

@@ -1,8 +1,9 @@
-"""Self-play PPO in one file, in the manner of CleanRL, on what the benchmark lets agents train on;
+r"""Self-play PPO in one file, in the manner of CleanRL, on what the benchmark lets agents train on;
 and its entry.
 
     python examples/cleanrl_self_play.py
-    pcs-racing benchmark card examples.cleanrl_self_play:make_agent --weights out/cleanrl/actor.safetensors --out out/card
+    pcs-racing benchmark card examples.cleanrl_self_play:make_agent \
+        --weights out/cleanrl/actor.safetensors --out out/card
 
 One network moves both cars of every game and learns from both sides. The second command is typed in
 the folder that holds ``examples``. Run with torch 2.13.0.
@@ -11,7 +12,7 @@ the folder that holds ``examples``. Run with torch 2.13.0.
 import argparse
 from pathlib import Path
 
-from pcs_racing.envs.duel import SelfPlayVectorEnv
+from pcs_racing.envs import SelfPlayVectorEnv
 
 try:
     import torch
@@ -38,7 +39,7 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
 
 def make_agent(spec, weights):
     """What the benchmark calls."""
-    from pcs_racing_agents.agents.from_torch import TorchPolicy
+    from pcs_racing_agents.agents import TorchPolicy
 
     actor = network(len(spec.elements), spec.offered, 0.01)
     load_model(actor, weights)

@@ -15,8 +15,7 @@ import numpy as np
 
 from pcs_racing import load_track
 from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec, observing, register_agent
-from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.tournament import game_rules, play_tournament, tournament_text
+from pcs_racing_agents.tournament import game_rules, play_tournament, show_progress, tournament_text
 
 
 # 1. A strategy: chances of the moves (B, M) for observations (B, D). A dataclass can be sent to
@@ -77,8 +76,8 @@ def main() -> None:
     rules = game_rules(arguments.rules)
     mine = catch_up(make_game_spec("default", rules))
 
-    # 3. Under a name it can be asked for like the others; a distribution declares it in the entry points
-    #    "pcs_racing.agents" instead, and then the command line knows it, too.
+    # 3. Under a name it can be asked for like the others; a distribution declares it in the entry
+    #    points "pcs_racing.agents" instead, and then the command line knows it, too.
     register_agent("catch-up-too", catch_up)
 
     entrants = [mine, "catch-up-too", Stubborn(), "never-switch", "random-moves"]

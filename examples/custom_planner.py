@@ -15,12 +15,27 @@ import argparse
 import numpy as np
 
 from pcs_racing import load_race_config, load_track, run_races
-from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import Parameter, Planner, get_planner, register_planner
+from pcs_racing.game import ITTC, ITTC_SAMPLES
+from pcs_racing.planners import (
+    KAPPA,
+    LEFT,
+    PATH_KAPPA,
+    PATH_POINTS,
+    PATH_SPEED,
+    PATH_X,
+    PATH_Y,
+    PSI,
+    RIGHT,
+    SPEED,
+    Parameter,
+    Planner,
+    angle_between,
+    compiled,
+    get_planner,
+    register_planner,
+    to_cartesian,
+)
 from pcs_racing.planners import view as view_of  # the names of the numbers in `view`
-from pcs_racing.planners.view import PATH_KAPPA, PATH_POINTS, PATH_SPEED, PATH_X, PATH_Y
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES
-from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, angle_between, to_cartesian
 from pcs_racing_agents.tournament import play_tournament, tournament_text
 
 # 1. The parameters: what `theta` holds, with bounds and a default. Synthesis searches between the
@@ -110,7 +125,8 @@ def main() -> None:
         f" {arguments.pace:g}"
     )
     print(
-        f"{'caution':>10}{'won':>8}{'lost':>8}{'own crash':>12}{'lead at the end':>18}{'mean iTTC':>12}"
+        f"{'caution':>10}{'won':>8}{'lost':>8}{'own crash':>12}"
+        f"{'lead at the end':>18}{'mean iTTC':>12}"
     )
     for caution in (0.0, 0.25, 0.5, 0.75, 1.0):
         ego = get_planner("cautious").policy({"pace": arguments.pace, "caution": caution})

@@ -24,8 +24,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import load_archive
-from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
-from pcs_racing.envs.infos import Result
+from pcs_racing.envs import DriveHeadToHeadVectorEnv, DriveVectorEnv, Result
 
 try:
     import torch
@@ -33,7 +32,7 @@ try:
     from stable_baselines3.common.callbacks import BaseCallback
     from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecNormalize
 
-    from pcs_racing.envs.sb3 import SB3VecEnv
+    from pcs_racing.envs import SB3VecEnv
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
@@ -130,7 +129,7 @@ class UnequalCars(VecEnvWrapper):
 
 
 class Progress(BaseCallback):
-    """Prints a line for every tenth of the training: what is left, and how the policy does by then."""
+    """Prints a line for every tenth of the training: time left, and how the policy does."""
 
     def __init__(self, steps: int, races: int, seen: dict[str, Any]) -> None:
         super().__init__()
@@ -237,7 +236,7 @@ def race_against(model: PPO, races: DriveVectorEnv) -> dict[str, np.ndarray]:
 
 
 def parse(kind: type[Any]) -> Any:
-    """Read the command line into a dataclass whose fields are documented by the text behind them."""
+    """Read the command line into a dataclass; the texts behind its fields are the help."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

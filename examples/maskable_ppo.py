@@ -1,8 +1,9 @@
-"""MaskablePPO of sb3-contrib on what the benchmark lets agents train on, and its entry into the
+r"""MaskablePPO of sb3-contrib on what the benchmark lets agents train on, and its entry into the
 benchmark.
 
     python examples/maskable_ppo.py
-    pcs-racing benchmark card examples.maskable_ppo:make_agent --weights out/maskable_ppo/model.zip --out out/cards/maskable
+    pcs-racing benchmark card examples.maskable_ppo:make_agent \
+        --weights out/maskable_ppo/model.zip --out out/cards/maskable
 
 Two moves that lead to the same policy are one choice. In training the second one is masked, so that
 the network learns nothing about it; when the agent races, the mask is worked out from the
@@ -17,15 +18,14 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.game.moves import duplicate_moves
-from pcs_racing_agents.agents.game_spec import GameSpec
-from pcs_racing_agents.agents.observing import own
+from pcs_racing.game import duplicate_moves
+from pcs_racing_agents.agents import GameSpec, observing
 
 try:
     import torch
     from sb3_contrib import MaskablePPO
 
-    from pcs_racing.envs.sb3 import make_sb3_vec_env
+    from pcs_racing.envs import make_sb3_vec_env
 except ModuleNotFoundError as error:
     raise SystemExit(
         f'this example needs {error.name}: pip install ".[learning]" sb3-contrib'
@@ -53,7 +53,7 @@ class MaskedAgent:
         """Return the most probable move of the moves that are not masked."""
         archive = self.spec.archive
         # the own policy, exactly
-        driven = archive.nearest(own(observations, len(archive.characteristics)))
+        driven = archive.nearest(observing.own(observations, len(archive.characteristics)))
         masks = ~duplicate_moves(self.spec.table[:, : self.spec.offered])[driven]
         return self.policy.predict(observations, deterministic=True, action_masks=masks)[0]
 

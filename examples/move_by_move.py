@@ -2,7 +2,7 @@
 does, what follows.
 
     python examples/move_by_move.py
-    python examples/move_by_move.py --track Brackwater --ego response --opponent random-moves --seed 3 --wait
+    python examples/move_by_move.py --track Brackwater --ego response --seed 3 --wait
 
 The game is played by hand, with a step for each pair of moves; at the end the same race is written
 as a page to watch, with the moves marked. `pcs-racing explain` draws it as well.
@@ -14,12 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import make_game, save_replay
-from pcs_racing.base.seeds import race_seeds
-from pcs_racing.race.races import draw_starts
-from pcs_racing_agents import make
+from pcs_racing.game import draw_starts, race_seeds
+from pcs_racing_agents import make, watch
 from pcs_racing_agents.agents import observing
 from pcs_racing_agents.tournament import Pairing, repeat_race
-from pcs_racing_agents.watch.explain import mark_moves
 
 
 def main() -> None:
@@ -87,7 +85,7 @@ def main() -> None:
     recording = repeat_race(Pairing(game, *cars, first[None], start, key), 0)
     assert recording.played.lead[0] == state.race.lead[0]  # the very same race
     print(recording.replay.outcome)
-    replay = mark_moves(recording.replay, recording.played, game.move_names, game.config.ends)
+    replay = watch.mark_moves(recording.replay, recording.played, game.move_names, game.config.ends)
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("page:", save_replay(replay, arguments.out / "race.html"))
 

@@ -2,7 +2,7 @@
 switching brings.
 
     python examples/papers_table.py
-    python examples/papers_table.py --egos 20 --variants 20 --lines 5     # 4,000 races a cell, as in the paper
+    python examples/papers_table.py --egos 20 --variants 20 --lines 5  # 4,000 races a cell
 
 Every agent drives the same races of a row, so that their differences can be told from luck; the
 intervals know that races share ego policies, opponents and start lines. The shipped agents learned
@@ -14,14 +14,14 @@ import argparse
 from pathlib import Path
 
 from pcs_racing import make_game
-from pcs_racing_agents import make
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.study.table import make_table
-from pcs_racing_agents.study.table_text import table_text, write_table
-from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.races import concatenate_races
-from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents import make, study
+from pcs_racing_agents.tournament import (
+    concatenate_races,
+    cross_pairing,
+    open_job,
+    play_pairings,
+    show_progress,
+)
 
 TRACKS = ["Tarnfjord", "Brackwater"]
 SEEN = {"Tarnfjord"}
@@ -69,9 +69,9 @@ def main() -> None:
         races = concatenate_races(play_pairings(pairings, job=job, progress=show_progress()))
 
     # 2. The table: each agent minus the first, race by race; beside it what the paper found.
-    table = make_table(races, seen=SEEN)
-    print(table_text(table))
-    print("table:", write_table(table, arguments.out / "table.csv"))
+    table = study.make_table(races, seen=SEEN)
+    print(study.table_text(table))
+    print("table:", study.write_table(table, arguments.out / "table.csv"))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """PPO against the agent of counterfactual regret: train it, save it, race it.
 
     python examples/ppo_against_cfr.py
-    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest --opponent response
+    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest
 
 PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. What it has
 learned is saved as plain numbers, read again without torch, and raced against the opponent and
@@ -16,15 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing import load_track, make_game
-from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.race.replay import save_replay
-from pcs_racing_agents import make
-from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.learning.ppo.settings import DuelSettings
-from pcs_racing_agents.learning.ppo.train import train_ppo
-from pcs_racing_agents.tournament import cross_pairing, play_pairing, repeat_race
-from pcs_racing_agents.tournament.statistics import compare
+from pcs_racing import InputError, load_track, make_game, save_replay
+from pcs_racing_agents import learning, make, train_ppo
+from pcs_racing_agents.tournament import (
+    compare,
+    cross_pairing,
+    play_pairing,
+    repeat_race,
+    show_progress,
+)
 
 try:
     import stable_baselines3  # noqa: F401  what trains
@@ -57,13 +57,13 @@ def main() -> None:
     options = {"network": arguments.opponent_network} if arguments.opponent_network else {}
     try:
         opponent = make(arguments.opponent, **world, **options)
-    except UnknownNameError as error:
+    except InputError as error:
         raise SystemExit(
             f"ppo_against_cfr: error: {error}; or race another one with --opponent"
         ) from None
 
     # 1. Train, against opponents that PPO is to beat. The folder keeps curves and weights.
-    settings = DuelSettings(
+    settings = learning.DuelSettings(
         archive=arguments.archive,
         race=arguments.rules,
         tracks=(arguments.track,),

@@ -1,11 +1,11 @@
-"""Races of a driver as a Minari dataset: observations, actions and rewards, from which offline
+"""Races of a policy as a Minari dataset: observations, actions and rewards, from which offline
 learning begins.
 
     pip install "minari[hdf5]"
     python examples/record_dataset.py
-    python examples/record_dataset.py --driver lattice:pace=0.8 --opponent cfr-argmax --races 200 --beams 108
+    python examples/record_dataset.py --expert lattice:pace=0.8 --opponent cfr-argmax --beams 108
 
-Any driver of the package can be the expert, and any driver or agent the opponent. The expert drives
+Any policy can be the expert, and any policy or agent the opponent. The expert drives
 car 0 of ``pcs_racing/Drive-v1``: before each step of 0.02 s it is asked what it would do, and the
 answer is its command and the action that is kept. The last lines read the dataset again; it lies
 where Minari keeps its datasets.
@@ -24,22 +24,22 @@ except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install "minari[hdf5]"') from None
 
 import pcs_racing
-from pcs_racing.race.config import CONTROL_EVERY, DT
-from pcs_racing.race.driving import pad_parameters
+from pcs_racing import game
+from pcs_racing.planners import Policy
 
 TOP_SPEED = 12.0  # m/s, above what the drivers of the package ask for
 
 
 class Expert:
-    """What a driver would do in car 0 of an environment; asked before every step, for it remembers."""
+    """Commands of a policy for car 0 of an environment, asked before every step."""
 
-    def __init__(self, env: gymnasium.Env, policy: pcs_racing.Policy) -> None:
+    def __init__(self, env: gymnasium.Env, policy: Policy) -> None:
         self.batch = env.unwrapped.batch
         setup, cars = self.batch.setup, self.batch.cars
         # Who drives the other car in this copy of the race does not matter: only the command of car
         # 0 is looked at.
-        self.setup = pcs_racing.RaceSetup(setup.track, setup.config, (policy.planner,) * cars)
-        self.theta = pad_parameters([policy] * cars, self.setup.theta_size)[None]
+        self.setup = game.RaceSetup(setup.track, setup.config, (policy.planner,) * cars)
+        self.theta = game.pad_parameters([policy] * cars, self.setup.theta_size)[None]
 
     def begin(self) -> None:
         """Forget the last race."""
@@ -52,9 +52,9 @@ class Expert:
         """Return the steering angle (rad) and the speed (m/s) that the driver asks for now, without
         noise.
         """
-        copy = pcs_racing.RaceState._make(np.array(part) for part in self.batch.state)
+        copy = game.RaceState._make(np.array(part) for part in self.batch.state)
         copy = copy._replace(memory=self.kept[0], path=self.kept[1])
-        pcs_racing.advance(self.setup, copy, self.theta, CONTROL_EVERY, threads=1, ittc=False)
+        game.advance(self.setup, copy, self.theta, game.CONTROL_EVERY, threads=1, ittc=False)
         self.kept = copy.memory, copy.path
         return copy.command[0, 0] - [copy.disturbance[0, 0], 0.0]
 
@@ -66,7 +66,7 @@ def record(
     env = gymnasium.make(
         "pcs_racing:pcs_racing/Drive-v1",
         opponent=opponent,
-        time_step=CONTROL_EVERY * DT,
+        time_step=game.CONTROL_EVERY * game.DT,
         normalized=False,
         top_speed=TOP_SPEED,
         **options,
@@ -110,9 +110,9 @@ def main() -> None:
     parser.add_argument(
         "--name", default="pcs-racing/lattice-v0", help="name of the dataset, which must be new"
     )
-    parser.add_argument("--driver", default="lattice", help="the expert, in car 0")
+    parser.add_argument("--expert", default="lattice", help="policy in car 0")
     parser.add_argument(
-        "--opponent", default="lattice:pace=0.6", help="driver or agent in car 1; 'none': alone"
+        "--opponent", default="lattice:pace=0.6", help="policy or agent in car 1; 'none': alone"
     )
     parser.add_argument(
         "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
@@ -139,7 +139,7 @@ def main() -> None:
         "duration": given.duration,
         "beams": given.beams,
     }
-    record(given.name, given.driver, opponent, given.races, given.seed, **options)
+    record(given.name, given.expert, opponent, given.races, given.seed, **options)
     dataset = minari.load_dataset(given.name)
     returns = [float(episode.rewards.sum()) for episode in dataset.iterate_episodes()]
     print(

@@ -12,13 +12,13 @@ import argparse
 
 import numpy as np
 
-from pcs_racing.envs.duel import DuelVectorEnv
+from pcs_racing.envs import DuelVectorEnv
 
 try:
     import torch
     from stable_baselines3 import PPO
 
-    from pcs_racing.envs.sb3 import make_sb3_vec_env
+    from pcs_racing.envs import make_sb3_vec_env
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 

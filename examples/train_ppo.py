@@ -6,7 +6,8 @@
 
 It prints how the trained player does against the opponent beside players that never look at the
 race, all in the same games, and writes learning_curve.png and the model. The default takes one to
-two minutes on an idle core; settings for the other environments are in examples/clients/rl_zoo3_ppo.yaml.
+two minutes on an idle core; examples/clients/rl_zoo3_ppo.yaml has settings for the other
+environments.
 """
 
 import argparse
@@ -15,8 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.envs.duel import DuelVectorEnv
-from pcs_racing.envs.infos import Result
+from pcs_racing.envs import DuelVectorEnv, Result
 
 try:
     import torch
@@ -24,7 +24,7 @@ try:
     from stable_baselines3 import PPO
     from stable_baselines3.common.callbacks import BaseCallback
 
-    from pcs_racing.envs.sb3 import make_sb3_vec_env
+    from pcs_racing.envs import make_sb3_vec_env
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning,plots]"') from None
 
@@ -173,7 +173,7 @@ def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
 
 
 def parse(kind: type[Arguments]) -> Arguments:
-    """Turn every field of the arguments into an option, its default and type taken from the field."""
+    """Turn every field of the arguments into an option with the field's default and type."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -8,8 +8,8 @@ map says what it would do there (DAgger [1]_). Half of the cars race each other,
 have random paces and noise on their steering. Circuits are those that ship, but for the ones that
 are held out, and random ones.
 
-.. [1] S. Ross, G. J. Gordon and J. A. Bagnell, "A reduction of imitation learning and structured prediction to
-   no-regret online learning", AISTATS, 2011.
+.. [1] S. Ross, G. J. Gordon and J. A. Bagnell, "A reduction of imitation learning and structured
+   prediction to no-regret online learning", AISTATS, 2011.
 """
 
 import argparse

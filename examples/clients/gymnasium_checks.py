@@ -23,8 +23,7 @@ from gymnasium.wrappers import vector
 from moviepy import VideoFileClip
 
 import pcs_racing  # noqa: F401  registers the environments
-from pcs_racing.envs import GYMNASIUM_IDS
-from pcs_racing.envs.video import RecordRaces
+from pcs_racing.envs import GYMNASIUM_IDS, RecordRaces
 
 SHORT = {
     "pcs_racing/Duel-v1": {"step_seconds": 0.4, "moves": 2},

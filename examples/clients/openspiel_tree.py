@@ -20,9 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing_agents.solvers import GameTree, cfr, exploitability, solve_exact
-from pcs_racing_agents.solvers.efg import efg_game, efg_policy
-from pcs_racing_agents.trees import load_trees
+from pcs_racing_agents import solvers, trees
 
 try:
     import pyspiel
@@ -47,12 +45,12 @@ def main() -> None:
     arguments = parser.parse_args()
 
     if arguments.trees:
-        tree = load_trees(arguments.trees)[arguments.tree].game_tree()
+        tree = trees.load_trees(arguments.trees)[arguments.tree].game_tree()
     else:
-        tree = GameTree.from_payoffs(
+        tree = solvers.GameTree.from_payoffs(
             np.random.default_rng(arguments.seed).normal(0.0, 20.0, (3,) * 6)
         )
-    game = efg_game(tree)
+    game = solvers.efg_game(tree)
     nodes = sum(tree.nodes(k) for k in range(tree.depth))
     print(
         f"{nodes} decision nodes, {tree.payoffs.size} leaves, payoffs of range"
@@ -85,23 +83,23 @@ def main() -> None:
         sampled.average_policy(),
     )
 
-    cfr(tree, 1)  # load or compile the code
+    solvers.cfr(tree, 1)  # load or compile the code
     begin = time.perf_counter()
-    ours = cfr(tree, arguments.iterations).average
+    ours = solvers.cfr(tree, arguments.iterations).average
     report(
         f"pcs-racing CFR+, {arguments.iterations} iterations",
         time.perf_counter() - begin,
-        efg_policy(tree, ours),
+        solvers.efg_policy(tree, ours),
     )
 
-    solve_exact(tree)
+    solvers.solve_exact(tree)
     begin = time.perf_counter()
-    exact = solve_exact(tree)
+    exact = solvers.solve_exact(tree)
     seconds = time.perf_counter() - begin
-    report("pcs-racing, exact", seconds, efg_policy(tree, exact.profile))
+    report("pcs-racing, exact", seconds, solvers.efg_policy(tree, exact.profile))
     print(
         f"value {exact.value:.6f}; by our own measure the exact solution leaves"
-        f" {exploitability(tree, exact.profile)}"
+        f" {solvers.exploitability(tree, exact.profile)}"
     )
 
 

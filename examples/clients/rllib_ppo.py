@@ -34,9 +34,9 @@ def head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
 
 def drive_head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
     """Make the race in which both cars are steered."""
-    from pcs_racing.envs.drive import parallel_env
+    from pcs_racing.envs import drive
 
-    return ParallelPettingZooEnv(parallel_env(**config))
+    return ParallelPettingZooEnv(drive.parallel_env(**config))
 
 
 def self_play(name: str, **arguments: Any) -> PPOConfig:

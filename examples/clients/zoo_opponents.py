@@ -16,7 +16,6 @@ import pettingzoo
 import pcs_racing  # noqa: F401  registers the environments
 import pcs_racing_agents
 from pcs_racing import InputError
-from pcs_racing.base.errors import UnknownNameError
 
 GAMES = {"default": "paper", "contest": "contest"}  # the rules by the archive
 ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Match-v0", "pcs_racing/Drive-v1")
@@ -44,25 +43,22 @@ def meet(opponent: object, archive: str) -> None:
 
 
 def main() -> None:
-    broken = []
     for archive, race in GAMES.items():
         shipped, missing = [], []
-        for name in pcs_racing_agents.names(archive, race):
+        for name in pcs_racing_agents.agents.names(archive, race):
             try:
-                meet(name, archive)
-                meet(pcs_racing_agents.make(name, archive=archive, race=race), archive)
-                shipped.append(name)
-            except UnknownNameError as error:
+                agent = pcs_racing_agents.make(name, archive=archive, race=race)
+            except InputError as error:  # it has no network for this archive
                 missing.append(str(error))
-            except InputError as error:
-                broken.append(str(error))
+                continue
+            meet(name, archive)
+            meet(agent, archive)
+            shipped.append(name)
         print(
             f"archive {archive}, rules {race}: {len(shipped)} opponents: {', '.join(shipped)}",
             flush=True,
         )
         print(*(f"  not there: {why:.110}" for why in missing), sep="\n", flush=True)
-    if broken:
-        raise SystemExit("\n".join(broken))
 
 
 if __name__ == "__main__":

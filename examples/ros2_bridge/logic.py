@@ -6,14 +6,9 @@ from typing import Any
 import numpy as np
 
 from pcs_racing import load_track
-from pcs_racing.car.lidar import Lidar
-from pcs_racing.envs.drive import DriveHeadToHeadEnv
-from pcs_racing_agents.watch.ros_messages import (
-    RosMessage,
-    map_message,
-    pose_messages,
-    scan_message,
-)
+from pcs_racing.envs import DriveHeadToHeadEnv
+from pcs_racing.planners import Lidar
+from pcs_racing_agents import watch
 
 TIME_STEP = 0.02  # s: 50 scans and commands a second
 STILL = np.zeros(2, np.float32)
@@ -54,7 +49,7 @@ class Bridge:
                 [steering, speed], limits.low, limits.high
             ).astype(np.float32)
 
-    def step(self) -> list[RosMessage]:
+    def step(self) -> list[watch.RosMessage]:
         """Drive a step and return what is published after it; after the end of a race the next one
         begins.
         """
@@ -71,7 +66,7 @@ class Bridge:
         poses[0] = x, y, heading
         self.info, self.commands = self.env.reset(options={"poses": poses})[1], {}
 
-    def messages(self) -> list[RosMessage]:
+    def messages(self) -> list[watch.RosMessage]:
         """Return the scans, odometry and frames of this moment; the time goes on over all races."""
         time = round(1e9 * TIME_STEP * self.steps)
         poses, velocities = (
@@ -80,12 +75,12 @@ class Bridge:
         cars = np.zeros((len(poses), 7))
         cars[:, [0, 1, 4]], cars[:, [3, 5, 6]] = poses, velocities
         ranges = [self.lidar.scan(poses[car], poses[1 - car]) for car in range(2)]
-        scans = [scan_message(self.lidar, seen, car, time) for car, seen in enumerate(ranges)]
-        return [*scans, *pose_messages(cars, time)]
+        scans = [watch.scan_message(self.lidar, seen, car, time) for car, seen in enumerate(ranges)]
+        return [*scans, *watch.pose_messages(cars, time)]
 
-    def map(self) -> RosMessage:
+    def map(self) -> watch.RosMessage:
         """Return the circuit."""
-        return map_message(self.circuit)
+        return watch.map_message(self.circuit)
 
 
 def fill(message: Any, fields: dict[str, Any], kinds: dict[str, Any]) -> Any:

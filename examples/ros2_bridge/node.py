@@ -16,7 +16,7 @@ import numpy as np
 from logic import TIME_STEP, Bridge, fill
 
 from pcs_racing import InputError
-from pcs_racing_agents.watch.ros_messages import RosMessage
+from pcs_racing_agents import watch
 
 
 def message_class(kind: str) -> type:
@@ -55,7 +55,7 @@ def main() -> None:
     node = Node("pcs_racing")
     publishers: dict[str, object] = {}
 
-    def publish(message: RosMessage, qos: QoSProfile | int = 10) -> None:
+    def publish(message: watch.RosMessage, qos: QoSProfile | int = 10) -> None:
         if message.topic not in publishers:
             publishers[message.topic] = node.create_publisher(
                 message_class(message.kind), message.topic, qos

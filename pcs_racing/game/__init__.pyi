@@ -7,8 +7,12 @@ from .characteristics import Segment as Segment
 from .characteristics import get_characteristics as get_characteristics
 from .characteristics import measure as measure
 from .characteristics import register_characteristic as register_characteristic
+from .competitor import ask_moves as ask_moves
 from .config import GameConfig as GameConfig
 from .config import load_game_config as load_game_config
+from .identity import game_identity as game_identity
+from .kit import CONTROL_EVERY as CONTROL_EVERY
+from .kit import DT as DT
 from .kit import ITTC as ITTC
 from .kit import ITTC_SAMPLES as ITTC_SAMPLES
 from .kit import RaceConfig as RaceConfig
@@ -16,6 +20,7 @@ from .kit import RaceSetup as RaceSetup
 from .kit import RaceState as RaceState
 from .kit import advance as advance
 from .kit import draw_starts as draw_starts
+from .kit import pad_parameters as pad_parameters
 from .kit import race_seeds as race_seeds
 from .kit import start_races as start_races
 from .make import make_game as make_game
@@ -25,6 +30,8 @@ from .rules import RaceGame as RaceGame
 from .state import GameState as GameState
 
 __all__ = [
+    "CONTROL_EVERY",
+    "DT",
     "ITTC",
     "ITTC_SAMPLES",
     "Characteristic",
@@ -37,8 +44,10 @@ __all__ = [
     "RaceState",
     "Segment",
     "advance",
+    "ask_moves",
     "draw_starts",
     "duplicate_moves",
+    "game_identity",
     "get_characteristics",
     "list_archives",
     "load_archive",
@@ -46,6 +55,7 @@ __all__ = [
     "make_game",
     "measure",
     "move_table",
+    "pad_parameters",
     "race_seeds",
     "register_characteristic",
     "save_archive",

@@ -5,6 +5,7 @@ from .kit import LEFT as LEFT
 from .kit import PSI as PSI
 from .kit import RIGHT as RIGHT
 from .kit import SPEED as SPEED
+from .kit import Lidar as Lidar
 from .kit import angle_between as angle_between
 from .kit import compiled as compiled
 from .kit import sine_cosine as sine_cosine
@@ -37,6 +38,7 @@ __all__ = [
     "RIGHT",
     "SPEED",
     "VIEW",
+    "Lidar",
     "Parameter",
     "Planner",
     "Policy",

@@ -2,6 +2,7 @@
 
 from pcs_racing.base.compilation import compiled as compiled
 from pcs_racing.base.elementary import sine_cosine as sine_cosine
+from pcs_racing.car.lidar import Lidar as Lidar
 from pcs_racing.track.frenet import KAPPA as KAPPA
 from pcs_racing.track.frenet import LEFT as LEFT
 from pcs_racing.track.frenet import PSI as PSI

@@ -4,6 +4,7 @@ from .agent import Competitor as Competitor
 from .agent import Driver as Driver
 from .agent import Strategy as Strategy
 from .agent import as_agent as as_agent
+from .fits import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
 from .game_spec import GameSpec as GameSpec
 from .game_spec import make_game_spec as make_game_spec
@@ -31,5 +32,6 @@ __all__ = [
     "observing",
     "parse_agent",
     "register_agent",
+    "save_fit",
     "save_model",
 ]

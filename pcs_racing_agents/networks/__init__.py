@@ -1,5 +1,6 @@
 """Regret approximator: training rows, network, training and evaluation."""
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import (
     NetworkSet,
@@ -23,6 +24,7 @@ from pcs_racing_agents.networks.training import train_network
 
 __all__ = [
     "TARGETS",
+    "DenseLayers",
     "NetworkSet",
     "RegretNetwork",
     "Rows",

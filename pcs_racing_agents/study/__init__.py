@@ -1,7 +1,5 @@
 """The paper's study in stages: archive, game trees, networks, agents, races and a report."""
 
-from pcs_racing_agents.study.config import StudyConfig, load_study_config
-from pcs_racing_agents.study.run import STAGES, run_study
-from pcs_racing_agents.study.study import Study
+import lazy_loader
 
-__all__ = ["STAGES", "Study", "StudyConfig", "load_study_config", "run_study"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,6 +1,14 @@
 """Tournaments: games between competitors, pairings, statistics, ratings and result tables."""
 
+from pcs_racing_agents.base.executors import make_executor
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.tournament.fitting import (
+    TrainingRaces,
+    fit_best_fixed,
+    fit_best_lead_plan,
+    fit_best_schedule,
+)
 from pcs_racing_agents.tournament.pairings import (
     Pairing,
     cross_pairing,
@@ -24,6 +32,46 @@ from pcs_racing_agents.tournament.races import (
     closeness_text,
     concatenate_races,
 )
-from pcs_racing_agents.tournament.ratings import RoundRobin, rate, round_robin
+from pcs_racing_agents.tournament.ratings import RoundRobin, excess, rate, round_robin
 from pcs_racing_agents.tournament.runner import play_pairing, play_pairings, repeat_race
+from pcs_racing_agents.tournament.statistics import compare, holm
 from pcs_racing_agents.tournament.table import standings, tournament_text
+
+__all__ = [
+    "Pairing",
+    "RaceRow",
+    "RaceTable",
+    "RoundRobin",
+    "Tournament",
+    "TournamentPlan",
+    "TrainingRaces",
+    "closeness_text",
+    "compare",
+    "concatenate_races",
+    "cross_pairing",
+    "draw_schedule",
+    "excess",
+    "fit_best_fixed",
+    "fit_best_lead_plan",
+    "fit_best_schedule",
+    "game_rules",
+    "holm",
+    "make_executor",
+    "open_job",
+    "plan_tournament",
+    "play_pairing",
+    "play_pairings",
+    "play_plan",
+    "play_tournament",
+    "rate",
+    "read_results",
+    "record_row",
+    "repeat_race",
+    "round_robin",
+    "schedule_pairing",
+    "show_progress",
+    "standings",
+    "tournament_settings",
+    "tournament_text",
+    "write_results",
+]

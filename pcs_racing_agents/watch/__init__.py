@@ -1,1 +1,5 @@
 """The race viewer: one page with a list and a player of a tournament's races."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

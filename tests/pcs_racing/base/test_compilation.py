@@ -107,7 +107,7 @@ track = load_track("Pipkin")
 if sys.argv[1] == "projections first":
     frenet.project(track.arrays, 1.0, 2.0, 0.0)
     frenet.to_cartesian(track.arrays, 1.0, 0.5)
-result = run_races(track, [parse_policy("pure-pursuit")] * 20, parse_policy("lane-switcher"), CONTEST, seed=1)
+result = run_races(track, ["pure-pursuit"] * 20, "lane-switcher", CONTEST, seed=1)
 print(hashlib.sha256(result.state.cars.tobytes()).hexdigest())
 """
 

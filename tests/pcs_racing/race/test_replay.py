@@ -69,7 +69,10 @@ def test_impossible_values_are_named():
         )
 
 
-NASTY = '</script><b>bold</b><script>document.title="owned"</script><!--replay--><!--title-->&amp;"\'\u2028'
+NASTY = (
+    '</script><b>bold</b><script>document.title="owned"</script>'
+    "<!--replay--><!--title-->&amp;\"'\u2028"
+)
 
 
 @pytest.mark.parametrize("suffix", [".html", ".json"])
@@ -198,7 +201,8 @@ const frames = (n) => { while (n--) { const callback = next; now += 50; callback
 # What a viewer might do, and what the page says afterwards.
 VISIT = """<script>
 const seen = {};
-const press = (key) => window.dispatchEvent(new KeyboardEvent("keydown", { key, cancelable: true }));
+const press = (key) =>
+  window.dispatchEvent(new KeyboardEvent("keydown", { key, cancelable: true }));
 started.then(() => {
 frames(3);
 seen.title = document.title;
@@ -210,7 +214,8 @@ press("2"); press("ArrowRight"); press("c");
 seen.pressed = [state.t, state.follow, state.candidates];
 press("ArrowUp"); press(" ");
 frames(12);
-seen.played = [state.t, state.speed, state.playing, [...document.querySelectorAll("#log li span")].length];
+const told = [...document.querySelectorAll("#log li span")];
+seen.played = [state.t, state.speed, state.playing, told.length];
 press(" ");
 frames(60);
 const before = camera.scale;
@@ -219,7 +224,8 @@ frames(1);
 seen.zoomed = camera.scale / before;
 const box = chartCanvas.getBoundingClientRect();
 chartCanvas.setPointerCapture = () => {};
-chartCanvas.dispatchEvent(new PointerEvent("pointerdown", { clientX: box.left + timeToX(3), clientY: box.top + 20 }));
+const place = { clientX: box.left + timeToX(3), clientY: box.top + 20 };
+chartCanvas.dispatchEvent(new PointerEvent("pointerdown", place));
 frames(1);
 seen.clicked = state.t;
 seen.drawn = Number(document.documentElement.dataset.drawn);
