@@ -289,12 +289,14 @@ def _names_from_elsewhere(module: str) -> list[str]:
 
 
 def names_page() -> str:
-    """Return a table of what ``import pcs_racing`` offers, with links to where it is explained."""
+    """Return a table of the names of ``pcs_racing``, with links to their descriptions."""
     import pcs_racing
 
     lines = ["# What `pcs_racing` offers\n", "| name | what it is | defined in |", "|---|---|---|"]
     for name in pcs_racing.__all__:
         thing = getattr(pcs_racing, name)
+        if inspect.ismodule(thing):
+            continue
         explained = callable(thing) and str(getattr(thing, "__module__", "")).startswith(
             "pcs_racing"
         )

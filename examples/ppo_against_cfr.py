@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing import InputError, load_track, make_game, save_replay
-from pcs_racing_agents import learning, make, train_ppo
+from pcs_racing_agents import learning, make
 from pcs_racing_agents.tournament import (
     compare,
     cross_pairing,
@@ -76,7 +76,7 @@ def main() -> None:
         evaluate_every=max(1, arguments.steps // 5),
         evaluation_races=60,
     )
-    trained = train_ppo(
+    trained = learning.train_ppo(
         settings, arguments.out / "training", name="ppo-example", progress=show_progress("moves")
     )
 

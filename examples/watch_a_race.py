@@ -10,14 +10,8 @@ that each planner considered.
 import argparse
 from pathlib import Path
 
-from pcs_racing import (
-    load_race_config,
-    load_track,
-    parse_policy,
-    record_race,
-    save_replay,
-    write_gif,
-)
+from pcs_racing import load_race_config, load_track, parse_policy, record_race, save_replay
+from pcs_racing.game import write_gif
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from repository import REPOSITORY, load_tool, python_blocks, run_block
 
-from pcs_racing import list_tracks
+from pcs_racing.track.maps import list_tracks
 from pcs_racing_agents.cli.main import _parser
 
 DOCS = REPOSITORY / "docs"

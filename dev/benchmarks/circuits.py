@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing import CONTEST, PAPER, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, PAPER, load_track, run_races
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.calibration import calibration_of
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.track.maps import find_map, find_shipped, parse_map, read_bytes
+from pcs_racing.track.maps import find_map, find_shipped, list_tracks, parse_map, read_bytes
 from pcs_racing.track.track import Track
 
 EARLY = 2.0  # s

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing import CONTEST, list_tracks, load_track, parse_policy, run_races
+from pcs_racing import CONTEST, load_track, parse_policy, run_races
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -40,6 +40,7 @@ from pcs_racing.race.config import PRESETS, RaceConfig
 from pcs_racing.race.driving import drive, kernel_settings
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import KAPPA, SPEED, X, Y
+from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 from pcs_racing_agents.policies.headroom import headroom
 

@@ -7,11 +7,11 @@ whenever the site is built (``docs/site_pages.py``).
 
 from pathlib import Path
 
-from pcs_racing import list_tracks, load_track
+from pcs_racing import load_track
 from pcs_racing.race.config import PRESETS
 from pcs_racing.track.building.raceline import lap_time
 from pcs_racing.track.frenet import SPEED
-from pcs_racing.track.maps import read_map
+from pcs_racing.track.maps import list_tracks, read_map
 from pcs_racing.track.track import Track
 
 ROOT = Path(__file__).resolve().parents[2]

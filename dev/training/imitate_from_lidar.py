@@ -24,7 +24,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
-from pcs_racing import CONTEST, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, load_track, run_races
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import weight_count
 from pcs_racing.base.elementary import sine_cosine
@@ -50,6 +50,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup, advance, start_races
 from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 TEACHER = "predictive-spliner"

@@ -23,7 +23,7 @@ except ModuleNotFoundError as error:
 from gymnasium import spaces
 from imitate_from_lidar import crashes_alone
 
-from pcs_racing import list_tracks, load_track
+from pcs_racing import load_track
 from pcs_racing.base.compilation import compiled
 from pcs_racing.planners.field.lidar_networks import load_lidar_driver, save_lidar_driver
 from pcs_racing.planners.field.residual import SCRATCH, SEEN, lay_corrected, observe
@@ -35,6 +35,7 @@ from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup, advance, start_races
 from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 STEP = 10  # simulation steps of 0.01 s

@@ -239,7 +239,8 @@ def read_card(path: Path) -> Card:
         values = parse_json(file, read_limited(file, MAX_BYTES, "a card"))
     except OSError as error:
         raise InputError(
-            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark card' wrote"
+            f"can't read {file}: {error.strerror}; give a folder that"
+            " 'pcs-racing benchmark card' wrote"
         ) from None
     if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
         raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from placed_cars import view_of
 
-from pcs_racing import list_tracks, load_track, run_races
+from pcs_racing import load_track, run_races
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, start_races
 from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 

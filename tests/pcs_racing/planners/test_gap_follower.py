@@ -3,10 +3,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pcs_racing import list_tracks, load_track
+from pcs_racing import load_track
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners.field import gap_follower as gaps
 from pcs_racing.planners.view import OWN_BETA, OWN_PSI, PATH_POINTS
+from pcs_racing.track.maps import list_tracks
 
 ANGLES = np.linspace(-0.5 * gaps.FIELD_OF_VIEW, 0.5 * gaps.FIELD_OF_VIEW, gaps.BEAMS)
 

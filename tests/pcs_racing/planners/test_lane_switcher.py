@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import PAPER, list_tracks, load_track, run_races
+from pcs_racing import PAPER, load_track, run_races
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners import lane_switcher as switcher
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
@@ -11,6 +11,7 @@ from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import LEFT, RIGHT
+from pcs_racing.track.maps import list_tracks
 
 STRAIGHT = 3.0  # an arc length on the oval's first straight, with 9 m to go
 VARIANTS = [str(i) for i in range(20)]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import list_tracks, load_race_config, load_track
+from pcs_racing import load_race_config, load_track
 from pcs_racing.car.vehicle import DELTA
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import GRIP, LATTICE
@@ -23,6 +23,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import KAPPA, SPEED
+from pcs_racing.track.maps import list_tracks
 
 MEMORY = np.zeros(LATTICE.memory_size)
 RANGE = (0.8, 1.0)

@@ -1,13 +1,14 @@
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, PAPER, list_tracks, load_track
+from pcs_racing import CONTEST, PAPER, load_track
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.view import OWN_D, PATH_POINTS, TIME
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup, run_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import SPEED
+from pcs_racing.track.maps import list_tracks
 
 
 def path(track, view, parameters=None):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, list_tracks, load_track, run_races
+from pcs_racing import CONTEST, PAPER, load_track, run_races
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.race import start_places
 from pcs_racing.race.driving import kernel_settings
@@ -22,6 +22,7 @@ from pcs_racing.race.start_places import (
     split_places,
 )
 from pcs_racing.track.frenet import KAPPA
+from pcs_racing.track.maps import list_tracks
 
 
 @pytest.fixture(scope="module")

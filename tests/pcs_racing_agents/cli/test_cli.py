@@ -20,11 +20,11 @@ from annotated_types import Interval
 from PIL import Image
 from refusal import refused
 
-from pcs_racing import list_tracks, load_race_config, load_track, parse_policy, record_race
+from pcs_racing import load_race_config, load_track, parse_policy, record_race
 from pcs_racing.base.settings import OptionalNames, Settings
 from pcs_racing.planners import registry
 from pcs_racing.race.replay import read_replay
-from pcs_racing.track.maps import find_shipped
+from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_game_spec, parse_agent
 from pcs_racing_agents.agents.own_code import parse_driver
