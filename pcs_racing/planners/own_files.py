@@ -210,15 +210,8 @@ class Run:
         if head == "torch" and self._outside is not None and self._outside[3] is None:
             sys.modules["torch"].manual_seed(self._seed)
         # Registrations by the first run stay.
-        if self.name != self.template and head.startswith("pcs_racing"):
-            offered: Any = fromlist or getattr(module, "__all__", ())
-            shown = [one for one in offered if one.startswith("register_")]
-            return (
-                _over(module, **dict.fromkeys(shown, lambda *given, **named: None))
-                if shown
-                else module
-            )
-        return module
+        again = self.name != self.template and head.startswith("pcs_racing")
+        return _without_registrations(module) if again else module
 
     def draw(self) -> None:
         """Give the file's code its own generators from now on: it may draw random numbers."""
@@ -257,8 +250,21 @@ class _Parser(argparse.ArgumentParser):
 def _over(real: ModuleType, **own: Any) -> ModuleType:
     """Return a module with some own values, and all other values from another module."""
     module = ModuleType(real.__name__, real.__doc__)
-    module.__dict__.update(own, __getattr__=partial(getattr, real))
+    module.__dict__.update({"__getattr__": partial(getattr, real), **own})
     return module
+
+
+def _without_registrations(ours: ModuleType) -> ModuleType:
+    """Return a module of our packages whose functions ``register_...`` do nothing."""
+
+    def read(name: str) -> Any:
+        if name.startswith("register_"):
+            return lambda *given, **named: None
+        value = getattr(ours, name)
+        inside = isinstance(value, ModuleType) and value.__name__.startswith(f"{ours.__name__}.")
+        return _without_registrations(value) if inside else value
+
+    return _over(ours, __getattr__=read)
 
 
 def _swap(given: Any) -> Any:

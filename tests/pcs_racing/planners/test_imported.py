@@ -212,17 +212,16 @@ def test_a_race_is_the_same_alone_among_others_and_again(top, lines, speed, file
 
 
 @pytest.mark.parametrize(
-    "top",
+    ("top", "call"),
     [
-        "from pcs_racing import Planner, register_planner",
-        "import pcs_racing; from pcs_racing import Planner",
+        ("from pcs_racing.planners import register_planner", "register_planner"),
+        ("import pcs_racing.planners", "pcs_racing.planners.register_planner"),
+        ("import pcs_racing.planners.registry as kept", "kept.register_planner"),
     ],
 )
-def test_a_file_that_registers_planners_is_run_again(top, file):
-    call = "register_planner" if "register" in top else "pcs_racing.register_planner"
-    driver = team(
-        file.parent / "own", DRIVER.format(f"{top}\n{call}(Planner('mine', ()))", "", "1.5")
-    )
+def test_a_file_that_registers_planners_is_run_again(top, call, file):
+    top = f"from pcs_racing.planners import Planner; {top}\n{call}(Planner('mine', ()))"
+    driver = team(file.parent / "own", DRIVER.format(top, "", "1.5"))
     assert speeds(driver, 2) == [1.5, 1.5]
     assert parse_policy("mine").planner.parameters == ()
 
