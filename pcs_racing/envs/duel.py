@@ -128,8 +128,8 @@ class DuelEnv(OverGames, ScalarEnv):
 
     ## Arguments
 
-    :class:`pcs_racing.envs.game_batch.GameOptions` and :class:`pcs_racing.GameConfig` list them;
-    all are given by name.
+    :class:`pcs_racing.envs.game_batch.GameOptions` and :class:`pcs_racing.game.GameConfig` list
+    them; all are given by name.
 
     ## Vectorized environment
 

@@ -114,9 +114,9 @@ class MatchEnv(OverMatches, DuelEnv):
 
     ## Arguments
 
-    :class:`pcs_racing.envs.match_batch.MatchOptions` and :class:`pcs_racing.GameConfig` list them;
-    all are given by name. ``utility``, ``fault_penalty`` and ``discount`` are no arguments: a match
-    has its own reward.
+    :class:`pcs_racing.envs.match_batch.MatchOptions` and :class:`pcs_racing.game.GameConfig` list
+    them; all are given by name. ``utility``, ``fault_penalty`` and ``discount`` are no arguments: a
+    match has its own reward.
 
     ## Vectorized environment
 

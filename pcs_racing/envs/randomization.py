@@ -169,9 +169,9 @@ class EpisodeOptions(Settings):
         Any,
         Checked(_vehicles),
         "Parameters of all cars, or a list with the parameters of each car: a dict or a YAML file"
-        " names the values that differ from F1TENTH's (:class:`pcs_racing.VehicleParams`), such as"
-        ' ``{"mu":'
-        " 0.8}``.",
+        " names the values that differ from F1TENTH's"
+        " (:class:`pcs_racing.car.vehicle.VehicleParams`), such as"
+        ' ``{"mu": 0.8}``.',
     ] = F1TENTH
     randomize: Annotated[
         Randomization | None,

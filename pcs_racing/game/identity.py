@@ -24,7 +24,7 @@ class GameIdentity(NamedTuple):
     moves: tuple[str, ...]  #: Names of the moves, in order.
     epsilon: tuple[float, ...]  #: Lengths of the moves, in units of the archive's range.
     archive: str  #: Name of the archive of policies.
-    archive_sha256: str  #: Hash of the archive, :attr:`pcs_racing.PolicyArchive.content_hash`.
+    archive_sha256: str  #: Hash of the archive, :attr:`pcs_racing.game.PolicyArchive.content_hash`.
     preset: str  #: Name of the rules of the race.
     decisions: int = 0  #: Number of moves of each player.
 

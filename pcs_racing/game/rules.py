@@ -107,7 +107,7 @@ class RaceGame:
 
     @cached_property
     def setup(self) -> RaceSetup:
-        """Track, race rules and planners, as input of :func:`pcs_racing.advance`."""
+        """Track, race rules and planners, as input of :func:`pcs_racing.race.races.advance`."""
         family = self.archive.family()
         first, second = (
             get_planner(planner) if isinstance(planner, str) else planner or family
@@ -494,5 +494,5 @@ class RaceGame:
         return self._advance(races, self.theta(policies))
 
     def theta(self, policies: Indices) -> Floats:
-        """Return the parameters of archive policies for :func:`pcs_racing.advance`, (..., P)."""
+        """Return the parameters (..., P) of archive policies for the simulator."""
         return self._theta[policies]

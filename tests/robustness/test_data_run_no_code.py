@@ -483,14 +483,12 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         f"{file}:{ast.unparse(node.func)}" for file, _, name, node in calls() if name in importers
     }
     assert {name for name in importing if "/f1tenth/" not in name} == {
-        "pcs_racing/__init__.py:import_module",
         "pcs_racing/base/files.py:json.loads",
         "pcs_racing/planners/own_files.py:importlib.import_module",  # of numpy, and for own files
         "pcs_racing/planners/own_files.py:spec_from_file_location",
         "pcs_racing/planners/registry.py:resolve_name",
         "pcs_racing/track/loading.py:json.loads",  # of the cache
         "pcs_racing/track/track.py:json.loads",
-        "pcs_racing_agents/agents/__init__.py:import_module",
         "pcs_racing_agents/agents/from_torch.py:module.eval",  # a switch of torch
         "pcs_racing_agents/agents/own_code.py:importlib.import_module",
         "pcs_racing_agents/agents/zoo.py:resolve_name",

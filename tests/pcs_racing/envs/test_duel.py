@@ -41,9 +41,7 @@ def episode(env, seed, action=1):
 
 
 def test_an_episode_is_the_game():
-    """What the agents get is what :class:`pcs_racing.RaceGame` says, step by step, until the game
-    is over.
-    """
+    """What the agents get is what RaceGame says, step by step, until the game is over."""
     env = HeadToHeadEnv(step_seconds=1.0)
     game = env.game
     for seed in range(5):

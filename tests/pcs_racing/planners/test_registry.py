@@ -77,7 +77,7 @@ def test_a_shipped_planner_is_a_file_and_a_line(monkeypatch, tmp_path):
     well.
     """
     (tmp_path / "snail_planner.py").write_text(
-        "from pcs_racing import Parameter, Planner\n"
+        "from pcs_racing.planners import Parameter, Planner\n"
         "SNAIL = Planner('snail', (Parameter('pace', 0.0, 1.0, 0.25, 'how fast'),))\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
