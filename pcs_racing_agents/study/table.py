@@ -238,10 +238,11 @@ def _matched_scores(first: RaceTable, races: RaceTable, label: str) -> Floats:
         raise InputError(f"{label}: {error}") from None
 
 
-def _units(races: RaceTable) -> list[tuple[int, int, float, int]]:
-    """Return the identity of each race, equal for all arms: variants, start line, side."""
+def _units(races: RaceTable) -> list[tuple[int, int, int, float, int]]:
+    """Return the identity of each race, equal for all arms: number, variants, start line, side."""
+    # Two start lines can share a place: only the number of the race distinguishes them.
     # Results files have four digits of a start line: rounding matches races in file and memory.
-    columns = (*races.variants.T, races.start_s.round(4), races.side)
+    columns = (races.race, *races.variants.T, races.start_s.round(4), races.side)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 
 

@@ -2,10 +2,10 @@
 
 An arm is an agent in a comparison. P-values of a table are adjusted for multiple testing.
 
-A unit is one race of both arms: (ego start policy, opponent, start line, side). Units with a common
-ego policy or opponent are correlated: 4,000 races of 20 ego policies against 20 opponents hold far
-less information than 4,000 independent races. ``docs/reports/statistics.md`` measures the coverage
-of the estimators on such data.
+A unit is one race of both arms: (number, ego start policy, opponent, start line, side). Units with
+a common ego policy or opponent are correlated: 4,000 races of 20 ego policies against 20 opponents
+hold far less information than 4,000 independent races. ``docs/reports/statistics.md`` measures the
+coverage of the estimators on such data.
 """
 
 import math
@@ -27,7 +27,7 @@ Ints = NDArray[np.intp]
 def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Ints:
     """Return the order of arm b's units that matches arm a: ``units_b[order[i]] == units_a[i]``.
 
-    A unit identifies a race, for instance ``(ego, opponent, start_s, side)``.
+    A unit identifies a race, for instance ``(race, ego, opponent, start_s, side)``.
     """
     index_a, index_b = ({unit: i for i, unit in enumerate(units)} for units in (units_a, units_b))
     for arm, units, index in (("a", units_a, index_a), ("b", units_b, index_b)):

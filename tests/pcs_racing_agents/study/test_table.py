@@ -142,6 +142,18 @@ def test_the_order_of_the_races_and_a_file_between_do_not_matter(races, tmp_path
     )
 
 
+def test_two_start_lines_of_a_pair_may_share_a_place(races):
+    """Lines repeat on a track with few places; a race that was raced twice is refused."""
+    shared = replace(races, start_s=np.full(len(races), 94.0))
+    for row, other in zip(make_table(shared).rows, make_table(races).rows, strict=True):
+        assert (row.lines, row.lines_drawn) == (1, False)
+        assert [one.result.difference for one in row.differences] == [
+            one.result.difference for one in other.differences
+        ]
+    twice = shared.take([*range(len(shared)), 0])
+    refused("more than once", make_table, twice)
+
+
 def drives(races, arm):
     return races.agents.codes[:, 0] == races.agents.words.index(arm)
 
