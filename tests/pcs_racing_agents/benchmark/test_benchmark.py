@@ -116,16 +116,17 @@ def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(pr
 
 def test_races_to_watch_are_won_by_one_and_lost_by_the_other_alternately(monkeypatch):
     def cell(name, *scores):
-        pairing = SimpleNamespace(game=0, ego=0, opponent=0, race_arguments=lambda race: {})
         place = Cell(name, True, "keeps", "x")
-        return CellRaces(place, pairing, SimpleNamespace(score=np.array(scores)))
+        return CellRaces(place, name, SimpleNamespace(score=np.array(scores)))
 
-    played = SimpleNamespace(replay=SimpleNamespace(outcome="over"))
-    monkeypatch.setattr(scoring, "record_game", lambda *_, **__: played)
+    def repeated(pairing, race, candidates):
+        return SimpleNamespace(replay=SimpleNamespace(outcome=f"{pairing} again, {race}"))
+
+    monkeypatch.setattr(scoring, "repeat_race", repeated)
     own = [cell("a", 1.0, 0.0, 1.0), cell("b", 1.0, 0.0, 0.5), cell("c", 0.5, 0.5, 0.5)]
     others = [cell("a", 1.0, 1.0, 0.0), cell("b", 0.0, 0.5, 0.5), cell("c", 0.5, 0.5, 0.0)]
     titles = [title for title, _ in telling_races(own, others, 2)]
-    assert titles == ["a, race 2: over", "b, race 1: over"]
+    assert titles == ["a, race 2: a again, 2", "b, race 1: b again, 1"]
 
 
 def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):

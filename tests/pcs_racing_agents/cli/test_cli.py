@@ -284,7 +284,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         (["track", "show", "Pipkin", "--out", "picture.gif"], "must end in .png"),
         (
             ["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"],
-            "style 'baroque' is unknown",
+            "style is 'baroque'; it must be one of hull, voronoi, hairpin",
         ),
         (["policies", "latice"], "did you mean 'lattice'?"),
         (["agents", "robot"], "agent 'robot' is unknown; there are: "),

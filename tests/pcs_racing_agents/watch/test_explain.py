@@ -15,6 +15,7 @@ from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
+from pcs_racing_agents.agents.agent import as_agent
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
 from pcs_racing_agents.tournament import Pairing
@@ -304,7 +305,7 @@ def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
         build("never-switch", spec),
         car=2,
     )
-    race = explained(contest, Model(), build("never-switch", spec))
+    race = explained(contest, as_agent(Model()), build("never-switch", spec))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
