@@ -17,7 +17,6 @@ from pcs_racing.base.checks import check_text
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.base.settings import Checked, Settings
-from pcs_racing.race.replay import Replay
 from pcs_racing_agents.base.tables import Column, table_rows, with_interval
 from pcs_racing_agents.study.report_page import page_environment
 
@@ -114,19 +113,6 @@ class Gain(_Estimate):
     high: Annotated[float, DIFFERENCE, "Upper limit."]
 
 
-@dataclass(frozen=True)
-class ReplyLoss(_Estimate):
-    """The loss of an agent to a learned best response."""
-
-    value = "loss"
-    loss: Annotated[float, DIFFERENCE, "Races lost per race."]
-    low: Annotated[float, DIFFERENCE, "Lower limit of its 95 % interval."]
-    high: Annotated[float, DIFFERENCE, "Upper limit."]
-    starts: Annotated[int, COUNT, "Starts of the learner on each circuit."]
-    rounds: Annotated[int, COUNT, "Rounds of the learner."]
-    races: Annotated[int, COUNT, "Races in which the loss was measured."]
-
-
 def _scores(name: str, value: Any) -> tuple[CardScore, ...]:
     if not isinstance(value, list | tuple) or not 1 <= len(value) <= MAX_SCORES:
         raise ConfigError(f"scores are {value!r:.40}; they must be a list of 1 to {MAX_SCORES}")
@@ -158,11 +144,6 @@ class Card(Settings):
     ]
     gains: Annotated[dict[str, Gain], Checked(_gains), "Adaptivity gain on some circuits."]
     cost_us: Annotated[float | None, Interval(ge=0.0, le=1e9), "Time of a decision, us."] = None
-    best_reply: Annotated[
-        ReplyLoss | None,
-        Checked(partial(_made, ReplyLoss)),
-        "Loss to a learned best reply, if it was measured.",
-    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -202,27 +183,20 @@ def fact_lines(card: Card) -> list[str]:
         f"{with_interval(gain.gain, gain.low, gain.high)}."
         for circuits, gain in card.gains.items()
     ]
-    if card.best_reply is not None:
-        reply = card.best_reply
-        rounds = f"{reply.rounds} {'round' if reply.rounds == 1 else 'rounds'}"
-        loss = with_interval(reply.loss, reply.low, reply.high)
-        lines.append(f"Loss to a learned best reply ({reply.starts} starts, {rounds}): {loss}.")
     if card.cost_us is not None:
         lines.append(f"One decision takes {card.cost_us:.0f} us.")
     return lines
 
 
-def card_page(card: Card, races: Sequence[tuple[str, Replay]] = ()) -> str:
-    """Return the card as one self-contained page, with titled races to watch."""
-    return _page(
-        "card.html", card=card, table=summary_rows(card), facts=fact_lines(card), races=races
-    )
+def card_page(card: Card) -> str:
+    """Return the card as one self-contained page."""
+    return _page("card.html", card=card, table=summary_rows(card), facts=fact_lines(card))
 
 
-def write_card(card: Card, folder: Path, races: Sequence[tuple[str, Replay]] = ()) -> list[Path]:
+def write_card(card: Card, folder: Path) -> list[Path]:
     """Write ``card.json`` and ``card.html`` into an existing folder; return their paths."""
     values = json.dumps({"format": FORMAT, **asdict(card)}, indent=1, allow_nan=False) + "\n"
-    texts = {folder / "card.json": values, folder / "card.html": card_page(card, races)}
+    texts = {folder / "card.json": values, folder / "card.html": card_page(card)}
     for path, text in texts.items():
         write_atomically(path, partial(_write_text, text))
     return list(texts)
@@ -239,8 +213,8 @@ def read_card(path: Path) -> Card:
         values = parse_json(file, read_limited(file, MAX_BYTES, "a card"))
     except OSError as error:
         raise InputError(
-            f"can't read {file}: {error.strerror}; give a folder that"
-            " 'pcs-racing benchmark card' wrote"
+            f"can't read {file}: {error.strerror}; give a folder that 'pcs-racing benchmark card'"
+            " wrote"
         ) from None
     if not isinstance(values, dict) or values.pop("format", None) != FORMAT:
         raise InputError(f"{file} is no card of this version; its format must be {FORMAT!r}")
@@ -294,7 +268,6 @@ BOARD = (
     "unseen",
     "own crashes",
     "gain",
-    "best reply",
     "us",
 )
 """Columns of the leaderboard."""
@@ -306,7 +279,7 @@ def board_rows(cards: Sequence[Card]) -> list[tuple[str, ...]]:
 
 
 def _board_row(card: Card) -> tuple[str, ...]:
-    whole, gain, reply = card.score(), card.gains.get("all"), card.best_reply
+    whole, gain = card.score(), card.gains.get("all")
     return (
         card.agent,
         f"{whole.score:.3f}",
@@ -315,7 +288,6 @@ def _board_row(card: Card) -> tuple[str, ...]:
         f"{card.score('all', 'unseen').score:.3f}",
         f"{whole.own_crash:.1%}",
         "" if gain is None else f"{gain.gain:+.3f}",
-        "not measured" if reply is None else with_interval(reply.loss, reply.low, reply.high),
         "" if card.cost_us is None else f"{card.cost_us:.0f}",
     )
 

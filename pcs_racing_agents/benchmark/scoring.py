@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import PolicySet, Turn, competitor_name
-from pcs_racing.race.replay import Replay
 from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.benchmark.card import CardScore, Gain
@@ -17,7 +16,7 @@ from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import play_pairings, repeat_race
+from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
 Floats = NDArray[np.float64]
@@ -180,25 +179,3 @@ def decision_cost(protocol: Protocol, agent: Competitor, repeats: int = 200) -> 
         agent.act(observations, turn)
         times.append(time.perf_counter() - begun)
     return 1e6 * float(np.median(times))
-
-
-def telling_races(
-    own: Sequence[CellRaces], others: Sequence[CellRaces], count: int
-) -> list[tuple[str, Replay]]:
-    """Return titled recordings of the races with the max score difference between two agents.
-
-    ``own``, ``others``: the same cells in the same order, raced by the agent and by the other
-    agent. ``count``: number of races; each cell offers one race.
-    """
-    telling = []
-    for number, (cell, other) in enumerate(zip(own, others, strict=True)):
-        # Alternately a race won by the agent and lost by the other agent, and the reverse.
-        difference = (cell.races.score - other.races.score) * (-1.0) ** number
-        race = int(np.argmax(difference))
-        telling.append((difference[race], cell, race))
-    telling.sort(key=lambda entry: -entry[0])
-    races = []
-    for _, played, race in telling[:count]:
-        replay = repeat_race(played.pairing, race, candidates=False).replay
-        races.append((f"{played.cell.circuit}, race {race}: {replay.outcome}", replay))
-    return races

@@ -19,18 +19,9 @@ from pcs_racing_agents.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from pcs_racing_agents.agents.agent import Competitor
-    from pcs_racing_agents.base.jobs import Job
-    from pcs_racing_agents.benchmark.card import ReplyLoss
     from pcs_racing_agents.benchmark.protocol import Protocol
     from pcs_racing_agents.benchmark.scoring import CellRaces
-
-
-WATCHED = 3
-REPLY_RACES = 4000
-LEARNER = "best-reply"  # configuration of the best-response learner
 
 
 group = Command(
@@ -64,9 +55,6 @@ def run(
     weights: Annotated[Path | None, Option("weights for module:function", "FILE")] = None,
     name: Annotated[str | None, Option("name on the card (default: name of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
-    full: Annotated[
-        bool, Option("also train a best reply to the agent and measure the loss to it (minutes)")
-    ] = False,
     out: Annotated[Path, Option("folder of the card; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
@@ -92,17 +80,14 @@ def run(
         results = play_protocol(
             rules, entrants, job=job, executor=executor, progress=show_progress("races")
         )
-        for i, (agent, digest) in enumerate(zip(entrants, digests, strict=True)):
-            # Several agents share a job: its groups of tasks need distinct names.
-            part = "" if alone else f"agent-{i}-"
-            reply = _best_reply(rules, agent, job, part, executor) if full else None
+        for agent, digest in zip(entrants, digests, strict=True):
             # Some file systems do not allow the colons and equals signs of agents' names.
             own = (
                 out
                 if alone
                 else output_folder(out / re.sub(r"[^\w.+-]", "_", competitor_name(agent)))
             )
-            _write(rules, agent, digest, results, reply, own)
+            _write(rules, agent, digest, results, own)
 
 
 def _write(
@@ -110,72 +95,34 @@ def _write(
     agent: "Competitor",
     digest: str,
     results: "dict[str, list[CellRaces]]",
-    reply: "ReplyLoss | None",
     folder: Path,
 ) -> None:
     """Print and write the card of one agent."""
     from pcs_racing.game.competitor import competitor_name
     from pcs_racing_agents.base.tables import aligned
     from pcs_racing_agents.benchmark.card import Card, fact_lines, summary_rows, write_card
-    from pcs_racing_agents.benchmark.scoring import (
-        decision_cost,
-        gain,
-        summarise,
-        telling_races,
-    )
+    from pcs_racing_agents.benchmark.scoring import decision_cost, gain, summarise
 
     name, config = competitor_name(agent), protocol.config
     own = results[name]
     raced = {name: own, **{blind: results[blind] for blind in config.blind}}
     compared = () if name in config.blind else ("seen", "unseen", "all")
     found = {circuits: gain(raced, name, circuits) for circuits in compared}
-    gains = {key: value for key, value in found.items() if value is not None}
-    # A planner with other start lines than the baselines has no races in common with them.
-    other = (
-        next((cells for blind, cells in raced.items() if blind != name), own)
-        if gains or not found
-        else own
-    )
     card = Card(
         protocol=config.name,
         protocol_sha256=protocol.content_hash,
         agent=name,
         agent_sha256=digest,
         scores=tuple(summarise(own)),
-        gains=gains,
+        # A planner with other start lines than the baselines has no races in common with them.
+        gains={key: value for key, value in found.items() if value is not None},
         cost_us=decision_cost(protocol, agent),
-        best_reply=reply,
     )
     print(f"\n{name}")
     print("\n".join(aligned(summary_rows(card))))
     print("\n".join(fact_lines(card)))
-    for path in write_card(card, folder, telling_races(own, other, WATCHED)):
+    for path in write_card(card, folder):
         print(f"written: {path}")
-
-
-def _best_reply(
-    protocol: "Protocol", agent: "Competitor", job: "Job", part: str, executor: "Executor | None"
-) -> "ReplyLoss":
-    """Train a best response to the agent on the training tracks, and return the agent's loss."""
-    from pcs_racing_agents.benchmark.card import ReplyLoss
-    from pcs_racing_agents.learning.responses.best_reply import best_reply
-    from pcs_racing_agents.learning.responses.learner import load_response_settings
-
-    settings = load_response_settings(LEARNER)
-    reply = best_reply(
-        [protocol.game(name) for name in protocol.config.seen],
-        agent,
-        protocol.spec,
-        settings,
-        job,
-        races=REPLY_RACES,
-        part=part,
-        executor=executor,
-        progress=show_progress("best reply"),
-    )
-    loss = reply.loss
-    low, high = max(loss.low, -1.0), min(loss.high, 1.0)
-    return ReplyLoss(loss.mean, low, high, settings.starts, settings.rounds, loss.units)
 
 
 @command(

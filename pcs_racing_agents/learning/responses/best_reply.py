@@ -54,7 +54,6 @@ def best_reply(
     job: Job,
     *,
     races: int = 4000,
-    part: str = "",
     **workers: Unpack[Workers],
 ) -> BestReply:
     """Learn a best response to an agent, and estimate the agent's loss in test races.
@@ -70,12 +69,10 @@ def best_reply(
         (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
     races : int
         Approximate number of races on all tracks together; at least 40 on each.
-    part : str
-        Prefix of the names of this work in the job.
     """
     check_races(races, len(games))
     reply = learn_response(
-        games, [agent], spec, settings, job, name="best-reply", part=f"{part}reply-", **workers
+        games, [agent], spec, settings, job, name="best-reply", part="reply-", **workers
     )
     pilot = network_agent(reply, spec, settings.seed)
     # Crossed: every start policy of one car meets every start policy of the other car, from all
@@ -92,7 +89,7 @@ def best_reply(
         )
         for i, game in enumerate(games)
     ]
-    table = concatenate_races(play_pairings(pairings, name=f"{part}races", job=job, **workers))
+    table = concatenate_races(play_pairings(pairings, name="races", job=job, **workers))
     return BestReply(reply, table, excess_estimate(table))
 
 

@@ -14,26 +14,22 @@ from zoo_games import toy_archive
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.zoo import load_entrant
-from pcs_racing_agents.benchmark import scoring
 from pcs_racing_agents.benchmark.card import (
     Card,
     CardScore,
     Gain,
-    ReplyLoss,
     board_page,
     board_rows,
     read_card,
     read_cards,
     write_card,
 )
-from pcs_racing_agents.benchmark.protocol import KINDS, Cell, ProtocolConfig, load_protocol
+from pcs_racing_agents.benchmark.protocol import KINDS, ProtocolConfig, load_protocol
 from pcs_racing_agents.benchmark.scoring import (
-    CellRaces,
     decision_cost,
     gain,
     play_protocol,
     summarise,
-    telling_races,
 )
 from pcs_racing_agents.cli.main import main
 
@@ -114,21 +110,6 @@ def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(pr
     assert decision_cost(protocol, make("lattice:pace=0.4")) is None
 
 
-def test_races_to_watch_are_won_by_one_and_lost_by_the_other_alternately(monkeypatch):
-    def cell(name, *scores):
-        place = Cell(name, True, "keeps", "x")
-        return CellRaces(place, name, SimpleNamespace(score=np.array(scores)))
-
-    def repeated(pairing, race, candidates):
-        return SimpleNamespace(replay=SimpleNamespace(outcome=f"{pairing} again, {race}"))
-
-    monkeypatch.setattr(scoring, "repeat_race", repeated)
-    own = [cell("a", 1.0, 0.0, 1.0), cell("b", 1.0, 0.0, 0.5), cell("c", 0.5, 0.5, 0.5)]
-    others = [cell("a", 1.0, 1.0, 0.0), cell("b", 0.0, 0.5, 0.5), cell("c", 0.5, 0.5, 0.0)]
-    titles = [title for title, _ in telling_races(own, others, 2)]
-    assert titles == ["a, race 2: a again, 2", "b, race 1: b again, 1"]
-
-
 def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
     """A module is found in the working directory, too."""
     (tmp_path / "brought.py").write_text(
@@ -199,7 +180,6 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
         ({"scores": [[]]}, "must be a mapping of part"),
         ({"gains": {"mine": {}}}, "gains are"),
         ({"gains": {"all": {"gain": 0.1}}}, "must be a mapping of over"),
-        ({"best_reply": {"loss": 0.1}}, "must be a mapping of loss"),
         *[({"cost_us": value}, "cost_us is") for value in (-1.0, 1e308)],
         ({"page": "x"}, "damaged card"),
     ],
@@ -221,7 +201,7 @@ def test_what_is_no_json_is_no_card(text, tmp_path):
     refused(r"card\.json", read_card, tmp_path)
 
 
-def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_measured(tmp_path):
+def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
     def folder(name, value):
         (tmp_path / name).mkdir()
         write_card(value, tmp_path / name)
@@ -238,10 +218,6 @@ def test_the_leaderboard_ranks_cards_of_one_protocol_and_tells_what_was_not_meas
     }
     for name, value in others.items():
         refused(name, read_cards, [*good, folder(name, value)])
-    reply = ReplyLoss(0.123, 0.1, 0.15, 8, 1, 40)
-    head, *rows = board_rows([card("a", best_reply=reply), card("b")])
-    place = head.index("best reply")
-    assert [row[place] for row in rows] == ["+0.123 [+0.100, +0.150]", "not measured"]
 
 
 @pytest.fixture(scope="module")
@@ -257,22 +233,6 @@ def protocol_file(tmp_path_factory) -> str:
         json.dumps({**settings, "archive": str(folder / "toy"), "agents": ["random-moves"]})
     )
     return str(file)
-
-
-def test_a_full_card_has_the_loss_to_a_best_reply(protocol_file, tmp_path, monkeypatch):
-    pytest.importorskip("torch")
-    (tmp_path / "learner.yaml").write_text(
-        "starts: 8\nrounds: 1\nmembers: 1\nepochs: 2\nhidden: [4]\n"
-    )
-    monkeypatch.setattr("pcs_racing_agents.cli.benchmark.LEARNER", str(tmp_path / "learner.yaml"))
-    monkeypatch.setattr("pcs_racing_agents.cli.benchmark.REPLY_RACES", 40)
-    out = tmp_path / "card"
-    options = ["--full", "--protocol", protocol_file, "--out", str(out)]
-    assert main(["benchmark", "card", "always-restraint+", *options]) == 0
-    reply = read_card(out).best_reply
-    assert (reply.starts, reply.rounds) == (8, 1)
-    assert reply.low <= reply.loss <= reply.high
-    assert "Loss to a learned best reply (8 starts, 1 round)" in (out / "card.html").read_text()
 
 
 def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_path, capsys):
