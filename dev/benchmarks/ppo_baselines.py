@@ -23,8 +23,12 @@ from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.planners.trained import DRIVER_FORMAT, load_driver, read_driver
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_agent
-from pcs_racing_agents.base.tables import with_interval
-from pcs_racing_agents.learning.ppo.evaluation import Matchup, read_evaluations
+from pcs_racing_agents.base.tables import read_csv, with_interval
+from pcs_racing_agents.learning.ppo.evaluation import (
+    EvaluationCurve,
+    Matchup,
+    MatchupScore,
+)
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.games import variant_count
@@ -216,6 +220,21 @@ def race_agent(baseline: Shipped, tracks: list[str], arguments: argparse.Namespa
 def kind_of(cell: Matchup) -> str:
     """Rules and opponent, its variants taken together."""
     return f"{cell.race}, {cell.opponent.partition(':')[0]}"
+
+
+def read_evaluations(file: Path) -> list[EvaluationCurve]:
+    """Return the learning curves in a file of a training run."""
+    curves: dict[int, dict[int, dict[Matchup, MatchupScore]]] = {}
+    for row in read_csv(file).rows():
+        matchup = Matchup(*(row[key] for key in Matchup._fields))
+        score = MatchupScore(
+            int(row["races"]), *(float(row[key]) for key in MatchupScore._fields[1:])
+        )
+        curves.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[matchup] = score
+    return [
+        EvaluationCurve(seed, tuple(moments), tuple(moments.values()))
+        for seed, moments in curves.items()
+    ]
 
 
 def draw(baselines: list[Shipped], file: Path) -> None:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
@@ -59,21 +59,16 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
     if not path.is_file():
         return {}
     table = {}
-    try:
-        for row in read_csv(path).rows():
-            values: dict[str, Any] = {name: row[name] for name in TEXTS}
-            values |= {name: float(row[name]) if row[name] else np.nan for name in NUMBERS}
-            against = {
-                name.removeprefix(AGAINST): value
-                for name, value in row.items()
-                if name.startswith(AGAINST)
-            }
-            scores = {name: float(value) for name, value in against.items() if value}
-            table[row["archive"], row["race"], row["agent"]] = Measured(**values, against=scores)
-    except (KeyError, ValueError, TypeError) as error:
-        raise InputError(
-            f"{path} is damaged ({error}); python dev/benchmarks/zoo.py --write makes it again"
-        ) from None
+    for row in read_csv(path).rows():
+        values: dict[str, Any] = {name: row[name] for name in TEXTS}
+        values |= {name: float(row[name]) if row[name] else np.nan for name in NUMBERS}
+        against = {
+            name.removeprefix(AGAINST): value
+            for name, value in row.items()
+            if name.startswith(AGAINST)
+        }
+        scores = {name: float(value) for name, value in against.items() if value}
+        table[row["archive"], row["race"], row["agent"]] = Measured(**values, against=scores)
     return table
 
 

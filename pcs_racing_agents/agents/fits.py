@@ -48,8 +48,6 @@ class Fit:
         # A bool is an int in Python, but no index of a policy.
         if not (is_whole(self.choice) if kind is int else isinstance(self.choice, kind)):
             raise InputError(f"the choice of {self.kind} is {self.choice!r}; it must be {wanted}")
-        if not isinstance(self.game, GameIdentity):
-            raise InputError(f"game is {self.game!r}; it must be a GameIdentity")
         if not isinstance(self.training, Mapping):
             raise InputError(f"training is {self.training!r}; it must be a mapping")
 

@@ -119,16 +119,9 @@ class CsvTable:
         except csv.Error as error:
             raise InputError(f"{self.path}, line {reader.line_num} is damaged: {error}") from None
 
-    def lines(self) -> Iterator[tuple[int, dict[str, str]]]:
-        """Return an iterator like :meth:`values`, with the values by column."""
-        return (
-            (number, dict(zip(self.columns, values, strict=True)))
-            for number, values in self.values()
-        )
-
     def rows(self) -> list[dict[str, str]]:
         """Return all lines."""
-        return [row for _, row in self.lines()]
+        return [dict(zip(self.columns, values, strict=True)) for _, values in self.values()]
 
 
 def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) -> Path:

@@ -5,12 +5,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, require
 from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.folders import hold_folder
-from pcs_racing_agents.base.tables import write_csv
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import Workers, can_draw, output_folder
 from pcs_racing_agents.networks.settings import TrainSettings
@@ -74,7 +72,6 @@ def run(
         best = result.epochs[result.best]
         save_network(network, folder)
         write_epochs(result, folder / "learning_curves.csv")
-        _write_scores(scores, folder / "scores.csv")
         if can_draw("the learning curves"):
             title = f"{name}: {settings.target}"
             figure = curves_picture(
@@ -118,16 +115,3 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
         "utility": rules["utility"],
         "step_seconds": rules["step_seconds"],
     }
-
-
-def _write_scores(scores: Mapping[str, NDArray[np.float64]], file: Path) -> None:
-    """Write the scores of the network and of other strategies on the held-out trees."""
-    from pcs_racing_agents.networks.metrics import TreeScore
-
-    rows = [["strategy", "tree", *TreeScore._fields]]
-    for strategy, trees in scores.items():
-        rows += [
-            [strategy, str(i), *(f"{value:.7g}" for value in row)]
-            for i, row in enumerate(trees.tolist())
-        ]
-    write_csv(rows, file)

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
@@ -182,26 +181,10 @@ def _caution(table: StudyTable) -> str:
 def read_curves(path: str | Path) -> list[Curve]:
     """Read a trained network's training and validation loss."""
     names = ("epoch", "training_loss", "validation_loss")
-    table = read_csv(path)
-    missing = [name for name in names if name not in table.columns]
-    if missing:
-        raise InputError(f"{path} has no column {missing[0]!r}")
-    epochs, *losses = (
-        np.array([_number(row[name], path) for row in table.rows()]) for name in names
-    )
+    rows = read_csv(path).rows()
+    epochs, *losses = (np.array([float(row[name] or "nan") for row in rows]) for name in names)
     labels = ("training", "validation")
     return [Curve(epochs, loss, label) for loss, label in zip(losses, labels, strict=True)]
-
-
-def _number(text: str | None, path: str | Path) -> float:
-    try:
-        value = float(text) if text else np.nan
-    except ValueError:
-        # Text is as invalid as infinity; an empty cell is an unknown number.
-        value = np.inf
-    if abs(value) > 1e100:
-        raise InputError(f"{path} holds {text!r} where a number should be")
-    return value
 
 
 def _loss_curves(study: Study) -> dict[str, list[Curve]]:

@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_array
 from pcs_racing.base.errors import InputError
 
 Floats = NDArray[np.float64]
@@ -46,27 +47,9 @@ def match_units(units_a: Sequence[Hashable], units_b: Sequence[Hashable]) -> Int
     return np.array([index_b[unit] for unit in units_a], dtype=np.intp)
 
 
-def _check_values(name: str, values: ArrayLike) -> Floats:
-    """Return finite numbers of shape (U,), U at least 1; else raise InputError."""
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"{name} must be numbers, one for each race") from None
-    if array.ndim != 1 or array.size == 0:
-        raise InputError(f"{name} has shape {array.shape}; it must be one number for each race")
-    wrong = ~np.isfinite(array)
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"{name}[{at}] is {array[at]}; it must be a finite number")
-    return array
-
-
 def _cluster_codes(labels: ArrayLike, races: int, kind: str) -> tuple[Ints, int]:
     """Return labels as codes from 0, shape (U,), and their distinct count; InputError below 2."""
-    try:
-        array = np.asarray(labels)
-    except ValueError:
-        raise InputError(f"{kind} labels must be text or numbers, one for each race") from None
+    array = np.asarray(labels)
     if array.shape != (races,):
         raise InputError(
             f"{kind} labels have shape {array.shape}; there must be one for each of {races} races"
@@ -78,8 +61,8 @@ def _cluster_codes(labels: ArrayLike, races: int, kind: str) -> tuple[Ints, int]
     unique, codes = np.unique(array, return_inverse=True)
     if len(unique) < 2:
         raise InputError(
-            f"there is 1 {kind} variant, {unique[0]!s}; a test needs at least 2, since it looks at"
-            " how they differ"
+            f"{kind} labels are {unique.tolist()}; a test needs at least 2 variants, since it looks"
+            " at how they differ"
         )
     return codes.astype(np.intp), len(unique)
 
@@ -141,7 +124,7 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
         Assenova 2015). The variance is the maximum of the variances with and without these
         clusters.
     """
-    x = _check_values("values", values)
+    x = check_array("values", values, (None,))
     if not clusters:
         raise InputError(
             "there are no cluster labels; without them there is nothing to be robust to"
@@ -258,7 +241,7 @@ def compare(
         Labels of the start lines, a third kind of cluster. Use it if all pairs share a few lines;
         omit it if every pair has its own lines.
     """
-    first, second = _check_values("a", a), _check_values("b", b)
+    first, second = check_array("a", a, (None,)), check_array("b", b, (None,))
     if first.shape != second.shape:
         raise InputError(
             f"a has {len(first)} scores and b {len(second)}; both arms must have raced the same"
@@ -294,7 +277,7 @@ def holm(p_values: ArrayLike) -> Floats:
 
     Argument and result have shape (T,) and the same order.
     """
-    p = _check_values("p_values", p_values)
+    p = check_array("p_values", p_values, (None,))
     order = np.argsort(p, kind="stable")
     adjusted = np.empty_like(p)
     # The running maximum preserves the order of the p-values.

@@ -36,7 +36,6 @@ class ViewContent:
     driven: Sequence[RepeatedRace] = ()  #: Replays of ``picks``.
     circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  #: Tracks by name.
     space: Mapping[str, Any] | None = None  #: Policy Characteristic Space.
-    why_not: str = ""  #: Reason why races can't be repeated; ``""`` if they can.
     serve: bool = False  #: True if :mod:`pcs_racing_agents.watch.view_server` repeats other races.
 
 
@@ -68,9 +67,7 @@ def view_page(content: ViewContent) -> str:
         "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
         "space": None if content.space is None else dict(content.space),
         "serve": content.serve,
-        # Commands that would fail are not offered.
-        "commands": [] if content.why_not else commands,
-        "why_not": content.why_not,
+        "commands": commands,
     }
     parts = {
         "/*reading*/": _shared(player)["reading"],

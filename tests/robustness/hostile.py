@@ -33,7 +33,6 @@ from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents.fits import load_fit
 from pcs_racing_agents.base.chunks import read_chunk, write_chunk
 from pcs_racing_agents.base.folders import claim_folder
-from pcs_racing_agents.learning.ppo.evaluation import read_evaluations
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.trees import load_trees
@@ -187,7 +186,6 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     zero.symlink_to("/dev/zero")
     for what, path in (("wide", wide), ("short lines", short), ("without end", zero)):
         yield f"results of races: {what}", lambda path=path: read_results(path)
-        yield f"learning curves: {what}", lambda path=path: read_evaluations(path)
 
     bomb = base64.b64encode(zlib.compress(b"0," * 10_000_000)).decode()
     packed = {"per_unit": 1, "differences": [], "data": bomb}

@@ -7,10 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.race.state import RaceState
 from pcs_racing_agents.base.curves import Curve
-from pcs_racing_agents.base.tables import aligned, read_csv, write_csv
+from pcs_racing_agents.base.tables import aligned, write_csv
 
 
 class Matchup(NamedTuple):
@@ -112,34 +111,6 @@ def write_evaluations(curves: Sequence[EvaluationCurve], file: Path) -> Path:
                 figures = (score.races, *(f"{value:.6g}" for value in score[1:]))
                 rows.append((curve.seed, steps, *matchup, *figures))
     return write_csv(rows, file)
-
-
-def read_evaluations(file: Path) -> list[EvaluationCurve]:
-    """Read a file written by :func:`write_evaluations`."""
-    curves: dict[int, dict[int, dict[Matchup, MatchupScore]]] = {}
-    table = read_csv(file)
-    if table.columns != EVALUATION_COLUMNS:
-        raise InputError(
-            f"{file} has columns {', '.join(table.columns)}; a curve has"
-            f" {', '.join(EVALUATION_COLUMNS)}"
-        )
-    for number, row in table.lines():
-        try:
-            score = MatchupScore(
-                int(row["races"]), *(float(row[key]) for key in MatchupScore._fields[1:])
-            )
-            matchup = Matchup(*(row[key] for key in Matchup._fields))
-            curves.setdefault(int(row["seed"]), {}).setdefault(int(row["steps"]), {})[matchup] = (
-                score
-            )
-        except ValueError as error:
-            raise InputError(
-                f"{file}, line {number} is none of a learning curve: {error}"
-            ) from None
-    return [
-        EvaluationCurve(seed, tuple(moments), tuple(moments.values()))
-        for seed, moments in curves.items()
-    ]
 
 
 def evaluation_curves(

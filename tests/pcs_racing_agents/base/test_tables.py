@@ -19,11 +19,8 @@ def written(tmp_path, text):
 def test_lines_are_numbered_as_an_editor_does_and_what_is_no_text_is_refused(tmp_path):
     table = read_csv(written(tmp_path, '\ufeffego,lead\r\na,1.5\r\n\r\n"b, c",2\r\n'))
     assert table.columns == ("ego", "lead")
-    assert list(table.lines()) == [
-        (2, {"ego": "a", "lead": "1.5"}),
-        (4, {"ego": "b, c", "lead": "2"}),
-    ]
-    assert table.rows() == [row for _, row in table.lines()]
+    assert list(table.values()) == [(2, ["a", "1.5"]), (4, ["b, c", "2"])]
+    assert table.rows() == [{"ego": "a", "lead": "1.5"}, {"ego": "b, c", "lead": "2"}]
     table = read_csv(written(tmp_path, ""))
     assert (table.columns, table.rows()) == ((), [])
     path = write_csv([("ego", "lead"), ("b, c", 2), ("", 1.5)], tmp_path / "table.csv")

@@ -10,7 +10,6 @@ from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
 from pcs_racing_agents.networks.from_trees import train_regrets
-from pcs_racing_agents.networks.metrics import TreeScore
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.training import Epoch
 from pcs_racing_agents.trees import build_trees
@@ -44,7 +43,7 @@ def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, pr
     out = tmp_path / "net"
     options = ["--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3]
     text = printed("train", folder, *options, "--out", out)
-    files = {"weights.safetensors", "manifest.yaml", "scores.csv"}
+    files = {"weights.safetensors", "manifest.yaml"}
     assert names_in(out) == files | {"learning_curves.csv", "learning_curves.png"}
     network = load_network(out)
     network.check_fits(game)
@@ -55,11 +54,6 @@ def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, pr
     curves = list(csv.DictReader((out / "learning_curves.csv").read_text().splitlines()))
     assert list(curves[0]) == list(Epoch._fields)
     assert [row["epoch"] for row in curves] == ["0", "1", "2", "3", "4"]
-    scores = list(csv.DictReader((out / "scores.csv").read_text().splitlines()))
-    assert list(scores[0]) == ["strategy", "tree", *TreeScore._fields]
-    own = [float(row["lost_to_best_response"]) for row in scores if row["strategy"] == "net"]
-    assert len(own) == facts["test_trees"] >= 1
-    assert np.mean(own) == pytest.approx(facts["test_lost_to_best_response"], rel=1e-3)
     assert (out / "learning_curves.png").read_bytes().startswith(b"\x89PNG")
     for words in ("choices on held-out rows:", "  random moves ", f"network: {out}"):
         assert words in text
@@ -73,7 +67,7 @@ def test_one_command_has_one_result_and_folders_must_be_of_one_game(
         printed("train", folder, *options, tmp_path / name)
     files = names_in(tmp_path / "one")
     curves = {"learning_curves.csv", "learning_curves.png"}
-    assert files == {"weights.safetensors", "manifest.yaml", "scores.csv"} | curves
+    assert files == {"weights.safetensors", "manifest.yaml"} | curves
     for name in files:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     build_trees(game, tmp_path / "more", pairs=3, seed=1)

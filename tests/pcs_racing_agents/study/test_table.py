@@ -169,7 +169,7 @@ def test_what_does_not_fit_is_named(races):
             lambda races: races.take(~drives(races, "our-best") | (races.race > 0)),
             "Tarnfjord against never-switch, our-best: arm b",
         ),
-        (lambda races: races.take(races.variants[:, 0] == 0), "1 ego variant"),
+        (lambda races: races.take(races.variants[:, 0] == 0), "ego labels are"),
     ]:
         refused(message, make_table, change(races))
 

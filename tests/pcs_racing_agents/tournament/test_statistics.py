@@ -235,16 +235,15 @@ ONES = [1.0, 0.0, 1.0, 1.0]
 def test_bad_input():
     for call, message in [
         (lambda: compare(ONES, ONES[1:], TWO, TWO), "a has 4 scores and b 3"),
-        (lambda: compare([1, 0, np.nan, 0], ONES, TWO, TWO), r"a\[2\] is nan"),
-        (lambda: compare(ONES, ONES, [0, 0, 0, 0], TWO), "1 ego variant, 0"),
+        (lambda: compare([1, 0, np.nan, 0], ONES, TWO, TWO), "a holds nan"),
+        (lambda: compare(ONES, ONES, [0, 0, 0, 0], TWO), r"ego labels are \[0\]"),
         (lambda: compare(ONES, ONES, TWO[1:], TWO), r"ego labels have shape \(3,\)"),
         (lambda: compare(ONES, ONES, TWO, TWO, start=[0, 0, 0, np.nan]), "start labels must"),
         (lambda: compare(ONES, ONES, [None, 1, 2, 3], TWO), r"ego labels .*object"),
-        (lambda: compare(ONES, ONES, [[1], 1, 2, 3], TWO), "ego labels must"),
-        (lambda: compare([], [], [], []), r"a has shape \(0,\)"),
-        (lambda: compare(["win"] * 4, ONES, TWO, TWO), "a must be numbers"),
+        (lambda: compare([], [], [], []), r"ego labels are \[\]"),
+        (lambda: compare(["win"] * 4, ONES, TWO, TWO), "a is .*must hold numbers"),
         (lambda: clustered_mean(ONES), "cluster labels"),
         (lambda: clustered_mean(ONES, TWO, same_pool=True), r"^same_pool"),
-        (lambda: clustered_mean(ONES, TWO, TWO, [0, 0, 0, 0]), "1 start variant"),
+        (lambda: clustered_mean(ONES, TWO, TWO, [0, 0, 0, 0]), r"start labels are \[0\]"),
     ]:
         refused(message, call)

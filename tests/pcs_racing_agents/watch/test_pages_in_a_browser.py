@@ -72,9 +72,7 @@ def report(get):
 
 
 def card(get):
-    return write_card(
-        read_cards(CARDS)[0], get("tmp_path"), [("A race", read_replay(get("explained")))]
-    )[1]
+    return write_card(read_cards(CARDS)[0], get("tmp_path"))[1]
 
 
 def leaderboard(get):

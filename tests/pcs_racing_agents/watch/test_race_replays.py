@@ -172,7 +172,7 @@ def test_the_page_says_what_it_holds(tournament_folder):
         serve=True,
     )
     first = races.take([0])
-    other = {"start": "side-by-side", "space": None, "serve": False, "why_not": "no job"}
+    other = {"start": "side-by-side", "space": None, "serve": False}
     rows = [
         replace(content, races=first, **other),
         replace(content, races=replace(first, preset=Categorical.constant("", 1))),
@@ -189,14 +189,13 @@ def test_the_page_says_what_it_holds(tournament_folder):
         "space",
         "serve",
         "commands",
-        "why_not",
     )
     several, one = "18 races, 3 agents, 1 circuit, contest rules", "1 race, 3 agents, 1 circuit"
     same = [[2, "why"]], [["Pipkin", {"b": 2}]]
     assert [[one[key] for key in keys] for one in data] == [
-        ["a title", several, ["front", "rear"], *same, {"c": 3}, True, commands, ""],
-        ["a title", f"{one}, contest rules", ["left", "right"], *same, None, False, [], "no job"],
-        ["a title", one, ["front", "rear"], *same, {"c": 3}, True, commands, ""],
+        ["a title", several, ["front", "rear"], *same, {"c": 3}, True, commands],
+        ["a title", f"{one}, contest rules", ["left", "right"], *same, None, False, commands],
+        ["a title", one, ["front", "rear"], *same, {"c": 3}, True, commands],
     ]
     assert ["connect-src 'self'" in page for page in pages] == [True, False, True]
     assert all(

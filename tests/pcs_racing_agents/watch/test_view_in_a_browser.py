@@ -183,7 +183,7 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     races = toy_races(("t",), ("a", "b"), egos=50, variants=50)
     races = replace(races, overtakes=np.random.default_rng(0).integers(0, 3, (200_000, 2)))
     path = tmp_path / "many.html"
-    path.write_text(view_page(ViewContent("many", races, why_not="They were never driven.")))
+    path.write_text(view_page(ViewContent("many", races)))
     browser.open(f"{path.as_uri()}#show=list&sort=lead")
     assert browser.run("Number(document.body.dataset.shown)") == 200_000
     assert browser.run("document.querySelectorAll('#pane .line').length") < 60

@@ -12,13 +12,12 @@ from pcs_racing.game.archive_files import save_archive
 from pcs_racing.planners.trained import read_driver
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.base.chunks import read_chunk
+from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.learning.ppo.drives import DriveTask
 from pcs_racing_agents.learning.ppo.evaluation import (
     Matchup,
     MatchupScore,
     mean_score,
-    read_evaluations,
-    write_evaluations,
 )
 from pcs_racing_agents.learning.ppo.learner import (
     actor_layers,
@@ -214,21 +213,14 @@ def test_a_duel_policy_is_an_agent_and_a_drive_policy_a_planner(trained):
     assert {key: manifest["training"][key] for key in stated} == stated
 
 
-def test_a_learning_curve_is_read_as_it_was_written_and_other_files_are_refused(trained, tmp_path):
+def test_a_learning_curve_has_a_line_for_each_evaluation(trained):
     run = trained["drive"]
-    result = read_evaluations(run.folder / "curve.csv")
-    assert [curve.steps for curve in result] == [(0, 320, 640)]
-    cell = next(iter(run.scores))
-    assert result[0].scores[1][cell] == pytest.approx(run.curves[0].scores[1][cell], rel=1e-5)
-    again = write_evaluations(result, tmp_path / "again.csv")
-    assert again.read_bytes() == (run.folder / "curve.csv").read_bytes()
-    worse = again.read_text().replace("\n0,320,", "\n0,soon,", 1)
-    for text, message in [
-        (worse, "line 4 is none of a learning curve"),
-        ("seed,steps\n0,1\n", "a curve has"),
-    ]:
-        again.write_text(text)
-        refused(message, read_evaluations, again)
+    rows = read_csv(run.folder / "curve.csv").rows()
+    matchup = Matchup(*(rows[0][key] for key in Matchup._fields))
+    own = [row for row in rows if all(row[key] == rows[0][key] for key in Matchup._fields)]
+    assert [row["steps"] for row in own] == ["0", "320", "640"]
+    worth = [scores[matchup].worth for scores in run.curves[0].scores]
+    assert [float(row["worth"]) for row in own] == pytest.approx(worth, rel=1e-5)
 
 
 def test_what_settings_name_must_exist_once(settings, tmp_path):
