@@ -13,6 +13,7 @@ from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import read_driver, save_driver
 from pcs_racing_agents.agents import make
+from pcs_racing_agents.agents.own_code import own_code
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 
 
@@ -62,3 +63,11 @@ def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_ha
     assert ahead.sum() == 4
     assert (races.lead[ahead] > 30.0).all()
     assert not races.crashed[ahead].any()
+
+
+def test_planners_numbers_and_modules_that_do_not_exist_name_no_code(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for file in ("lattice.py", "mine.py"):
+        (tmp_path / file).write_text("raise AssertionError('it must not run')\n")
+    for text in ("lattice:front", "mine:3", "mine.py:3", "no_such_module:mine"):
+        assert own_code(text) is None

@@ -221,6 +221,7 @@ def test_a_pool_is_an_ordinary_archive_chosen_and_judged_by_payoffs(pool):
     assert (settings["selection"], settings["choice_candidates"]) == ("headroom", 8)
     assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
     assert [*dict.fromkeys(step.stage for step in progress)] == [*POOL.work]
+    assert progress[-1] == progress[-2]._replace(done=1.0)
     # Of 28 pairs of candidates and 6 of chosen ones, so many races of 4 s.
     work = (20 * 2 * 4.0, 28 * 16 * 4.0, 4 * 2 * 4.0, 6 * 2 * 32 * 4.0)
     assert tuple(POOL.work.values()) == work

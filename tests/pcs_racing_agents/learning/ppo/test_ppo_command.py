@@ -28,6 +28,7 @@ def test_shipped_settings_are_on_the_page_and_a_file_changes_what_it_names(tmp_p
         ("hidden: [4]", r"level is None"),
         ("level: duel\nhold: 2", r"unknown ppo setting 'hold'"),
         ("level: drive\nhold: 3", r"mine.yaml: hold is 3"),
+        ("level: drive\nfinal_learning_rate: -1.0", r"final_learning_rate is -1"),
         ("level: duel\nopponents: never-switch", r"opponents is 'never-switch'"),
         ("level: duel\nopponents: {never-switch: 0.5}", r"opponents holds 'never-switch': 0.5"),
     ],
