@@ -248,7 +248,9 @@ def parse_csv(file: Path, data: bytes, columns: tuple[str, ...], separator: str)
     bad = ~np.isfinite(rows).all(axis=1)
     if rows.shape[1] != len(columns) or bad.any():
         row = int(np.argmax(bad))
-        raise MapError(f"{file}: row {row + 1} is {rows[row]}; {_form(columns, separator)}")
+        raise MapError(
+            f"{file}: row {row + 1} is {rows[row].tolist()}; {_form(columns, separator)}"
+        )
     return rows
 
 

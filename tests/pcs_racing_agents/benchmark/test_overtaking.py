@@ -91,8 +91,8 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     assert read.d[0].mean() == pytest.approx(-lines.d[0].mean(), abs=0.02)
     assert read.speed[1].mean() == pytest.approx(lines.speed[1].mean(), rel=0.02)
     refused("can't read .*Pipkin_line0.csv: No such", read_lines, load_track("Pipkin"), tmp_path)
-    (tmp_path / "Brackwater_line1.csv").write_text("0; 1; 2; 3; 4; 5; nan\n" * 10)
-    refused("row 1 .*7 finite numbers", read_lines, track, tmp_path)
+    (tmp_path / "Brackwater_line1.csv").write_text("0.123456789; 1; 2; 3; 4; 5e-9; nan\n" * 10)
+    refused(r"row 1 is \[0.123456789, .*7 finite numbers", read_lines, track, tmp_path)
 
 
 def _shuffled(line):
