@@ -4,20 +4,6 @@ import pytest
 
 from pcs_racing.race.replay import read_replay
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.tournament.play import record_row
-
-
-def test_every_race_of_a_tournament_is_found_again(tournament_folder):
-    place, tournament = tournament_folder
-    results = open_results(place)
-    assert len(results.races) == len(tournament.races)
-    for number in (0, 17):
-        row = results.row(number)
-        pairing = results.pairing(row)
-        recording = record_row(tournament, tournament.races[number], candidates=False)
-        assert pairing.noise[row.race] == tournament.plan.schedules[0].seeds[row.race]
-        assert pairing.variants[row.race].tolist() == [row.ego_variant, row.opponent_variant]
-        assert f"{recording.played.lead[0]:.4f}" == f"{row.lead:.4f}"
 
 
 def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, printed):
@@ -140,17 +126,13 @@ def test_agents_and_races_that_have_changed_are_noticed(tournament_folder, tmp_p
     assert "instead of 99.0000 m" in error
 
 
-def test_races_of_a_study_are_found_again(study_folder, run, printed):
+def test_races_of_a_study_are_found_again(study_folder, printed):
+    """Another race than the one of the results is an error."""
     place, pairings = study_folder
-    results = open_results(place)
-    drawn = pairings[1]
-    pairing = results.pairing(results.row(len(drawn)))
-    assert pairing.variants.tolist() == drawn.variants.tolist()
-    assert pairing.noise.tolist() == drawn.noise.tolist()
-    assert pairing.starts.s.tolist() == drawn.starts.s.tolist()
-    text = printed("explain", place, "--index", len(drawn) + 3)
+    races = len(pairings[1])
+    text = printed("explain", place, "--index", races + 3)
     assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
-    printed("explain", place, "--index", 2 * len(drawn) + 2)
+    printed("explain", place, "--index", 2 * races + 2)
 
 
 def test_settings_of_another_version_are_named(study_folder, tmp_path, told):

@@ -3,7 +3,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusal import refused
 from toy_races import toy_races, toy_table
 
 from pcs_racing_agents.base.curves import Curve, curves_picture
@@ -42,7 +41,6 @@ PAYOFFS = np.array([[np.nan, 0.9], [0.1, np.nan]])
 DRAWINGS = {
     "differences": lambda table: figures.differences_picture(table),
     "curves": lambda table: curves_picture({str(n): curves(n) for n in range(5)}),
-    "rewards": lambda table: curves_picture({"ppo": curves()}, x_label="steps", y_label="reward"),
     "payoffs": lambda table: payoffs_picture(["one", "two"], PAYOFFS),
     "ratings": lambda table: ratings_picture(ratings()),
 }
@@ -111,11 +109,3 @@ def test_pictures_of_a_table_hold_its_numbers_each_in_the_place_of_its_agent():
         "diamonds: the paper's" in figures.differences_picture(one).get_supxlabel()
         for one in (toy, bare)
     ] == [True, False]
-
-
-def test_what_can_not_be_drawn_is_named():
-    for draw, value in [
-        (lambda: curves_picture({}), "curves"),
-        (lambda: curves_picture({"regret": []}), "curves"),
-    ]:
-        refused(value, draw)

@@ -30,11 +30,6 @@ from pcs_racing_agents.tournament.statistics import clustered_mean
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
 
 
-def test_networks_of_other_seeds_and_members_begin_with_other_seeds():
-    settings = (SMALL, replace(SMALL, seed=1))
-    assert len({one.train_settings(i).seed for one in settings for i in range(32)}) == 64
-
-
 @pytest.fixture(scope="module")
 def spec(archive):
     return make_game_spec(archive, load_game_config("paper", moves=2, step_seconds=2.5))
