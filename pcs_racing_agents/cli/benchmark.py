@@ -14,7 +14,6 @@ from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     TRACK_HELP,
     Workers,
-    output_file,
     output_folder,
 )
 
@@ -170,13 +169,11 @@ def run_overtaking(
         Option("folder of CIRCUIT_line0.csv to line2.csv (default: lines made here)", "DIR"),
     ] = None,
     seed: Annotated[int, Option("seed of the noise")] = 0,
-    out: Annotated[Path | None, Option("file for a line for each scenario (.csv)", "FILE")] = None,
 ) -> None:
     """Race the scenarios of the End2Race overtaking protocol, 600 a circuit."""
     from pcs_racing.track.loading import load_track
     from pcs_racing.track.maps import list_tracks
     from pcs_racing_agents.agents.own_code import parse_driver
-    from pcs_racing_agents.base.tables import write_csv
     from pcs_racing_agents.benchmark.overtaking import (
         detail,
         joined,
@@ -186,7 +183,6 @@ def run_overtaking(
         summary,
     )
 
-    target = output_file(out, ".csv") if out else None
     egos = [parse_driver(text) for text in policies]
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
@@ -196,10 +192,3 @@ def run_overtaking(
     }
     count = len(next(iter(found.values())).start)
     print("\n".join([f"{count} scenarios", "", *summary(found), "", *detail(found)]))
-    if target is not None:
-        names = ("circuit", "start", "line", "factor", "fault", "overtakes")
-        rows: list[tuple[object, ...]] = [("planner", *names)]
-        for name, one in found.items():
-            columns = (getattr(one, column) for column in names)
-            rows += [(name, *row) for row in zip(*columns, strict=True)]
-        print(f"scenarios: {write_csv(rows, target)}")

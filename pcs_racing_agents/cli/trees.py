@@ -10,7 +10,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.make import make_game
 from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.base.tables import aligned, write_csv
+from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     DEFAULT_TRACK,
@@ -106,8 +106,7 @@ same, weighted by the reach of the exact solution; decisions with equal values d
 @command(
     "solve",
     "pcs-racing solve out/trees",
-    "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+ --out"
-    " out/solved.csv",
+    "pcs-racing solve out/trees --iterations 1000 --methods exact alternating+",
     "pcs-racing solve out/trees --export out/tree3.efg --tree 3",
 )
 def run_solve(
@@ -118,7 +117,6 @@ def run_solve(
         Sequence[str],
         Option(f"one or more of {', '.join(METHODS)} (default: all)", "M", choices=METHODS),
     ] = (),
-    out: Annotated[Path | None, Option("file for the table (.csv)", "FILE")] = None,
     export: Annotated[
         Path | None,
         Option("file for one tree (.efg), which OpenSpiel and Gambit load; solves nothing", "FILE"),
@@ -126,7 +124,6 @@ def run_solve(
     tree: Annotated[int, Option("number of the tree to export")] = 0,
 ) -> None:
     """Solve game trees exactly and by regret minimisation, or export a tree."""
-    target = output_file(out, ".csv") if out else None
     exported = output_file(export, ".efg") if export else None
     stored = load_trees(trees)
     if exported is not None:
@@ -140,16 +137,6 @@ def run_solve(
         f" {stored.settings['preset']}; CFR with {iterations} iterations"
     )
     print(solve_table(policies, solved))
-    if target is not None:
-        rows: list[tuple[object, ...]] = [
-            ("tree", "policy_0", "policy_1", "seeds", *MethodRow._fields)
-        ]
-        rows += [
-            (i, *policies[i], len(one.seeds), row.method, *(f"{number:.9g}" for number in row[1:]))
-            for i, one in enumerate(stored)
-            for row in solved[i]
-        ]
-        print(f"table: {write_csv(rows, target)}")
 
 
 def solve_table(policies: Sequence[tuple[int, int]], solved: Sequence[Sequence[MethodRow]]) -> str:
