@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.style import COLOURS, SOFT, new_figure, picture, short, tidy
 
 Floats = NDArray[np.float64]
@@ -36,8 +35,6 @@ def curves_picture(
     ``log``: names of the panels with a logarithmic y axis. ``mark``: x of a vertical line, for
     instance at the selected network.
     """
-    if not panels or not all(panels.values()):
-        raise InputError("there are no learning curves to draw; give at least one for each panel")
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     # This avoids a nearly empty row of panels.

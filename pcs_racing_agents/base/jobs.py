@@ -81,10 +81,6 @@ class Job:
         group = TaskGroup(self, name, function, arguments)
         return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
 
-    def read(self, name: str, index: int) -> Arrays:
-        """Read a task's result."""
-        return read_chunk(self.file(name, index))
-
     def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
         """Return the digests of all inputs of the tasks."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):

@@ -118,8 +118,6 @@ def _race(
         pairing, race = results.pairing(row), row.race
     else:
         pairing, race = planned.pairing(), number
-        if not 0 <= race < len(pairing):
-            raise InputError(f"--index is {race}; there are races 0 to {len(pairing) - 1}")
     if car is None:
         # A planner has no moves to explain: then the other car is explained.
         car = int(isinstance(pairing.ego, Driver))

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Protocol, Unpack
+from typing import Annotated, Any, Unpack
 
 import numpy as np
 from annotated_types import Interval
@@ -98,41 +98,8 @@ def load_self_play_settings(
     return load_config("self-play", SelfPlaySettings(), source, **changes)
 
 
-class GameSampler(Protocol):
-    """Protocol of the samplers of branched games for self-play."""
-
-    @property
-    def identity(self) -> GameIdentity:
-        """Identity of the learned game; samplers of several tracks may share it."""
-
-    @property
-    def steps(self) -> int:
-        """Number of moves of each player."""
-
-    def traverse(
-        self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
-    ) -> Arrays:
-        """Play games up to a step, and try all moves of one player in each game.
-
-        Parameters
-        ----------
-        network : RegretNetwork or None
-            Advantages for the regret matching of both players; None for uniformly random moves.
-        exploration : float
-            Probability of a random move instead of a move by regret matching.
-        keys : ndarray, shape (B,)
-            Keys of the games; all random draws depend only on them.
-
-        Returns
-        -------
-        dict of ndarray
-            ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move
-            minus the strategy's value; ``game`` (R,), the index of the key.
-        """
-
-
 def learn_self_play(
-    samplers: Sequence[GameSampler],
+    samplers: "Sequence[RaceSampler]",
     settings: SelfPlaySettings,
     job: Job,
     *,
@@ -143,8 +110,8 @@ def learn_self_play(
 
     Parameters
     ----------
-    samplers : sequence of GameSampler
-        A sampler for each track (:class:`RaceSampler`), all of one game; they share one network.
+    samplers : sequence of RaceSampler
+        A sampler for each track, all of one game; they share one network.
     job : Job
         Job that stores rows and networks, so that a stopped run can be resumed.
 
@@ -212,7 +179,7 @@ def learn_self_play(
 
 
 def _traverse(
-    samplers: Sequence[GameSampler],
+    samplers: "Sequence[RaceSampler]",
     network: RegretNetwork | None,
     exploration: float,
     block: GameBlock,
@@ -269,6 +236,21 @@ class RaceSampler:
         2009). Its own reach probability is then the same in all iterations, and the advantages of
         several iterations can be averaged without importance weights. Its start position (in front
         or behind) is random, so the network learns for both cars.
+
+        Parameters
+        ----------
+        network : RegretNetwork or None
+            Advantages for the regret matching of both players; None for uniformly random moves.
+        exploration : float
+            Probability of a random move instead of a move by regret matching.
+        keys : ndarray, shape (B,)
+            Keys of the games; all random draws depend only on them.
+
+        Returns
+        -------
+        dict of ndarray
+            ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move
+            minus the strategy's value; ``game`` (R,), the index of the key.
         """
         random = random_player(self.game, self.spec, 2)
         first, second = (self._player(network, exploration, seed) for seed in (0, 1))

@@ -17,7 +17,7 @@ from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.from_network import AdaptiveStrategy
-from pcs_racing_agents.agents.observing import earlier, opponent, own
+from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
 
@@ -91,8 +91,6 @@ def explain_race(
     ``race``, ``candidates``: as for :func:`pcs_racing_agents.tournament.repeat_race`. ``car``: the
     explained car, 0 or 1.
     """
-    if car not in (0, 1):
-        raise InputError(f"car is {car!r}; it must be 0 or 1")
     cars = (pairing.ego, pairing.opponent)
     competitor = cars[car]
     if isinstance(competitor, Driver):
@@ -151,7 +149,7 @@ def _steps(
                 time=game.config.ends[k],
                 own=own(observation, axes)[0].astype(np.float64),
                 opponent=opponent(observation, axes)[0].astype(np.float64),
-                lead=float(observed_lead(observation, axes, k)[0]),
+                lead=LEAD_SCALE * float(lead(observation, axes)[0]),
                 move=int(played.moves.codes[0, car, k]),
                 policy=int(played.path[0, car, k]),
                 next_policy=int(played.path[0, car, k + 1]),
@@ -170,11 +168,6 @@ def _steps(
             )
         )
     return tuple(steps)
-
-
-def observed_lead(observation: NDArray[np.float32], axes: int, step: int) -> Floats:
-    """Return the own lead at the end of a step, m, shape (B,), clipped to 100 m."""
-    return LEAD_SCALE * observation[:, step * (2 * axes + 2) + 2 * axes].astype(np.float64)
 
 
 def is_open_loop(competitor: Competitor) -> bool:

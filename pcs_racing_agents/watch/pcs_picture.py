@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
@@ -31,13 +30,11 @@ def in_units(archive: PolicyArchive, normalised: ArrayLike) -> Floats:
     return archive.nadir + np.asarray(normalised, np.float64) * (archive.ideal - archive.nadir)
 
 
-def draw_archive(
-    axes: Any, archive: PolicyArchive, *, colour_bar: bool = True, faint: bool = False
-) -> None:
+def draw_archive(axes: Any, archive: PolicyArchive, *, faint: bool = False) -> None:
     """Draw an archive's policies and all explored policies, in the characteristics' units.
 
-    ``colour_bar``: True adds a colour bar of the policies' crash rate, if known. ``faint``: True
-    draws all policies grey, as a background.
+    A colour bar shows the policies' crash rate, if known. ``faint``: True draws all policies grey,
+    as a background.
     """
     right, up = plane(archive)
     everything, policies = archive.explored_coordinates, archive.coordinates
@@ -62,11 +59,10 @@ def draw_archive(
         dots = axes.scatter(
             policies[:, right], policies[:, up], c=shares, cmap="cividis", vmin=0.0, **options
         )
-        if colour_bar:
-            bar = axes.figure.colorbar(dots, ax=axes, shrink=0.75, aspect=24, pad=0.02)
-            bar.set_label("own crashes, % of races")
-            bar.outline.set_visible(False)
-            bar.ax.tick_params(length=0)
+        bar = axes.figure.colorbar(dots, ax=axes, shrink=0.75, aspect=24, pad=0.02)
+        bar.set_label("own crashes, % of races")
+        bar.outline.set_visible(False)
+        bar.ax.tick_params(length=0)
     kinds = get_characteristics(archive.characteristics)
     axes.set_xlabel(f"{kinds[right].name}, {kinds[right].unit}")
     axes.set_ylabel(f"{kinds[up].name}, {kinds[up].unit}")
@@ -103,16 +99,12 @@ def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str, **optio
 
 
 @picture
-def archive_picture(
-    archive: PolicyArchive, *, epsilon: float | tuple[float, ...] = 0.35, policy: int | None = None
-) -> Any:
-    """Draw an archive, and the moves of one of its policies.
+def archive_picture(archive: PolicyArchive, *, epsilon: float | tuple[float, ...] = 0.35) -> Any:
+    """Draw an archive, and the moves of the policy in its middle.
 
-    ``epsilon``: length of a move in normalised units. ``policy``: the policy (default: the middle).
+    ``epsilon``: length of a move in normalised units.
     """
-    start = archive.select("middle") if policy is None else policy
-    if not 0 <= start < len(archive):
-        raise InputError(f"policy is {start}; archive {archive.name!r} has 0 to {len(archive) - 1}")
+    start = archive.select("middle")
     figure = new_figure(7.2, 5.2)
     axes = figure.subplots()
     draw_archive(axes, archive)

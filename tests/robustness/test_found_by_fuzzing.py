@@ -125,7 +125,6 @@ def test_values_of_other_types():
         lambda: load_train_settings(b"study"),
         lambda: ArchiveConfig(tracks=None),
         lambda: Fit(["best-fixed"], 1, GameIdentity((), (), (0.5,), "a", "b", "c")),
-        lambda: Fit("best-fixed", 1, ("a", "b", "c", 0.5, 4)),
         lambda: load_fit(-1),
         lambda: load_fit({"a": 1}),
         lambda: check_seed(-126),

@@ -110,11 +110,8 @@ def test_a_race_is_small_and_races_of_a_pair_come_together(driver):
 def test_a_race_that_is_another_one_is_refused(tournament_folder):
     for change, value in [
         ({"lead": 12.0}, r"race 3 .*12\.0000 m"),
-        ({"start_s": 12.0}, "race 3 is not"),
-        ({"side": 1 - tournament_folder[1].races[3].side}, "race 3 is not"),
-        ({"ego_variant": 99}, "race 3 is not"),
-        ({"opponent_variant": 99}, "race 3 is not"),
-        ({"race": 6}, "number 6 of its pair, which drove 6"),
+        ({"race": 2}, r"race 3 came out otherwise"),
+        ({"race": 6}, "there is no race 6 in this pairing; there are races 0 to 5"),
     ]:
         results = open_results(tournament_folder[0])
         rows = list(results.races)
