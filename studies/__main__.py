@@ -9,6 +9,7 @@ from pcs_racing_agents.cli.main import run_parsed
 from studies import reading
 from studies.headroom import command as headroom
 from studies.matches import command as matches
+from studies.overtaking import command as overtaking
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m studies", description=__doc__, allow_abbrev=False
     )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (headroom, matches, reading):
+    for command in (headroom, matches, overtaking, reading):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

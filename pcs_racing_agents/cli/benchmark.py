@@ -1,4 +1,4 @@
-"""``pcs-racing benchmark``: score cards, their leaderboard, and an overtaking protocol."""
+"""``pcs-racing benchmark``: score cards, and their leaderboard."""
 
 import re
 from collections.abc import Sequence
@@ -10,12 +10,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Command, Option, command
-from pcs_racing_agents.cli.options import (
-    POLICY_HELP,
-    TRACK_HELP,
-    Workers,
-    output_folder,
-)
+from pcs_racing_agents.cli.options import Workers, output_folder
 
 if TYPE_CHECKING:
     from pcs_racing_agents.agents.agent import Competitor
@@ -25,7 +20,7 @@ if TYPE_CHECKING:
 
 group = Command(
     "benchmark",
-    "Race agents by fixed protocols, and rank their score cards.",
+    "Race agents by a fixed protocol, and rank their score cards.",
     ("pcs-racing benchmark card best-fixed --out out/cards/best-fixed",),
 )
 
@@ -152,43 +147,3 @@ def run_board(
         ):
             write_atomically(folder / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
             print(f"written: {folder / name}")
-
-
-@command(
-    "benchmark overtaking",
-    "pcs-racing benchmark overtaking --policies spliner mppi --track Tarnfjord Pipkin",
-    "pcs-racing benchmark overtaking --policies spliner:pace=1 --track maps/Austin maps/Hockenheim"
-    " --lines lines",
-)
-def run_overtaking(
-    *,
-    policies: Annotated[Sequence[str], Option(f"policies of the ego: {POLICY_HELP}", "POLICY")],
-    track: Annotated[Sequence[str], Option(f"{TRACK_HELP} (default: all that ship)", "T")] = (),
-    lines: Annotated[
-        Path | None,
-        Option("folder of CIRCUIT_line0.csv to line2.csv (default: lines made here)", "DIR"),
-    ] = None,
-    seed: Annotated[int, Option("seed of the noise")] = 0,
-) -> None:
-    """Race the scenarios of the End2Race overtaking protocol, 600 a circuit."""
-    from pcs_racing.track.loading import load_track
-    from pcs_racing.track.maps import list_tracks
-    from pcs_racing_agents.agents.own_code import parse_driver
-    from pcs_racing_agents.benchmark.overtaking import (
-        detail,
-        joined,
-        made_lines,
-        race_scenarios,
-        read_lines,
-        summary,
-    )
-
-    egos = [parse_driver(text) for text in policies]
-    tracks = [load_track(name) for name in track or list_tracks()]
-    given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
-    found = {
-        policy.name: joined([race_scenarios(one, policy, seed=seed) for one in given])
-        for policy in egos
-    }
-    count = len(next(iter(found.values())).start)
-    print("\n".join([f"{count} scenarios", "", *summary(found), "", *detail(found)]))

@@ -44,7 +44,7 @@ FILES = {
         "headroom",
         "race all pairs of an archive's policies, and print the value of knowing the opponent",
     ),
-    "benchmark": ("benchmark", "race agents by fixed protocols, and rank their score cards"),
+    "benchmark": ("benchmark", "race agents by a fixed protocol, and rank their score cards"),
     "tree": (
         "trees",
         "build game trees: simulate all moves of both players, for pairs of starting policies",
@@ -89,7 +89,6 @@ NAMING = {
     "race": {"--ego": "planner", "--opponent": "planner"},
     "tournament": {"--policies": "planner", "--agents": "agent"},
     "headroom": {"--policies": "planner"},
-    "benchmark": {"--policies": "planner"},
     "policies": {"": "planner"},
     "learn": {"--pool": "agent"},
     "explain": {"--agents": "agent"},

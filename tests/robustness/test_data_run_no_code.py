@@ -462,7 +462,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/study/results.py": {"parse_agent name in code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
-        "pcs_racing_agents/cli/benchmark.py": {"load_entrant", "parse_driver"},
+        "pcs_racing_agents/cli/benchmark.py": {"load_entrant"},
         "pcs_racing_agents/cli/explain.py": {"plan_tournament True"},
         "pcs_racing_agents/cli/headroom.py": {"parse_driver"},
         "pcs_racing_agents/cli/learn.py": {"parse_agent True"},

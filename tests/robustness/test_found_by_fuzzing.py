@@ -45,7 +45,6 @@ from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.benchmark.card import read_cards
-from pcs_racing_agents.benchmark.overtaking import read_lines
 from pcs_racing_agents.benchmark.protocol import load_protocol
 from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
@@ -94,7 +93,6 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
         lambda: load_protocol(file("yaml")),
         lambda: load_study_config(file("yaml")),
         lambda: load_driver(folder),
-        lambda: read_lines(track, folder),
         lambda: save_archive(archive, folder),
         lambda: save_replay(replay, file("html")),
         lambda: write_results([], folder),

@@ -1,7 +1,7 @@
 """The overtaking protocol of End2Race [1]_: 600 scenarios per track with a slower car 3 m ahead.
 
 Both cars start at rest, at 50 places, and race for 8 s. The opponent drives one of three lines at
-one of four speed factors (:mod:`pcs_racing_agents.benchmark.overtaken`). A scenario ends in a
+one of four speed factors (:mod:`studies.overtaking.overtaken`). A scenario ends in a
 collision as soon as either car touches a wall or the other car. Without a collision, the ego has
 overtaken if it is ahead at the end, and has followed otherwise.
 
@@ -37,8 +37,8 @@ from pcs_racing.track.map_files import parse_csv
 from pcs_racing.track.maps import read_inside
 from pcs_racing.track.track import Track, build_track
 from pcs_racing_agents.base.tables import aligned
-from pcs_racing_agents.benchmark.overtaken import overtaken
 from pcs_racing_agents.tournament.statistics import clustered_mean
+from studies.overtaking.overtaken import overtaken
 
 STARTS, LINES, FACTORS = 50, 3, (0.5, 0.6, 0.7, 0.8)
 AHEAD = 3.0  # m: 15 way points

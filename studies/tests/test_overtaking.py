@@ -8,7 +8,8 @@ from pcs_racing import load_track, parse_policy
 from pcs_racing.base.errors import MapError
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import hold_command
-from pcs_racing_agents.benchmark.overtaking import (
+from studies.__main__ import main
+from studies.overtaking.scenarios import (
     AHEAD,
     Lines,
     joined,
@@ -128,9 +129,9 @@ def test_a_link_to_a_line_elsewhere_is_not_followed(lines, tmp_path):
     assert "password" not in str(caught.value)
 
 
-def test_the_command_prints_the_tables(printed):
-    command = ("benchmark", "overtaking", "--policies", "stanley", "--track", "Pipkin")
-    summary_lines = printed(*command).splitlines()
+def test_the_command_prints_the_tables(capsys):
+    assert main(["overtaking", "--policies", "stanley", "--track", "Pipkin"]) == 0
+    summary_lines = capsys.readouterr().out.splitlines()
     assert summary_lines[0] == "600 scenarios"
     assert summary_lines[2].startswith("planner")
     assert "Pipkin" in summary_lines[6]

@@ -1,0 +1,1 @@
+"""The overtaking protocol of End2Race, for planners."""
