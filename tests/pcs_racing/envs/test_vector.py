@@ -11,7 +11,6 @@ from refusal import refused
 import pcs_racing  # noqa: F401
 from pcs_racing import InputError
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
-from pcs_racing.envs.duel import SelfPlayVectorEnv
 
 DUEL = {"step_seconds": 0.2, "moves": 2}
 DRIVE = {"opponent": None, "duration": 0.3}
@@ -57,17 +56,6 @@ def test_a_vector_environment_begins_anew_as_gymnasiums_own_does(name, mode):
             mine, own = ours.reset(options=dict(options))[0], theirs.reset(options=dict(options))[0]
             np.testing.assert_array_equal(mine, own)
     assert ends >= 3
-
-
-@pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP"])
-def test_both_cars_of_a_game_begin_anew_together(mode):
-    envs = SelfPlayVectorEnv(4, autoreset_mode=mode, **DUEL)
-    envs.reset(seed=1)
-    for _ in range(7):
-        _, rewards, terminated, _, info = envs.step(np.array([0, 1, 2, 3]))
-        np.testing.assert_array_equal(terminated[::2], terminated[1::2])
-        np.testing.assert_array_equal(rewards[::2], -rewards[1::2])
-        np.testing.assert_array_equal(info["time"][::2], info["time"][1::2])
 
 
 def test_max_episode_steps_truncates():

@@ -60,23 +60,25 @@ def python(function):
     return getattr(function, "py_func", function)
 
 
-@pytest.mark.parametrize("name", MAPPED)
-def test_it_follows_the_race_line_alone(name, drive_alone):
-    for circuit in ("Kestrelheim", "Quillburg"):
-        track = load_track(circuit)
-        result = drive_alone(track, [parse_policy(name)], speed_range=(0.7, 1.2))
-        assert not result.crashed.any()
-        # As fast as the profile of its scale, but for the start in the middle of the track.
-        scale = 0.95 * len(track.line) / (1.0 / track.line[:, 6]).sum()
-        assert (result.state.progress[0] - [0.0, -50.0] > 0.8 * scale * 40.0 - 50.0).all()
+@pytest.mark.parametrize(
+    ("name", "circuit"), [*zip(MAPPED, itertools.cycle(("Kestrelheim", "Quillburg")))]
+)
+def test_it_follows_the_race_line_alone(name, circuit, drive_alone):
+    track = load_track(circuit)
+    result = drive_alone(track, [parse_policy(name)], speed_range=(0.7, 1.2))
+    assert not result.crashed.any()
+    # As fast as the profile of its scale, but for the start in the middle of the track.
+    scale = 0.95 * len(track.line) / (1.0 / track.line[:, 6]).sum()
+    assert (result.state.progress[0] - [0.0, -50.0] > 0.8 * scale * 40.0 - 50.0).all()
 
 
-@pytest.mark.parametrize("name", LIDAR)
-def test_it_drives_by_its_lidar_alone(name, drive_alone):
-    for circuit in ("Kestrelheim", "Pipkin"):
-        result = drive_alone(load_track(circuit), [parse_policy(name)])
-        assert not result.crashed.any()
-        assert (result.state.progress[0] > 2.5 * 40.0 - 50.0).all()
+@pytest.mark.parametrize(
+    ("name", "circuit"), [*zip(LIDAR, itertools.cycle(("Kestrelheim", "Pipkin")))]
+)
+def test_it_drives_by_its_lidar_alone(name, circuit, drive_alone):
+    result = drive_alone(load_track(circuit), [parse_policy(name)])
+    assert not result.crashed.any()
+    assert (result.state.progress[0] > 2.5 * 40.0 - 50.0).all()
 
 
 def behind_a_slow_car(name, share=0.6, races=10):

@@ -13,10 +13,8 @@ from pcs_racing import CONTEST, PAPER, InputError, load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import VehicleParams
-from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.race.config import DT
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import (
     RaceSetup,
@@ -34,7 +32,6 @@ from pcs_racing.track.track import Calibration
 
 SHORT = load_race_config("paper", duration=6.0)
 NOISY = load_race_config("contest", duration=6.0)
-LONG = load_race_config("paper", duration=30.0)
 
 
 @compiled
@@ -157,34 +154,6 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
     for vehicles in ((late, prompt), (prompt, late)):
         assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 5
     assert dataclasses.replace(usual, most_delay=0.04).memory_size == usual.memory_size + 2
-
-
-def test_laps_are_those_that_progress_tells(oval):
-    """A lap ends at a multiple of the length: interpolated progress, sampled every 0.02 s, gives
-    the same times.
-    """
-    drivers = [PURE_PURSUIT.policy({"pace": 0.9}), PURE_PURSUIT.policy({"pace": 0.2})]
-    setup = RaceSetup(oval, LONG, (drivers[0].planner, drivers[1].planner))
-    state = start_races(
-        setup, Starts(np.array([oval.length - 6.0]), np.array([0])), np.zeros(1, np.uint64)
-    )
-    theta = pad_parameters(drivers, setup.theta_size)[None]
-    times, way = [0.0], [state.progress[0].copy()]
-    while state.tick[0] < LONG.ticks and not state.crashed[0]:
-        advance(setup, state, theta, 2, threads=1)
-        times.append(float(state.tick[0]) * DT)
-        way.append(state.progress[0].copy())
-    way = np.array(way)
-    for car in range(2):
-        marks = np.arange(oval.length, way[:, car].max(), oval.length)
-        laps = np.diff(np.interp(marks, way[:, car], times), prepend=0.0)
-        assert state.lap_count[0, car] == len(laps)
-        if len(laps):
-            assert state.lap_time[0, car] == pytest.approx(laps[-1], abs=1e-3)
-            assert state.best_lap[0, car] == pytest.approx(laps.min(), abs=1e-3)
-        else:
-            assert state.lap_time[0, car] == state.best_lap[0, car] == -1.0
-    assert state.lap_count[0, 0] >= 2
 
 
 ROLLING = load_race_config("contest", start="rolling")

@@ -14,7 +14,7 @@ from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW
-from pcs_racing.race.positions import move_along, update_progress
+from pcs_racing.race.positions import move_along
 from pcs_racing.race.races import RaceSetup, advance, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
@@ -368,25 +368,6 @@ def test_blocking_is_credited_to_the_car_ahead(coarse_oval, order, ahead, beside
     setup, state, theta = placed(coarse_oval, poses, vehicles=CARS)
     advance(setup, state, theta, 20)
     np.testing.assert_allclose(state.sums[0, :, COLUMN["BLOCKING"]], [0.2 * blocking, 0.0][::order])
-
-
-def test_crossing_the_start_line_either_way_does_not_jump(coarse_oval):
-    arrays = coarse_oval.arrays
-    for from_s, to_s in ((-0.1, 0.15), (0.2, -0.05), (5.0, 5.3), (5.0, 4.8)):
-        state = empty_state(1, 0)
-        for car, shift in ((0, 0.0), (1, to_s - from_s)):
-            x, y, psi = coarse_oval.to_cartesian([np.mod(from_s + shift, coarse_oval.length), 0.3])
-            state.cars[0, car, [X, Y, PSI]] = x, y, psi
-            state.frenet[0, car] = np.mod(from_s, coarse_oval.length), 0.0
-        state.progress[0] = 100.0, 100.0
-        moved = state.cars, state.frenet, state.progress, state.laps
-        for car in range(2):
-            update_progress(arrays.line, arrays.ds, arrays.length, *moved, 1, 0, car)
-        np.testing.assert_allclose(state.progress[0], [100.0, 100.0 + to_s - from_s], atol=1e-6)
-        np.testing.assert_allclose(
-            state.frenet[0, :, 0], np.mod([from_s, to_s], coarse_oval.length), atol=1e-6
-        )
-        np.testing.assert_allclose(state.frenet[0, :, 1], 0.3, atol=1e-6)
 
 
 def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drives_none():
