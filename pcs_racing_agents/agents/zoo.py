@@ -269,7 +269,6 @@ def load_entrant(
     text: str,
     spec: GameSpec,
     *,
-    drive: bool = False,
     weights: Path | None = None,
     name: str | None = None,
 ) -> Competitor:
@@ -280,11 +279,8 @@ def load_entrant(
     text : str
         Text for :func:`pcs_racing_agents.agents.parse_agent`; or path of a ``.zip`` file of
         Stable-Baselines3 (only its numbers are read); with ``weights``, ``module:function``, a
-        function of the game spec and the path of the weights that returns a competitor; with
-        ``drive``, the name or folder of a control policy.
-    drive : bool
-        True if the text is the name or folder of a control policy
-        (:func:`pcs_racing.planners.trained.load_driver`).
+        function of the game spec and the path of the weights that returns a competitor; or the
+        folder of a control policy (:func:`pcs_racing.planners.trained.load_driver`).
     weights : path, optional
         File of weights for the function.
     name : str, optional
@@ -293,8 +289,8 @@ def load_entrant(
     from pcs_racing.planners.trained import load_driver
     from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 
-    if drive:
-        planner = load_driver(Path(text) if Path(text).is_dir() else text)
+    if Path(text).is_dir():
+        planner = load_driver(Path(text))
         return as_agent(planner.policy({}), name or planner.name)
     # A control policy has the arguments of its environment next to the zip, and is read below.
     if is_model(text) and not Path(text).with_suffix(".yaml").is_file():

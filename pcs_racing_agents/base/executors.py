@@ -23,7 +23,7 @@ from pickle import dumps, loads
 from typing import Any
 
 from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.planners.own_files import files_run, run_file
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.base.folders import JobError, package_version
@@ -206,12 +206,9 @@ def _end_with(sentinel: int) -> None:
 
 @contextmanager
 def _cluster(scheduler: str) -> Iterator[Executor]:
-    try:
-        from dask.distributed import Client
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            'a dask scheduler needs dask.distributed: pip install "pcs-racing[cluster]"'
-        ) from None
+    require("distributed", extra="cluster")
+    from dask.distributed import Client
+
     try:
         client = Client(scheduler, timeout=ANSWER_SECONDS)
     except (OSError, ValueError, TimeoutError) as error:

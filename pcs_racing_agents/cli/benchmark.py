@@ -31,21 +31,20 @@ group = Command(
     "pcs-racing benchmark card my_model.zip --out out/cards/mine",
     "pcs-racing benchmark card my_package.my_module:make_agent --weights net.pt --out"
     " out/cards/mine",
-    "pcs-racing benchmark card ppo-drive --drive --out out/cards/ppo-drive",
+    "pcs-racing benchmark card ppo-drive --out out/cards/ppo-drive",
     "pcs-racing benchmark card best-fixed psro self-play --out out/cards/zoo",
 )
 def run(
     agents: Annotated[
         Sequence[str],
         Option(
-            "name of an agent, module:function (called with the game spec, and the path of the"
-            " weights if there is one), or a .zip file of Stable-Baselines3; each of several agents"
-            " gets a card in its own folder",
+            "name of an agent or planner, folder of a trained planner, module:function (called with"
+            " the game spec, and the path of the weights if there is one), or a .zip file of"
+            " Stable-Baselines3; each of several agents gets a card in its own folder",
             "AGENT",
         ),
     ],
     *,
-    drive: Annotated[bool, Option("AGENT is a planner: its name or folder")] = False,
     weights: Annotated[Path | None, Option("weights for module:function", "FILE")] = None,
     name: Annotated[str | None, Option("name on the card (default: name of the agent)")] = None,
     protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
@@ -65,9 +64,7 @@ def run(
     if weights is not None and ":" not in agents[0]:
         raise InputError("--weights goes with module:function")
     rules = load_protocol(protocol)
-    entrants = [
-        load_entrant(text, rules.spec, drive=drive, weights=weights, name=name) for text in agents
-    ]
+    entrants = [load_entrant(text, rules.spec, weights=weights, name=name) for text in agents]
     digests = [competitor_hash(agent) for agent in entrants]
     settings = {"protocol": rules.content_hash, "agents": digests}
     with workers.start() as executor, open_job(out, "benchmark", settings) as job:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
+from pcs_racing.base.errors import require
 
 _TURN = threading.RLock()
 
@@ -23,12 +24,9 @@ def torch_alone() -> Iterator[Any]:
 
     Several threads gain nothing for networks of this size, and would change the order of sums.
     """
-    try:
-        import torch
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError(
-            'training needs torch: pip install "pcs-racing[learning]"'
-        ) from None
+    require("torch", extra="learning")
+    import torch
+
     with _TURN:
         before = torch.get_num_threads()
         torch.set_num_threads(1)

@@ -19,7 +19,6 @@ from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atom
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.folders import claim_folder, clear_half_written
-from pcs_racing_agents.learning.ppo.learner import check_packages
 from pcs_racing_agents.study import stages
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report import write_report
@@ -76,7 +75,7 @@ def check_libraries(config: StudyConfig, stage: str) -> None:
     if learns.get(stage):
         require("torch", extra="learning")
     elif stage == "ppo" and learning.ppo is not None:
-        check_packages()
+        require("stable_baselines3", extra="learning")
     elif stage == "archive" and config.synthesis is not None:
         require("moocore", "cma", extra="synthesis")
 

@@ -36,6 +36,7 @@ MAX_STEPS = 100_000_000
 
 Floats = NDArray[np.float64]
 CARS = ("ego", "opponent")
+_SEED = re.compile(r"0|[1-9][0-9]*")  # one text for each seed: no leading zeros
 _PATH = re.compile(r"([0-9]{1,6}(; [0-9]{1,6})*)?")
 
 
@@ -138,15 +139,12 @@ class _Lines(NamedTuple):
         return np.array([allowed_words.index(word) for word in words], np.int64)[codes]
 
     def seeds(self) -> Categorical:
-        """Return the column of seeds, whole numbers of any size."""
-        # As text, since a seed may exceed every integer type; leading zeros are dropped.
+        """Return the column of seeds, whole numbers of any size, as text."""
         seeds = self.words("seed")
         for word in seeds.words:
-            if not word.isascii() or not word.isdigit():
+            if not _SEED.fullmatch(word):
                 raise self.damaged("seed", word, f"{word!r:.60}; it must be a whole number")
-        words: dict[str, int] = {}
-        places = [words.setdefault(str(int(word)), len(words)) for word in seeds.words]
-        return Categorical(tuple(words), np.array(places, np.int64)[seeds.codes])
+        return seeds
 
     def steps(self, name: str) -> Categorical:
         """Return the lists of both cars as words, shape (N, 2, max length)."""

@@ -23,16 +23,6 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
 
 
-def check_packages() -> None:
-    """Check that Stable-Baselines3 is installed."""
-    try:
-        import stable_baselines3  # noqa: F401
-    except ImportError:
-        raise ModuleNotFoundError(
-            'PPO needs Stable-Baselines3: pip install "pcs-racing[learning]"'
-        ) from None
-
-
 @contextmanager
 def own_randomness() -> Iterator[None]:
     """Restore the process's random generators at exit; reserve them and torch for one thread."""

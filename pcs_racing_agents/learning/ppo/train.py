@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers, layers_from_bytes, layers_to_bytes
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
@@ -37,7 +37,6 @@ from pcs_racing_agents.learning.ppo.evaluation import (
 )
 from pcs_racing_agents.learning.ppo.learner import (
     actor_layers,
-    check_packages,
     learn_once,
     make_model,
     own_randomness,
@@ -109,7 +108,7 @@ def train_ppo(
     settings = load_ppo_settings(config, **changes)
     if isinstance(settings, DuelSettings):
         settings = _named(settings, policies, rules)
-    check_packages()
+    require("stable_baselines3", extra="learning")
     elsewhere = in_other_processes(executor)
     # Parallel runs share the cores; a single run, or sequential runs, may use all of them.
     threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else default_threads()

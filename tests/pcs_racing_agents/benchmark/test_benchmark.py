@@ -127,7 +127,9 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
         == "x"
     )
     assert load_entrant("lattice:pace=0.4", protocol.spec).name == "lattice:pace=0.4"
-    assert load_entrant("ppo-drive", protocol.spec, drive=True).planner.name == "ppo-drive"
+    assert load_entrant("ppo-drive", protocol.spec).planner.name == "ppo-drive"
+    folder = str(REPOSITORY / "pcs_racing" / "data" / "planners" / "ppo-drive")
+    assert load_entrant(folder, protocol.spec, name="mine").name == "mine"
     for text in ("brought:nothing", "nobody", "gone.zip"):
         refused(text, load_entrant, text, protocol.spec)
 

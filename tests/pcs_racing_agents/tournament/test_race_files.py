@@ -71,7 +71,7 @@ def test_empty_lines_are_left_out_and_counted(tmp_path):
 
 
 def test_seeds_may_be_larger_than_any_number_of_the_machine(tmp_path, rows):
-    rows[3]["seed"], rows[4]["seed"] = str(2**80), f"00{2**80}"
+    rows[3]["seed"] = rows[4]["seed"] = str(2**80)
     races = read_results(as_file(rows, tmp_path / "results.csv"))
     assert races[3].seed == races[4].seed == 2**80
     assert len(races.pairs) == 2
@@ -92,6 +92,7 @@ def test_seeds_may_be_larger_than_any_number_of_the_machine(tmp_path, rows):
         ("ego", "x" * 301, "ego is 301 characters long"),
         ("race", "1.5", "race is '1.5'; it must be a whole number"),
         ("seed", "minus one", "seed is 'minus one'; it must be a whole number"),
+        ("seed", "03", "seed is '03'"),
         ("seed", "٣", "seed is '٣'; it must be a whole number"),
         ("duration", "soon", "duration is 'soon'"),
         ("opponent_path", "3; x", "opponent_path is '3; x'; it must be a list of policies"),
