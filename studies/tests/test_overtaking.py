@@ -2,13 +2,20 @@
 
 import numpy as np
 import pytest
+from placed_cars import view_of
 from refusal import refused
 
 from pcs_racing import load_track, parse_policy
 from pcs_racing.base.errors import MapError
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import hold_command
+from pcs_racing.planners.view import OWN_WIDTH, PATH_POINTS, PATH_SPEED
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.races import RaceSetup, start_races
+from pcs_racing.race.start_grid import Starts
+from pcs_racing.track.frenet import LEFT
 from studies.__main__ import main
+from studies.overtaking.overtaken import overtaken
 from studies.overtaking.scenarios import (
     AHEAD,
     Lines,
@@ -51,6 +58,27 @@ def test_an_opponent_passes_nobody_who_stands_and_drives_its_lines_without_a_cra
     assert not found.overtakes.any()
     assert found.safe.mean() > 0.98
     assert set(found.fault[~found.safe]) <= {2}
+
+
+def test_the_opponent_reads_speeds_between_samples_and_leaves_5_cm_to_the_wall():
+    track = load_track("Brackwater")
+    planner = overtaken(samples := int(track.length))
+    setup = RaceSetup(track, RaceConfig(start_gap=20.0), (planner, planner))
+    state = start_races(setup, Starts(np.zeros(1), np.zeros(1, np.int64)), np.zeros(1, np.uint64))
+    x, y, psi = track.to_cartesian([0.0, d := track.line[0, LEFT] - 0.4])
+    state.cars[0, 0], state.frenet[0, 0] = [x, y, 0.0, 4.0, psi, 0.0, 0.0], [0.0, d]
+    view = view_of(setup, state, 0, 0)
+    speeds = np.random.default_rng(0).uniform(5.0, 10.0, samples)
+    paths = np.zeros((2, PATH_POINTS, 4))
+    for line_d, path in zip((d, 9.0), paths, strict=True):  # 9 m: beyond the wall
+        theta = np.concatenate([[0.5, samples], np.full(samples, line_d), speeds])
+        planner.plan(track.arrays, theta, view, np.zeros(0), np.zeros(planner.scratch_size), path)
+    (s, _), (end, aside) = (track.to_frenet(path[-1, :2]) for path in paths)
+    places = np.arange(samples + 1) * track.length / samples
+    expected = 0.5 * np.interp(s, places, np.append(speeds, speeds[0]))
+    assert paths[0, -1, PATH_SPEED] == pytest.approx(expected, rel=1e-3)
+    wall = np.interp(end, np.arange(len(track.line)) * track.arrays.ds, track.line[:, LEFT])
+    assert wall - aside - 0.5 * view[OWN_WIDTH] == pytest.approx(0.05, abs=0.02)
 
 
 def test_a_faster_car_overtakes_slow_ones_more_often_and_one_seed_has_one_result(lines):
