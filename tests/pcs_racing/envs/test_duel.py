@@ -197,6 +197,15 @@ def test_a_video_shows_25_moments_of_each_second_that_was_raced(videos, tmp_path
     assert np.mean([(one != other).any() for one, other in itertools.pairwise(frames)]) > 0.95
 
 
+def test_a_video_of_single_frames_keeps_one_of_each_step(videos, tmp_path):
+    env = gym.make("pcs_racing/Duel-v1", render_mode="rgb_array", render_size=(120, 80), **SHORT)
+    env = RecordRaces(env, str(tmp_path / "videos"), episode_trigger=lambda episode: True)
+    env.reset(seed=3)
+    env.step(0)
+    assert len(env.recorded_frames) == 2
+    env.close()
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_first_step_is_filmed_as_it_was_driven(seed):
     env = DuelEnv(

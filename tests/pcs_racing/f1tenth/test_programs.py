@@ -9,6 +9,8 @@ from repository import REPOSITORY
 from situations import place, write_ring
 from warm_start import call_python
 
+from pcs_racing.f1tenth.maps import find_yaml
+
 A = """
 import time
 from argparse import Namespace
@@ -244,6 +246,14 @@ def test_a_program_runs_without_an_edit(program, driven, tmp_path):
     (tmp_path / "program.py").write_text(poses + program)
     done = run("program.py", tmp_path, start_cold if program == C else call_python)
     assert (done.returncode, done.stdout.strip()) == (0, driven), done.stderr
+
+
+def test_a_map_is_found_by_the_name_of_its_folder(tmp_path, monkeypatch):
+    for name in ("Another Ring", "My Ring"):
+        (tmp_path / name).mkdir()
+        write_ring(tmp_path / name)
+    monkeypatch.setenv("PCS_RACING_MAPS", str(tmp_path))
+    assert find_yaml("myring") == tmp_path / "My Ring" / "ring.yaml"
 
 
 @pytest.mark.parametrize("place_of_copy", ["f110_gym/envs", "gym/f110_gym/envs"])
