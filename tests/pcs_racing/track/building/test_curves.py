@@ -107,3 +107,11 @@ def test_samples_are_evenly_spaced_whatever_the_points_and_repeated_ones_do_no_h
         0.1,
         error=ValueError,
     )
+
+
+def test_curvature_is_the_change_of_the_heading_per_metre_also_between_distant_points():
+    t, r = [0.0, 0.3, 1.2, 2.0, 2.4, 3.5, 4.4, 5.5], [5.0, 6.0, 4.0, 6.0, 5.0, 7.0, 5.0, 6.0]
+    samples = curves.sample_closed(np.column_stack([r * np.cos(t), r * np.sin(t)]), 0.02)
+    ds = samples.length / len(samples.xy)
+    turned = (samples.psi[2:] - samples.psi[:-2]) / (2.0 * ds)
+    np.testing.assert_allclose(samples.kappa[1:-1], turned, atol=0.01)
