@@ -291,7 +291,7 @@ MATCHES = [
 @pytest.mark.parametrize(
     ("kind", "arguments", "count", "steps", "min_ends"),
     [
-        *((DriveEnv, arguments, 37, 60, 38) for arguments in DRIVES),
+        *((DriveEnv, arguments, 24, 60, 25) for arguments in DRIVES),
         *((DuelEnv, arguments, 6, 7, 6) for arguments in DUELS),
         *((MatchEnv, arguments, 4, 8, 4) for arguments in MATCHES),
         (DriveHeadToHeadEnv, DRIVES[0], 20, 40, 20),
