@@ -267,7 +267,7 @@ def test_the_pages_of_circuits_and_the_gallery_are_complete(made):
     }
     assert {picture.name for picture in pictures} == wanted, "run: python dev/tools/gallery.py"
     for picture in pictures:
-        assert picture.stat().st_size <= gallery.LARGEST
+        assert picture.stat().st_size <= gallery.MAX_GIF
         assert f"](../{gallery.FOLDER}/{picture.name})" in made["gallery.md"]
     for scene in gallery.SCENES.values():
         assert scene.rule in made["gallery.md"]

@@ -20,7 +20,7 @@ import numpy as np
 
 from pcs_racing import load_track, make_game
 from pcs_racing.base.artifacts import MANIFEST
-from pcs_racing.planners.trained import DRIVER_FORMAT, load_driver, read_driver
+from pcs_racing.planners.trained import PLANNER_FORMAT, load_trained, read_trained
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_agent
 from pcs_racing_agents.base.tables import read_csv, with_interval
@@ -39,7 +39,7 @@ OTHERS = ("Saltmere", "Tarnfjord", "Larkmoor", "Quillburg", "Kestrelheim", "Brac
 DRIVE_RULES = (("paper", "default"), ("contest", "contest"))
 ARMS = ("best-fixed", "cfr-argmax", "response")  # beside a constant move, never-switch and ppo
 OPPONENTS = ("never-switch", "random-moves", "lane-switcher", "cfr-argmax")
-MOST_LINES = 125  # a cell takes eight times as many from the circuit, which has at most 1,000
+MAX_LINES = 125  # a cell takes eight times as many from the circuit, which has at most 1,000
 DRIVERS = ("never-switch", "lane-switcher", "pure-pursuit")
 
 
@@ -79,7 +79,7 @@ def main() -> None:
         for folder in arguments.policies
         or sorted(
             file.parent
-            for kind in (NETWORK_FORMAT, DRIVER_FORMAT)
+            for kind in (NETWORK_FORMAT, PLANNER_FORMAT)
             for file in kind.shipped.glob(f"*/{MANIFEST}")
         )
     ]
@@ -97,7 +97,7 @@ def look_at(folder: Path) -> Shipped | None:
     """What a folder holds, if it is one of our baselines."""
     text = (folder / MANIFEST).read_text(encoding="utf-8")
     if "pcs-racing driver\n" in text:
-        return Shipped(folder, True, read_driver(folder)[1]["training"])
+        return Shipped(folder, True, read_trained(folder)[1]["training"])
     if "pcs-racing network\n" not in text:
         return None
     network = load_network(folder)
@@ -122,7 +122,7 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
     """A driver, and the archive's policies that never change, against drivers under each set of
     rules.
     """
-    driver = as_agent(load_driver(baseline.folder).policy())
+    driver = as_agent(load_trained(baseline.folder).policy())
     columns = (
         "circuit",
         "rules",
@@ -144,7 +144,7 @@ def race_driver(baseline: Shipped, tracks: list[str], arguments: argparse.Namesp
                 opponent = make(name, archive=archive, race=rules)
                 variants = min(arguments.variants, variant_count(game, opponent))
                 draws = {"opponents": variants, "seed": SEED}
-                driven = min(races // variants, MOST_LINES)
+                driven = min(races // variants, MAX_LINES)
                 raced = play_pairing(
                     cross_pairing(game, driver, opponent, egos=1, lines=driven, **draws)
                 )

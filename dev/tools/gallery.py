@@ -34,7 +34,7 @@ CIRCUITS = ("Tarnfjord", "Quillburg")
 FAST, SLOW = "lattice:pace=0.95,overtaking=1", "lattice:pace=0.55"
 SEED = 1
 RACES = 300
-LARGEST = 600_000  # bytes of a GIF
+MAX_GIF = 600_000  # bytes of a GIF
 # For the sheet of drivers: they begin 4 m behind a car with 0.6 of their speed.
 BEHIND = RaceConfig(
     start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.66, 1.1), steering_noise=0.01
@@ -270,9 +270,9 @@ def main() -> None:
             )
             size = path.stat().st_size
             print(f"{path}: race {clip.race}, {clip.time:.1f} s, {size:,} bytes", flush=True)
-            if size > LARGEST:
+            if size > MAX_GIF:
                 raise SystemExit(
-                    f"gallery: {path.name} has {size:,} bytes; at most {LARGEST:,} are allowed"
+                    f"gallery: {path.name} has {size:,} bytes; at most {MAX_GIF:,} are allowed"
                 )
             clips.append(clip)
     write_scenes(clips)

@@ -39,8 +39,8 @@ from pcs_racing.planners.field.lidar_networks import (
     OUTPUTS,
     SEEN,
     flat_weights,
-    load_lidar_driver,
-    save_lidar_driver,
+    load_lidar_planner,
+    save_lidar_planner,
 )
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.registry import get_planner
@@ -318,8 +318,8 @@ def main() -> None:
         for key in ("random", "rounds", "races", "seconds", "steps", "seed")
     }
     name = f"lidar-{arguments.network}"
-    planner = load_lidar_driver(
-        save_lidar_driver(
+    planner = load_lidar_planner(
+        save_lidar_planner(
             arguments.out, arguments.network, model.layers(), name=name, training=about
         )
     )

@@ -25,7 +25,7 @@ from imitate_from_lidar import crashes_alone
 
 from pcs_racing import load_track
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners.field.lidar_networks import load_lidar_driver, save_lidar_driver
+from pcs_racing.planners.field.lidar_networks import load_lidar_planner, save_lidar_planner
 from pcs_racing.planners.field.residual import SCRATCH, SEEN, lay_corrected, observe
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW_SIZE
@@ -249,10 +249,10 @@ def main() -> None:
     model.learn(arguments.steps)
     about = {key: getattr(arguments, key) for key in ("random", "races", "steps", "seed")}
     about["held_out"] = ", ".join(arguments.hold_out)
-    folder = save_lidar_driver(
+    folder = save_lidar_planner(
         arguments.out, "residual", actor_layers(model), name="residual", training=about
     )
-    planner = load_lidar_driver(folder)
+    planner = load_lidar_planner(folder)
     for track in [load_track(name) for name in arguments.tracks]:
         crashes = crashes_alone(track, planner, 20, 40.0)
         note = ", held out" if track.name in arguments.hold_out else ""

@@ -17,7 +17,7 @@ from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
 from pcs_racing.track.frenet import locate
 from pcs_racing.track.track import Track
 
-MOST_BEAMS = 100_000
+MAX_BEAMS = 100_000
 
 
 @compiled
@@ -77,7 +77,7 @@ class Lidar(Settings):
 
     track: Annotated[Track, Checked(_track), "The circuit."]
     beams: Annotated[
-        int, Interval(ge=1, le=MOST_BEAMS), "Number of beams; a single beam points straight ahead."
+        int, Interval(ge=1, le=MAX_BEAMS), "Number of beams; a single beam points straight ahead."
     ] = 1080
     fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
     max_range: Annotated[float, MAX_RANGE, "Maximum range, m."] = 30.0

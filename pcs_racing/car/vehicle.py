@@ -35,7 +35,7 @@ KINEMATIC_BELOW = 0.5  # m/s; the dynamic branch divides by the speed
 ControlMode = Literal["rates", "target"]
 
 COMMAND_PERIOD = 0.02  # s between two steering commands of a race
-MOST_DELAYED = 25  # commands
+MAX_DELAYED = 25  # commands
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class VehicleParams(Settings):
     length: Annotated[float, Interval(ge=0.001, le=100.0), "Length of that rectangle, m."] = 0.58
     steer_delay: Annotated[
         float,
-        Interval(ge=0.0, le=MOST_DELAYED * COMMAND_PERIOD),
+        Interval(ge=0.0, le=MAX_DELAYED * COMMAND_PERIOD),
         MultipleOf(COMMAND_PERIOD),
         "Time by which steering commands are late, s.",
     ] = 0.0

@@ -76,8 +76,8 @@ from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import (
     default_threads,
     drive,
-    driver_error,
     largest_scratch,
+    planner_error,
     pointers_of,
 )
 from pcs_racing.race.kernel import WORK_SIZE
@@ -512,7 +512,7 @@ class DriveBatch:
             try:
                 self._compiled(*arguments)
             except Exception as error:
-                raise driver_error(error, self.setup.car_planners, buffers.work) from error
+                raise planner_error(error, self.setup.car_planners, buffers.work) from error
 
     def _advance_in_python(self, ticks: int) -> None:
         """Advance every race against an opponent in plain Python."""

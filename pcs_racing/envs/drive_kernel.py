@@ -18,7 +18,7 @@ from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to
-from pcs_racing.race.state import LAPS, MOST_CARS, RaceState
+from pcs_racing.race.state import LAPS, MAX_CARS, RaceState
 from pcs_racing.race.steering import steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, TrackArrays, angle_between
 from pcs_racing.track.grid import cast
@@ -29,7 +29,7 @@ OPPONENT_ELEMENTS = 9  # numbers about each opponent; they follow
 
 # Rows: velocity of each car of a race, its gap ahead of the observing car; order of the others.
 _VX, _VY, _GAP, _ORDER = range(4)
-SEEN_SHAPE = (4, MOST_CARS)
+SEEN_SHAPE = (4, MAX_CARS)
 
 # Conditions for the numbers about the opponent.
 NEVER, IN_SIGHT, ALWAYS = 0, 1, 2

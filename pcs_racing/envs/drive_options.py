@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, Checked, OneOf
-from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_RANGE, MOST_BEAMS, Lidar
+from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Lidar
 from pcs_racing.car.lidar_kernel import Beams
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.drive_kernel import Limits, Sight
@@ -23,7 +23,7 @@ from pcs_racing.envs.randomization import EpisodeArguments, EpisodeOptions
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import DT, RaceConfig
-from pcs_racing.race.state import MOST_CARS
+from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
 
 SEE_OPPONENT = ("never", "in sight", "always")
@@ -51,8 +51,8 @@ def _time_step(name: str, value: Any) -> float:
 
 
 def _opponents(name: str, value: Any) -> tuple[Any, ...]:
-    if not isinstance(value, list | tuple) or len(value) >= MOST_CARS:
-        raise InputError(f"{name} is {value!r:.80}; it must list at most {MOST_CARS - 1} opponents")
+    if not isinstance(value, list | tuple) or len(value) >= MAX_CARS:
+        raise InputError(f"{name} is {value!r:.80}; it must list at most {MAX_CARS - 1} opponents")
     return tuple(value)
 
 
@@ -160,7 +160,7 @@ class DriveOptions(EpisodeOptions):
         bool,
         "Whether actions are in [-1, 1]; else they are a steering angle in rad and a speed in m/s.",
     ] = True
-    beams: Annotated[int, Interval(ge=0, le=MOST_BEAMS), "Beams of the lidar; 0 for none."] = 0
+    beams: Annotated[int, Interval(ge=0, le=MAX_BEAMS), "Beams of the lidar; 0 for none."] = 0
     fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
     max_range: Annotated[float, MAX_RANGE, "Longest range that is reported, m."] = 30.0
     lidar_noise: Annotated[
@@ -243,7 +243,7 @@ class HeadToHeadOptions(DriveOptions):
     opponent: Rival = None
     time_step: TimeStep = 0.02
     rivalry: Rivalry = 1.0
-    cars: Annotated[int, Interval(ge=1, le=MOST_CARS), "Cars in a race."] = 2
+    cars: Annotated[int, Interval(ge=1, le=MAX_CARS), "Cars in a race."] = 2
 
 
 def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:

@@ -28,7 +28,7 @@ from pcs_racing.envs.drive_options import (
 )
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.state import MOST_CARS, RaceState
+from pcs_racing.race.state import MAX_CARS, RaceState
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
@@ -234,7 +234,7 @@ def model_policy(
         or (callable(getattr(model, "get_env", None)) and model.get_env() is not None)
     ):
         given = kept_arguments(model.get_env() if like is None else like)
-    number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MOST_CARS)
+    number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MAX_CARS)
     for key in given:
         if key not in (*KEPT, "vehicle"):
             raise InputError(

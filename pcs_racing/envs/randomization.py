@@ -13,7 +13,7 @@ from pcs_racing.base.settings import ANYTHING, Checked, Settings, load_settings,
 from pcs_racing.car.vehicle import (
     COMMAND_PERIOD,
     F1TENTH,
-    MOST_DELAYED,
+    MAX_DELAYED,
     STEER_DELAY,
     VehicleParams,
     load_vehicle,
@@ -42,7 +42,7 @@ class Randomization(Settings):
     ] = None
     steering_delay: Annotated[
         tuple[float, float] | None,
-        number_range(0.0, MOST_DELAYED * COMMAND_PERIOD),
+        number_range(0.0, MAX_DELAYED * COMMAND_PERIOD),
         "Time by which steering commands are late, s; of its multiples of 0.02 s each is as"
         " likely.",
     ] = None
@@ -339,7 +339,7 @@ class EpisodeRandomization:
             "the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes)
         )
         circuits, vehicles, _, boxes = state
-        check_within("the state's steering delays", vehicles[..., STEER_DELAY], 0, MOST_DELAYED)
+        check_within("the state's steering delays", vehicles[..., STEER_DELAY], 0, MAX_DELAYED)
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):

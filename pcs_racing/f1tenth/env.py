@@ -26,7 +26,7 @@ from pcs_racing.f1tenth.simulator import (
     BEAMS,
     DEFAULT_PARAMS,
     FIELD_OF_VIEW,
-    MOST_CARS,
+    MAX_CARS,
     Simulator,
     merged_params,
     warn_of_unknown,
@@ -148,7 +148,7 @@ class F110Env(gymnasium.Env[Any, Any]):
         faithful: Any,
     ) -> None:
         """Check the arguments of both generations, and make the cars."""
-        self.num_agents = check_whole("num_agents", values["num_agents"], 1, MOST_CARS, ConfigError)
+        self.num_agents = check_whole("num_agents", values["num_agents"], 1, MAX_CARS, ConfigError)
         self.ego_idx = check_whole(
             "ego_idx", values["ego_idx"], 0, self.num_agents - 1, ConfigError
         )

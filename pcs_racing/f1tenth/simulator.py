@@ -61,7 +61,7 @@ _ENDS = {
 }
 NOISE = 0.01  # m
 BEAMS, FIELD_OF_VIEW, RANGE = 1080, 4.7, 30.0
-MOST_CARS = 64
+MAX_CARS = 64
 
 
 @compiled

@@ -29,7 +29,7 @@ from pcs_racing.planners.registry import get_planner
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-LARGEST = 1e9
+MAX_COORDINATE = 1e9
 """Max parameter or coordinate of an archive; sums of their squares stay finite."""
 
 
@@ -122,9 +122,9 @@ class PolicyArchive:
         minimum: float | None = None,
     ) -> None:
         given: Any = default if getattr(self, key) is None else getattr(self, key)
-        lowest = -LARGEST if minimum is None else minimum
+        lowest = -MAX_COORDINATE if minimum is None else minimum
         array = check_array(
-            f"archive {self.name!r}: {key}", given, shape, minimum=lowest, maximum=LARGEST
+            f"archive {self.name!r}: {key}", given, shape, minimum=lowest, maximum=MAX_COORDINATE
         )
         array.setflags(write=False)
         object.__setattr__(self, key, array)

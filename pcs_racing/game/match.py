@@ -128,7 +128,7 @@ class MatchGame:
         """
         game, races, count = self.game, self.races, len(keys)
         first = check_policies(game.archive, policies, count)
-        outside, theta = game.outside_drivers((None, opponents), count)
+        outside, theta = game.outside_planners((None, opponents), count)
         bits = np.stack([random_bits(keys, race) for race in range(races)], axis=1)
         drawn = (bits[:, 0, 2:4] % np.uint64(len(game.archive))).astype(np.int64)
         policy = np.where(outside, OUTSIDE, np.where(first == DRAW, drawn, first))

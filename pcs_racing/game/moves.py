@@ -22,7 +22,7 @@ EPSILON = 0.5
 STAY = "stay"
 """Name of the move that keeps the policy; it is the last move, if there is one."""
 
-MOST_NAMES = 24  # max number of moves that an error lists by name
+MAX_NAMES = 24  # max number of moves that an error lists by name
 
 
 def move(
@@ -135,7 +135,7 @@ def check_moves(
     if not wrong.any():
         return given.astype(np.int64)
     by = f"{player}: " if player else ""
-    listed = f" ({', '.join(names)})" if len(names) <= MOST_NAMES else ""
+    listed = f" ({', '.join(names)})" if len(names) <= MAX_NAMES else ""
     known = f"from 0 to {len(names) - 1}{listed}"
     if not fits:
         wanted = f"whole numbers of shape {shape}" if shape else "a whole number"

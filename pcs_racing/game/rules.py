@@ -42,7 +42,13 @@ from pcs_racing.game.observation import (
     observation_elements,
 )
 from pcs_racing.game.reward import reward
-from pcs_racing.game.starting import DRAW, check_policies, driver_parameters, game_keys, random_bits
+from pcs_racing.game.starting import (
+    DRAW,
+    check_policies,
+    game_keys,
+    planner_parameters,
+    random_bits,
+)
 from pcs_racing.game.state import GameState, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
@@ -219,7 +225,7 @@ class RaceGame:
         keys = game_keys(seeds, games, seed)
         count = len(keys)
         first = check_policies(self.archive, policies, count)
-        outside, theta = self.outside_drivers((egos, opponents), count)
+        outside, theta = self.outside_planners((egos, opponents), count)
         if starts is not None and len(starts) != count:
             raise InputError(
                 f"there are {count} games but {len(starts)} starts; give one start for each game"
@@ -246,13 +252,15 @@ class RaceGame:
             put_games(state, again, begin(again, attempt))
         return state
 
-    def outside_drivers(self, given: Sequence[Any], games: int) -> tuple[NDArray[np.bool_], Floats]:
+    def outside_planners(
+        self, given: Sequence[Any], games: int
+    ) -> tuple[NDArray[np.bool_], Floats]:
         """Return which cars have policies from outside the archive, and their parameters.
 
         The shapes are (games, 2) and (games, 2, P).
         """
         drivers = [
-            driver_parameters(
+            planner_parameters(
                 self.archive, self.setup.planners[car], car, drivers, games, self.setup.theta_size
             )
             for car, drivers in enumerate(given)

@@ -56,7 +56,7 @@ def check_policies(
     return indices
 
 
-def driver_parameters(
+def planner_parameters(
     archive: PolicyArchive,
     planner: Planner,
     car: int,

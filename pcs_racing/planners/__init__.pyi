@@ -10,8 +10,8 @@ from .kit import angle_between as angle_between
 from .kit import compiled as compiled
 from .kit import sine_cosine as sine_cosine
 from .kit import to_cartesian as to_cartesian
-from .network import driver_weight_count as driver_weight_count
 from .network import network_planner as network_planner
+from .network import network_weight_count as network_weight_count
 from .planner import Parameter as Parameter
 from .planner import Planner as Planner
 from .planner import Policy as Policy
@@ -44,10 +44,10 @@ __all__ = [
     "Policy",
     "angle_between",
     "compiled",
-    "driver_weight_count",
     "drivers_from",
     "get_planner",
     "network_planner",
+    "network_weight_count",
     "parse_policy",
     "planner_names",
     "register_planner",

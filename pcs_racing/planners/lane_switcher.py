@@ -98,8 +98,8 @@ ZONE = 6  # m of race line without corners ahead, needed on the overtaking lane
 ENTRY = 10  # m of race line without corners and with room for the lane, needed to change to it
 FOLLOW_DISTANCE = 0.9  # m between the cars' centres while crossing behind the opponent
 YIELD = 0.8  # share of the opponent's speed for dropping back behind it
-MOST_OFFSET = 1.0  # max distance between the two lanes, m
-LEAST_OFFSET = 0.45  # min distance, m; without room for it there is no second lane
+MAX_OFFSET = 1.0  # max distance between the two lanes, m
+MIN_OFFSET = 0.45  # min distance, m; without room for it there is no second lane
 SMOOTHING = 1.5  # m to either side, averaged for the lane
 SMOOTHING_POINTS = 7
 CROSSING_SPEED = 1.2  # m/s, lateral speed from lane to lane
@@ -112,7 +112,7 @@ RACE_LINE, OVERTAKING, OWN_PLACE = 0.0, 1.0, 2.0
 # steering target on its way from lane to lane, m from the race line; consecutive decisions with a
 # free race line; max speed while following (below 0: none); the previous error; 1 once the race has
 # begun.
-_LANE, _SIDE, _PLACE, _FREE_COUNT, _MOST_SPEED, _ERROR, _BEGUN = range(7)
+_LANE, _SIDE, _PLACE, _FREE_COUNT, _MAX_SPEED, _ERROR, _BEGUN = range(7)
 MEMORY = 7
 
 
@@ -121,14 +121,14 @@ def lane_offset(track, s, side):
     """Return the distance (m) of the overtaking lane from the race line at an arc length.
 
     The lane lies on one ``side`` (-1 right, 1 left). Where there is room, the lane keeps
-    ``WALL_MARGIN`` to the wall and lies at most ``MOST_OFFSET`` from the race line, averaged over
+    ``WALL_MARGIN`` to the wall and lies at most ``MAX_OFFSET`` from the race line, averaged over
     3 m of track. Without room, the lane runs into the race line.
     """
     column = _frenet.LEFT if side > 0.0 else _frenet.RIGHT
     total = 0.0
     for k in range(SMOOTHING_POINTS):
         at = s + SMOOTHING * (2.0 * k / (SMOOTHING_POINTS - 1) - 1.0)
-        total += min(max(track.line[line_index(track, at), column] - WALL_MARGIN, 0.0), MOST_OFFSET)
+        total += min(max(track.line[line_index(track, at), column] - WALL_MARGIN, 0.0), MAX_OFFSET)
     # The average of a narrowing passage must not reach into its wall.
     room = max(track.line[line_index(track, s), column] - WALL_MARGIN, 0.0)
     return min(total / SMOOTHING_POINTS, room)
@@ -137,7 +137,7 @@ def lane_offset(track, s, side):
 @compiled
 def _room(track, s, side, reach):
     """Return the min offset (m) of the overtaking lane within ``reach`` metres ahead."""
-    least = MOST_OFFSET
+    least = MAX_OFFSET
     for k in range(reach + 1):
         least = min(least, lane_offset(track, s + k, side))
     return least
@@ -183,32 +183,30 @@ def _choose_lane(track, theta, view, memory):
     beside = abs(gap) < view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]
     line_blocked = (ahead or beside) and _blocked(track, theta, view, memory, RACE_LINE)
     memory[_FREE_COUNT] = 0.0 if line_blocked else memory[_FREE_COUNT] + 1.0
-    memory[_MOST_SPEED] = -1.0
+    memory[_MAX_SPEED] = -1.0
     lane = memory[_LANE]
     if lane == OVERTAKING:
-        narrow = gap > 0.0 and _room(track, s, memory[_SIDE], ZONE) < LEAST_OFFSET
+        narrow = gap > 0.0 and _room(track, s, memory[_SIDE], ZONE) < MIN_OFFSET
         if narrow or (ahead and _blocked(track, theta, view, memory, OVERTAKING)):
-            memory[_MOST_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
+            memory[_MAX_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
         elif ahead and side_air(view) < IN_THE_WAY:
             # Still crossing: a speed that leaves the time for it.
-            memory[_MOST_SPEED] = max(
-                view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_DISTANCE), 0.0
-            )
+            memory[_MAX_SPEED] = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - FOLLOW_DISTANCE), 0.0)
         if beside and line_blocked:
             return OVERTAKING
         free = memory[_FREE_COUNT] >= theta[RETURN_COUNT]
         return RACE_LINE if free or narrow or not _in_zone(track, s, ZONE) else OVERTAKING
     if gives_way(view, gap):
-        memory[_MOST_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
+        memory[_MAX_SPEED] = min(theta[FOLLOW_FACTOR], YIELD) * view[_view.OPP_V]
         return OWN_PLACE
     if ahead and line_blocked:
         if _in_zone(track, s, ENTRY):
             right, left = _room(track, s, -1.0, ENTRY), _room(track, s, 1.0, ENTRY)
             memory[_SIDE] = 1.0 if left + view[_view.OWN_D] > right - view[_view.OWN_D] else -1.0
             room = left if memory[_SIDE] > 0.0 else right
-            if room > LEAST_OFFSET and not _blocked(track, theta, view, memory, OVERTAKING):
+            if room > MIN_OFFSET and not _blocked(track, theta, view, memory, OVERTAKING):
                 return OVERTAKING
-        memory[_MOST_SPEED] = theta[FOLLOW_FACTOR] * view[_view.OPP_V]
+        memory[_MAX_SPEED] = theta[FOLLOW_FACTOR] * view[_view.OPP_V]
     return RACE_LINE
 
 
@@ -227,7 +225,7 @@ def _speed(track, theta, view, memory, s):
         * view[_view.SPEED_HIGH]
         * track.line[line_index(track, s), _frenet.SPEED]
     )
-    return min(speed, memory[_MOST_SPEED]) if memory[_MOST_SPEED] >= 0.0 else speed
+    return min(speed, memory[_MAX_SPEED]) if memory[_MAX_SPEED] >= 0.0 else speed
 
 
 @compiled

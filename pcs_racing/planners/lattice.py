@@ -43,7 +43,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pursuit import BRAKING as MOST_BRAKING
+from pcs_racing.planners.pursuit import BRAKING as MAX_BRAKING
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
@@ -177,10 +177,10 @@ MEMORY = 7
 _GOAL_D, _LENGTH, _A, _B, _KAPPA, _MAX_KAPPA, _MEAN_KAPPA, _KAPPA_RATE, _SIDEWAYS = (
     GOALS * k for k in range(9)
 )
-_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _LEAST = (
+_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _MIN_COST = (
     GOALS * k for k in range(9, 17)
 )
-_COSTS = _LEAST + CANDIDATES
+_COSTS = _MIN_COST + CANDIDATES
 _POINT_X = _COSTS + CANDIDATES
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
@@ -287,7 +287,7 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):
         square = line[i, _frenet.SPEED] * line[i, _frenet.SPEED]
         for f in range(1, PROFILES):
             own = scratch[_SCALE + f] * scratch[_SCALE + f] * square
-            scratch[row + f] = min(own, scratch[beyond + f] + 2.0 * MOST_BRAKING)
+            scratch[row + f] = min(own, scratch[beyond + f] + 2.0 * MAX_BRAKING)
         fast = min(top * top * square, lateral / max(abs(line[i, _frenet.KAPPA]), 1e-6))
         # Bends between these metres count by the profile, which never exceeds an attack.
         scratch[row] = (
@@ -797,7 +797,7 @@ def _weigh_candidates(theta, now, steps, scratch):
                 driven, scratch[_LENGTH + g]
             )
             behind = ahead - driven - gained
-            scratch[_LEAST + f * GOALS + g] = (
+            scratch[_MIN_COST + f * GOALS + g] = (
                 speed_cost
                 + w_overtaking * min(max(behind, 0.0), 10.0)
                 + scratch[_BASE + g]
@@ -817,14 +817,14 @@ def _choose(theta, now, start, slack, scratch):
     """
     side_reach = now.body + (theta[SIDE_MARGIN] if now.gives_way else 0.5 * theta[SIDE_MARGIN])
     w_proximity = _power_of_ten(theta[PROXIMITY]) / 6.0
-    first = chosen = np.int64(np.argmin(scratch[_LEAST:_COSTS]))
+    first = chosen = np.int64(np.argmin(scratch[_MIN_COST:_COSTS]))
     best = 1e30
     for k in range(-1, CANDIDATES):
         c = np.int64(first if k < 0 else k)
-        cost = scratch[_LEAST + c]
+        cost = scratch[_MIN_COST + c]
         if cost >= best + slack:
             continue
-        scratch[_LEAST + c] = np.inf
+        scratch[_MIN_COST + c] = np.inf
         if now.meets:
             most = best + slack - cost
             cost += _meet_opponent(
@@ -846,7 +846,7 @@ def _write_path(line, ds, length, view, now, way, scratch, g, f, path):
     s0, grip, reach, per_ds = now.s, now.grip, way.length, 1.0 / ds
     at_scale = scratch[_SCALE + f]
     most = _following_speed(scratch, s0, 0) if now.follows and f == FOLLOWS else np.inf
-    braking = min(BRAKING * grip / GRIP, MOST_BRAKING)  # as in the profile at this scale, limited
+    braking = min(BRAKING * grip / GRIP, MAX_BRAKING)  # as in the profile at this scale, limited
     goal, a, b = scratch[_GOAL_D + g], scratch[_A + g], scratch[_B + g]
     per_length = 1.0 / scratch[_LENGTH + g]
     # Bends beyond the written path: max speeds by braking, from the end of the move backwards.

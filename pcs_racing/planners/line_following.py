@@ -72,7 +72,7 @@ WALL_NEAR, WALL_PUSH = 0.60, 0.30  # m; a wall pushes a nearer lane away, by 0.1
 
 # Share and max of a deviation (m, or slope) that the path forgives: with a path that begins at the
 # car itself, the car would weave.
-FORGIVEN, MOST_FORGIVEN = 0.5, 0.1
+FORGIVEN, MAX_FORGIVEN = 0.5, 0.1
 OFF_LINE = 0.30  # m from the race line; walls do not push a lane beyond it
 ON_LINE = 0.15  # m from the race line; a lane within it is as good as the line itself
 BEND = 3  # points of the lane to either side that give its bend at a point
@@ -235,7 +235,7 @@ def course_off_line(track, view):
 @kernel(forceinline=True)
 def _stray(x):
     """Return a deviation from the lane, less the part that the path forgives."""
-    return x - min(max(FORGIVEN * x, -MOST_FORGIVEN), MOST_FORGIVEN)
+    return x - min(max(FORGIVEN * x, -MAX_FORGIVEN), MAX_FORGIVEN)
 
 
 @inner_kernel

@@ -137,7 +137,7 @@ def make_network_planner(
     )
 
 
-def driver_weight_count(hidden: Sequence[int]) -> int:
+def network_weight_count(hidden: Sequence[int]) -> int:
     """Return the number of weights of a network with these hidden layers."""
     return weight_count((len(INPUTS), *hidden, OUTPUTS))
 
@@ -154,7 +154,7 @@ def network_planner(
     ----------
     hidden : sequence of int
         Widths of the hidden layers, each at least 1; may be empty.
-    weights : array_like, shape (driver_weight_count(hidden),), optional
+    weights : array_like, shape (network_weight_count(hidden),), optional
         Weights of the default policy (:meth:`pcs_racing.base.dense.DenseLayers.flat`): for each
         layer its biases, then for each input the weights to all neurons. By default all are 0,
         which drives straight on at 4 m/s.
@@ -179,10 +179,10 @@ def network_planner(
                 " from 1 on"
             )
     widths = tuple(int(width) for width in hidden)
-    count = driver_weight_count(widths)
+    count = network_weight_count(widths)
     if weights is None and count <= MAX_WEIGHTS:
         weights = np.zeros(count)
-    check_driver(name, (len(INPUTS), *widths, OUTPUTS), weights, hold)
+    check_network_planner(name, (len(INPUTS), *widths, OUTPUTS), weights, hold)
     parameters = tuple(
         Parameter(label, -WEIGHT_LIMIT, WEIGHT_LIMIT, float(value), "weight")
         for label, value in zip(_weight_names(widths), np.asarray(weights, np.float64), strict=True)
@@ -190,7 +190,9 @@ def network_planner(
     return make_network_planner(name, widths, hold, parameters)
 
 
-def check_driver(name: str, sizes: Sequence[int], weights: ArrayLike | None, hold: int) -> None:
+def check_network_planner(
+    name: str, sizes: Sequence[int], weights: ArrayLike | None, hold: int
+) -> None:
     """Check that a network can drive; its name is for messages.
 
     ``sizes`` and ``weights`` are ``sizes`` and ``flat()`` of

@@ -24,7 +24,7 @@ END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
 BEHIND = 2.0  # m: distance behind the other car, and between two tried places on the line
 TRIES = 20
 DRIVES_AGAIN = 1.0  # m/s: below it the last contact goes on, so that pushing a wall is one fault
-MOST_FAULTS = 127
+MAX_FAULTS = 127
 
 
 @inner_kernel
@@ -77,7 +77,7 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):
 def _note(fault, contact, race, car, kind, blamed):
     """Record the kind of a car's contact; count its fault unless the last contact goes on."""
     if blamed and contact[race, car] == _state.NO_CRASH:
-        fault[race, car] = min(fault[race, car] + 1, MOST_FAULTS)
+        fault[race, car] = min(fault[race, car] + 1, MAX_FAULTS)
     contact[race, car] = kind
 
 

@@ -139,7 +139,7 @@ def _drive_compiled(
                 arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work
             )
         except Exception as error:
-            raise driver_error(error, planners, work) from error
+            raise planner_error(error, planners, work) from error
 
     with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
         drivers = pointers_of(planners)
@@ -158,7 +158,7 @@ def _drive_compiled(
         list(pool.map(part, *zip(*pieces, strict=True)))
 
 
-def driver_error(
+def planner_error(
     error: Exception, planners: Sequence[Planner | None], work: NDArray[np.float64]
 ) -> InputError:
     """Return an error with race, car and planner for an exception of a compiled planner."""

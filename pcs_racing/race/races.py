@@ -21,7 +21,7 @@ from pcs_racing.race.driving import drive, kernel_settings, largest_theta, pad_p
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
 from pcs_racing.race.start_places import places_of, split_places
-from pcs_racing.race.state import MOST_CARS, NO_CRASH, RaceState, concatenate, empty_state, take
+from pcs_racing.race.state import MAX_CARS, NO_CRASH, RaceState, concatenate, empty_state, take
 from pcs_racing.track.track import Track
 
 TIE_WITHIN = 0.01  # m of lead
@@ -46,10 +46,10 @@ class RaceSetup:
 
     def __post_init__(self) -> None:
         cars = self.steered + len(self.planners)
-        if not 1 <= cars <= MOST_CARS or len(self.vehicles) not in (0, cars):
+        if not 1 <= cars <= MAX_CARS or len(self.vehicles) not in (0, cars):
             raise InputError(
                 f"there are {cars} planners and {len(self.vehicles)} cars; a race has"
-                f" 1 to {MOST_CARS} planners, and a car for each of them"
+                f" 1 to {MAX_CARS} planners, and a car for each of them"
             )
         object.__setattr__(self, "vehicles", self.vehicles or (F1TENTH,) * cars)
 

@@ -27,7 +27,7 @@ from pcs_racing.race.painting import (
     paint_trails,
 )
 from pcs_racing.race.replay import Replay
-from pcs_racing.race.state import MOST_CARS
+from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.frenet import SPEED
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ class Renderer:
         half_sizes: np.ndarray | None = None,
         fps: float = 20.0,
     ) -> None:
-        cars = len(scene.car_names) if isinstance(scene, Replay) else MOST_CARS
+        cars = len(scene.car_names) if isinstance(scene, Replay) else MAX_CARS
         self.mode, self.view = (
             check_choice("mode", mode, MODES),
             check_choice("view", view, views(cars)),
@@ -141,12 +141,12 @@ class Renderer:
         cars = np.asarray(cars, float)
         if (
             cars.ndim != 2
-            or not 1 <= len(cars) <= MOST_CARS
+            or not 1 <= len(cars) <= MAX_CARS
             or cars.shape[1] != 7
             or not np.all(np.isfinite(cars))
         ):
             raise InputError(
-                f"cars must be finite and have shape (1, 7) to ({MOST_CARS}, 7), got shape"
+                f"cars must be finite and have shape (1, 7) to ({MAX_CARS}, 7), got shape"
                 f" {cars.shape}"
             )
         camera = self._aim(cars)

@@ -16,7 +16,7 @@ from pcs_racing.base import packing
 from pcs_racing.base.checks import check_number, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
-from pcs_racing.race.state import MOST_CARS
+from pcs_racing.race.state import MAX_CARS
 
 _MAX_NUMBER = 1e9
 _MAX_TEXT = 500
@@ -75,13 +75,8 @@ class Replay:
         """Copy and check all fields once, so that no other code has to check them."""
         for name in ("title", "track_name", "outcome"):
             _check_text(getattr(self, name), name)
-        if (
-            not isinstance(self.car_names, tuple | list)
-            or not 1 <= len(self.car_names) <= MOST_CARS
-        ):
-            raise InputError(
-                f"car_names must be 1 to {MOST_CARS} names, got {self.car_names!r:.80}"
-            )
+        if not isinstance(self.car_names, tuple | list) or not 1 <= len(self.car_names) <= MAX_CARS:
+            raise InputError(f"car_names must be 1 to {MAX_CARS} names, got {self.car_names!r:.80}")
         count = len(self.car_names)
         for name in self.car_names:
             _check_text(name, "car_names")

@@ -52,7 +52,7 @@ ALLOWED = (0.01, 0.02, 0.03)
 ENOUGH, ENOUGH_OF_A_SIDE = 40, 12  # min numbers of places
 BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # max places and pairs of paces for the gain of a side
 CRASH_PAIRS = 1500  # pairs of policies whose crashes are counted, in two races each
-FEWEST = 8  # min number of places for a spacing
+MIN_PLACES = 8  # min number of places for a spacing
 NEIGHBOURS = 1  # places before and after a place that are averaged with it
 BLOCK = 1.0  # m: length of the stretches that alternate between training and test
 BATCH = 64  # places driven at once
@@ -218,7 +218,7 @@ def fit_places(
             found = {name: fit & side for name, side in sides.items()}
             counts = [np.count_nonzero(here) for here in found.values()]
             enough = sum(counts) >= ENOUGH and min(counts) >= ENOUGH_OF_A_SIDE
-            if enough or (allowed == ALLOWED[-1] and sum(counts) >= FEWEST):
+            if enough or (allowed == ALLOWED[-1] and sum(counts) >= MIN_PLACES):
                 places = {name: stretches_of(here) for name, here in found.items() if here.any()}
                 share = 0.5
                 if len(places) == 2:

@@ -34,7 +34,7 @@ NO_LAP = -1.0
 
 NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 
-MOST_CARS = 8
+MAX_CARS = 8
 
 
 class RaceState(NamedTuple):

@@ -5,7 +5,7 @@ from pathlib import Path
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.planners.trained import NAME, load_driver, read_driver
+from pcs_racing.planners.trained import NAME, load_trained, read_trained
 from pcs_racing_agents.agents.agent import Driver
 from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.zoo import Entry
@@ -52,8 +52,8 @@ def trained_driver(
     network : str or Path, optional
         Another network: the name of a shipped one or its folder.
     """
-    planner = get_planner(NAME) if network is None else load_driver(network)
-    _, manifest = read_driver(NAME if network is None else network)
+    planner = get_planner(NAME) if network is None else load_trained(network)
+    _, manifest = read_trained(NAME if network is None else network)
     facts = {
         "network": manifest["name"],
         "trained on": training_text(manifest["training"]),

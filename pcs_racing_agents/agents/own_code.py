@@ -85,7 +85,7 @@ def _is_module(name: str) -> bool:
         return False
 
 
-def parse_driver(text: str) -> Policy:
+def parse_own_policy(text: str) -> Policy:
     """Return the policy that a text names: as :func:`pcs_racing.parse_policy`, or user code."""
     if is_model(text):
         from pcs_racing_agents.agents.sb3_files import load_model

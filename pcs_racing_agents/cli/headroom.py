@@ -9,7 +9,7 @@ import numpy as np
 
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.track.loading import as_track, load_track
-from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.tables import aligned, write_csv
@@ -61,7 +61,7 @@ class PoolOptions:
         if self.policies:
             names, policies = (
                 list(self.policies),
-                tuple(parse_driver(text) for text in self.policies),
+                tuple(parse_own_policy(text) for text in self.policies),
             )
         else:
             archive = load_archive(archive_for(self.archive, self.rules.config()))

@@ -20,7 +20,7 @@ from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay, save_replay
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
@@ -94,7 +94,7 @@ def run(
 def _policy(option: str, text: str) -> Policy:
     """Read a policy; the error for an agent names the command for agents."""
     try:
-        return parse_driver(text)
+        return parse_own_policy(text)
     except UnknownNameError:
         name = split_name(text)[0]
         if name in planner_names() or (name not in AGENTS and not name.startswith("always-")):

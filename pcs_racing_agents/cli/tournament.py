@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
@@ -67,7 +67,7 @@ def run(
     config = rules.config()
     plan = plan_tournament(
         [load_track(name) for name in track],
-        [*agents, *(parse_driver(text) for text in policies)],
+        [*agents, *(parse_own_policy(text) for text in policies)],
         config,
         archive=archive_for(archive, config),
         races_per_pair=races,

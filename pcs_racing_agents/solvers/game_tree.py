@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CHANCE_TOLERANCE = 1e-9
-LARGEST = 1e100  # max payoff: sums and products stay finite
+MAX_PAYOFF = 1e100  # max payoff: sums and products stay finite
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +70,11 @@ class GameTree:
                 f"chance has shape {weights.shape}; payoffs of {len(table)} roots need"
                 f" ({len(table)},)"
             )
-        wrong = np.argwhere(~(np.abs(table) <= LARGEST))
+        wrong = np.argwhere(~(np.abs(table) <= MAX_PAYOFF))
         if len(wrong):
             place = tuple(int(i) for i in wrong[0][0 if chance is not None else 1 :])
             raise InputError(
-                f"payoff {place} is {table[tuple(wrong[0])]}; it must lie within +-{LARGEST:g}"
+                f"payoff {place} is {table[tuple(wrong[0])]}; it must lie within +-{MAX_PAYOFF:g}"
             )
         if not (weights >= 0.0).all() or abs(weights.sum() - 1.0) > CHANCE_TOLERANCE:
             raise InputError(

@@ -25,7 +25,7 @@ from pcs_racing_agents.solvers.rational_games import solve_rationally
 TOLERANCE = 1e-14
 """Min reduced cost of a move, in units of the payoffs' range, for another simplex step."""
 
-SMALLEST_PIVOT = 1e-11
+MIN_PIVOT = 1e-11
 """Min pivot, in units of the payoffs' range."""
 
 GOOD_GAP = 1e-12
@@ -242,7 +242,7 @@ def _leaving(table, labels, a, c, enter, bland):
     row, best = -1, np.inf
     for i in range(a):
         size = table[i, enter]
-        if size > SMALLEST_PIVOT:
+        if size > MIN_PIVOT:
             ratio = max(table[i, c], 0.0) / size
             if row < 0 or ratio < best - 1e-13:
                 row, best = i, ratio

@@ -10,7 +10,7 @@ from warm_start import call_python
 
 from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.field.lidar_networks import read_lidar_driver
+from pcs_racing.planners.field.lidar_networks import read_lidar_planner
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.game_spec import make_game_spec
@@ -169,7 +169,7 @@ def test_a_lidar_driver_is_trained(tmp_path, script):
     )
     assert re.search(r"^Pipkin: own crashes alone in 40 s [\d.]+$", out, re.M)
     assert re.search(r"^Tarnfjord: own crashes alone in 40 s [\d.]+, held out$", out, re.M)
-    assert read_lidar_driver(tmp_path / "made")[0] in ("lidar-cnn", "residual")
+    assert read_lidar_planner(tmp_path / "made")[0] in ("lidar-cnn", "residual")
 
 
 def test_ppo_against_cfr(tmp_path):

@@ -36,7 +36,7 @@ from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
-from pcs_racing.planners.trained import load_driver
+from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.replay import read_replay, replay_page
 from pcs_racing.track.maps import read_map
@@ -301,7 +301,7 @@ KINDS = {
     ),
     "driver": Kind(
         shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
-        lambda file: load_driver(file.parent),
+        lambda file: load_trained(file.parent),
     ),
     "fit": Kind(
         shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
@@ -443,7 +443,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     """Whatever else is to run code must be added here, where a reader sees it."""
     doors = {
         "own_code",
-        "parse_driver",
+        "parse_own_policy",
         "run_file",
         "driver_classes",
         "drivers_from",
@@ -464,10 +464,10 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
         "pcs_racing_agents/cli/benchmark.py": {"load_entrant"},
         "pcs_racing_agents/cli/explain.py": {"plan_tournament True"},
-        "pcs_racing_agents/cli/headroom.py": {"parse_driver"},
+        "pcs_racing_agents/cli/headroom.py": {"parse_own_policy"},
         "pcs_racing_agents/cli/learn.py": {"parse_agent True"},
-        "pcs_racing_agents/cli/race.py": {"parse_driver"},
-        "pcs_racing_agents/cli/tournament.py": {"parse_driver", "plan_tournament True"},
+        "pcs_racing_agents/cli/race.py": {"parse_own_policy"},
+        "pcs_racing_agents/cli/tournament.py": {"parse_own_policy", "plan_tournament True"},
         "pcs_racing_agents/cli/view.py": {"parse_agent True"},
     }
     importers = {

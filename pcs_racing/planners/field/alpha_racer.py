@@ -87,7 +87,7 @@ _POINTS = (0.5 + np.arange(SAMPLES)[:, None] / np.cumprod(np.full(NUMBERS, _ROOT
 _F, _T, _SHIFT, _RANGE, _BLOCK = range(NUMBERS)
 
 STEPS, STEP, FINE = 12, 0.25, 0.08  # number, length in the game and in the driven plan (s)
-MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
+MAX_ACCELERATION, MAX_BRAKING = 6.0, 4.5  # m/s^2
 COLLISION, WALL, KEPT = 15.0, 4.0, 0.3  # m: costs, and the bonus of the last choice
 BEHIND = 6.0  # max distance of a blocked car behind, m
 SIGHT = 12.0  # max distance of the opponent in the game, m
@@ -200,7 +200,7 @@ def _step(
     )
     if gap > 0.0 and abs(other_d - d) < wide:
         wanted = min(wanted, max(other_v + theta[_P] * (gap - theta[_GAP]), 0.0))
-    v = max(min(wanted, v + dt * MOST_ACCELERATION), v - dt * MOST_BRAKING, 0.0)
+    v = max(min(wanted, v + dt * MAX_ACCELERATION), v - dt * MAX_BRAKING, 0.0)
     off = d < here[_RIGHT] - 0.05 or d > here[_LEFT] + 0.05
     cost = theta[SIDE] * abs(d - home) / STEPS + (WALL / STEPS if off else 0.0)
     return s + dt * v / stretch, v, d, rate, cost

@@ -74,7 +74,7 @@ _PACE, ROUNDS, SENSITIVITY, LINE, ACCELERATION, SIDE, WALL_AIR, OPPONENT_AIR, FO
 STEPS, STEP = 15, 0.2  # number, length in s
 STEEP = 20.0  # cost per squared metre of missing clearance to the other car or a wall
 PASSES = 3  # iterations over the penalties of one response
-MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2 along the track
+MAX_ACCELERATION, MAX_BRAKING = 6.0, 4.5  # m/s^2 along the track
 SIGHT = 25.0  # max distance of a considered opponent, m
 IMPOSSIBLE = 1e3
 
@@ -100,8 +100,8 @@ def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):
     s = at
     for k in range(STEPS):
         profile = scale * track.line[line_index(track, s_from + s), _frenet.SPEED]
-        slowest = max(v - STEP * MOST_BRAKING, 0.0)
-        v = max(min(v + STEP * MOST_ACCELERATION, profile), slowest)
+        slowest = max(v - STEP * MAX_BRAKING, 0.0)
+        v = max(min(v + STEP * MAX_ACCELERATION, profile), slowest)
         if blocked:
             # Stay behind at this step, and able to follow the other car's braking.
             v = max(min(v, (other[k] - keep_back - s) / STEP), slowest)

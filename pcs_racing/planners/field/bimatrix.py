@@ -50,7 +50,7 @@ SPEEDS = 2  # speed of the profile, and speed of following
 PART = 0.8  # factor of the speed for a car that follows though it is ahead
 MOVES = PLACES * SPEEDS
 STEPS, STEP = 8, 0.25  # number, length in s
-MOST_ACCELERATION, MOST_BRAKING = 6.0, 4.5  # m/s^2
+MAX_ACCELERATION, MAX_BRAKING = 6.0, 4.5  # m/s^2
 GRIP = 1.3 * _line.GRIP  # m/s^2 across the track
 COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and the bonus of the last choice
 SIGHT = 12.0  # max distance of the opponent in the game, m
@@ -78,7 +78,7 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
         for k in range(STEPS):
             wanted = min(scale * sample[_frenet.SPEED], follow if move >= PLACES else np.inf)
             speed = max(
-                min(wanted, speed + STEP * MOST_ACCELERATION), speed - STEP * MOST_BRAKING, 0.0
+                min(wanted, speed + STEP * MAX_ACCELERATION), speed - STEP * MAX_BRAKING, 0.0
             )
             along += STEP * speed
             u = min((along - begin) / reach, 1.0)

@@ -71,7 +71,7 @@ SETS = OFFSETS * DURATIONS * SPEEDS
 CHECKS = 10  # checked points of a trajectory
 SIGHT = 20.0  # max distance of a predicted opponent, m
 SOON = 0.5  # initial time without full clearance to the opponent, s
-MOST_ACCELERATION, MOST_BRAKING = 10.0, 7.0  # m/s^2 along the track
+MAX_ACCELERATION, MAX_BRAKING = 10.0, 7.0  # m/s^2 along the track
 
 # Memory: flag of a plan, its race time, duration, quintic and quartic (powers of time 0 to 5).
 _VALID, _BEGUN, _DURATION, _QUINTIC, _QUARTIC = 0, 1, 2, 3, 9
@@ -170,7 +170,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):
         t = duration * k / CHECKS
         d = _at(c, t)
         s, v, a = _at(along, t), _rate(along, t), _bend(along, t)
-        if a > MOST_ACCELERATION or a < -MOST_BRAKING or v < 0.0:
+        if a > MAX_ACCELERATION or a < -MAX_BRAKING or v < 0.0:
             return False
         sample = track.line[line_index(track, view[_view.OWN_S] + s)]
         if abs(d) > _line.ON_LINE and (
@@ -205,7 +205,7 @@ def plan(track, theta, view, memory, scratch, path):
     a0 = 0.0
     if memory[_VALID] > 0.0:
         a0 = _bend(memory[_QUARTIC:], min(view[_view.TIME] - memory[_BEGUN], memory[_DURATION]))
-        a0 = min(max(a0, -MOST_BRAKING), MOST_ACCELERATION)
+        a0 = min(max(a0, -MAX_BRAKING), MAX_ACCELERATION)
     c, along, lane = scratch[_D:_S], scratch[_S:_OPP], scratch[_LANE:SCRATCH]
     opp_share = view[_view.OPP_V] / track.line[line_index(track, s0 + gap), _frenet.SPEED]
     for n in range(DURATIONS):

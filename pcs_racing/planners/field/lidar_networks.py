@@ -42,7 +42,7 @@ from pcs_racing.planners.field import residual as _residual
 from pcs_racing.planners.line_following import lane_step, speed_scale
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import FIELD_OF_VIEW, MAX_RANGE, WORK, scan_beams, sine_tables
-from pcs_racing.planners.trained import DRIVER_FORMAT
+from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing.planners.view import PATH_POINTS
 
 # Dense layers on parts of the input; both kernels take a layer's numbers in the order of
@@ -99,7 +99,7 @@ SEEN = BEAMS + 4  # inputs: beams from right to left; speed, yaw rate, steering,
 OUTPUTS = 4  # slope and bend of the path, speeds nearby and farther on
 NEAR, FAR = 3, 7  # path points with these speeds
 SLOWEST = 0.5  # m/s
-KINDS, MOST = ("weight", "bias"), 100.0
+KINDS, MAX_WEIGHT = ("weight", "bias"), 100.0
 _STEP = FIELD_OF_VIEW / (BEAMS - 1)
 _ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 _SIN, _COS = sine_tables(_ANGLES)
@@ -132,11 +132,11 @@ VARIANTS = {"calm": {"speed_share": 0.8}, "fast": {"speed_share": 0.95}}
 LIDAR_FORMAT = ArtifactFormat(
     "lidar driver",
     ("name", "network", "beams", "training", "weights_sha256"),
-    "save_lidar_driver",
-    data_file=DRIVER_FORMAT.data_file,
+    "save_lidar_planner",
+    data_file=PLANNER_FORMAT.data_file,
     digest_key="weights_sha256",
-    max_bytes=DRIVER_FORMAT.max_bytes,
-    shipped=DRIVER_FORMAT.shipped,
+    max_bytes=PLANNER_FORMAT.max_bytes,
+    shipped=PLANNER_FORMAT.shipped,
 )
 
 
@@ -210,7 +210,7 @@ def _plan(network: str, frozen: bytes) -> Any:
     return plan
 
 
-def save_lidar_driver(
+def save_lidar_planner(
     folder: str | Path,
     network: str,
     layers: Sequence[Any],
@@ -259,10 +259,10 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
         shapes |= {f"layers.{i}.weight": (above, below), f"layers.{i}.bias": (above,)}
     found = {key: tensor.shape for key, tensor in tensors.items()}
     if found != shapes or not all(
-        t.dtype == np.float32 and (np.abs(t) <= MOST).all() for t in tensors.values()
+        t.dtype == np.float32 and (np.abs(t) <= MAX_WEIGHT).all() for t in tensors.values()
     ):
         raise InputError(
-            f"{folder}: a network {network!r} has float32 weights within {MOST:g} of the shapes"
+            f"{folder}: a network {network!r} has float32 weights within {MAX_WEIGHT:g} of the shapes"
             f" {shapes}"
         )
     return flat_weights(
@@ -273,7 +273,7 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
     )
 
 
-def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
+def read_lidar_planner(source: str | Path) -> tuple[str, str, NDArray[np.float64]]:
     """Return name, network and weights of a lidar planner, from its shipped name or its folder."""
     folder = LIDAR_FORMAT.find(source)
     fields, content = LIDAR_FORMAT.load(folder)
@@ -289,9 +289,9 @@ def read_lidar_driver(source: str | Path) -> tuple[str, str, NDArray[np.float64]
     return fields["name"], fields["network"], flat
 
 
-def load_lidar_driver(source: str | Path) -> Planner:
-    """Return a lidar planner; source and errors as for :func:`read_lidar_driver`."""
-    name, network, flat = read_lidar_driver(source)
+def load_lidar_planner(source: str | Path) -> Planner:
+    """Return a lidar planner; source and errors as for :func:`read_lidar_planner`."""
+    name, network, flat = read_lidar_planner(source)
     residual = network == "residual"
     known = _residual.PARAMETERS if residual else PARAMETERS
     return Planner(
@@ -310,5 +310,5 @@ def __getattr__(name: str) -> Any:
     """Return ``LIDAR_CNN``, ``LIDAR_GRU`` or ``RESIDUAL``, shipped planners loaded at first use."""
     if name not in ("LIDAR_CNN", "LIDAR_GRU", "RESIDUAL"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = load_lidar_driver(name.lower().replace("_", "-"))
+    globals()[name] = load_lidar_planner(name.lower().replace("_", "-"))
     return globals()[name]

@@ -98,7 +98,7 @@ GRIP = 6.0  # free lateral acceleration up to speed scale 1, above it by its squ
 GRIP_WEIGHT = 4.0
 WALL_AIR = 0.30  # clearance below which a wall costs, m
 CRASH = 300.0
-MOST_KAPPA, MOST_NOISE, MOST_BRAKING, MOST_ACCELERATION = 1.2, 0.3, 5.5, 6.0
+MAX_KAPPA, MAX_NOISE, MAX_BRAKING, MAX_ACCELERATION = 1.2, 0.3, 5.5, 6.0
 CELL, CELLS = 0.25, 128  # length (m) and number of the copied cells of the race line ahead
 
 _TABLE = 4096
@@ -172,9 +172,9 @@ def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a
     for i in range(np.uint64(SAMPLES)):
         drawn_kappa, drawn_a = kappas[i], accelerations[i]
         extra = kappa0 + sd_kappa * drawn_kappa
-        a = min(max(a0 + sd_a * drawn_a, -MOST_BRAKING), MOST_ACCELERATION)
+        a = min(max(a0 + sd_a * drawn_a, -MAX_BRAKING), MAX_ACCELERATION)
         cell = np.uint64(min(s_[i] * (1.0 / CELL), CELLS - 1.0))
-        kappa = min(max(line_kappa[cell] + extra, -MOST_KAPPA), MOST_KAPPA)
+        kappa = min(max(line_kappa[cell] + extra, -MAX_KAPPA), MAX_KAPPA)
         change = extra - k_[i]
         s, d, e, v = _advance(s_[i], d_[i], e_[i], v_[i], kappa, a, line_kappa[cell])
         s_[i], d_[i], e_[i], v_[i], k_[i] = s, d, e, v, extra
@@ -225,8 +225,8 @@ def _drive_plan(track, view, d, e, memory, along, across, speeds):
     s, v = 0.0, max(view[_view.OWN_V], 0.1)
     for k in range(STEPS):
         line_kappa = track.line[line_index(track, view[_view.OWN_S] + s), _frenet.KAPPA]
-        kappa = min(max(line_kappa + memory[_KAPPAS + k], -MOST_KAPPA), MOST_KAPPA)
-        a = min(max(memory[_ACCELERATIONS + k], -MOST_BRAKING), MOST_ACCELERATION)
+        kappa = min(max(line_kappa + memory[_KAPPAS + k], -MAX_KAPPA), MAX_KAPPA)
+        a = min(max(memory[_ACCELERATIONS + k], -MAX_BRAKING), MAX_ACCELERATION)
         s, d, e, v = _advance(s, d, e, v, kappa, a, line_kappa)
         along[k], across[k], speeds[k] = s, d, v
 
@@ -252,7 +252,7 @@ def plan(track, theta, view, memory, scratch, path):
     for k in range(STEPS):
         memory[_KAPPAS + k] = memory[_KAPPAS + k + 1] if k < STEPS - 1 else 0.0
         memory[_ACCELERATIONS + k] = memory[_ACCELERATIONS + k + 1] if k < STEPS - 1 else 0.0
-    sd_kappa = min(theta[LATERAL_NOISE] / (v0 * v0), MOST_NOISE)
+    sd_kappa = min(theta[LATERAL_NOISE] / (v0 * v0), MAX_NOISE)
     for i in range(SAMPLES):
         scratch[_S + i], scratch[_D + i], scratch[_E + i], scratch[_V + i] = 0.0, d0, e0, v0
         scratch[_K + i], scratch[_COST + i] = before, 0.0

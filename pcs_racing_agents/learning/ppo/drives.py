@@ -33,7 +33,7 @@ from pcs_racing.planners.network import (
 )
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy
-from pcs_racing.planners.trained import save_driver
+from pcs_racing.planners.trained import save_trained
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.config import DT, RaceConfig, load_race_config
 from pcs_racing.race.kernel import fill_view
@@ -172,7 +172,7 @@ class DriveTask:
 
     def save(self, layers: DenseLayers, folder: Path, name: str, about: Mapping[str, Any]) -> Path:
         """Write a policy as the files of a network planner."""
-        return save_driver(folder, layers, name=name, hold=self.settings.hold, training=about)
+        return save_trained(folder, layers, name=name, hold=self.settings.hold, training=about)
 
 
 @cache

@@ -69,7 +69,7 @@ def test_the_overtaking_lane_is_smooth_and_keeps_off_the_walls(name, side):
     s = np.arange(0.0, track.length, 0.1)
     offset = np.array([switcher.lane_offset(track.arrays, at, side) for at in s])
     assert (offset >= 0.0).all()
-    assert (offset <= switcher.MOST_OFFSET).all()
+    assert (offset <= switcher.MAX_OFFSET).all()
     room = track.line[(s / track.arrays.ds).astype(int), LEFT if side > 0.0 else RIGHT]
     assert (offset <= np.maximum(room - WALL_MARGIN, 0.0) + 1e-9).all()
     assert np.quantile(offset, 0.75) > 0.4
@@ -92,9 +92,7 @@ def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_cr
     )
     changing = decide(oval, view_at(oval, STRAIGHT, gap=2.0, opp_speed=2.0))
     near, far = (
-        decide(oval, view_at(oval, STRAIGHT, gap=gap, opp_speed=2.0), changing)[
-            switcher._MOST_SPEED
-        ]
+        decide(oval, view_at(oval, STRAIGHT, gap=gap, opp_speed=2.0), changing)[switcher._MAX_SPEED]
         for gap in (1.0, 2.0)
     )
     assert 2.0 < near < far < 4.0
@@ -103,7 +101,7 @@ def test_it_changes_lanes_where_it_is_blocked_and_closes_up_no_faster_than_it_cr
         view_at(oval, STRAIGHT, 0.6 * changing[switcher._SIDE], gap=1.0, opp_speed=2.0),
         changing,
     )
-    assert across[switcher._MOST_SPEED] < 0.0
+    assert across[switcher._MAX_SPEED] < 0.0
 
 
 def test_its_speed_is_a_share_of_the_fastest_and_less_on_the_overtaking_lane(oval, view_at):
@@ -129,20 +127,20 @@ def test_it_stays_on_the_race_line_when_nobody_blocks_it(oval, view_at):
     ]:
         memory = decide(oval, view_at(oval, STRAIGHT, opp_speed=2.0, **view))
         assert memory[switcher._LANE] == switcher.RACE_LINE, what
-        assert memory[switcher._MOST_SPEED] < 0.0
+        assert memory[switcher._MAX_SPEED] < 0.0
 
 
 def test_it_follows_in_corners_and_where_both_lanes_are_blocked(oval, view_at):
     view = view_at(oval, STRAIGHT, gap=2.0, opp_d=0.35, opp_speed=2.0)
     wide = decide(oval, view, parameters={"blocking_distance": 0.6})
     assert wide[switcher._LANE] == switcher.RACE_LINE
-    assert wide[switcher._MOST_SPEED] == pytest.approx(1.6)
+    assert wide[switcher._MAX_SPEED] == pytest.approx(1.6)
     track = load_track("Kestrelheim")
     corner = float(np.argmax(np.abs(track.line[:, 5])) * track.arrays.ds)
     view = view_at(track, corner - 2.0, gap=1.5, opp_speed=2.0)
     memory = decide(track, view)
     assert memory[switcher._LANE] == switcher.RACE_LINE
-    assert memory[switcher._MOST_SPEED] == pytest.approx(0.8 * 2.0)
+    assert memory[switcher._MAX_SPEED] == pytest.approx(0.8 * 2.0)
     assert command(track, view, memory)[0][1] <= max(1.6, view[4] - 0.55) + 1e-9
 
 

@@ -22,21 +22,21 @@ def pairs(network: str) -> list:
 
 @pytest.fixture
 def folder(tmp_path):
-    return networks.save_lidar_driver(
+    return networks.save_lidar_planner(
         tmp_path / "mine", "gru", pairs("gru"), name="mine", training={"rounds": 7}
     )
 
 
 @pytest.mark.parametrize("network", sorted(networks.LAYERS))
 def test_what_is_written_is_read(tmp_path, network):
-    folder = networks.save_lidar_driver(
+    folder = networks.save_lidar_planner(
         tmp_path / "mine", network, pairs(network), name="mine", training={}
     )
-    name, kind, flat = networks.read_lidar_driver(folder)
+    name, kind, flat = networks.read_lidar_planner(folder)
     assert (name, kind) == ("mine", network)
     np.testing.assert_array_equal(flat, networks.flat_weights(pairs(network)))
-    planner = networks.load_lidar_driver(folder)
-    assert planner.plan is networks.load_lidar_driver(folder).plan  # compiled once
+    planner = networks.load_lidar_planner(folder)
+    assert planner.plan is networks.load_lidar_planner(folder).plan  # compiled once
     assert planner.parameter_names[1] == "speed_share"
 
 
@@ -111,7 +111,7 @@ def test_outputs_are_laid_as_a_path_in_the_frame_of_the_car(oval, view_at):
 def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
     file = folder / "manifest.yaml"
     file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **changes}))
-    refused(message, networks.load_lidar_driver, folder)
+    refused(message, networks.load_lidar_planner, folder)
 
 
 def test_weights_that_do_not_fit_are_refused(tmp_path):
@@ -124,7 +124,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
         wrong = [*layers[:2], (weight, layers[2][1])]
         refused(
             "has float32 weights",
-            networks.save_lidar_driver,
+            networks.save_lidar_planner,
             tmp_path / "x",
             "gru",
             wrong,
@@ -134,7 +134,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
     assert not (tmp_path / "x").exists()
     refused(
         "unknown lidar driver 'nobody'",
-        networks.load_lidar_driver,
+        networks.load_lidar_planner,
         "nobody",
         error=UnknownNameError,
     )

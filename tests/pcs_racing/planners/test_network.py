@@ -7,9 +7,9 @@ from refusal import refused
 from pcs_racing.planners.network import (
     INPUTS,
     TOP_SPEED,
-    driver_weight_count,
     network_inputs,
     network_planner,
+    network_weight_count,
 )
 from pcs_racing.planners.view import OPP_D, OPP_V, OWN_D, OWN_V, STEER_MAX
 
@@ -38,7 +38,7 @@ def forward(hidden, weights, x):
 @pytest.mark.parametrize("hidden", [(), (5,), (16,), (7, 3, 20)])
 def test_the_compiled_network_is_the_networks_formula(oval, view_at, hidden):
     rng = np.random.default_rng(len(hidden))
-    weights = rng.normal(0.0, 0.5, driver_weight_count(hidden))
+    weights = rng.normal(0.0, 0.5, network_weight_count(hidden))
     planner = network_planner("net", hidden, weights)
     view = view_at(oval, 5.0, 0.3, turned=0.1, gap=2.0, opp_d=-0.2, opp_speed=3.0)
     command, scratch = np.full(2, np.nan), np.full(planner.scratch_size, np.nan)
@@ -53,7 +53,7 @@ def test_the_compiled_network_is_the_networks_formula(oval, view_at, hidden):
 
 def test_parameters_are_the_weights_and_must_fit():
     planner = network_planner("net", (3,), np.linspace(-1.0, 1.0, 59))
-    assert driver_weight_count((3,)) == (16 + 1) * 3 + (3 + 1) * 2 == len(planner.parameters)
+    assert network_weight_count((3,)) == (16 + 1) * 3 + (3 + 1) * 2 == len(planner.parameters)
     assert planner.parameter_names[0] == "layer0_bias_neuron0"
     assert planner.parameter_names[3] == "layer0_speed_neuron0"
     assert planner.parameter_names[-1] == "layer1_neuron2_neuron1"

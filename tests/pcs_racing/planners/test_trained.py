@@ -12,7 +12,7 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners import trained
 from pcs_racing.planners.network import INPUTS, network_planner
-from pcs_racing.planners.trained import load_driver, read_driver, save_driver, trained_planner
+from pcs_racing.planners.trained import load_trained, read_trained, save_trained, trained_planner
 from pcs_racing.planners.view import TIME, VIEW_SIZE
 
 
@@ -22,17 +22,17 @@ def layers(*hidden: int) -> DenseLayers:
 
 @pytest.fixture
 def folder(tmp_path):
-    return save_driver(tmp_path / "mine", layers(6), name="mine", hold=4, training={"steps": 7})
+    return save_trained(tmp_path / "mine", layers(6), name="mine", hold=4, training={"steps": 7})
 
 
 def test_what_is_written_is_read_and_compiled_once(folder):
-    found, manifest = read_driver(folder)
+    found, manifest = read_trained(folder)
     np.testing.assert_array_equal(found.flat(), layers(6).flat())
     assert manifest["training"] == {"steps": 7}
-    planner = load_driver(folder)
+    planner = load_trained(folder)
     assert (planner.name, planner.parameters, planner.sight) == ("mine", (), 8.0)
-    assert load_driver(folder).control is trained_planner("other", layers(6), 4).control
-    assert load_driver(folder).control is not trained_planner("mine", layers(6), 2).control
+    assert load_trained(folder).control is trained_planner("other", layers(6), 4).control
+    assert load_trained(folder).control is not trained_planner("mine", layers(6), 2).control
 
 
 @pytest.mark.parametrize("hidden", [(), (6,), (5, 3)])
@@ -76,18 +76,18 @@ def test_a_decision_is_that_of_the_network_planner_and_holds(oval, view_at, hidd
 def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
     file = folder / "manifest.yaml"
     file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **changes}))
-    refused(message, load_driver, folder)
+    refused(message, load_trained, folder)
 
 
 def test_files_and_layers_that_are_no_driver_are_refused(folder, tmp_path):
     content = (folder / "weights.safetensors").read_bytes()
     (folder / "weights.safetensors").write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
-    refused("its digest differs", load_driver, folder)
+    refused("its digest differs", load_trained, folder)
     with pytest.raises(
         UnknownNameError, match="unknown driver 'nobody': neither a folder nor one of those shipped"
     ):
-        load_driver("nobody")
-    refused(r"can't read .*manifest\.yaml", load_driver, tmp_path)
+        load_trained("nobody")
+    refused(r"can't read .*manifest\.yaml", load_trained, tmp_path)
     sound = layers(8)
     refused(
         "16 inputs and 8 outputs",
@@ -109,7 +109,7 @@ def test_files_and_layers_that_are_no_driver_are_refused(folder, tmp_path):
 def test_the_shipped_driver_is_read_when_it_is_first_asked_for(folder, monkeypatch):
     monkeypatch.setattr(trained, "NAME", "mine")
     monkeypatch.setattr(
-        trained, "DRIVER_FORMAT", replace(trained.DRIVER_FORMAT, shipped=folder.parent)
+        trained, "PLANNER_FORMAT", replace(trained.PLANNER_FORMAT, shipped=folder.parent)
     )
     monkeypatch.delitem(vars(trained), "PPO_DRIVE", raising=False)
     assert trained.PPO_DRIVE.name == "mine"

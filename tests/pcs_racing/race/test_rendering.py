@@ -11,7 +11,7 @@ from refusal import refused
 from pcs_racing.race.frames import replay_frames, write_gif, write_track_picture
 from pcs_racing.race.painting import COLOURS
 from pcs_racing.race.rendering import Renderer, views
-from pcs_racing.race.state import MOST_CARS
+from pcs_racing.race.state import MAX_CARS
 
 BLUE, AMBER, RED = (27, 111, 216), (224, 135, 0), (209, 44, 76)
 
@@ -92,7 +92,7 @@ def test_a_track_is_a_scene_whose_names_can_be_read(oval):
             0.0722,
         )
 
-    for car in range(MOST_CARS):
+    for car in range(MAX_CARS):
         dark, light = sorted(luminance(COLOURS[name]) + 0.05 for name in (f"name{car}", "asphalt"))
         assert light / dark >= 4.5
 

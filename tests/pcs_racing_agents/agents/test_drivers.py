@@ -11,7 +11,7 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.planners.trained import read_driver, save_driver
+from pcs_racing.planners.trained import read_trained, save_trained
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.own_code import own_code
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
@@ -24,7 +24,7 @@ def layers():
 
 @pytest.fixture
 def folder(layers, tmp_path):
-    return save_driver(tmp_path / "mine", layers, name="mine", hold=4, training={"steps": 7})
+    return save_trained(tmp_path / "mine", layers, name="mine", hold=4, training={"steps": 7})
 
 
 def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
@@ -34,7 +34,7 @@ def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
     assert shipped.planner is get_planner("ppo-drive")
     assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
     assert (own.planner.name, own.name) == ("mine", "ppo-drive")
-    _, manifest = read_driver(folder)
+    _, manifest = read_trained(folder)
     facts = {
         "network": "mine",
         "trained on": "steps 7",
@@ -48,7 +48,7 @@ def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
     hashes = set()
     for factor in (1.0, 1.5):
         scaled = DenseLayers(tuple(factor * weight for weight in layers.weights), layers.biases)
-        place = save_driver(tmp_path / f"{factor}", scaled, name="mine", hold=4, training={})
+        place = save_trained(tmp_path / f"{factor}", scaled, name="mine", hold=4, training={})
         hashes.add(make("ppo-drive", network=place).content_hash)
     assert len(hashes) == 2
 

@@ -12,7 +12,7 @@ import pcs_racing_agents
 from pcs_racing import make_game
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.network import INPUTS
-from pcs_racing.planners.trained import save_driver
+from pcs_racing.planners.trained import save_trained
 from pcs_racing_agents.agents import (
     Agent,
     Driver,
@@ -74,7 +74,7 @@ def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
 
 def test_an_entrant_has_its_own_name_or_the_one_that_is_given(spec, tmp_path):
     layers = random_layers(len(INPUTS), 6, 2, seed=1)
-    folder = save_driver(tmp_path / "place", layers, name="mine", hold=4, training={})
+    folder = save_trained(tmp_path / "place", layers, name="mine", hold=4, training={})
     for text, own, more in [
         (str(folder), "mine", {"drive": True}),
         ("ppo-drive", "ppo-drive", {"drive": True}),

@@ -27,7 +27,7 @@ from pcs_racing.race.replay import read_replay
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_game_spec, parse_agent
-from pcs_racing_agents.agents.own_code import parse_driver
+from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
@@ -485,13 +485,13 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
     (tmp_path / "own_racers.py").write_text(OWN)
     spec = make_game_spec("default", "paper")
     for place in ("own_racers.py", "own_racers"):
-        assert parse_driver(f"{place}:Straight").name == f"{place}:Straight"
+        assert parse_own_policy(f"{place}:Straight").name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
             assert parse_agent(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
         assert parse_agent(f"{place}:last", spec, code=True).model.name == "default"
         nobody = "no driver and no agent: .* has no class and no function 'Nobody'"
         refused(nobody, parse_agent, f"{place}:Nobody", spec, code=True)
-        refused("here it must be a driver, not an agent", parse_driver, f"{place}:First")
+        refused("here it must be a driver, not an agent", parse_own_policy, f"{place}:First")
 
 
 def test_own_code_races_in_other_processes_and_commands_find_it_again(

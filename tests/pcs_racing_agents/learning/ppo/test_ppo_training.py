@@ -9,7 +9,7 @@ from same_arrays import assert_same
 
 from pcs_racing import load_archive, load_track, make_game
 from pcs_racing.game.archive_files import save_archive
-from pcs_racing.planners.trained import read_driver
+from pcs_racing.planners.trained import read_trained
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.base.chunks import read_chunk
 from pcs_racing_agents.base.tables import read_csv
@@ -195,7 +195,7 @@ def test_a_duel_policy_is_an_agent_and_a_drive_policy_a_planner(trained):
     seen = game.observation(game.reset(games=3))[:, 0]
     np.testing.assert_array_equal(agent.act(seen), network.choose(seen))
     run = trained["drive"]
-    layers, manifest = read_driver(run.folder)
+    layers, manifest = read_trained(run.folder)
     np.testing.assert_array_equal(layers.flat(), run.layers.flat())
     score = mean_score(run.scores, run.settings.opponents)
     stated = {
