@@ -227,6 +227,7 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path):
         ("squares", {**SETTINGS, "seed": 4}, "its seed is 3, not 4"),
         ("squares", {**SETTINGS, "seed": True}, "its seed is 3, not True"),
         ("squares", {**SETTINGS, "moves": 4}, "it has no moves, which is 4"),
+        ("squares", {**SETTINGS, "race": "fast"}, r"its race is \{.*\}, not 'fast'"),
         (
             "squares",
             {"seed": 3, "race": {**RACE, "duration": 8.0}},

@@ -68,7 +68,8 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     rules.write_text("preset: contest\nname: sprint\nduration: 3.0\nheats: 3\n")
     words = ["race", "--track", "Pipkin", *PAIR, "--rules", rules, "--index", 4, "--seed", 2]
     out = printed(*words)
-    printed(*words, "--replay", tmp_path / "race.json")
+    printed(*words, "--replay", tmp_path / "race.json", "--video", tmp_path / "race.gif")
+    assert (tmp_path / "race.gif").read_bytes().startswith(b"GIF89a")
     assert read_replay(tmp_path / "race.json").candidates is not None
     track, config = load_track("Pipkin"), load_race_config(rules)
     cars = [parse_policy(text) for text in PAIR[1::2]]
