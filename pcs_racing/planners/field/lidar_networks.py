@@ -262,8 +262,8 @@ def _flat(folder: Path, network: Any, content: bytes) -> NDArray[np.float64]:
         t.dtype == np.float32 and (np.abs(t) <= MAX_WEIGHT).all() for t in tensors.values()
     ):
         raise InputError(
-            f"{folder}: a network {network!r} has float32 weights within {MAX_WEIGHT:g} of the shapes"
-            f" {shapes}"
+            f"{folder}: a network {network!r} has float32 weights within {MAX_WEIGHT:g} of the"
+            f" shapes {shapes}"
         )
     return flat_weights(
         [
