@@ -4,8 +4,8 @@ from .run import STAGES as STAGES
 from .run import run_study as run_study
 from .study import Study as Study
 from .table import make_table as make_table
-from .table_text import table_text as table_text
-from .table_text import write_table as write_table
+from .table_output import table_text as table_text
+from .table_output import write_table as write_table
 
 __all__ = [
     "STAGES",

@@ -26,7 +26,7 @@ from pcs_racing_agents.study.report_page import (
 from pcs_racing_agents.study.stages import StudyRaces, table_races
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import StudyTable, by_progress, make_table
-from pcs_racing_agents.study.table_text import (
+from pcs_racing_agents.study.table_output import (
     overview_rows,
     paper_rows,
     table_text,

@@ -16,7 +16,7 @@ from pcs_racing_agents.base.style import picture_bytes
 from pcs_racing_agents.base.tables import is_number
 from pcs_racing_agents.study.figures import differences_picture
 from pcs_racing_agents.study.table import StudyTable
-from pcs_racing_agents.study.table_text import DETAILS, detail_rows, notes, p_text, paper_text
+from pcs_racing_agents.study.table_output import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament import RoundRobin
 from pcs_racing_agents.tournament.table import payoffs_picture, rating_interval, ratings_picture
 from pcs_racing_agents.watch.pcs_picture import archive_picture

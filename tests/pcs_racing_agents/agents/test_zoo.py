@@ -75,14 +75,14 @@ def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
 def test_an_entrant_has_its_own_name_or_the_one_that_is_given(spec, tmp_path):
     layers = random_layers(len(INPUTS), 6, 2, seed=1)
     folder = save_trained(tmp_path / "place", layers, name="mine", hold=4, training={})
-    for text, own, more in [
-        (str(folder), "mine", {"drive": True}),
-        ("ppo-drive", "ppo-drive", {"drive": True}),
-        ("never-switch", "never-switch", {}),
-        ("lattice:pace=0.5", "lattice:pace=0.5", {}),
+    for text, own in [
+        (str(folder), "mine"),
+        ("ppo-drive", "ppo-drive"),
+        ("never-switch", "never-switch"),
+        ("lattice:pace=0.5", "lattice:pace=0.5"),
     ]:
-        assert load_entrant(text, spec, **more).name == own
-        assert load_entrant(text, spec, **more, name="other").name == "other"
+        assert load_entrant(text, spec).name == own
+        assert load_entrant(text, spec, name="other").name == "other"
     refused("no file of weights", load_entrant, "a:b", spec, weights=tmp_path / "none.npz")
 
 

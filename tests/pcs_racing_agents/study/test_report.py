@@ -22,7 +22,7 @@ from pcs_racing_agents.study.report_page import ExplainedRace, ReportContent
 from pcs_racing_agents.study.stages import StudyRaces
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.study.table import by_progress, make_table
-from pcs_racing_agents.study.table_text import paper_rows, write_table
+from pcs_racing_agents.study.table_output import paper_rows, write_table
 from pcs_racing_agents.tournament import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.ratings import Ratings, RoundRobin
 

@@ -9,7 +9,7 @@ from repository import python_blocks, read_page, run_block
 from scipy import stats
 from toy_races import STRENGTHS, of, toy_difference, toy_races, toy_table
 
-from pcs_racing_agents.study import table_text as texts
+from pcs_racing_agents.study import table_output as texts
 from pcs_racing_agents.study.table import (
     PAPER_TABLE,
     ArmResult,
