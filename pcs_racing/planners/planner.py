@@ -68,7 +68,8 @@ class Planner:
     scratch_size: int = 0
     #: Function of a planner in plain Python, called fifty times a second in place of ``plan`` and
     #: ``control``: ``drive(track, theta, view, memory) -> (steer, speed)``. It gets the
-    #: :class:`pcs_racing.track.track.Track` itself, and may store ``memory_size`` numbers in ``memory``.
+    #: :class:`pcs_racing.track.track.Track` itself, and may store ``memory_size`` numbers in
+    #: ``memory``.
     drive: Callable[..., tuple[float, float]] | None = None
     #: Function ``candidates(track, theta, view, memory) -> (points (C, P, 2), costs (C,))`` for
     #: pictures; rejected candidates cost infinity.

@@ -96,8 +96,8 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     race : GameConfig, RaceConfig, str or path
         Rules of a race, or of a game (not stretched).
     **settings
-        Fields of :class:`pcs_racing.game.config.GameConfig` to change; with ``step_seconds`` or ``first_steps``
-        nothing is stretched.
+        Fields of :class:`pcs_racing.game.config.GameConfig` to change; with ``step_seconds`` or
+        ``first_steps`` nothing is stretched.
     """
     if isinstance(race, GameConfig):
         return load_game_config(race, **settings)

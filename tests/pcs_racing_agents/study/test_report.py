@@ -160,8 +160,8 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     )
     assert browser.run(hidden) == 4 + 2
     browser.page.emulate_media(media="print")
-    assert browser.run(hidden) == 0
-    assert browser.run("document.documentElement.scrollHeight") > 2 * screen
+    browser.wait(f"{hidden} === 0")
+    browser.wait(f"document.documentElement.scrollHeight > {2 * screen}")
     assert browser.run("Math.min(...[...document.images].map((image) => image.naturalWidth))") > 100
     assert browser.said == [
         f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"
