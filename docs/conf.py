@@ -11,7 +11,10 @@ import numba
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 # Circuits are built here, compiled, and kept in the cache: below it would take a minute for each.
-BUILD = "import pcs_racing; [pcs_racing.load_track(name) for name in pcs_racing.list_tracks()]"
+BUILD = (
+    "from pcs_racing.track import loading, maps;"
+    "[loading.load_track(name) for name in maps.list_tracks()]"
+)
 subprocess.run([sys.executable, "-c", BUILD], cwd=HERE.parent, check=True)
 # Compiled functions are then functions, with their signatures. Notebooks run in processes of their
 # own, compiled.
@@ -69,3 +72,4 @@ def setup(app):
     # napoleon: 500
     app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)
     app.connect("autodoc-process-signature", site_pages.shorten_signature)
+    app.connect("autodoc-skip-member", site_pages.skip_settings)

@@ -379,6 +379,12 @@ def mend_docstring(app, what, name, thing, options, lines) -> None:
         )
 
 
+def skip_settings(app, what, name, thing, skip, options):
+    """Skip a setting without a value: the list of settings in the docstring has it."""
+    del app, options
+    return True if what == "class" and name == "opponent" and thing is None else skip
+
+
 def shorten_signature(app, what, name, thing, options, signature, returned):
     """Say ``ndarray`` and ``ArrayLike`` in signatures, not what these types are made of; docstrings
     give the shapes.

@@ -53,7 +53,7 @@ class Step:
 
     before: Any  #: State before the step.
     #: shape (episodes, players), moves; in Drive (episodes, players, 2), shares of the limits of
-    #: steering angle and speed, in [-1, 1] if the action is in the action space.
+    #: steering angle and speed, clipped to [-1, 1] as in the race.
     actions: NDArray[Any]
     after: Any  #: State after the step.
     reward: NDArray[np.float64]  #: shape (episodes, players): Reward of the environment itself.

@@ -10,7 +10,13 @@ from gymnasium.envs.registration import EnvSpec
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_choice
-from pcs_racing.base.errors import InputError, UnknownNameError, choices, unknown_argument
+from pcs_racing.base.errors import (
+    ConfigError,
+    InputError,
+    UnknownNameError,
+    choices,
+    unknown_argument,
+)
 from pcs_racing.envs.batch import BatchStep, Generators, Step, check_reward
 from pcs_racing.envs.randomization import EpisodeOptions
 from pcs_racing.race.rendering import MODES, Renderer, views
@@ -50,6 +56,12 @@ class OverBatch:
         if options.render_mode is not None:
             check_choice("render_mode", options.render_mode, self.metadata["render_modes"])
         self._own, self.options, self.render_mode = own, options, options.render_mode
+        if not callable(self.reward):
+            raise ConfigError(f"reward is {self.reward!r}; it must be a method reward(step)")
+        if options.reward is not None and type(self).reward is not OverBatch.reward:
+            raise ConfigError(
+                f"{type(self).__name__} has a method reward and the argument reward; give one"
+            )
         self.batch = self._make_batch(options)
         check_choice("view", options.view, views(self.batch.cars))
         own_metadata = {"render_fps": self._frames_per_second(), "codes": self.batch.codes}
@@ -110,7 +122,9 @@ class OverBatch:
         before = self.batch.value().copy()
         result = self.batch.step(actions, generators)
         usual = result.rewards.reshape(self.batch.episodes, -1)
-        step = Step(before, actions, self.batch.value().copy(), usual)
+        # The race clips steering and speed, too.
+        driven = np.clip(actions, -1.0, 1.0) if actions.dtype.kind == "f" else actions
+        step = Step(before, driven, self.batch.value().copy(), usual)
         return result._replace(rewards=check_reward(self.reward(step), usual.shape, running))
 
     # Resets

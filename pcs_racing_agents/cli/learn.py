@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from pcs_racing_agents.networks import RegretNetwork
 
 
+POOL = ("never-switch", "random-moves")  # a policy that stays, and random moves
 METHODS = {
     "response": "an approximate best response to a pool of opponents",
     "best-reply": "an opponent of the one agent in the pool, and the agent's loss in test races",
@@ -89,11 +90,9 @@ def run(
     ],
     *,
     games: Games,
-    # The default: an opponent with a fixed policy, and an opponent with random changes of policy.
-    pool: Annotated[Sequence[str], Option(f"opponents: {AGENT_HELP}", "AGENT")] = (
-        "never-switch",
-        "random-moves",
-    ),
+    pool: Annotated[
+        Sequence[str], Option(f"opponents: {AGENT_HELP} (default: {' '.join(POOL)})", "AGENT")
+    ] = (),
     config: Annotated[
         str | None,
         Option(
@@ -103,7 +102,10 @@ def run(
             "NAME",
         ),
     ] = None,
-    races: Annotated[int, Option("test races of a best reply, on all circuits together")] = 4000,
+    races: Annotated[
+        int | None,
+        Option("test races of a best reply, on all circuits together (default: 4000)"),
+    ] = None,
     name: Annotated[
         str | None, Option("name of the agent's networks (default: the method)")
     ] = None,
@@ -122,6 +124,11 @@ def run(
     from pcs_racing_agents.learning import psro, responses, self_play
     from pcs_racing_agents.networks import NetworkSet, save_network, save_network_set
 
+    if method == "self-play" and pool:
+        raise InputError("self-play meets itself; leave out --pool")
+    if method != "best-reply" and races is not None:
+        raise InputError("--races goes with best-reply")
+    pool, races = pool or POOL, 4000 if races is None else races
     if method == "best-reply" and len(pool) != 1:
         raise InputError(f"a best reply is trained against one agent; --pool names {len(pool)}")
     spec, made = games.make()
@@ -149,7 +156,7 @@ def run(
         learned: NetworkSet | RegretNetwork
         if method == "best-reply":
             reply = responses.best_reply(
-                made, opponents[0], spec, settings, job, races=races, **run
+                made, opponents[0], spec, settings, job, races=races, name=name, **run
             )
             print(responses.reply_text(pool[0], reply, settings))
             print(f"written: {responses.write_reply(pool[0], reply, out)}")

@@ -18,6 +18,7 @@ from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
 from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay, save_replay
+from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.own_code import parse_own_policy
@@ -58,6 +59,10 @@ def run(
     config = rules.config()
     check_seed(rules.seed)
     check_whole("index", index, 0, LAST_INDEX)
+    if len(opponent) > MAX_CARS - 1:
+        raise InputError(
+            f"--opponent names {len(opponent)} policies; a race has at most {MAX_CARS - 1} of them"
+        )
     first, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
     target = output_file(replay, ".html", ".json") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None

@@ -121,13 +121,15 @@ def run_solve(
         Path | None,
         Option("file for one tree (.efg), which OpenSpiel and Gambit load; solves nothing", "FILE"),
     ] = None,
-    tree: Annotated[int, Option("number of the tree to export")] = 0,
+    tree: Annotated[int | None, Option("number of the tree to export (default: 0)")] = None,
 ) -> None:
     """Solve game trees exactly and by regret minimisation, or export a tree."""
+    if tree is not None and export is None:
+        raise InputError("--tree goes with --export")
     exported = output_file(export, ".efg") if export else None
     stored = load_trees(trees)
     if exported is not None:
-        _export(stored, tree, exported)
+        _export(stored, tree or 0, exported)
         return
     solved = [compare_methods(one.game_tree(), iterations, methods or METHODS) for one in stored]
     policies = [(int(one.policies[0]), int(one.policies[1])) for one in stored]

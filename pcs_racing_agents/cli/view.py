@@ -86,6 +86,8 @@ def run(
         raise InputError(f"--replays is {replays}; it must be from 0 to {MAX_REPLAYS}")
     if len(index) > MAX_REPLAYS:
         raise InputError(f"--index names {len(index)} races; a page holds at most {MAX_REPLAYS}")
+    if not results.is_dir():
+        raise InputError(f"there is no folder {results}; give one of a tournament or a study")
     target = output_file(out or results / "view.html", ".html")
     folder = open_results(results, agents)
     table = folder.races

@@ -17,7 +17,8 @@ from pcs_racing.base.errors import InputError
 class Rows:
     """R decisions, each of one player."""
 
-    #: shape (R, D): Observations of the player (:attr:`pcs_racing.RaceGame.observation_elements`).
+    #: shape (R, D): Observations of the player
+    #: (:attr:`pcs_racing.game.rules.RaceGame.observation_elements`).
     observations: NDArray[np.float32]
     #: shape (R, A): Value of each move, never clipped; 0 where the mask is False.
     targets: NDArray[np.float32]

@@ -54,6 +54,7 @@ def best_reply(
     job: Job,
     *,
     races: int = 4000,
+    name: str = "best-reply",
     **workers: Unpack[Workers],
 ) -> BestReply:
     """Learn a best response to an agent, and estimate the agent's loss in test races.
@@ -69,11 +70,11 @@ def best_reply(
         (:func:`pcs_racing_agents.agents.agent.competitor_hash`).
     races : int
         Approximate number of races on all tracks together; at least 40 on each.
+    name : str
+        Name of the response's networks.
     """
     check_races(races, len(games))
-    reply = learn_response(
-        games, [agent], spec, settings, job, name="best-reply", part="reply-", **workers
-    )
+    reply = learn_response(games, [agent], spec, settings, job, name=name, part="reply-", **workers)
     pilot = network_agent(reply, spec, settings.seed)
     # Crossed: every start policy of one car meets every start policy of the other car, from all
     # lines and both sides.

@@ -113,6 +113,13 @@ def test_an_impossible_reward_is_one_line(own, message):
     env = begun(make(DriveEnv, reward=own), seed=0)
     refused(message, env.step, act(env))
     refused("reward is 3; it must be a function", make, DriveEnv, reward=3, error=ConfigError)
+    refused("OwnDrive has a method reward and the argument", OwnDrive, reward=own_reward)
+    refused("reward is 5; it must be a method", type("Fixed", (DriveEnv,), {"reward": 5}))
+
+
+def test_an_own_reward_gets_the_actions_that_the_race_clips():
+    env = begun(make(DriveEnv, reward=lambda step: step.actions[..., 0]), seed=0)
+    assert env.step(np.array([3.0, 0.0], np.float32))[1] == 1.0
 
 
 def test_the_reward_of_a_finished_episode_does_not_count():

@@ -56,7 +56,7 @@ def crash(state: GameState, fault: tuple[int, int]) -> GameState:
 
 
 def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
-    """Four moves, driven by hand with nothing but :func:`pcs_racing.advance`."""
+    """Four moves, driven by hand with nothing but :func:`pcs_racing.game.advance`."""
     game = make_game(track)
     archive, axes = game.archive, get_characteristics(game.archive.characteristics)
     policy = np.array([3, 9])

@@ -23,6 +23,7 @@ from pcs_racing_agents.learning.responses import (
     write_reply,
 )
 from pcs_racing_agents.learning.responses.best_reply import excess_estimate
+from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
 from pcs_racing_agents.tournament.statistics import clustered_mean
@@ -185,7 +186,7 @@ def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):
     config.write_text("starts: 8\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n")
     out = tmp_path / "reply"
     command = ["learn", "best-reply", "--track", "Tarnfjord", "Pipkin", "--duration", 2.5]
-    command += ["--config", config, "--out", out]
+    command += ["--config", config, "--out", out, "--name", "mine"]
     one = [*command, "--pool", "never-switch", "--races"]
     text = printed(*one, 80)
     assert "learner: 8 games branched at every step" in text
@@ -196,6 +197,7 @@ def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):
     assert f"{float(rows['all']['loss']):+.3f}" in text
     assert (out / "results.csv").is_file()
     assert text.endswith(f"race it as response:network={out / 'agent'}\n")
+    assert load_network(out / "agent").name == "mine"
     assert "races" in told(*one, 81)  # another run
     assert "races is 79" in told(*one, 79)
     assert "against one agent; --pool names 2" in told(*command)
