@@ -12,7 +12,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 help:
 	@echo "make install  the package for development, in $(VENV)"
-	@echo "make demo     a race to watch, then the paper's study in small: trees, networks, races, a report (under 5 minutes)"
+	@echo "make demo     a race to watch, then the paper's study in small: trees, networks, races, a report (about 2 minutes)"
 	@echo "make quick    style, types, and the tests of the rooms that you changed (FROM=origin/main: since that branch)"
 	@echo "make test     the tests; those of browsers and clusters where their rooms changed (since FROM)"
 	@echo "make lint     style, format and types of the code"
@@ -21,7 +21,7 @@ help:
 
 install: $(VENV)/test.stamp
 
-# A race comes first: within two minutes there is something to watch, and the study needs the same kernels.
+# A race comes first: within a minute there is something to watch, and the study needs the same kernels.
 demo: $(VENV)/base.stamp
 	mkdir -p out
 	$(VENV)/bin/pcs-racing race --replay out/race.html
