@@ -16,7 +16,7 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig
+from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig, load_race_config
 from pcs_racing.race.driving import drive, kernel_settings, largest_theta, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
@@ -303,7 +303,7 @@ def run_races(
     track: Track,
     egos: Drivers,
     opponents: Drivers,
-    config: RaceConfig = PAPER,
+    config: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
     starts: Starts | None = None,
@@ -317,6 +317,8 @@ def run_races(
     egos, opponents : Policy, str, or sequence of these
         Policies of car 0 and car 1 in each race, also as texts (:func:`pcs_racing.parse_policy`); a
         single policy drives in all races. Planners may differ between races.
+    config : RaceConfig or str
+        Rules, also by the name of a preset or a file.
     seed : int
         Root of the start lines and of the noise of every race.
     starts : Starts, optional
@@ -343,7 +345,7 @@ def run_races(
 def run_field(
     track: Track,
     drivers: Sequence[Drivers],
-    config: RaceConfig = PAPER,
+    config: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
     starts: Starts | None = None,
@@ -355,6 +357,9 @@ def run_field(
     ``drivers`` holds for each car its policy, or its policies in all races. The other arguments are
     as in :func:`run_races`.
     """
+    if not isinstance(track, Track):
+        raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
+    config = load_race_config(config)
     policies = [_policies(one) for one in drivers]
     given = [len(one) for one in policies if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)

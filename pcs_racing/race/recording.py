@@ -18,8 +18,16 @@ from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
+from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
-from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, PLAN_EVERY, RaceConfig
+from pcs_racing.race.config import (
+    CONTROL_EVERY,
+    DT,
+    PAPER,
+    PLAN_EVERY,
+    RaceConfig,
+    load_race_config,
+)
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, start_races, starts_of
@@ -38,9 +46,9 @@ Floats = NDArray[np.float64]
 
 def record_race(
     track: Track,
-    ego: Policy,
-    opponent: Policy | Sequence[Policy],
-    config: RaceConfig = PAPER,
+    ego: Policy | str,
+    opponent: Policy | str | Sequence[Policy | str],
+    config: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
     index: int = 0,
@@ -51,8 +59,9 @@ def record_race(
 
     Parameters
     ----------
-    ego, opponent : Policy
-        Policies of car 0 and car 1; a sequence of up to seven opponents gives a race of more cars.
+    ego, opponent : Policy or str
+        Policies of car 0 and car 1, also as texts; a sequence of up to seven opponents gives a race
+        of more cars.
     seed, index : int
         Seed and number of the race: race ``index`` (0 to :data:`LAST_INDEX`) of
         ``run_field(..., seed=seed)``, with the same start, the same noise and a bit-identical end.
@@ -66,7 +75,11 @@ def record_race(
         Recording with 25 frames a second; it ends with the race, possibly in a crash.
     """
     check_whole("index", index, 0, LAST_INDEX)
-    drivers = [ego, opponent] if isinstance(opponent, Policy) else [ego, *opponent]
+    if not isinstance(track, Track):
+        raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
+    config = load_race_config(config)
+    given = [ego, opponent] if isinstance(opponent, Policy | str) else [ego, *opponent]
+    drivers = [parse_policy(one) if isinstance(one, str) else one for one in given]
     setup = RaceSetup(track, config, tuple(driver.planner for driver in drivers), vehicles)
     start = starts_of(track, config, [int(index)], seed, cars=len(drivers))
     theta = pad_parameters(drivers, setup.theta_size)[None]
