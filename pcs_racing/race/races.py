@@ -357,9 +357,7 @@ def run_field(
     ``drivers`` holds for each car its policy, or its policies in all races. The other arguments are
     as in :func:`run_races`.
     """
-    if not isinstance(track, Track):
-        raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
-    config = load_race_config(config)
+    config = rules_on(track, config)
     policies = [_policies(one) for one in drivers]
     given = [len(one) for one in policies if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)
@@ -400,10 +398,22 @@ def run_field(
 
 
 def _policies(given: Drivers) -> Policy | list[Policy]:
-    """Return the policy of all races, or a list of one policy per race; texts are parsed."""
+    """Return the policy of all races, or a list of one policy per race."""
     if isinstance(given, Policy | str):
-        return parse_policy(given) if isinstance(given, str) else given
-    return [parse_policy(one) if isinstance(one, str) else one for one in given]
+        return policy_of(given)
+    return list(map(policy_of, given))
+
+
+def policy_of(given: Policy | str) -> Policy:
+    """Return a policy; a text is parsed."""
+    return parse_policy(given) if isinstance(given, str) else given
+
+
+def rules_on(track: Track, config: RaceConfig | str) -> RaceConfig:
+    """Return the rules of races, also by name; refuse a track that is not loaded."""
+    if not isinstance(track, Track):
+        raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
+    return load_race_config(config)
 
 
 def _widen_memory(state: RaceState, size: int) -> RaceState:

@@ -18,7 +18,6 @@ from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
-from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
 from pcs_racing.race.config import (
     CONTROL_EVERY,
@@ -26,11 +25,18 @@ from pcs_racing.race.config import (
     PAPER,
     PLAN_EVERY,
     RaceConfig,
-    load_race_config,
 )
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.races import RaceResult, RaceSetup, advance, start_races, starts_of
+from pcs_racing.race.races import (
+    RaceResult,
+    RaceSetup,
+    advance,
+    policy_of,
+    rules_on,
+    start_races,
+    starts_of,
+)
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
@@ -75,11 +81,9 @@ def record_race(
         Recording with 25 frames a second; it ends with the race, possibly in a crash.
     """
     check_whole("index", index, 0, LAST_INDEX)
-    if not isinstance(track, Track):
-        raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
-    config = load_race_config(config)
+    config = rules_on(track, config)
     given = [ego, opponent] if isinstance(opponent, Policy | str) else [ego, *opponent]
-    drivers = [parse_policy(one) if isinstance(one, str) else one for one in given]
+    drivers = list(map(policy_of, given))
     setup = RaceSetup(track, config, tuple(driver.planner for driver in drivers), vehicles)
     start = starts_of(track, config, [int(index)], seed, cars=len(drivers))
     theta = pad_parameters(drivers, setup.theta_size)[None]

@@ -204,7 +204,7 @@ def save_replay(replay: Replay, path: str | os.PathLike[str]) -> Path:
     if path.suffix not in (".html", ".json"):
         raise InputError(f"a replay is saved as .html or .json, got {path.name!r}")
     content = replay_page(replay) if path.suffix == ".html" else safe_json(_to_values(replay))
-    write_atomically(path, lambda file: file.write(content.encode()))
+    write_atomically(path, content)
     return path
 
 
