@@ -8,9 +8,9 @@ PATH are a checkout of https://github.com/f1tenth/f1tenth_gym and the Python of 
 which it is installed (``python -m venv ENV && ENV/bin/pip install -e CHECKOUT
 "yamldataclassconfig==1.5"``); it is not on PyPI and pins other versions than we do.
 
-Both simulators drive the same cars (the parameters of both are those of the F1TENTH car) along the
+Both simulators drive the same cars, with the parameters of the F1TENTH car, along the
 race line, from the same poses, by the same pure pursuit in plain Python, each car 3 m ahead of the
-next. A first run compiles and records the actions; three more repeat them, of which the fastest
+next. A first run compiles and records the actions; three more repeat them, and the fastest
 counts: processor time of the thread, nothing but steps. A step of the gym and of our drop-in for it
 (``pcs_racing:f1tenth-v0``) lasts 0.01 s, one of `Drive` 0.02 s, inside which we integrate at 0.01
 s, too: what counts is simulated seconds per second. Each step scans for every car. `Drive` and its
@@ -204,7 +204,7 @@ def main(given: list[str] | None = None) -> int:
         "--python",
         type=Path,
         metavar="PATH",
-        help="Python of the environment in which it is installed",
+        help="Python of the environment with the gym",
     )
     parser.add_argument(
         "--track", default="Tarnfjord", help="name or folder of a circuit (default: Tarnfjord)"

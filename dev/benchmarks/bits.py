@@ -1,4 +1,4 @@
-"""What is the same to the bit on another processor: digests of results, here and under other
+"""Compare results to the bit between processors: digests of results, here and under other
 instructions.
 
     python dev/benchmarks/bits.py  # the digests of this machine, one a line
@@ -8,7 +8,7 @@ instructions.
 
 Each comparison runs this script again in a process that is told to do without some instructions, or
 to use another kernel of the linear algebra library, and with caches of its own, so that everything
-is compiled and built anew: a few minutes each. ``--parts tracks races`` leaves the others out.
+is compiled and built again: a few minutes each. ``--parts tracks races`` leaves the others out.
 """
 
 import argparse

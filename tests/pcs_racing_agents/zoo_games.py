@@ -8,6 +8,7 @@ from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import GameSpec
+from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.networks import RegretNetwork
 
 CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
@@ -51,3 +52,12 @@ def untrained(
     return RegretNetwork(
         f"untrained-{target}", identity, target, False, layers, np.zeros(size), np.ones(size)
     )
+
+
+def measured_agent(archive: str, digest: str, against: dict[str, float]) -> Measured:
+    """Return measurements of never-switch in the paper's race."""
+    strength = {"races": 300.0, "score": 0.5, "rating": -12.0, "own_crash": 0.02}
+    interval = {"rating_low": -40.0, "rating_high": 20.0}
+    cost = {"one_us": 46.0, "many_us": 0.53}
+    known = {"tracks": "Tarnfjord, Saltmere", **strength, **interval, **cost}
+    return Measured(archive, "paper", "never-switch", digest, **known, against=against)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 from repository import load_tool
+from zoo_games import measured_agent
 
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import describe, make_game_spec, names
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.describe import Measured, facts_of, measurements, option_meanings
+from pcs_racing_agents.agents.describe import facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, entries, options
 
 zoo_page = load_tool("zoo_page")
@@ -53,22 +54,7 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
     try:
         digest = competitor_hash(make("never-switch"))
         assert not measurements()
-        one = Measured(
-            *(
-                "default",
-                "paper",
-                "never-switch",
-                digest,
-                "Tarnfjord, Saltmere",
-                300.0,
-                0.5,
-                -12.0,
-                -40.0,
-                20.0,
-                0.02,
-            ),
-            *(46.0, 0.53, {"random-moves": 0.625}),
-        )
+        one = measured_agent("default", digest, {"random-moves": 0.625})
         zoo_page.write_measurements(
             [one, one._replace(agent="lane-switcher", many_us=np.nan, against={})]
         )

@@ -6,7 +6,7 @@ import pytest
 from random_layers import random_layers
 from refusal import refused
 from same_move import Model
-from zoo_games import CONFIG, untrained
+from zoo_games import CONFIG, measured_agent, untrained
 
 import pcs_racing_agents
 from pcs_racing import make_game
@@ -229,22 +229,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
         ),
     ]
     digest = competitor_hash(build("never-switch", spec))
-    one = describe.Measured(
-        *(
-            "toy",
-            "paper",
-            "never-switch",
-            digest,
-            "Tarnfjord, Saltmere",
-            300.0,
-            0.5,
-            -12.0,
-            -40.0,
-            20.0,
-            0.02,
-        ),
-        *(46.0, 0.53, {"random-moves": 0.625, "nash": 0.25}),
-    )
+    one = measured_agent("toy", digest, {"random-moves": 0.625, "nash": 0.25})
     monkeypatch.setattr(describe, "measurements", lambda: {("toy", "paper", "never-switch"): one})
     assert describe.facts_of("never-switch", spec) == [
         (
