@@ -233,7 +233,7 @@ def write_scenes(clips: list[Clip]) -> None:
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(Clip._fields)
     writer.writerows(clip._replace(time=f"{clip.time:.1f}") for clip in clips)
-    write_atomically(TABLE, lambda file: file.write(text.getvalue().encode("utf-8")))
+    write_atomically(TABLE, text.getvalue())
 
 
 def gallery_page() -> str:

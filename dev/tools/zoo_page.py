@@ -124,7 +124,7 @@ def write_measurements(rows: Iterable[Measured]) -> Path:
         numbers = [_number(getattr(one, name)) for name in NUMBERS]
         scores = [_number(one.against.get(name, np.nan)) for name in opponents]
         writer.writerow((*(getattr(one, name) for name in TEXTS), *numbers, *scores))
-    write_atomically(measured_file(), lambda file: file.write(text.getvalue().encode("utf-8")))
+    write_atomically(measured_file(), text.getvalue())
     measurements.cache_clear()
     return measured_file()
 

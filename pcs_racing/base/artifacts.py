@@ -7,8 +7,6 @@ is executed, and invalid content raises one clear error.
 
 import hashlib
 import os
-import secrets
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +16,13 @@ import yaml
 
 from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.base.files import (
+    MAX_YAML,
+    parse_yaml,
+    read_limited,
+    write_atomically,
+    write_new_folder,
+)
 
 MANIFEST = "manifest.yaml"
 
@@ -48,8 +52,7 @@ class ManifestFormat:
 
     def write(self, file: Path, fields: Mapping[str, Any]) -> None:
         """Write a manifest; the file appears whole or not at all."""
-        content = self._manifest(fields)
-        write_atomically(file, lambda stream: stream.write(content))
+        write_atomically(file, self._manifest(fields))
 
     def read(self, file: str | os.PathLike[str]) -> dict[str, Any]:
         """Return the fields of a manifest."""
@@ -107,24 +110,11 @@ class ArtifactFormat(ManifestFormat):
         """
         folder = Path(check_path(f"the folder of {self.a_noun}", folder))
         manifest = self._manifest({**fields, self.digest_key: hashlib.sha256(data).hexdigest()})
-        if not folder.exists():
-            folder.parent.mkdir(parents=True, exist_ok=True)
-            temporary = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(4)}")
-            try:
-                temporary.mkdir()
-                (temporary / self.data_file).write_bytes(data)
-                (temporary / MANIFEST).write_bytes(manifest)
-                temporary.rename(folder)
-                return folder
-            except OSError as error:
-                # A folder that exists by now comes from another process: write into it.
-                if not folder.is_dir():
-                    raise OSError(error.errno, error.strerror, str(folder)) from None
-            finally:
-                shutil.rmtree(temporary, ignore_errors=True)
         # The manifest last: if the process ends in between, the digest reveals the mismatch.
-        write_atomically(folder / self.data_file, lambda stream: stream.write(data))
-        write_atomically(folder / MANIFEST, lambda stream: stream.write(manifest))
+        files = {self.data_file: data, MANIFEST: manifest}
+        if not write_new_folder(folder, files):
+            for name, content in files.items():
+                write_atomically(folder / name, content)
         return folder
 
     def load(self, folder: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:

@@ -10,9 +10,10 @@ import json
 import math
 import os
 import secrets
+import shutil
 import stat
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import IO, Any
 
@@ -34,9 +35,10 @@ _MAX_ARRAYS = 1000  # arrays in a file
 _KINDS = "biufcUS"  # types of arrays: booleans, numbers and texts
 
 
-def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
-    """Write a file completely or not at all: ``write`` fills a temporary file, which then replaces
-    ``path``.
+def write_atomically(path: Path, content: bytes | str | Callable[[IO[bytes]], object]) -> None:
+    """Write a file completely or not at all, through a temporary file that then replaces ``path``.
+
+    ``content``: bytes, a text (UTF-8), or a function that fills the temporary file.
     """
     check_path("the path of a file", path)
     if not path.parent.is_dir():
@@ -48,7 +50,10 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
     try:
         with open(temporary, "xb") as file:
-            write(file)
+            if callable(content):
+                content(file)
+            else:
+                file.write(content.encode() if isinstance(content, str) else content)
         os.replace(temporary, path)
     except OSError as error:
         if error.strerror is None:
@@ -56,6 +61,30 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], object]) -> None:
         raise OSError(error.errno, error.strerror, str(path)) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def write_new_folder(folder: Path, files: Mapping[str, bytes]) -> bool:
+    """Write files into a missing folder, which appears whole or not at all.
+
+    Return False, and write nothing, if the folder exists.
+    """
+    if folder.exists():
+        return False
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    temporary = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(4)}")
+    try:
+        temporary.mkdir()
+        for name, data in files.items():
+            (temporary / name).write_bytes(data)
+        temporary.rename(folder)
+        return True
+    except OSError as error:
+        # A folder that exists by now comes from another process.
+        if not folder.is_dir():
+            raise OSError(error.errno, error.strerror, str(folder)) from None
+        return False
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def read_limited(

@@ -75,7 +75,7 @@ def store(kind: str, key: str, arrays: Mapping[str, Any]) -> None:
     sealed = content.getvalue() + _seal(key, content.getvalue())
     with contextlib.suppress(OSError, InputError):
         folder.mkdir(parents=True, exist_ok=True)
-        write_atomically(folder / f"{kind}-{key[:40]}.npz", lambda file: file.write(sealed))
+        write_atomically(folder / f"{kind}-{key[:40]}.npz", sealed)
 
 
 def _seal(key: str, content: bytes) -> bytes:

@@ -28,7 +28,7 @@ from PIL import Image
 from pcs_racing.base.artifacts import shipped_folder
 from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import MapError, UnknownNameError, choices
-from pcs_racing.base.files import MAX_YAML, read_limited
+from pcs_racing.base.files import MAX_YAML, read_limited, write_new_folder
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,
@@ -173,7 +173,7 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
 def write_map(content: MapFolder) -> Path:
     """Write a map folder (new, empty, or with a map of the same name), and return it.
 
-    Each file is replaced as a whole.
+    A new folder appears whole; in an existing one each file is replaced as a whole.
     """
     name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
     if (
@@ -190,7 +190,8 @@ def write_map(content: MapFolder) -> Path:
         raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
     files = _files(content)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        if write_new_folder(folder, files):
+            return folder
         with tempfile.TemporaryDirectory(dir=folder, prefix=".map-") as new:
             # All files are written before the first replacement: a full disk changes nothing.
             for file, data in files.items():

@@ -271,7 +271,7 @@ def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
         }
     text = yaml.safe_dump(arguments, sort_keys=False).encode()
     model.save(target)
-    write_atomically(target.with_suffix(".yaml"), lambda file: file.write(text))
+    write_atomically(target.with_suffix(".yaml"), text)
     return target
 
 

@@ -58,7 +58,7 @@ def claim_folder(
         with _named(folder):
             _check_same(folder, manifest)
             if not (folder / "job.yaml").exists():
-                write_atomically(folder / "job.yaml", lambda file: file.write(text.encode()))
+                write_atomically(folder / "job.yaml", text)
         yield manifest["settings"]
 
 

@@ -107,5 +107,5 @@ def save_picture(figure: Any, path: str | os.PathLike[str]) -> Path:
     """Write a figure to a file whose name ends in ``.svg`` or ``.png``."""
     target = Path(path)
     content = picture_bytes(figure, target.suffix.lstrip("."))
-    write_atomically(target, lambda file: file.write(content))
+    write_atomically(target, content)
     return target

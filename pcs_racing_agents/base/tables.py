@@ -128,7 +128,7 @@ def write_csv(rows: Iterable[Iterable[object]], path: str | os.PathLike[str]) ->
     """Write the rows of a table, column names first; the file appears whole or not at all."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    write_atomically(Path(path), lambda file: file.write(text.getvalue().encode("utf-8")))
+    write_atomically(Path(path), text.getvalue())
     return Path(path)
 
 

@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar
 
@@ -198,12 +197,8 @@ def write_card(card: Card, folder: Path) -> list[Path]:
     values = json.dumps({"format": FORMAT, **asdict(card)}, indent=1, allow_nan=False) + "\n"
     texts = {folder / "card.json": values, folder / "card.html": card_page(card)}
     for path, text in texts.items():
-        write_atomically(path, partial(_write_text, text))
+        write_atomically(path, text)
     return list(texts)
-
-
-def _write_text(text: str, file: Any) -> None:
-    file.write(text.encode())
 
 
 def read_card(path: Path) -> Card:

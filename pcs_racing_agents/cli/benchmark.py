@@ -142,5 +142,5 @@ def run_board(
             ("leaderboard.md", "\n".join(markdown(rows)) + "\n"),
             ("leaderboard.html", board_page(ranked)),
         ):
-            write_atomically(folder / name, lambda file, text=text: file.write(text.encode()))  # type: ignore[misc]
+            write_atomically(folder / name, text)
             print(f"written: {folder / name}")

@@ -131,7 +131,7 @@ def _race(
         from pcs_racing.base.files import write_atomically
         from pcs_racing.race.replay import save_replay
 
-        write_atomically(out / "race.txt", lambda file: file.write(f"{text}\n".encode()))
+        write_atomically(out / "race.txt", f"{text}\n")
         print(f"to watch: {save_replay(explanation.replay, out / 'race.html')}")
         if can_draw("the picture of the race"):
             from pcs_racing_agents.base.style import save_picture

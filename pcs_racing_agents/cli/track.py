@@ -145,7 +145,7 @@ def _write_calibration(track: Track, preset: str, calibration: Calibration) -> P
     info = parse_info(path, read_inside(track.folder, path, MAX_YAML)) if path.is_file() else {}
     info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
-    write_atomically(path, lambda file: file.write(text.encode()))
+    write_atomically(path, text)
     return path
 
 

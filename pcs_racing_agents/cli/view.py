@@ -99,7 +99,7 @@ def run(
             run_server(server, f"{len(table)} races", open_it=not no_open)
         return
     page = view_page(content).encode()
-    write_atomically(target, lambda stream: stream.write(page))
+    write_atomically(target, page)
     print(f"{len(table)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
     print(f"page: {target}")
     if not no_open:

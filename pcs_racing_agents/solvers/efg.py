@@ -32,7 +32,7 @@ def write_efg(
     if target.suffix != ".efg":
         raise InputError(f"can't write {target}: its name must end in .efg")
     text = efg_text(tree, title=title, move_names=move_names)
-    write_atomically(target, lambda file: file.write(text.encode()))
+    write_atomically(target, text)
     return target
 
 

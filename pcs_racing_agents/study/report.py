@@ -64,12 +64,8 @@ def write_report(study: Study) -> None:
     write_results((row for cell in cells for row in cell.races), folder / "results.csv")
     main = study_table(study, races_of(cells))
     write_table(main, folder / "table.csv")
-    _write(folder / "table.txt", table_text(main))
-    _write(folder / "report.html", report_page(report_content(study, cells, main)))
-
-
-def _write(path: Path, text: str) -> None:
-    write_atomically(path, lambda file: file.write(text.encode("utf-8")))
+    write_atomically(folder / "table.txt", table_text(main))
+    write_atomically(folder / "report.html", report_page(report_content(study, cells, main)))
 
 
 def races_of(cells: Sequence[StudyRaces], table: str = "main") -> RaceTable:

@@ -209,4 +209,4 @@ def _run_stage(study: Study, stage: Stage) -> None:
         "files": {} if stage.name == "report" else _digests(study.config, study.folder, stage.name),
     }
     text = yaml.safe_dump(note)
-    write_atomically(folder / DONE, lambda out: out.write(text.encode("utf-8")))
+    write_atomically(folder / DONE, text)

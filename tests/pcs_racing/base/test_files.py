@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from refusal import refused
 
 from pcs_racing import InputError
-from pcs_racing.base.files import plain_yaml, read_limited, unpack_arrays
+from pcs_racing.base.files import (
+    plain_yaml,
+    read_limited,
+    unpack_arrays,
+    write_atomically,
+    write_new_folder,
+)
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 plain = st.recursive(
@@ -153,3 +159,16 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path):
         refused("no ordinary file", read_limited, tmp_path / name, 9, "a test")
     with pytest.raises((InputError, OSError)):
         read_limited(tmp_path, 9, "a test")
+
+
+def test_a_new_folder_appears_whole_or_not_at_all(tmp_path):
+    folder = tmp_path / "above" / "new"
+    with pytest.raises(OSError, match="File name too long"):
+        write_new_folder(folder, {"a": b"1", "x" * 300: b"2"})
+    assert not list(folder.parent.iterdir())
+    assert write_new_folder(folder, {"a": b"1", "b": b"2"})
+    assert not write_new_folder(folder, {"a": b"3"})
+    assert {file.name: file.read_bytes() for file in folder.iterdir()} == {"a": b"1", "b": b"2"}
+    for content in ("é", "é".encode(), lambda file: file.write("é".encode())):
+        write_atomically(folder / "a", content)
+        assert (folder / "a").read_text(encoding="utf-8") == "é"
