@@ -10,6 +10,7 @@ from studies import reading
 from studies.headroom import command as headroom
 from studies.matches import command as matches
 from studies.overtaking import command as overtaking
+from studies.search import command as search
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -18,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m studies", description=__doc__, allow_abbrev=False
     )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (headroom, matches, overtaking, reading):
+    for command in (headroom, matches, overtaking, reading, search):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

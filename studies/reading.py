@@ -15,12 +15,12 @@ from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
 from pcs_racing_agents.agents.zoo import parse_agent
+from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Circuits, Rules, output_folder
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.play import game_rules
-from pcs_racing_agents.tournament.statistics import clustered_mean
 
 Labels = NDArray[np.int64]
 HEAD = (

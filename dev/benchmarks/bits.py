@@ -196,7 +196,7 @@ def networks(folders: list[Path]) -> Digests:
 def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
     from pcs_racing_agents.tournament.ratings import rate
-    from pcs_racing_agents.tournament.statistics import clustered_mean, t_interval
+    from pcs_racing_agents.base.statistics import clustered_mean, t_interval
 
     rng = np.random.default_rng(0)
     names = np.array([f"agent {k}" for k in range(8)])

@@ -25,7 +25,7 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import kernel_settings
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
-from pcs_racing_agents.tournament.statistics import clustered_mean
+from pcs_racing_agents.base.statistics import clustered_mean
 
 LIDAR = (
     "gap-follower",

@@ -25,7 +25,7 @@ import numpy as np
 
 from pcs_racing.planners.registry import planner_names
 from pcs_racing_agents.base.tables import with_interval
-from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
+from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 
 Cell = tuple[str, str]  # circuit and opponent
 

@@ -32,7 +32,7 @@ from pcs_racing_agents.learning.ppo.evaluation import (
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.games import variant_count
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare
+from pcs_racing_agents.base.statistics import clustered_mean, compare
 
 SEED = 20_011  # of these races, and of nothing else
 OTHERS = ("Saltmere", "Tarnfjord", "Larkmoor", "Quillburg", "Kestrelheim", "Brackwater", "Pipkin")

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare, t_interval
+from pcs_racing_agents.base.statistics import clustered_mean, compare, t_interval
 
 Floats = NDArray[np.float64]
 FULL = (20, 20, 10)  # egos, opponents, races of each pair

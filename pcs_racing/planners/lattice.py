@@ -34,6 +34,7 @@ References
    with a conformal spatiotemporal lattice", ICRA 2011.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -104,13 +105,13 @@ _WEIGHTS = (
     ("curvature_rate", -2.0, 0.0, -1.5, "largest change of curvature in time, 1/(m s)"),
     ("lateral_acceleration", -2.0, 0.0, -1.0, "largest lateral acceleration, in 10 m/s^2"),
     ("braking", -2.0, 0.5, -1.5, "change of speed along the candidate, in 10 m/s^2"),
-    ("similarity", -1.0, 1.0, 0.0, "squared distance to the previous plan, m^2"),
-    ("progress", 0.0, 2.0, 1.0, "time per metre of progress, relative to the fastest profile"),
-    ("deviation", -0.7, 1.0, 0.0, "mean distance from the race line, m"),
-    ("walls", -1.5, 1.0, -0.5, "nearness to walls: mean of 0.1 / (air + 0.1 m)"),
+    ("similarity", -2.0, 1.0, 0.0, "squared distance to the previous plan, m^2"),
+    ("progress", -1.0, 2.0, 1.0, "time per metre of progress, relative to the fastest profile"),
+    ("deviation", -1.5, 1.0, 0.0, "mean distance from the race line, m"),
+    ("walls", -1.5, 2.0, -0.5, "nearness to walls: mean of 0.1 / (air + 0.1 m)"),
     (
         "proximity",
-        -1.5,
+        -2.5,
         1.0,
         -0.5,
         "nearness to the predicted opponent: discounted mean of 0.3 / (distance^2 + 0.3 m^2)",
@@ -118,7 +119,7 @@ _WEIGHTS = (
     (
         "overtaking",
         -1.0,
-        2.0,
+        3.0,
         1.0,
         "how far behind the predicted opponent the candidate ends, in 5 m",
     ),
@@ -142,26 +143,50 @@ PARAMETERS = (
     Parameter(
         "pace",
         0.0,
-        1.0,
+        1.5,
         0.5,
         "speed scale between the slowest (0) and fastest (1) of the race's speed range",
     ),
     Parameter(
         "attack",
         0.0,
-        0.3,
+        0.5,
         0.2,
         "share by which a car that wants to pass tops the profile on straights",
     ),
-    Parameter("side_margin", 0.2, 0.45, 0.32, "air to keep beside the opponent, m"),
+    Parameter("side_margin", 0.1, 0.45, 0.32, "air to keep beside the opponent, m"),
     Parameter(
         "pace_behind",
         -0.5,
         0.5,
         0.15,
-        "what is added to the pace while the opponent leads; the sum stays in [0, 1]",
+        "what is added to the pace while the opponent leads; the sum is at least 0, and at most 1 or the pace",
     ),
 )
+
+_EARLY = {
+    "length": (-2.0, 0.0, -1.0),
+    "max_curvature": (-2.0, 0.0, -1.0),
+    "mean_curvature": (-2.0, 0.0, -1.0),
+    "curvature_rate": (-2.0, 0.0, -1.5),
+    "lateral_acceleration": (-2.0, 0.0, -1.0),
+    "braking": (-2.0, 0.5, -1.5),
+    "similarity": (-1.0, 1.0, 0.0),
+    "progress": (0.0, 2.0, 1.0),
+    "deviation": (-0.7, 1.0, 0.0),
+    "walls": (-1.5, 1.0, -0.5),
+    "proximity": (-1.5, 1.0, -0.5),
+    "overtaking": (-1.0, 2.0, 1.0),
+    "blocking": (-2.0, 1.0, -0.5),
+    "pace": (0.0, 1.0, 0.5),
+    "attack": (0.0, 0.3, 0.2),
+    "side_margin": (0.2, 0.45, 0.32),
+    "pace_behind": (-0.5, 0.5, 0.15),
+}
+EARLY_PARAMETERS = tuple(
+    Parameter(one.name, *_EARLY[one.name], one.meaning) for one in PARAMETERS
+)
+"""Parameters with the bounds and defaults set by hand, before any search."""
 
 # Memory: the chosen move, and 1 if the car attacks. The move is stored as 1 if there is a move, its
 # start (m of arc length), its length (m), its end (m from the race line), and two coefficients of
@@ -368,7 +393,7 @@ def _pace_now(pace, pace_behind, gap):
     length. With a step instead, two such cars side by side would change their speeds at every plan.
     """
     behind = min(max(0.5 + gap / LEVEL, 0.0), 1.0)
-    return min(max(pace + behind * pace_behind, 0.0), 1.0)
+    return min(max(pace + behind * pace_behind, 0.0), max(pace, 1.0))
 
 
 @inner_kernel
@@ -958,6 +983,11 @@ LATTICE = Planner(
     memory_size=MEMORY,
     scratch_size=SCRATCH,
     candidates=candidates,
+    variants={"early": [parameter.default for parameter in EARLY_PARAMETERS]},
     sight=SIGHT,
 )
 """Lattice planner: moves across the track along the race line."""
+
+REFERENCE = replace(LATTICE, parameters=EARLY_PARAMETERS, variants={})
+"""Lattice with its first bounds and defaults, which calibrates circuits: their speed ranges and
+start places do not change with the defaults."""

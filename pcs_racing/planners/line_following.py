@@ -28,7 +28,7 @@ from pcs_racing.track.frenet import angle_between, offset
 PACE = Parameter(
     "pace",
     0.0,
-    1.0,
+    1.5,
     0.5,
     "speed scale between the slowest (0) and fastest (1) of the race's speed range",
 )

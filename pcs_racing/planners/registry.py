@@ -75,7 +75,8 @@ def parse_policy(text: str) -> Policy:
     """Return the policy of a text: a planner's name, with an optional variant or parameters.
 
     Texts are ``"lattice"``, ``"lattice:pace=0.8,side_margin=0.2"`` (the other parameters as in the
-    default) or ``"lane-switcher:3"``. The text becomes the policy's name.
+    default), ``"lane-switcher:3"`` (a variant) or ``"lattice:early,pace=0.7"`` (the other
+    parameters as in the variant). The text becomes the policy's name.
     """
     if not isinstance(text, str):
         raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")
@@ -86,8 +87,11 @@ def parse_policy(text: str) -> Policy:
         return planner.policy(name=name)
     if "=" not in rest:
         return planner.policy(rest, name=f"{name}:{rest}")
+    settings = rest.split(",")
+    variant = None if "=" in settings[0] else settings.pop(0)
+    base = planner.policy(variant)
     values: dict[str, float] = {}
-    for setting in rest.split(","):
+    for setting in settings:
         key, equals, value = setting.partition("=")
         if not equals:
             raise InputError(f"policy {text!r}: {setting!r} is not of the form parameter=value")
@@ -102,7 +106,9 @@ def parse_policy(text: str) -> Policy:
             values[key] = float(value)
         except ValueError:
             raise InputError(f"policy {text!r}: {key} is {value!r}; it must be a number") from None
-    return planner.policy(values, name=f"{name}:{rest}")
+    theta = base.parameters.copy()
+    theta[planner.indices(list(values))] = list(values.values())
+    return planner.policy(theta, name=f"{name}:{rest}")
 
 
 def _declared() -> dict[str, str]:

@@ -21,7 +21,7 @@ from pcs_racing.base.files import parse_json
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.contacts import END
 from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
@@ -111,14 +111,14 @@ def hazard_scan(
     if cars < 2 or cars % 2:
         raise InputError(f"cars is {cars}; it must be an even number from 2")
     races = cars // 2
-    theta = pad_parameters([LATTICE.policy()], len(LATTICE.parameters))
+    theta = pad_parameters([REFERENCE.policy()], len(REFERENCE.parameters))
     theta = np.ascontiguousarray(np.broadcast_to(theta[:, None], (races, 2, theta.shape[1])))
     hazards: list[float] = []
     for scale in scales:
         settings = _scan_settings(config, (scale, scale + 1e-6))._replace(
             end_tick=round(100.0 * seconds), ittc_horizon=0.0
         )
-        state = empty_state(races, LATTICE.memory_total)
+        state = empty_state(races, REFERENCE.memory_total)
         state.seed[:] = race_seeds(seed, races)
         for car in range(2):
             s = np.mod((np.arange(races) / races + car) * 0.5 * track.length, track.length)
@@ -133,7 +133,7 @@ def hazard_scan(
         drive(
             track,
             settings,
-            (LATTICE, LATTICE),
+            (REFERENCE, REFERENCE),
             (F1TENTH, F1TENTH),
             state,
             theta,

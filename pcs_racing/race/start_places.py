@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import drive
 from pcs_racing.race.kernel import KernelSettings
@@ -62,11 +62,11 @@ BATCH = 64  # places driven at once
 def _pairs() -> Floats:
     """Return the parameter vectors of the pairs that start at every place, shape (pairs, 2, P)."""
     generator = np.random.default_rng(0)
-    paces = [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in PACES]
+    paces = [[REFERENCE.policy({"pace": pace}).parameters for pace in pair] for pair in PACES]
     # `pace_behind` keeps its default: the first seconds are too short for it, and the start places
     # of tracks do not change.
     drawn = [
-        [LATTICE.sample(generator, fixed=("pace_behind",)) for _ in range(2)]
+        [REFERENCE.sample(generator, fixed=("pace_behind",)) for _ in range(2)]
         for _ in range(RANDOM_PAIRS)
     ]
     return np.array(paces + drawn)
@@ -110,14 +110,14 @@ def _race(
     """Drive a race from each start with the parameters of its policies, shape (races, 2, P)."""
     cars = (F1TENTH, F1TENTH)
     state = place_on_grid(
-        track, config, spacing, settings.speed_low, cars, starts, LATTICE.memory_total
+        track, config, spacing, settings.speed_low, cars, starts, REFERENCE.memory_total
     )
     state.seed[:] = np.arange(first_key, first_key + len(starts), dtype=np.uint64)
     settings = settings._replace(ittc_horizon=0.0)
     drive(
         track,
         settings,
-        (LATTICE, LATTICE),
+        (REFERENCE, REFERENCE),
         cars,
         state,
         np.ascontiguousarray(theta),
@@ -147,7 +147,7 @@ def crashes_of_pairs(
     places = np.concatenate(some)
     paces = np.random.default_rng(2).uniform(size=(CRASH_PAIRS, 2))
     theta = np.array(
-        [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
+        [[REFERENCE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
     )
     starts = Starts(np.repeat(places, 2), np.tile(np.arange(2), CRASH_PAIRS))
     state = _race(track, config, settings, spacing, starts, np.repeat(theta, 2, axis=0), 0)
@@ -246,7 +246,7 @@ def _gain(
     ]
     paces = np.random.default_rng(1).uniform(size=(BALANCE_PAIRS, 2))
     pairs = np.array(
-        [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
+        [[REFERENCE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
     )
     state, left = _race_from(track, config, settings, spacing, places, pairs, 0)
     left = left[~state.crashed]

@@ -11,13 +11,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import PolicySet, Turn, competitor_name
 from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.jobs import Run
+from pcs_racing_agents.base.statistics import clustered_mean, compare
 from pcs_racing_agents.benchmark.card import CardScore, Gain
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.races import RaceTable
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare
 
 Floats = NDArray[np.float64]
 

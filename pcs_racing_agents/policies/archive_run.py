@@ -136,7 +136,17 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
     ) -> Scenarios:
         policies = draw_policies(planner, opponents, root, config.fixed)
         seed = _number(root)
-        return draw_scenarios(config, policies, starts=starts, duration=duration, seed=seed)
+        return draw_scenarios(
+            config.planner,
+            config.tracks,
+            config.rules_of(duration),
+            opponents=policies,
+            rivals=config.rivals,
+            characteristics=config.axes,
+            segment_seconds=config.segment_seconds,
+            starts=starts,
+            seed=seed,
+        )
 
     return (
         drawn(search, config.opponents, config.starts, config.duration),

@@ -5,7 +5,7 @@ policy meets every pair of start line and opponent, from both sides of the grid,
 draws happen once per run, so that policies differ by their driving and not by chance.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
@@ -23,7 +23,6 @@ from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, 
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.policies.config import ArchiveConfig
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -66,18 +65,33 @@ class Evaluation(NamedTuple):
 
 
 def draw_scenarios(
-    config: ArchiveConfig, opponents: Floats, *, starts: int, duration: float, seed: int
+    planner: str,
+    tracks: Sequence[str],
+    rules: RaceConfig,
+    *,
+    opponents: Floats | None = None,
+    rivals: Sequence[str] = (),
+    characteristics: Sequence[str] = ("speed",),
+    segment_seconds: float | None = None,
+    starts: int,
+    seed: int,
 ) -> Scenarios:
     """Draw races on every track: all pairs of start lines and opponents, from both sides.
 
     Parameters
     ----------
-    opponents : ndarray, shape (O, P)
-        Parameters of policies, met in addition to the configuration's rivals.
+    planner : str
+        Planner of the policies and of the opponents.
+    rules : RaceConfig
+        Rules and duration of the races.
+    opponents : ndarray, shape (O, P), optional
+        Parameters of policies, met in addition to the rivals.
+    rivals : sequence of str
+        Policies of any planner; format of :func:`pcs_racing.parse_policy`.
+    segment_seconds : float, optional
+        Length of the segments whose mean is a coordinate, s; the whole race by default.
     starts : int
         Number of start lines on each track.
-    duration : float
-        Length of a race, s.
     seed : int
         Root seed of start lines and noise.
 
@@ -86,30 +100,30 @@ def draw_scenarios(
     Scenarios
         ``tracks * starts * (opponents + rivals) * 2`` races.
     """
-    rules = config.rules_of(duration)
-    count = len(opponents) + len(config.rivals)
+    if opponents is None:
+        opponents = np.zeros((0, len(get_planner(planner).parameters)))
+    count = len(opponents) + len(rivals)
     line, opponent, side = (indices.ravel() for indices in np.mgrid[:starts, :count, :2])
     start_s, seeds = [], []
-    for index, track in enumerate(config.tracks):
+    for index, track in enumerate(tracks):
         # Each track has its own root: another track in the list changes no race on this track.
         lines, noise = np.random.SeedSequence(seed, spawn_key=(index,)).spawn(2)
         places = start_lines(as_track(track), replace(rules, start_lines=starts), lines)
         start_s.append(places[line])
         seeds.append(race_seeds(int(noise.generate_state(1, np.uint64)[0]), len(line)))
-    tracks = len(config.tracks)
     return Scenarios(
-        tracks=config.tracks,
+        tracks=tuple(tracks),
         config=rules,
-        planner=config.planner,
-        characteristics=config.axes,
-        segment_seconds=config.segment_seconds,
+        planner=planner,
+        characteristics=tuple(characteristics),
+        segment_seconds=rules.duration if segment_seconds is None else segment_seconds,
         opponents=opponents,
-        rivals=config.rivals,
-        track=np.repeat(np.arange(tracks), len(line)),
+        rivals=tuple(rivals),
+        track=np.repeat(np.arange(len(tracks)), len(line)),
         start_s=np.concatenate(start_s),
-        side=np.tile(side, tracks),
+        side=np.tile(side, len(tracks)),
         seed=np.concatenate(seeds),
-        opponent=np.tile(opponent, tracks),
+        opponent=np.tile(opponent, len(tracks)),
     )
 
 
@@ -228,6 +242,12 @@ def _pooled(axis: Characteristic, races: Segment, segments: Indices) -> Floats:
     return np.asarray(segments * pooled + influence * segments.sum())
 
 
+def race_points(raced: Arrays) -> Floats:
+    """Return the points of each race, shape (K, R): 1 for a win, 1/2 for a tie, else 0."""
+    tie = (raced["winner"] < 0) & ~raced["crashed"]
+    return np.asarray((raced["winner"] == 0) + 0.5 * tie, np.float64)
+
+
 def summarise(raced: Arrays) -> Evaluation:
     """Return means, shares and standard errors of the results of :func:`race_policies`.
 
@@ -241,6 +261,6 @@ def summarise(raced: Arrays) -> Evaluation:
     residuals = totals - coordinates[:, None] * segments[..., None]
     spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / begun
     won, rival = raced["winner"] == 0, raced["rival"]
-    points = np.where(rival, won + 0.5 * ((raced["winner"] < 0) & ~raced["crashed"]), 0.0)
+    points = np.where(rival, race_points(raced), 0.0)
     score = np.where(rival.any(axis=1), points.sum(axis=1) / np.maximum(rival.sum(axis=1), 1), 1.0)
     return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, won.mean(axis=1), score)

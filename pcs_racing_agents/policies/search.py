@@ -276,6 +276,11 @@ class CubeCMAES:
         return float(np.max(self._es.stds))
 
     @property
+    def mean(self) -> Floats:
+        """Mean of the distribution, shape (P,); it may lie outside the cube."""
+        return np.asarray(self._es.mean, np.float64)
+
+    @property
     def degenerate(self) -> bool:
         """True if the distribution has collapsed or diverged."""
         return not MIN_STEP < self.step_size < np.inf or self._es.condition_number > 1e14

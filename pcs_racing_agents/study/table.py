@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.tournament import RaceTable
-from pcs_racing_agents.tournament.statistics import (
+from pcs_racing_agents.base.statistics import (
     Comparison,
     clustered_mean,
     compare,
     holm,
     match_units,
 )
+from pcs_racing_agents.tournament import RaceTable
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pcs_racing_agents.base.statistics import Comparison
 from pcs_racing_agents.base.tables import aligned, interval_text, with_interval, write_csv
 from pcs_racing_agents.study.table import GAIN, Difference, StudyTable, TableRow
-from pcs_racing_agents.tournament.statistics import Comparison
 
 DETAILS = (
     "agent",

@@ -3,6 +3,7 @@
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.statistics import compare, holm
 from pcs_racing_agents.tournament.fitting import (
     TrainingRaces,
     fit_best_fixed,
@@ -34,7 +35,6 @@ from pcs_racing_agents.tournament.races import (
 )
 from pcs_racing_agents.tournament.ratings import RoundRobin, excess, rate, round_robin
 from pcs_racing_agents.tournament.runner import play_pairing, play_pairings, repeat_race
-from pcs_racing_agents.tournament.statistics import compare, holm
 from pcs_racing_agents.tournament.table import standings, tournament_text
 
 __all__ = [

@@ -20,8 +20,8 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import Run, run_races
+from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.base.tables import aligned, write_csv
-from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 from studies.matches.behaviours import Behaviours
 from studies.matches.play import FixedChoice, KnownOpponentChoice, play_matches
 from studies.matches.remember import RememberedReply

@@ -36,8 +36,8 @@ from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.map_files import parse_csv
 from pcs_racing.track.maps import read_inside
 from pcs_racing.track.track import Track, build_track
+from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned
-from pcs_racing_agents.tournament.statistics import clustered_mean
 from studies.overtaking.overtaken import overtaken
 
 STARTS, LINES, FACTORS = 50, 3, (0.5, 0.6, 0.7, 0.8)

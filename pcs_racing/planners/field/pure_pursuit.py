@@ -26,7 +26,7 @@ PARAMETERS = (
     Parameter(
         "pace",
         0.0,
-        1.0,
+        1.5,
         0.2,
         "speed scale between the slowest (0) and fastest (1) of the race's speed range",
     ),

@@ -19,6 +19,7 @@ from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Job, Workers
+from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.base.tables import aligned, interval_text, write_csv
 from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
@@ -26,7 +27,6 @@ from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairings
-from pcs_racing_agents.tournament.statistics import Estimate, clustered_mean
 
 LINES = 5
 """Start lines of each pair of variants, each raced from both sides."""

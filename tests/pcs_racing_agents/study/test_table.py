@@ -20,7 +20,7 @@ from pcs_racing_agents.study.table import (
 )
 from pcs_racing_agents.tournament.race_files import race_table, read_results, write_results
 from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.tournament.statistics import clustered_mean, compare, holm
+from pcs_racing_agents.base.statistics import clustered_mean, compare, holm
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from pcs_racing_agents.tournament import (
     repeat_race,
     runner,
 )
-from pcs_racing_agents.tournament.statistics import match_units
+from pcs_racing_agents.base.statistics import match_units
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
 

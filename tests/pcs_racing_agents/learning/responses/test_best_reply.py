@@ -26,7 +26,7 @@ from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.tournament.statistics import clustered_mean
+from pcs_racing_agents.base.statistics import clustered_mean
 
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from refusal import refused
 from scipy import stats
 
-from pcs_racing_agents.tournament.statistics import (
+from pcs_racing_agents.base.statistics import (
     clustered_mean,
     compare,
     holm,

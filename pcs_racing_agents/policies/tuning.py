@@ -1,0 +1,340 @@
+"""Tuning of a planner: the search for its strongest safe policy against some opponents.
+
+1. **Search.** CMA-ES moves a distribution of parameters. All policies of a generation drive the
+   same races: every opponent on every track, from both sides. Each generation drives new races, so
+   that no policy wins by the luck of a few starts. A policy is ranked by its score (win 1, tie
+   1/2), less a price for own crashes beyond a limit.
+2. **Choice.** The start and the means of some generations of the second half race again, in more
+   races. The best of them is the tuned policy.
+3. **Check.** Start and tuned policy race once more, also on circuits held out of search and choice.
+"""
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+import yaml
+from annotated_types import Interval
+from numpy.typing import NDArray
+
+from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.files import write_atomically
+from pcs_racing.base.settings import Names, OptionalNames, Settings, Text, plain_settings
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.registry import get_planner, parse_policy
+from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.track.loading import load_track
+from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.curves import Curve, curves_picture
+from pcs_racing_agents.base.folders import clear_half_written
+from pcs_racing_agents.base.jobs import Job, open_job, run_races
+from pcs_racing_agents.base.statistics import clustered_mean
+from pcs_racing_agents.base.style import save_picture
+from pcs_racing_agents.base.tables import Column, table_rows, write_csv
+from pcs_racing_agents.policies.evaluate import (
+    Evaluation,
+    Scenarios,
+    draw_scenarios,
+    race_points,
+    race_policies,
+    summarise,
+)
+from pcs_racing_agents.policies.search import CubeCMAES
+
+Floats = NDArray[np.float64]
+
+CRASH_PRICE = 3.0
+"""Lost races that an own crash beyond the limit is worth, besides the race that it loses."""
+FINALISTS = 8  # means of generations that race again
+CHOICE_STARTS = 4  # times the start lines of the search
+MIN_PARAMETERS = 2  # of CMA-ES
+
+TUNING_TRACKS = ("Tarnfjord", "Brackwater", "Pipkin", "Kestrelheim", "Quillburg")
+HELD_OUT = ("Saltmere", "Vellindra")
+
+
+@dataclass(frozen=True)
+class TuningConfig(Settings):
+    """Configuration of the tuning of a planner."""
+
+    planner: Annotated[Text, "Planner whose parameters are tuned."] = "lattice"
+    against: Annotated[Names, "Opponents: policies, met equally often."] = ("lattice:early",)
+    tracks: Annotated[Names, "Names or folders of the circuits of search and choice."] = (
+        TUNING_TRACKS
+    )
+    held_out: Annotated[OptionalNames, "Circuits of the check only."] = HELD_OUT
+    preset: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "contest"
+    duration: Annotated[float, Interval(ge=0.1, le=3600.0), "Length of a race, s."] = 40.0
+    start: Annotated[
+        Text | None, "Policy of the planner that the search starts from; None for its default."
+    ] = None
+    fixed: Annotated[OptionalNames, "Parameters that keep their values of the start."] = ()
+    generations: Annotated[int, Interval(ge=1, le=100_000), "Number of generations."] = 40
+    population: Annotated[int, Interval(ge=4, le=10_000), "Policies of a generation."] = 14
+    step_size: Annotated[
+        float,
+        Interval(ge=1e-6, le=1.0),
+        "Initial standard deviation of CMA-ES, as a share of the parameters' ranges.",
+    ] = 0.15
+    starts: Annotated[
+        int, Interval(ge=1, le=1000), "Start lines on each track, for each opponent."
+    ] = 2
+    check_starts: Annotated[
+        int, Interval(ge=2, le=10_000), "Start lines of the check, for each opponent and track."
+    ] = 20
+    crash_limit: Annotated[
+        float, Interval(ge=0.0, le=1.0), "Share of own crashes that costs nothing."
+    ] = 0.05
+    seed: Annotated[int, Interval(ge=0, le=2**63 - 1), "Seed of all random draws."] = 0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = get_planner(self.planner).without(self.fixed)
+        if len(names) < MIN_PARAMETERS:
+            raise ConfigError(
+                f"planner {self.planner!r} has {len(names)} parameters to tune; the search needs"
+                f" {MIN_PARAMETERS} at least"
+            )
+        for policy in self.against:
+            parse_policy(policy)
+        if self.start_policy.planner.name != self.planner:
+            raise ConfigError(
+                f"start is {self.start!r}; it must be a policy of planner {self.planner!r}"
+            )
+        both = set(self.tracks) & set(self.held_out)
+        if both:
+            raise ConfigError(f"held_out names {sorted(both)[0]!r}, a circuit of the search")
+        _ = self.rules
+
+    @property
+    def start_policy(self) -> Policy:
+        """Policy that the search starts from."""
+        return parse_policy(self.start or self.planner)
+
+    @property
+    def rules(self) -> RaceConfig:
+        """Rules of the races."""
+        return load_race_config(self.preset, duration=float(self.duration))
+
+
+class TuningProgress(NamedTuple):
+    """Progress after a generation of the search."""
+
+    generation: int
+    score: float  #: Mean score of the generation's policies.
+    best: float  #: Max score less the price of crashes.
+    own_crash: float  #: Mean share of own crashes.
+    step_size: float  #: Max standard deviation, as a share of a parameter's range.
+
+
+TuningCallback = Callable[[str, int, int, TuningProgress | None], object]
+"""Callback ``(stage, done, total, progress)`` after each generation, and in later stages."""
+
+
+class CheckLine(NamedTuple):
+    """Result of a policy against an opponent on a circuit, in the races of the check."""
+
+    policy: str  #: ``start`` or ``tuned``.
+    track: str
+    held_out: str  #: ``yes`` for a circuit held out of the search.
+    opponent: str
+    races: int
+    score: float  #: Share of races won; a tie is a half.
+    low: float  #: ``low``, ``high``: 95 % interval, clustered by start line.
+    high: float
+    own_crash: float  #: Share of races that ended by a crash of the policy's own fault.
+
+
+CHECK = (
+    *map(Column, ("policy", "track", "held_out", "opponent", "races")),
+    *(Column(name, format=".4f") for name in ("score", "low", "high", "own_crash")),
+)
+COURSE = (
+    Column("generation"),
+    *(Column(name, format=".4f") for name in ("score", "best", "own_crash", "step_size")),
+)
+"""Columns of ``check.csv`` and ``progress.csv``."""
+
+
+class Tuned(NamedTuple):
+    """Result of a tuning."""
+
+    policy: Policy
+    check: list[CheckLine]
+    course: list[TuningProgress]
+
+
+def tune(
+    config: TuningConfig,
+    folder: str | Path,
+    *,
+    executor: Executor | None = None,
+    callback: TuningCallback | None = None,
+) -> Tuned:
+    """Tune a planner; write ``tuned.yaml``, ``check.csv``, ``progress.csv`` and ``progress.png``.
+
+    A stopped run resumes when it is started again with the same settings.
+
+    Parameters
+    ----------
+    folder : str or Path
+        A new or empty folder, or the folder of a stopped run of the same tuning.
+    executor : Executor, optional
+        Executor of the races (:func:`pcs_racing_agents.base.executors.make_executor`). It has no
+        influence on the result.
+    """
+    folder = Path(folder)
+    tracks = (*config.tracks, *config.held_out)
+    hashes = {name: load_track(name).content_hash for name in tracks}
+    settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
+    with open_job(folder, "tuning", settings) as job:
+        clear_half_written(folder)
+        run = TuningRun(config, job, executor, callback or (lambda *_: None))
+        theta = run.choose(run.search())
+        check = run.check(theta)
+        text = policy_text(get_planner(config.planner), theta)
+        write_csv(table_rows(CHECK, check), folder / "check.csv")
+        write_csv(table_rows(COURSE, run.course), folder / "progress.csv")
+        if find_spec("matplotlib") is not None:
+            save_picture(course_picture(run.course, config.crash_limit), folder / "progress.png")
+        about = {"policy": text, **plain_settings(config)}
+        write_atomically(folder / "tuned.yaml", yaml.safe_dump(about, sort_keys=False))
+        return Tuned(parse_policy(text), check, run.course)
+
+
+def policy_text(planner: Planner, theta: Floats) -> str:
+    """Return a policy as a text for :func:`pcs_racing.parse_policy`, with four digits."""
+    values = zip(planner.parameters, theta, strict=True)
+    pairs = (f"{p.name}={np.clip(float(f'{v:.4g}'), p.low, p.high):.6g}" for p, v in values)
+    return f"{planner.name}:{','.join(pairs)}"
+
+
+@dataclass
+class TuningRun:
+    """Stages of a tuning, whose races are tasks of a job."""
+
+    config: TuningConfig
+    job: Job
+    executor: Executor | None
+    callback: TuningCallback
+    name: str = "search"  #: Beginning of the names of the tasks.
+    course: list[TuningProgress] = field(default_factory=list)
+
+    def search(self) -> Floats:
+        """Return the start and the means of the distribution after each generation, (N + 1, P)."""
+        config, planner = self.config, get_planner(self.config.planner)
+        root, draws = np.random.SeedSequence(config.seed).spawn(2)
+        varied = planner.indices(planner.without(config.fixed))
+        low, high = planner.bounds[varied].T
+        start = config.start_policy.parameters
+        es = CubeCMAES(
+            (start[varied] - low) / (high - low),
+            config.step_size,
+            2.0 * config.step_size,
+            config.population,
+            config.population // 2,
+            np.random.default_rng(draws),
+        )
+        means = [start]
+        for number, child in enumerate(root.spawn(config.generations), 1):
+            theta = np.tile(start, (config.population, 1))
+            theta[:, varied] = low + np.clip(es.ask(), 0.0, 1.0) * (high - low)
+            found = self._race(f"{self.name}-{number:05d}", theta, child, config.starts)
+            value = fitness(found, config.crash_limit)
+            es.tell(np.argsort(np.argsort(-value, kind="stable"), kind="stable").astype(float))
+            mean = start.copy()
+            mean[varied] = low + np.clip(es.mean, 0.0, 1.0) * (high - low)
+            means.append(mean)
+            about = (found.score.mean(), value.max(), found.own_crash.mean(), es.step_size)
+            self.course.append(TuningProgress(number, *map(float, about)))
+            self.callback("search", number, config.generations, self.course[-1])
+        return np.stack(means)
+
+    def choose(self, means: Floats) -> Floats:
+        """Return the best of the start and some means of the second half, by new races, (P,)."""
+        config, last = self.config, self.config.generations
+        steps = np.linspace(last, last // 2 + 1, FINALISTS).round().astype(int)
+        finalists = means[np.unique([0, *steps])]
+        seed = np.random.SeedSequence(config.seed, spawn_key=(2,))
+        starts = CHOICE_STARTS * config.starts
+        found = self._race(f"{self.name}-choice", finalists, seed, starts)
+        self.callback("choice", 1, 1, None)
+        return np.asarray(finalists[fitness(found, config.crash_limit).argmax()])
+
+    def check(self, theta: Floats) -> list[CheckLine]:
+        """Race the start and a policy in new races, on the circuits held out, too."""
+        config = self.config
+        seed = np.random.SeedSequence(config.seed, spawn_key=(3,))
+        tracks = (*config.tracks, *config.held_out)
+        scenarios = self._scenarios(tracks, seed, config.check_starts)
+        policies = np.stack([config.start_policy.parameters, theta])
+        raced = self._raced(f"{self.name}-check", policies, scenarios)
+        self.callback("check", 1, 1, None)
+        return list(_check_lines(config, scenarios, raced))
+
+    def _race(
+        self, name: str, theta: Floats, seed: np.random.SeedSequence, starts: int
+    ) -> Evaluation:
+        scenarios = self._scenarios(self.config.tracks, seed, starts)
+        return summarise(self._raced(name, theta, scenarios))
+
+    def _scenarios(
+        self, tracks: tuple[str, ...], seed: np.random.SeedSequence, starts: int
+    ) -> Scenarios:
+        config = self.config
+        return draw_scenarios(
+            config.planner,
+            tracks,
+            config.rules,
+            rivals=config.against,
+            starts=starts,
+            seed=int(seed.generate_state(1, np.uint64)[0] >> np.uint64(1)),
+        )
+
+    def _raced(self, name: str, theta: Floats, scenarios: Scenarios) -> Arrays:
+        """Race policies as tasks of this name, a few at once, or load results of earlier runs."""
+        step = max(1, len(theta) // 4)
+        tasks = [(scenarios, theta[first : first + step]) for first in range(0, len(theta), step)]
+        results = run_races(name, race_policies, tasks, job=self.job, executor=self.executor)
+        return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
+
+
+def fitness(found: Evaluation, crash_limit: float) -> Floats:
+    """Return scores less the price of own crashes beyond a limit, shape (K,)."""
+    return found.score - CRASH_PRICE * np.maximum(found.own_crash - crash_limit, 0.0)
+
+
+def _check_lines(config: TuningConfig, scenarios: Scenarios, raced: Arrays) -> Iterator[CheckLine]:
+    points = race_points(raced)
+    for k, policy in enumerate(("start", "tuned")):
+        for t, track in enumerate(scenarios.tracks):
+            for o, opponent in enumerate(config.against):
+                races = np.flatnonzero((scenarios.track == t) & (scenarios.opponent == o))
+                score = clustered_mean(points[k, races], scenarios.start_s[races])
+                yield CheckLine(
+                    policy,
+                    track,
+                    "yes" if track in config.held_out else "no",
+                    opponent,
+                    len(races),
+                    score.mean,
+                    score.low,
+                    score.high,
+                    float(raced["own_crash"][k, races].mean()),
+                )
+
+
+def course_picture(course: list[TuningProgress], crash_limit: float) -> Any:
+    """Draw score and own crashes by generation."""
+    x, score, best, crash, _ = np.array(course, np.float64).T
+    return curves_picture(
+        {
+            "score": [Curve(x, score, "mean"), Curve(x, best, "best, less crashes")],
+            "own crashes": [Curve(x, crash, "mean"), Curve(x, 0 * x + crash_limit, "limit")],
+        },
+        x_label="generation",
+    )

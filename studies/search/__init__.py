@@ -1,0 +1,1 @@
+"""Why a search misses strong policies, and what searches against the last winner find."""
