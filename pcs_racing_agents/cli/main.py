@@ -36,6 +36,10 @@ FILES = {
         "list all agents, or describe one of them: options, training, strength, cost, hash",
     ),
     "policies": ("agents", "list planners with the bounds and meanings of their parameters"),
+    "tune": (
+        "tune",
+        "tune the parameters of a planner by races, and check them on circuits held out",
+    ),
     "synthesize": (
         "synthesize",
         "search for an archive of policies that drive differently",
@@ -89,6 +93,7 @@ NAMING = {
     "race": {"--ego": "planner", "--opponent": "planner"},
     "tournament": {"--policies": "planner", "--agents": "agent"},
     "headroom": {"--policies": "planner"},
+    "tune": {"": "planner", "--against": "planner"},
     "policies": {"": "planner"},
     "learn": {"--pool": "agent"},
     "explain": {"--agents": "agent"},

@@ -240,7 +240,8 @@ class CubeCMAES:
     """CMA-ES of pycma in the unit cube, with a given generator instead of numpy's global generator.
 
     The step size stays below ``max_step``; ``elite`` of ``population`` points per generation are
-    recombined.
+    recombined. With ``bounded``, points lie within the cube by pycma's smooth transformation, and
+    the step size is left alone; without, a point outside of the cube is the caller's to clip.
     """
 
     def __init__(
@@ -251,6 +252,8 @@ class CubeCMAES:
         population: int,
         elite: int,
         rng: np.random.Generator,
+        *,
+        bounded: bool = False,
     ) -> None:
         require("cma", extra="synthesis")
         import cma
@@ -268,6 +271,10 @@ class CubeCMAES:
             "verbose": -10,
             "verb_log": 0,
         }
+        self._bounded = bounded
+        if bounded:
+            options["bounds"] = [0.0, 1.0]
+            mean = np.clip(mean, 0.0, 1.0)
         self._es = cma.CMAEvolutionStrategy(mean, step_size, options)
 
     @property
@@ -277,8 +284,8 @@ class CubeCMAES:
 
     @property
     def mean(self) -> Floats:
-        """Mean of the distribution, shape (P,); it may lie outside the cube."""
-        return np.asarray(self._es.mean, np.float64)
+        """Mean of the distribution, shape (P,), within the bounds, if there are any."""
+        return np.asarray(self._es.result.xfavorite, np.float64)
 
     @property
     def degenerate(self) -> bool:
@@ -293,6 +300,8 @@ class CubeCMAES:
     def tell(self, ranks: Floats) -> None:
         """Update the distribution from the points' ranks, the only input of CMA-ES."""
         self._es.tell(self._samples, ranks.tolist())
+        if self._bounded:
+            return
         # Without a limit the step size may grow until all points lie on the border.
         self._es.sigma = min(self._es.sigma, self._max_step)
         # Points are moved to the border before their evaluation, so nothing else limits the mean.

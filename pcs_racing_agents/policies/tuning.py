@@ -3,7 +3,9 @@
 1. **Search.** CMA-ES moves a distribution of parameters. All policies of a generation drive the
    same races: every opponent on every track, from both sides. Each generation drives new races, so
    that no policy wins by the luck of a few starts. A policy is ranked by its score (win 1, tie
-   1/2), less a price for own crashes beyond a limit.
+   1/2), less a price for own crashes beyond a limit. The price is 0 in the first half of the
+   search and grows in the second: with the full price from the start, the search slows down the
+   first policy and stays there, since the way to a fast and safe policy leads through fast ones.
 2. **Choice.** The start and the means of some generations of the second half race again, in more
    races. The best of them is the tuned policy.
 3. **Check.** Start and tuned policy race once more, also on circuits held out of search and choice.
@@ -73,13 +75,13 @@ class TuningConfig(Settings):
         Text | None, "Policy of the planner that the search starts from; None for its default."
     ] = None
     fixed: Annotated[OptionalNames, "Parameters that keep their values of the start."] = ()
-    generations: Annotated[int, Interval(ge=1, le=100_000), "Number of generations."] = 40
-    population: Annotated[int, Interval(ge=4, le=10_000), "Policies of a generation."] = 14
+    generations: Annotated[int, Interval(ge=1, le=100_000), "Number of generations."] = 80
+    population: Annotated[int, Interval(ge=4, le=10_000), "Policies of a generation."] = 16
     step_size: Annotated[
         float,
         Interval(ge=1e-6, le=1.0),
         "Initial standard deviation of CMA-ES, as a share of the parameters' ranges.",
-    ] = 0.15
+    ] = 0.25
     starts: Annotated[
         int, Interval(ge=1, le=1000), "Start lines on each track, for each opponent."
     ] = 2
@@ -238,13 +240,15 @@ class TuningRun:
             config.population,
             config.population // 2,
             np.random.default_rng(draws),
+            bounded=True,
         )
         means = [start]
         for number, child in enumerate(root.spawn(config.generations), 1):
             theta = np.tile(start, (config.population, 1))
             theta[:, varied] = low + np.clip(es.ask(), 0.0, 1.0) * (high - low)
             found = self._race(f"{self.name}-{number:05d}", theta, child, config.starts)
-            value = fitness(found, config.crash_limit)
+            grown = max(0.0, 2.0 * number / config.generations - 1.0)
+            value = fitness(found, config.crash_limit, grown)
             es.tell(np.argsort(np.argsort(-value, kind="stable"), kind="stable").astype(float))
             mean = start.copy()
             mean[varied] = low + np.clip(es.mean, 0.0, 1.0) * (high - low)
@@ -303,9 +307,9 @@ class TuningRun:
         return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
 
 
-def fitness(found: Evaluation, crash_limit: float) -> Floats:
-    """Return scores less the price of own crashes beyond a limit, shape (K,)."""
-    return found.score - CRASH_PRICE * np.maximum(found.own_crash - crash_limit, 0.0)
+def fitness(found: Evaluation, crash_limit: float, price: float = 1.0) -> Floats:
+    """Return scores less a share of the price of own crashes beyond a limit, shape (K,)."""
+    return found.score - price * CRASH_PRICE * np.maximum(found.own_crash - crash_limit, 0.0)
 
 
 def _check_lines(config: TuningConfig, scenarios: Scenarios, raced: Arrays) -> Iterator[CheckLine]:

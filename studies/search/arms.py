@@ -40,18 +40,19 @@ HELD_OUT = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
 ROUNDS, SEEDS = 5, 3
 
 FULL = TuningConfig(
-    against=(FOUND, HAND_SET, *OTHERS), tracks=TUNING_TRACKS, held_out=(), start=HAND_SET
+    against=(FOUND, HAND_SET, *OTHERS),
+    tracks=TUNING_TRACKS,
+    held_out=(),
+    start=HAND_SET,
+    generations=40,
 )
-FORMER_BOUNDS = ("pace", "side_margin", "overtaking", "walls", "attack", "proximity")
-
 ARMS = {
     "full": FULL,
     "races of 16 s": replace(FULL, duration=16.0),
     "weak opponents": replace(FULL, against=WEAK),
     "crashes cost nothing": replace(FULL, crash_limit=1.0),
-    "pace at most 1": replace(FULL, fixed=("pace",), start=f"{HAND_SET.replace('0.7', '1')}"),
-    "one fixed pace": replace(FULL, fixed=("pace",)),
-    "10 generations": replace(FULL, generations=10),
+    "pace at most 1": replace(FULL, fixed=("pace",), start=HAND_SET.replace("0.7", "1")),
+    "small steps": replace(FULL, step_size=0.05),
     "80 generations": replace(FULL, generations=80),
 }
 
@@ -62,7 +63,6 @@ def round_config(winner: str, seed: int, number: int) -> TuningConfig:
         FULL,
         against=(winner, *OTHERS),
         start=winner,
-        step_size=0.1,
         seed=1000 * number + seed,
     )
 

@@ -1,0 +1,105 @@
+"""``pcs-racing tune``: search for the strongest safe parameters of a planner."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+
+from pcs_racing.base.errors import require
+from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.tables import aligned
+from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
+from pcs_racing_agents.cli.options import TRACK_HELP, Workers
+from pcs_racing_agents.policies.tuning import (
+    HELD_OUT,
+    TUNING_TRACKS,
+    CheckLine,
+    TuningCallback,
+    TuningConfig,
+    TuningProgress,
+    tune,
+)
+
+
+@command(
+    "tune",
+    "pcs-racing tune spliner --out out/spliner",
+    "pcs-racing tune lattice --against lattice spliner gap-follower --track Pipkin Tarnfjord"
+    " --generations 60 --out out/lattice",
+)
+def run(
+    planner: Annotated[str, Option("planner whose parameters are tuned")],
+    *,
+    against: Annotated[
+        Sequence[str],
+        Option(
+            "opponents: planner, planner:variant, planner:parameter=value,... (default: lattice:early)",
+            "POLICY",
+        ),
+    ] = (),
+    track: Annotated[Sequence[str], Option(f"circuits of the search: {TRACK_HELP}", "T")] = (),
+    held_out: Annotated[Sequence[str], Option("circuits of the check only", "T")] = HELD_OUT,
+    rules: Annotated[str | None, Option("rules of the races: a preset or a YAML file")] = None,
+    out: Annotated[Path, Option("folder of the search; a stopped search resumes here", "DIR")],
+    changes: Annotated[
+        dict[str, Any],
+        ConfigOptions(
+            TuningConfig,
+            "start",
+            "fixed",
+            "duration",
+            "generations",
+            "population",
+            "starts",
+            "crash_limit",
+            "seed",
+        ),
+    ],
+    workers: Workers,
+) -> None:
+    """Tune the parameters of a planner by races, and check them on circuits held out."""
+    given = {"against": tuple(against), "tracks": tuple(track)}
+    changes |= {key: value for key, value in given.items() if value}
+    searched = changes.get("tracks", TUNING_TRACKS)
+    changes["held_out"] = tuple(name for name in held_out if name not in searched)
+    if rules is not None:
+        changes["preset"] = rules
+    config = TuningConfig(planner=planner, **changes)
+    # A missing library is reported before the races, not after them.
+    require("cma", extra="synthesis")
+    with workers.start() as executor:
+        tuned = tune(config, out, executor=executor, callback=show_search())
+    print("\n".join(aligned(check_rows(tuned.check))))
+    print(f"\n{tuned.policy.name}\nwritten: {out / 'tuned.yaml'}, check.csv, progress.csv")
+
+
+def show_search() -> TuningCallback:
+    """Return a callback that keeps a line on stderr up to date."""
+    show = show_progress("generations")
+
+    def update(stage: str, done: int, total: int, state: TuningProgress | None) -> None:
+        about = f", score {state.score:.2f}, own crashes {state.own_crash:.1%}" if state else ""
+        show(done, total, stage + about)
+
+    return update
+
+
+def check_rows(check: Sequence[CheckLine]) -> list[tuple[str, ...]]:
+    """Return a table with a line for each opponent: scores and own crashes, before and after."""
+    rows = [("opponent", "circuits", "start", "own crashes", "tuned", "own crashes")]
+    for opponent in dict.fromkeys(line.opponent for line in check):
+        for kind, words in (("no", "searched"), ("yes", "held out")):
+            cells = []
+            for policy in ("start", "tuned"):
+                lines = [
+                    one
+                    for one in check
+                    if (one.opponent, one.held_out, one.policy) == (opponent, kind, policy)
+                ]
+                if lines:
+                    score, crash = np.mean([(one.score, one.own_crash) for one in lines], axis=0)
+                    cells += [f"{score:.3f}", f"{crash:.1%}"]
+            if cells:
+                rows.append((opponent, words, *cells))
+    return rows
