@@ -82,7 +82,7 @@ def run(
         "hypervolume_error",
         "own_crash_mean",
         "own_crash_max",
-        "win_share_against_random",
+        "win_share",
         "duplicate_share",
     ):
         value = archive.settings[key]

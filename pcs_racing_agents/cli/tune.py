@@ -34,7 +34,8 @@ def run(
     against: Annotated[
         Sequence[str],
         Option(
-            "opponents: planner, planner:variant, planner:parameter=value,... (default: lattice:early)",
+            "opponents: planner, planner:variant, planner:parameter=value,... (default:"
+            " lattice:early)",
             "POLICY",
         ),
     ] = (),
@@ -87,7 +88,9 @@ def show_search() -> TuningCallback:
 
 def check_rows(check: Sequence[CheckLine]) -> list[tuple[str, ...]]:
     """Return a table with a line for each opponent: scores and own crashes, before and after."""
-    rows = [("opponent", "circuits", "start", "own crashes", "tuned", "own crashes")]
+    rows: list[tuple[str, ...]] = [
+        ("opponent", "circuits", "start", "own crashes", "tuned", "own crashes")
+    ]
     for opponent in dict.fromkeys(line.opponent for line in check):
         for kind, words in (("no", "searched"), ("yes", "held out")):
             cells = []

@@ -23,4 +23,4 @@ from pcs_racing_agents.policies.policy_pool import (
     spanning_policies,
 )
 from pcs_racing_agents.policies.search import Search
-from pcs_racing_agents.policies.selection import choose_pool, denoised, pool_headroom
+from pcs_racing_agents.policies.tuning import Tuned, TuningConfig, tune

@@ -16,11 +16,12 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import duplicate_share, no_op_share
+from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.folders import package_version
 from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import Column, table_rows, write_csv
-from pcs_racing_agents.policies.config import HEADROOM_SETTINGS, ArchiveConfig
+from pcs_racing_agents.policies.config import SPREAD_SETTINGS, ArchiveConfig
 from pcs_racing_agents.policies.evaluate import Evaluation, summarise
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume
 
@@ -61,7 +62,7 @@ def write_archive(
     archive = PolicyArchive(
         name=config.name,
         planner=config.planner,
-        parameter_names=config.varied,
+        parameter_names=get_planner(config.planner).parameter_names,
         parameters=parameters,
         characteristics=config.axes,
         coordinates=coordinates,
@@ -98,7 +99,7 @@ def _facts(archive: PolicyArchive, raced: Arrays, scale: Scale) -> dict[str, str
         "hypervolume_error": hypervolume_error(raced, scale),
         "own_crash_mean": crashes.mean(),
         "own_crash_max": crashes.max(),
-        "win_share_against_random": (raced["winner"] == 0).mean(),
+        "win_share": (raced["winner"] == 0).mean(),
         "no_op_share": no_op_share(archive),
         "duplicate_share": duplicate_share(archive),
     }
@@ -131,8 +132,8 @@ def hypervolume_error(raced: Arrays, scale: Scale) -> float:
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
     """Return every option of a synthesis that matters, as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
-    if config.selection != "headroom":
-        values = {key: value for key, value in values.items() if key not in HEADROOM_SETTINGS}
+    if config.selection != "spread":
+        values = {key: value for key, value in values.items() if key not in SPREAD_SETTINGS}
     texts = {
         key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)
     }

@@ -1,15 +1,19 @@
 """Synthesis of an archive: search, choice and measurement of policies, as one resumable job.
 
-1. **Search.** Random policies (the initial sample) set the scale. Then the search proposes
+1. **Champions**, an option: tunings (:mod:`pcs_racing_agents.policies.tuning`) find strong
+   policies, each against the rivals and the champions before it.
+2. **Search.** Random policies (the initial sample) set the scale. Then the search proposes
    generation after generation, and every policy races in the same scenarios (Algorithm 1 of the
-   paper). The opponents are random policies, fixed for the run as in the paper.
-2. **Choice.** The best evaluated policies race again, in other scenarios. Policies are left out if
+   paper). The opponents are random policies, fixed for the run as in the paper, rivals and
+   champions.
+3. **Choice.** The best evaluated policies race again, in other scenarios. Policies are left out if
    they crash too often, are clearly beaten by another policy, or nearly coincide with another
-   policy. As an option, candidates race each other instead, and the choice is a pool with headroom
-   (:mod:`pcs_racing_agents.policies.selection`).
-3. **Measurement.** The remaining policies race once more in new scenarios. The coordinates come
+   policy. With ``selection: spread`` the searches start at the last champion and go in all
+   directions of the axes, a policy much weaker than the champion violates a limit, and the choice
+   holds policies far apart.
+4. **Measurement.** The remaining policies race once more in new scenarios. The coordinates come
    from these races alone, since the maximum of many noisy values is biased.
-4. **Judgement**, only of a pool chosen for headroom: its headroom in new races.
+5. **Judgement**, only of policies far apart: their headroom in new races.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,8 +28,8 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.folders import clear_half_written
@@ -44,13 +48,13 @@ from pcs_racing_agents.policies.pareto import Scale, hypervolume
 from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.policies.search import Search, latin_hypercube
 from pcs_racing_agents.policies.selection import (
-    best_of_each_interval,
-    choose_for_headroom,
     clearly_beaten,
     headroom_notes,
     spread_first,
+    spread_out,
     thin_out,
 )
+from pcs_racing_agents.policies.tuning import TuningProgress, TuningRun, policy_text
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -58,15 +62,13 @@ Notes = Mapping[str, str | float]
 
 BLOCK = 2  # policies per task: a generation of 32 keeps 16 cores busy
 MAX_FOLDS = 16
-INTERVALS_PER_GROUP = 4
-"""Number of intervals per group, to spread candidates along the first axis more than the pool."""
 
 
 class ArchiveProgress(NamedTuple):
     """Progress of a synthesis."""
 
-    #: Stage of the latest work: ``"search"``, ``"choice"``, ``"measurement"`` or, for policies
-    #: chosen for headroom, ``"judgement"``.
+    #: Stage of the latest work: ``"champions"``, ``"search"``, ``"choice"``, ``"measurement"`` or
+    #: ``"judgement"``.
     stage: str
     #: ``generation``, ``generations``: Numbers of finished and requested generations.
     generation: int
@@ -110,38 +112,45 @@ def synthesize(
     tracks = (*config.tracks, *(config.judging_tracks or ()))
     hashes = {name: load_track(name).content_hash for name in tracks}
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
-    search, choice, final = stage_scenarios(config)
+    stage_scenarios(config)
     _check_folder(folder)
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder / "job", "archive", settings) as job:
         clear_half_written(folder)
         run = ArchiveRun(config, job, executor, callback or (lambda _: None))
+        run.find_champions()
+        search, choice, final = stage_scenarios(config, run.champions)
         run.search(search)
         candidates, notes = run.choose(choice)
         kept, raced, more = run.measure(candidates, final)
-        judged = run.judge(kept) if config.selection == "headroom" else {}
+        judged = run.judge(kept) if config.selection == "spread" else {}
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
-        notes = {**notes, **more, **judged, "track_hashes": content}
+        champions = {f"champion_{k}": text for k, text in enumerate(run.champions, 1)}
+        notes = {**champions, **notes, **more, **judged, "track_hashes": content}
         steps = [step for step in run.history if step.stage == "search"]
         return write_archive(folder, config, run.explored(), run.scale, kept, raced, steps, notes)
 
 
-def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenarios]:
-    """Return the scenarios of search, choice and measurement; no two stages share a race."""
+def stage_scenarios(
+    config: ArchiveConfig, champions: Sequence[str] = ()
+) -> tuple[Scenarios, Scenarios, Scenarios]:
+    """Return the scenarios of search, choice and measurement; no two stages share a race.
+
+    ``champions`` are met as well as the rivals.
+    """
     search, choice, final, *_ = _roots(config)
-    planner = get_planner(config.planner)
 
     def drawn(
         root: np.random.SeedSequence, opponents: int, starts: int, duration: float
     ) -> Scenarios:
-        policies = draw_policies(planner, opponents, root, config.fixed)
+        policies = draw_policies(config, opponents, root)
         seed = _number(root)
         return draw_scenarios(
             config.planner,
             config.tracks,
             config.rules_of(duration),
             opponents=policies,
-            rivals=config.rivals,
+            rivals=(*config.rivals, *champions),
             characteristics=config.axes,
             segment_seconds=config.segment_seconds,
             starts=starts,
@@ -155,27 +164,32 @@ def stage_scenarios(config: ArchiveConfig) -> tuple[Scenarios, Scenarios, Scenar
     )
 
 
-def draw_policies(
-    family: Planner, count: int, root: np.random.SeedSequence, fixed: Sequence[str] = ()
-) -> Floats:
+def draw_policies(config: ArchiveConfig, count: int, root: np.random.SeedSequence) -> Floats:
     """Draw random policies within their bounds by Latin hypercube sampling, shape (count, P).
 
-    Parameters in ``fixed`` are not drawn and have their defaults.
+    Fixed parameters are not drawn and have their values of the start.
 
     The mean strength of a set of opponents shifts the lead of every policy that races against them.
     It varies less between small Latin hypercube samples than between independent draws.
     """
-    varied = family.without(fixed)
-    low, high = family.bounds[family.indices(varied)].T
+    planner = get_planner(config.planner)
+    varied = planner.indices(config.varied)
+    low, high = planner.bounds[varied].T
     drawn = low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low)
-    return family.complete(varied, drawn)
+    return with_varied(config, drawn)
+
+
+def with_varied(config: ArchiveConfig, values: Floats) -> Floats:
+    """Return parameters of policies, shape (K, P), from the varied ones; the others as at the start."""
+    theta = np.tile(config.start_policy.parameters, (len(values), 1))
+    theta[:, get_planner(config.planner).indices(config.varied)] = values
+    return theta
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
     """Return the root seeds of all random parts of a synthesis.
 
-    The parts are the three stages, the initial sample, the search, and the payoffs in choice and
-    judgement.
+    The parts are the three stages, the initial sample, the search, the champions and the judgement.
     """
     return np.random.SeedSequence(config.seed).spawn(7)
 
@@ -201,13 +215,15 @@ def _check_folder(folder: Path) -> None:
 class ArchiveRun:
     """Stages of a synthesis, whose races are tasks of one job, and the record of its search.
 
-    Parameters of policies are only the varied ones, shape (K, P).
+    Parameters of policies have the shape (K, P), fixed ones included.
     """
 
     config: ArchiveConfig
     job: Job
     executor: Executor | None
     callback: ArchiveCallback
+    champions: list[str] = field(default_factory=list)  #: Policies found by tuning, as texts.
+    min_score: float = 0.0  #: Min score against the rivals of a policy of the archive.
     #: Parameters and results of the initial sample and of each generation.
     searched: list[tuple[Floats, Evaluation]] = field(default_factory=list)
     history: list[ArchiveProgress] = field(default_factory=list)
@@ -235,8 +251,7 @@ class ArchiveRun:
         Rates are per race; coordinates are in units of the initial sample's range.
         """
         beyond = evaluation.own_crash - self.config.search_crash_limit
-        if self.config.rivals:
-            beyond = np.maximum(beyond, self.config.min_score - evaluation.score)
+        beyond = np.maximum(beyond, self.min_score - evaluation.score)
         if self.config.min_coordinates is None:
             return beyond
         shortfall = (np.array(self.config.min_coordinates) - evaluation.coordinates) / (
@@ -244,32 +259,67 @@ class ArchiveRun:
         )
         return np.maximum(beyond, shortfall.max(axis=1))
 
+    @property
+    def strongest(self) -> Floats:
+        """Parameters of the last champion, or of the start without champions, shape (P,)."""
+        start = self.config.start_policy
+        return (parse_policy(self.champions[-1]) if self.champions else start).parameters
+
+    def find_champions(self) -> None:
+        """Tune the planner again and again, each time also against the policies found before."""
+        config, planner = self.config, get_planner(self.config.planner)
+
+        def show(stage: str, done: int, total: int, state: TuningProgress | None) -> None:
+            crash = state.own_crash if state else 0.0
+            part = (len(self.champions) + done / total) / config.champions
+            share = self._done("champions", part)
+            self.callback(ArchiveProgress("champions", 0, 0, 0, 0.0, 0, crash, share))
+
+        for number, root in enumerate(_roots(config)[5].spawn(config.champions), 1):
+            tuning = config.tuning(self.champions, _number(root))
+            run = TuningRun(tuning, self.job, self.executor, show, f"champion-{number}")
+            self.champions.append(policy_text(planner, run.choose(run.search())))
+
     def search(self, scenarios: Scenarios) -> None:
-        """Race the initial sample and generation after generation in the same scenarios."""
+        """Race the initial sample and generation after generation in the same scenarios.
+
+        Each direction of the axes has a search of its own, which knows the initial sample.
+        """
         config, planner = self.config, get_planner(self.config.planner)
         first, seed = _roots(config)[3:5]
         varied = planner.indices(config.varied)
-        search = Search(
-            planner.bounds[varied],
-            population=config.population,
-            elite_ratio=config.elite_ratio,
-            step_size=config.step_size,
-            seed=_number(seed),
-        )
-        sample = draw_policies(planner, config.initial_sample, first, config.fixed)[:, varied]
-        search.add(sample, *self._searched("initial-sample", scenarios, sample))
-        self._note_search(search)
-        for number in range(1, config.generations + 1):
-            points = search.ask()
-            search.tell(*self._searched(f"generation-{number:05d}", scenarios, points))
+        spread = config.selection == "spread"
+        sample = draw_policies(config, config.initial_sample, first)
+        if spread:
+            # Halfway to the strongest policy: of policies drawn at random hardly any is strong.
+            sample = 0.5 * (sample + self.strongest)
+            sample[0] = self.strongest
+        coordinates, violation = self._searched("initial-sample", scenarios, sample)
+        if spread:
+            self.min_score = float(self.searched[0][1].score[0]) - config.margin
+            violation = self.violation(self.searched[0][1])
+        for number, signs in enumerate(config.directions):
+            search = Search(
+                planner.bounds[varied],
+                population=config.population,
+                elite_ratio=config.elite_ratio,
+                step_size=config.step_size,
+                start=self.strongest[varied] if spread else None,
+                seed=_number(seed),
+            )
+            search.add(sample[:, varied], signs * coordinates, violation)
             self._note_search(search)
+            for generation in range(1, config.generations + 1):
+                name = f"generation-{number * config.generations + generation:05d}"
+                points = with_varied(config, search.ask())
+                values, beyond = self._searched(name, scenarios, points)
+                search.tell(signs * values, beyond)
+                self._note_search(search)
 
     def choose(self, scenarios: Scenarios) -> tuple[Floats, Notes]:
         """Choose among the policies of the search, by new races.
 
-        Candidates for a front race again in ``scenarios``; candidates for a pool with headroom race
-        each other. Return the chosen policies, and the numbers of policies left out for each
-        reason.
+        Return the chosen policies, and the numbers of policies left out for each reason.
         """
         config = self.config
         theta, explored = self.explored()
@@ -280,13 +330,11 @@ class ArchiveRun:
         if len(allowed) == 0:
             raise InputError(
                 f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of"
-                f" the races of {config.duration:g} s, or lie below min_coordinates or min_score;"
-                " raise crash_limit, or lower the others"
+                f" the races of {config.duration:g} s, lie below min_coordinates, or are weak;"
+                " raise crash_limit or margin, or lower min_coordinates"
             )
-        if config.selection == "headroom":
-            chosen, notes = self._choose_pool(allowed)
-        else:
-            chosen, notes = self._choose_front(allowed, scenarios)
+        choose = self._choose_spread if config.selection == "spread" else self._choose_front
+        chosen, notes = choose(allowed, scenarios)
         points = self.scale(explored.coordinates)
         return theta[chosen], {
             "search_over_crash_limit": int(crashing.sum()),
@@ -309,8 +357,10 @@ class ArchiveRun:
         if len(parameters):
             raced = self._race("measurement", "measurement", scenarios, parameters)
             measured = summarise(raced)
+            if not front:  # the first policy is the strongest of the tunings
+                self.min_score = float(measured.score[0]) - config.margin
             within_limits = kept = np.flatnonzero(
-                (measured.own_crash <= config.crash_limit) & (measured.score >= config.min_score)
+                (measured.own_crash <= config.crash_limit) & (measured.score >= self.min_score)
             )
             if front:
                 kept = kept[~clearly_beaten(raced, kept, config.error_bars)]
@@ -320,8 +370,8 @@ class ArchiveRun:
         if len(kept) < minimum:
             raise InputError(
                 f"{len(kept)} policies remain below the crash limit of {config.crash_limit:.0%} and"
-                f" above min_score; an archive needs {minimum} at least: raise crash_limit, lower"
-                " min_score, or search longer"
+                f" within the margin; an archive needs {minimum} at least: raise crash_limit or"
+                " margin, or search longer"
             )
         self._note("measurement", len(kept), measured)
         notes = {
@@ -362,25 +412,29 @@ class ArchiveRun:
             "choice_too_near_another": len(not_beaten) - len(distinct),
         }
 
-    def _choose_pool(self, allowed: Indices) -> tuple[Indices, Notes]:
-        """Race all pairs of candidates of all speeds, and choose the pool with maximum headroom."""
+    def _choose_spread(self, allowed: Indices, scenarios: Scenarios) -> tuple[Indices, Notes]:
+        """Race strong policies far apart in new scenarios; choose some that still are.
+
+        The first policy of the search, the strongest of the tunings, is always among them.
+        """
         config = self.config
         theta, explored = self.explored()
-        first, won = explored.coordinates[allowed, 0], explored.won[allowed]
-        intervals = config.groups * INTERVALS_PER_GROUP
-        rows = allowed[best_of_each_interval(first, won, config.candidates, intervals)]
-        if len(rows) < config.max_policies:
-            raise InputError(
-                f"{len(rows)} candidates differ in {config.axes[0]}; a pool of"
-                f" {config.max_policies} needs more: search longer, raise crash_limit or lower"
-                " max_policies"
-            )
-        seed = _number(_roots(config)[5])
-        payoffs = self._payoffs("choice", theta[rows], config.tracks, config.payoff_races, seed)
-        pool, notes = choose_for_headroom(payoffs, config.groups, config.max_policies, seed)
-        chosen = rows[pool]
-        self._note("choice", len(chosen), Evaluation(*(values[chosen] for values in explored)))
-        return chosen, {"choice_candidates": len(rows), **notes}
+        others = allowed[allowed != 0]
+        rows = np.concatenate([[0], others])
+        order = rows[spread_out(_unit(explored.coordinates[rows]), config.candidates)]
+        raced = self._race("choice", "choice", scenarios, theta[order])
+        measured = summarise(raced)
+        self.min_score = float(measured.score[0]) - config.margin
+        within_limits = np.flatnonzero(self.violation(measured) <= 0.0)
+        kept = np.unique(np.concatenate([[0], within_limits]))
+        points = _unit(measured.coordinates[kept])
+        distinct = kept[spread_out(points, config.max_policies)]
+        self._note("choice", len(distinct), measured)
+        return order[distinct], {
+            "choice_candidates": len(order),
+            "choice_outside_limits": len(order) - len(within_limits),
+            "choice_min_score": self.min_score,
+        }
 
     def _searched(
         self, name: str, scenarios: Scenarios, parameters: Floats
@@ -394,10 +448,8 @@ class ArchiveRun:
         """Race policies as tasks of this name, or load results of an earlier run."""
         # The search reports progress by generation, with the hypervolume, unknown to the tasks.
         progress = None if stage == "search" else self._progress(stage)
-        complete = get_planner(self.config.planner).complete(self.config.varied, parameters)
-        tasks = [
-            (scenarios, complete[first : first + BLOCK]) for first in range(0, len(complete), BLOCK)
-        ]
+        blocks = range(0, len(parameters), BLOCK)
+        tasks = [(scenarios, parameters[first : first + BLOCK]) for first in blocks]
         results = run_races(
             name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress
         )
@@ -411,8 +463,9 @@ class ArchiveRun:
         The number of folds is an even divisor of the number of start lines, up to 16.
         """
         planner = get_planner(self.config.planner)
-        complete = planner.complete(self.config.varied, parameters)
-        policies = tuple(Policy(planner, theta, f"policy {k}") for k, theta in enumerate(complete))
+        policies = tuple(
+            Policy(planner, theta, f"policy {k}") for k, theta in enumerate(parameters)
+        )
         # An even number, since equally many folds are added and subtracted.
         folds = max(k for k in range(2, MAX_FOLDS + 1, 2) if races // 2 % k == 0)
         rules = self.config.rules_of(self.config.final_duration)

@@ -1,6 +1,8 @@
 """Configuration of the synthesis of an archive."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from math import comb
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,16 +12,18 @@ from annotated_types import Interval
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Names, OneOf, OptionalNames, Settings, Text
 from pcs_racing.game.characteristics import get_characteristics
+from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing_agents.base.configurations import load_config, shipped_configs
+from pcs_racing_agents.policies.tuning import TuningConfig
 
-CHOICES = ("pareto", "headroom")
-"""Rules of selection: policies that no other policy clearly beats, or a pool with headroom."""
+CHOICES = ("pareto", "spread")
+"""Rules of selection: policies that no other policy clearly beats, or policies far apart."""
 
 KIND = "archive"
-HEADROOM_SETTINGS = ("groups", "payoff_races", "judging_races", "judging_tracks")
-"""Options that only matter with ``selection: headroom``."""
+SPREAD_SETTINGS = ("margin", "judging_races", "judging_tracks")
+"""Options that only matter with ``selection: spread``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
 _SECONDS = Interval(ge=0.1, le=3600.0)
@@ -50,10 +54,15 @@ class ArchiveConfig(Settings):
         "Names or folders of the circuits; all policies race on all of them.",
     ] = SHIPPED_TRACKS
     planner: Annotated[Text, "Planner of the policies and of their opponents."] = "lattice"
+    start: Annotated[
+        Text | None,
+        "Policy of the planner that the first champion and fixed parameters start from; None for"
+        " the default.",
+    ] = None
     fixed: Annotated[
         OptionalNames,
-        "Parameters of the planner that keep their defaults: the search has a dimension less for"
-        " each, and the archive does not hold them.",
+        "Parameters of the planner that keep their values of the start: the search has a dimension"
+        " less for each.",
     ] = ()
     characteristics: Annotated[
         Names | None,
@@ -82,19 +91,28 @@ class ArchiveConfig(Settings):
         " the loss and in the hypervolume, and the best of them are the first archive.",
     ] = 80
     opponents: Annotated[
-        int, Interval(ge=1, le=1000), "Opponents (random policies) in the search."
+        int, Interval(ge=0, le=1000), "Opponents (random policies) in the search."
     ] = 4
     rivals: Annotated[
         OptionalNames,
         "Policies of other planners that are met in every stage as well as the random policies,"
         " each as often.",
     ] = ()
-    min_score: Annotated[
+    champions: Annotated[
+        int,
+        Interval(ge=0, le=100),
+        "Tunings before the search: each finds the strongest policy against the rivals and the"
+        " champions before it. All champions are rivals of the search, which starts at the last.",
+    ] = 0
+    champion_generations: Annotated[
+        int, Interval(ge=1, le=100_000), "Generations of a tuning, of the default population."
+    ] = 80
+    margin: Annotated[
         float,
         Interval(ge=0.0, le=1.0),
-        "Smallest score against the rivals, a win being 1 and a tie 1/2, of a policy that may be"
-        " chosen.",
-    ] = 0.0
+        "With selection: spread, how far a policy's score against the rivals (win 1, tie 1/2) may"
+        " lie below that of the last champion, or of the start without champions.",
+    ] = 0.1
     starts: Annotated[int, Interval(ge=1, le=1000), "Start lines on each track in the search."] = 2
     crash_limit: Annotated[
         float,
@@ -111,12 +129,12 @@ class ArchiveConfig(Settings):
         str,
         OneOf(CHOICES),
         "Rule of the selection: policies that no other one clearly beats on the axes (the paper),"
-        " or a pool with much headroom, chosen from the payoffs of all pairs of candidates.",
+        " or strong policies that are far from each other, found by searches in all directions.",
     ] = "pareto"
     candidates: Annotated[
         int, Interval(ge=2, le=10_000), "Policies that race again in the selection."
     ] = 240
-    choice_opponents: Annotated[int, Interval(ge=1, le=1000), "Opponents in the selection."] = 8
+    choice_opponents: Annotated[int, Interval(ge=0, le=1000), "Opponents in the selection."] = 8
     choice_starts: Annotated[
         int, Interval(ge=1, le=1000), "Start lines on each track in the selection."
     ] = 2
@@ -126,26 +144,15 @@ class ArchiveConfig(Settings):
         "A policy is dominated if another one is better on all axes by more than this number of"
         " standard errors of the difference.",
     ] = 1.0
-    groups: Annotated[
-        int,
-        Interval(ge=1, le=1000),
-        "With selection: headroom, groups of candidates along the first axis that as many policies"
-        " are taken from.",
-    ] = 4
-    payoff_races: Annotated[
-        int,
-        Interval(ge=4, le=100_000),
-        "With selection: headroom, races of each pair of candidates on each track.",
-    ] = 16
     judging_races: Annotated[
         int,
         Interval(ge=4, le=100_000),
-        "With selection: headroom, races of each pair of the chosen policies on each track, whose"
+        "With selection: spread, races of each pair of the chosen policies on each track, whose"
         " headroom the manifest states.",
     ] = 64
     judging_tracks: Annotated[
         Names | None,
-        "With selection: headroom, circuits that no choice is made on, on which it is judged, too.",
+        "With selection: spread, circuits of the judgement only.",
     ] = None
     spacing: Annotated[
         float,
@@ -165,7 +172,7 @@ class ArchiveConfig(Settings):
     ] = 80
     final_opponents: Annotated[
         int,
-        Interval(ge=1, le=1000),
+        Interval(ge=0, le=1000),
         "Opponents in the measurement, which gives the coordinates.",
     ] = 12
     final_starts: Annotated[
@@ -187,15 +194,21 @@ class ArchiveConfig(Settings):
             raise ConfigError(
                 f"min_policies is {self.min_policies}, above max_policies, {self.max_policies}"
             )
-        if self.min_score > 0.0 and not self.rivals:
-            raise ConfigError(
-                f"min_score is {self.min_score:g}, but there are no rivals to reach it against"
-            )
-        if self.selection == "headroom":
-            self._check_headroom()
+        if self.selection == "spread":
+            self._check_spread()
+        if self.champions and not self.rivals:
+            raise ConfigError(f"champions is {self.champions}, but there are no rivals to beat")
+        if not self.rivals and not all(
+            (self.opponents, self.choice_opponents, self.final_opponents)
+        ):
+            raise ConfigError("there are no rivals, and a stage has no opponents: nobody to race")
         if not self.varied:
             raise ConfigError(
                 f"fixed names all parameters of planner {self.planner!r}; at least one must vary"
+            )
+        if self.start_policy.planner.name != self.planner:
+            raise ConfigError(
+                f"start is {self.start!r}; it must be a policy of planner {self.planner!r}"
             )
         get_characteristics(self.axes)
         for rival in self.rivals:
@@ -206,23 +219,15 @@ class ArchiveConfig(Settings):
                 f" {', '.join(self.axes)}"
             )
 
-    def _check_headroom(self) -> None:
-        """Check the options that only the choice for headroom needs."""
-        if not 3 <= self.max_policies <= self.candidates:
-            raise ConfigError(
-                f"max_policies is {self.max_policies}; a pool chosen for headroom holds 3 policies"
-                f" at least, and no more than there are candidates, {self.candidates}"
-            )
-        if self.groups > self.max_policies:
-            raise ConfigError(f"groups is {self.groups}, above max_policies, {self.max_policies}")
-        for key in ("payoff_races", "judging_races"):
-            if getattr(self, key) % 4:
-                raise ConfigError(f"{key} is {getattr(self, key)}; it must be a multiple of 4")
+    def _check_spread(self) -> None:
+        """Check the options that only the choice of policies far apart needs."""
+        if not self.rivals:
+            raise ConfigError("selection is 'spread', but there are no rivals to measure strength")
+        if self.judging_races % 4:
+            raise ConfigError(f"judging_races is {self.judging_races}; it must be a multiple of 4")
         both = set(self.tracks) & set(self.judging_tracks or ())
         if both:
-            raise ConfigError(
-                f"judging_tracks names {sorted(both)[0]!r}, which has a say in the choice"
-            )
+            raise ConfigError(f"judging_tracks names {sorted(both)[0]!r}, a circuit of the search")
 
     @property
     def rules(self) -> RaceConfig:
@@ -252,33 +257,65 @@ class ArchiveConfig(Settings):
         )
 
     @property
+    def start_policy(self) -> Policy:
+        """Policy that the first champion and fixed parameters start from."""
+        return parse_policy(self.start or self.planner)
+
+    @property
     def varied(self) -> tuple[str, ...]:
-        """Names of the parameters that the search varies and the archive holds."""
+        """Names of the parameters that the search varies."""
         return get_planner(self.planner).without(self.fixed)
+
+    @property
+    def directions(self) -> tuple[tuple[int, ...], ...]:
+        """Signs of the axes in each search: all directions for policies far apart, else one."""
+        signs = tuple(product((1, -1), repeat=len(self.axes)))
+        return signs if self.selection == "spread" else signs[:1]
 
     @property
     def evaluations(self) -> int:
         """Maximum number of policies raced in the search, initial sample included."""
-        return self.initial_sample + self.generations * self.population
+        return self.initial_sample + len(self.directions) * self.generations * self.population
+
+    def tuning(self, champions: Sequence[str], seed: int) -> TuningConfig:
+        """Return the tuning of the next champion, which starts at the last one."""
+        return TuningConfig(
+            planner=self.planner,
+            against=(*self.rivals, *champions),
+            tracks=self.tracks,
+            held_out=(),
+            preset=self.preset,
+            duration=self.final_duration,
+            start=champions[-1] if champions else self.start,
+            fixed=self.fixed,
+            generations=self.champion_generations,
+            crash_limit=min(self.crash_limit, TuningConfig.crash_limit),
+            seed=seed,
+        )
 
     @property
     def work(self) -> dict[str, float]:
         """Maximum racing time of each stage, s."""
         met = 2 * len(self.tracks)  # both sides of each start line, on all tracks
-        rivals = len(self.rivals)
+        rivals = len(self.rivals) + self.champions
         search = met * (self.opponents + rivals) * self.starts
         choice = met * (self.choice_opponents + rivals) * self.choice_starts
         final = met * (self.final_opponents + rivals) * self.final_starts
         work = {
+            "champions": 0.0,
             "search": self.evaluations * search * self.duration,
             "choice": self.candidates * choice * self.duration,
             "measurement": self.max_policies * final * self.final_duration,
         }
-        if self.selection == "headroom":
+        if self.champions:
+            one = self.tuning((), 0)
+            policies = one.generations * one.population
+            races = met * (len(self.rivals) + self.champions / 2) * one.starts
+            work["champions"] = self.champions * policies * races * self.final_duration
+        if self.selection == "spread":
             judging = len(self.tracks) + len(self.judging_tracks or ())
-            pairs, chosen = comb(self.candidates, 2), comb(self.max_policies, 2)
-            work["choice"] = pairs * len(self.tracks) * self.payoff_races * self.final_duration
-            work["judgement"] = chosen * judging * self.judging_races * self.final_duration
+            pairs = comb(self.max_policies, 2)
+            work["judgement"] = pairs * judging * self.judging_races * self.final_duration
         return work
 
 

@@ -74,8 +74,9 @@ class Search:
         Share of a generation that is recombined and added to the archive (lambda of Algorithm 1),
         above 0 to 1.
     step_size : float
-        First standard deviation, as a share of the bounds' range, above 0 to 1. The first mean is
-        the middle of the bounds.
+        First standard deviation, as a share of the bounds' range, above 0 to 1.
+    start : array_like, shape (P,), optional
+        First mean; the middle of the bounds by default.
     """
 
     def __init__(
@@ -85,9 +86,12 @@ class Search:
         population: int = 50,
         elite_ratio: float = 0.5,
         step_size: float = 0.2,
+        start: ArrayLike | None = None,
         seed: int = 0,
     ) -> None:
         self._low, self._high = _checked_bounds(bounds)
+        middle = 0.5 * (self._low + self._high) if start is None else start
+        mean = self._to_cube(check_array("start", middle, (len(self._low),)))
         self.population = check_whole("population", population, 4, 10_000)
         self._step_size = check_number("step_size", step_size, maximum=1.0, above=0.0)
         ratio = check_number("elite_ratio", elite_ratio, maximum=1.0, above=0.0)
@@ -95,7 +99,7 @@ class Search:
         check_seed(seed, maximum=2**63 - 1)
         # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
         self._rng = np.random.default_rng(np.random.SeedSequence(int(seed)))
-        self._es = self._started(np.full(len(self._low), 0.5), self._step_size)
+        self._es = self._started(mean, self._step_size)
         self._asked = np.zeros((0, len(self._low)))
         # The number of axes follows from the first results.
         self._front = Front(self._asked, self._asked, np.zeros((0, 0)))
@@ -168,11 +172,15 @@ class Search:
         They are not recombined. The range of an initial sample is the scale of the search.
         """
         points = check_array("parameters", parameters, (None, len(self._low)))
+        unit = self._to_cube(points)
+        values, beyond = self._checked(len(points), objectives, violation)
+        self._join(unit, points, values, beyond)
+        self.evaluations += len(points)
+
+    def _to_cube(self, points: Floats) -> Floats:
         if not (np.all(points >= self._low) and np.all(points <= self._high)):
             raise InputError("parameters lie outside the bounds")
-        values, beyond = self._checked(len(points), objectives, violation)
-        self._join((points - self._low) / (self._high - self._low), points, values, beyond)
-        self.evaluations += len(points)
+        return (points - self._low) / (self._high - self._low)
 
     def _from_cube(self, unit: Floats) -> Floats:
         # Rounding may lead beyond the upper bound.

@@ -1,37 +1,25 @@
-"""Choice of an archive's policies: distant policies not clearly beaten, or a pool with headroom.
+"""Choice of an archive's policies: a front, or policies far from each other.
 
-Coordinates are means over races and have errors. A policy stays if another policy beats it by less
-than the error of their difference, since it may belong to the front. All policies drive the same
-races, so that error is small.
+Coordinates are means over races and have errors. A policy stays on a front if another policy beats
+it by less than the error of their difference, since it may belong to the front. All policies drive
+the same races, so that error is small.
 
-A Pareto front of speed and restraint is a line of ever faster policies. If the faster policy wins,
-one policy is the best response to all others. For headroom the archive is a pool with a game of
-rock, paper and scissors. *Candidates* of all speeds, each beaten by some others, race each other on
-all tracks. The choice is the pool with the maximum headroom, with equally many policies from each
-group along the first axis.
-
-The set with the maximum headroom of many sets on the same races has a biased headroom: it includes
-the noise of every payoff. So payoffs are denoised first (:func:`denoised`). The set is then chosen
-for the mean over all tracks, which leaves little room for sets that are good by chance.
+A Pareto front of two axes is a line, on which less of one axis is more of the other. If only strong
+policies remain, they may be as far from each other as possible instead, in all directions.
 """
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_whole
-from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.policies.evaluate import summarise
-from pcs_racing_agents.policies.headroom import cyclic_planes, headroom, ratings, transitive_share
+from pcs_racing_agents.policies.headroom import headroom, transitive_share
 from pcs_racing_agents.policies.pareto import front_layers
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-START_POOLS = 8
-"""Number of random pools that the search for a pool starts from."""
 
 
 # A front
@@ -93,63 +81,35 @@ def thin_out(points: Floats, spacing: float, maximum: int) -> Indices:
     return np.sort(kept)
 
 
-# A pool with headroom
+def spread_out(points: Floats, count: int) -> Indices:
+    """Choose up to ``count`` of K normalised points that are far from each other, in this order.
 
-
-def best_of_each_interval(axis: Floats, score: Floats, count: int, intervals: int) -> Indices:
-    """Choose up to ``count`` policies that span an axis, in its order, by score and interval.
-
-    Each round takes the best remaining policy of each of several equal intervals, until ``count``
-    policies are chosen or none is left.
+    The first point is chosen first; then always the point whose nearest chosen point is farthest
+    away (T. Gonzalez, Clustering to minimize the maximum intercluster distance, TCS 1985).
     """
-    edges = np.linspace(axis.min(), axis.max(), intervals + 1)[1:-1]
-    interval = np.searchsorted(edges, axis, side="right")
-    # The index decides between equal scores, so that the choice does not depend on the sorting.
-    ranked = np.lexsort((np.arange(len(axis)), -score))
-    rank = np.zeros(len(axis), np.int64)  # rank within the interval
-    for k in range(intervals):
-        inside = ranked[interval[ranked] == k]
-        rank[inside] = np.arange(len(inside))
-    # First the best of every interval, then the second best of each, and so on.
-    chosen = np.lexsort((-score, rank))[:count]
-    return np.asarray(chosen[np.argsort(axis[chosen], kind="stable")], np.int64)
+    kept = [0]
+    away = np.sum((points - points[0]) ** 2, axis=1)
+    while len(kept) < count and away.max() > 0.0:
+        kept.append(int(away.argmax()))
+        away = np.minimum(away, np.sum((points - points[kept[-1]]) ** 2, axis=1))
+    return np.array(kept, np.int64)
 
 
-def choose_for_headroom(
-    payoffs: Floats, groups: int, count: int, seed: int
-) -> tuple[Indices, dict[str, float]]:
-    """Choose ``count`` of N candidates, and report the expected headroom.
-
-    Parameters
-    ----------
-    payoffs : ndarray, shape (T, F, N, N)
-        Payoffs of all pairs on each track, in the order of the candidates along the first axis.
-    groups : int
-        Number of groups of neighbours along this axis that as many policies are taken from.
-    """
-    expected = np.array([denoised(folds) for folds in payoffs])
-    candidates = np.arange(payoffs.shape[-1])
-    pool = choose_pool(expected, np.array_split(candidates, groups), count, seed=seed)
-    return pool, {
-        "choice_headroom": float(pool_headroom(expected, pool[None]).mean()),
-        "choice_headroom_of_all_candidates": float(
-            pool_headroom(expected, candidates[None]).mean()
-        ),
-    }
+# Headroom
 
 
 def headroom_notes(
-    payoffs: Mapping[str, Floats], chosen_on: Sequence[str]
+    payoffs: Mapping[str, Floats], searched_on: Sequence[str]
 ) -> dict[str, str | float]:
-    """Return the headroom of a pool on each track, and means over the tracks of the choice and over
+    """Return the headroom of a pool on each track, and means over the tracks of the search and over
     all other tracks.
 
     ``payoffs``: payoffs by track, shape (F, N, N) each.
     """
     estimates = {track: headroom(folds) for track, folds in payoffs.items()}
     notes: dict[str, str | float] = {}
-    elsewhere = [track for track in payoffs if track not in chosen_on]
-    for suffix, tracks in (("", chosen_on), ("_elsewhere", elsewhere)):
+    elsewhere = [track for track in payoffs if track not in searched_on]
+    for suffix, tracks in (("", searched_on), ("_elsewhere", elsewhere)):
         if tracks:
             values = [estimates[track].value for track in tracks]
             lows = [estimates[track].low for track in tracks]
@@ -161,104 +121,3 @@ def headroom_notes(
     for track, estimate in estimates.items():
         notes[f"headroom_{track}"] = f"{estimate.value:+.3f} +- {estimate.opponents_error:.3f}"
     return notes
-
-
-def denoised(payoffs: ArrayLike) -> Floats:
-    """Return a payoff matrix without most of its noise, shape (N, N): ratings and shrunk cyclic
-    planes.
-
-    A plane of strength s gets the strength ``sqrt(s^2 - e^2)``, where e is the strength that noise
-    alone reaches; a weaker plane is dropped. This shrinkage has the minimum expected squared error
-    for a matrix of low rank in noise (Gavish and Donoho 2017, Optimal shrinkage of singular
-    values).
-
-    Parameters
-    ----------
-    payoffs : array_like, shape (F, N, N)
-        Payoffs as for :func:`pcs_racing_agents.policies.headroom.cyclic_planes`.
-    """
-    # Ratings, means over all opponents, have little noise; only the cyclic part is shrunk.
-    rating = ratings(payoffs)
-    matrix = rating[:, None] - rating[None, :]
-    for plane in cyclic_planes(payoffs):
-        if plane.strength > plane.noise:
-            x, y = plane.points.T
-            matrix += np.sqrt(1.0 - (plane.noise / plane.strength) ** 2) * (
-                np.outer(x, y) - np.outer(y, x)
-            )
-    return np.asarray(np.clip(matrix, -0.5, 0.5))
-
-
-def pool_headroom(payoffs: Floats, pools: Indices) -> Floats:
-    """Return the headroom of pools on each track for exactly known payoffs, shape (B, T).
-
-    Parameters
-    ----------
-    payoffs : ndarray, shape (T, N, N)
-    pools : ndarray of int, shape (B, K)
-        Policies of each pool.
-    """
-    played = payoffs[:, pools[:, :, None], pools[:, None, :]]
-    return np.asarray((played.max(axis=-2).mean(axis=-1) - played.mean(axis=-1).max(axis=-1)).T)
-
-
-def choose_pool(
-    payoffs: ArrayLike, groups: Sequence[ArrayLike], count: int, *, seed: int = 0
-) -> Indices:
-    """Choose the pool with the maximum headroom, mean over tracks; return ascending indices.
-
-    The search exchanges one policy at a time, and starts from several random pools.
-
-    Parameters
-    ----------
-    payoffs : array_like, shape (T, N, N)
-        Payoffs without noise (:func:`denoised`), on T tracks.
-    groups : sequence of array_like of int
-        Disjoint sets of policies. The pool takes equally many policies from each set; if ``count``
-        is no multiple of their number, it takes one more from some sets, evenly spaced.
-    count : int
-        Number of policies in the pool, at least 3.
-    seed : int
-        Seed of the random pools.
-    """
-    check_whole("count", count, 3)
-    matrices = np.asarray(payoffs, np.float64)
-    sets = [np.asarray(group, np.int64) for group in groups]
-    # Group of each place in the pool; a remainder is spread over all groups, not the first ones.
-    places = np.arange(count) * len(groups) // count
-    for number, group in enumerate(sets):
-        if len(group) < np.count_nonzero(places == number):
-            raise InputError(
-                f"group {number} holds {len(group)} policies; a pool of {count} needs more of them"
-            )
-    rng = np.random.default_rng(seed)
-    found = [_exchanged(matrices, sets, places, rng) for _ in range(START_POOLS)]
-    return np.sort(max(found, key=lambda pool_and_value: pool_and_value[1])[0])
-
-
-def _exchanged(
-    payoffs: Floats, groups: Sequence[Indices], places: Indices, rng: np.random.Generator
-) -> tuple[Indices, float]:
-    """Return a pool that no exchange of one policy within its group improves, and its mean
-    headroom.
-    """
-    drawn = [
-        rng.choice(group, np.count_nonzero(places == k), replace=False)
-        for k, group in enumerate(groups)
-    ]
-    pool = np.concatenate(drawn).astype(np.int64)
-    value = float(pool_headroom(payoffs, pool[None]).mean())
-    while True:
-        exchanges = [
-            (k, other) for k, g in enumerate(places) for other in np.setdiff1d(groups[g], pool)
-        ]
-        if not exchanges:
-            return pool, value
-        pools = np.tile(pool, (len(exchanges), 1))
-        place, other = np.transpose(exchanges)
-        pools[np.arange(len(pools)), place] = other
-        values = pool_headroom(payoffs, pools).mean(axis=1)
-        # The margin prevents an endless exchange of two equal policies by rounding.
-        if values.max() <= value + 1e-12:
-            return pool, value
-        pool, value = pools[values.argmax()], float(values.max())
