@@ -36,7 +36,9 @@ FIELD = (
     "stanley",
 )
 """Planners with two parameters or more, besides the lattice."""
-HELD_OUT = ("Saltmere", "Vellindra", "Austin", "Monza", "Sepang", "Zandvoort")
+HELD_OUT = ("Saltmere", "Vellindra")
+REAL = ("Austin", "Monza", "Sepang", "Zandvoort")
+"""Real circuits, all held out."""
 ROUNDS, SEEDS = 5, 3
 
 FULL = TuningConfig(
@@ -55,6 +57,18 @@ ARMS = {
     "small steps": replace(FULL, step_size=0.05),
     "80 generations": replace(FULL, generations=80),
 }
+
+
+PAPER = TuningConfig(
+    against=(HAND_SET, "lattice:early", "lattice:early,pace=0.9", "lattice:early,pace=0.2"),
+    preset="paper",
+    tracks=("Tarnfjord", "Vellindra", "Kestrelheim"),
+    held_out=(),
+    start="lattice:early",
+    fixed=("pace_behind",),
+    generations=40,
+)
+"""Scalar search under the rules of the paper, on the circuits of the archive ``default``."""
 
 
 def round_config(winner: str, seed: int, number: int) -> TuningConfig:
