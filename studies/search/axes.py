@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 
 NAMES = ("speed", "reaction", "restraint", "smoothness", "blocking", "cornering", "aggressiveness")
 WATCHED = ("distance", "side", "passing")
-"""Further characteristics, sampled twice a second: mean distance to a car ahead within 6 m (m), mean
-distance across the track from a car within 2 m (m), and time of the first lead from behind (s).
+"""Further characteristics, sampled twice a second: mean distance to a car ahead within 6 m, m; mean
+distance across the track from a car within 2 m, m; time of the first lead from behind, s.
 """
 NEAR, BESIDE, SAMPLE = 6.0, 2.0, 50  # m, m, ticks
 

@@ -39,6 +39,7 @@ from studies.search.judge import archive_rows, arm_rows, best_of, field_rows, ro
 Floats = NDArray[np.float64]
 
 SEARCHES = ("arms", "rounds", "field", "paper")
+JUDGED = (*SEARCHES, "archive", "axes")
 
 
 @command("search", "python -m studies search arms rounds field paper --out out/search")
