@@ -53,9 +53,7 @@ ARMS = {
     "races of 16 s": replace(FULL, duration=16.0),
     "weak opponents": replace(FULL, against=WEAK),
     "crashes cost nothing": replace(FULL, crash_limit=1.0),
-    "pace at most 1": replace(FULL, fixed=("pace",), start=HAND_SET.replace("0.7", "1")),
-    "small steps": replace(FULL, step_size=0.05),
-    "80 generations": replace(FULL, generations=80),
+    "pace fixed at 1": replace(FULL, fixed=("pace",), start=HAND_SET.replace("0.7", "1")),
 }
 
 
@@ -77,6 +75,7 @@ def round_config(winner: str, seed: int, number: int) -> TuningConfig:
         FULL,
         against=(winner, *OTHERS),
         start=winner,
+        generations=24,
         seed=1000 * number + seed,
     )
 
@@ -85,5 +84,5 @@ def field_config(planner: str) -> TuningConfig:
     """Return the search of a planner of the field, from its default."""
     pool = (HAND_SET, "iterated-best-response", "stanley", "gap-follower")
     return TuningConfig(
-        planner=planner, against=pool, held_out=(), generations=20, population=12, starts=1
+        planner=planner, against=pool, held_out=(), generations=16, population=12, starts=1
     )
