@@ -1,7 +1,7 @@
 """PPO against the agent of counterfactual regret: train it, save it, race it.
 
     python examples/ppo_against_cfr.py
-    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest
+    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest-early
 
 PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. What it has
 learned is saved as plain numbers, read again without torch, and raced against the opponent and

@@ -2,7 +2,7 @@
 
     python examples/train_ppo.py
     python examples/train_ppo.py --steps 200000 --games 2000
-    python examples/train_ppo.py --archive default --rules paper --opponent random-moves
+    python examples/train_ppo.py --archive default-early --rules paper --opponent random-moves
 
 It prints how the trained player does against the opponent beside players that never look at the
 race, all in the same games, and writes learning_curve.png and the model. The default takes one to

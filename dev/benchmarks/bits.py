@@ -189,14 +189,14 @@ def networks(folders: list[Path]) -> Digests:
     """A shipped network on random observations."""
     from pcs_racing_agents.networks import load_network
 
-    network = load_network("default-paper-regret")
+    network = load_network("default-early-paper-regret")
     yield "network", network(np.random.default_rng(0).normal(size=(50, len(network.elements))))
 
 
 def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
-    from pcs_racing_agents.tournament.ratings import rate
     from pcs_racing_agents.base.statistics import clustered_mean, t_interval
+    from pcs_racing_agents.tournament.ratings import rate
 
     rng = np.random.default_rng(0)
     names = np.array([f"agent {k}" for k in range(8)])

@@ -24,8 +24,8 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.planners.registry import planner_names
-from pcs_racing_agents.base.tables import with_interval
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
+from pcs_racing_agents.base.tables import with_interval
 
 Cell = tuple[str, str]  # circuit and opponent
 

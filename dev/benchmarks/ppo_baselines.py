@@ -23,6 +23,7 @@ from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.planners.trained import PLANNER_FORMAT, load_trained, read_trained
 from pcs_racing_agents import make
 from pcs_racing_agents.agents import as_agent
+from pcs_racing_agents.base.statistics import clustered_mean, compare
 from pcs_racing_agents.base.tables import read_csv, with_interval
 from pcs_racing_agents.learning.ppo.evaluation import (
     EvaluationCurve,
@@ -32,7 +33,6 @@ from pcs_racing_agents.learning.ppo.evaluation import (
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.games import variant_count
-from pcs_racing_agents.base.statistics import clustered_mean, compare
 
 SEED = 20_011  # of these races, and of nothing else
 OTHERS = ("Saltmere", "Tarnfjord", "Larkmoor", "Quillburg", "Kestrelheim", "Brackwater", "Pipkin")

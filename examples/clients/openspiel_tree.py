@@ -5,7 +5,7 @@
 how long.
 
     python examples/clients/openspiel_tree.py
-    pcs-racing tree --archive default --track Pipkin --pairs 2 --out out/trees
+    pcs-racing tree --archive default-early --track Pipkin --pairs 2 --out out/trees
     python examples/clients/openspiel_tree.py --trees out/trees --tree 1
 
 Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form

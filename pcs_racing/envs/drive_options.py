@@ -204,7 +204,7 @@ class DriveOptions(EpisodeOptions):
         str | Path | PolicyArchive,
         _source(PolicyArchive),
         "Archive of opponents that move between policies.",
-    ] = "default"
+    ] = "default-early"
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -105,7 +105,7 @@ class GameOptions(EpisodeOptions):
         PolicyArchive | str | Path,
         ANYTHING,
         "The policies: an archive, its name or folder.",
-    ] = "default"
+    ] = "default-early"
     opponent: Annotated[
         Any,
         ANYTHING,

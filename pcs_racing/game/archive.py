@@ -24,7 +24,7 @@ from pcs_racing.base.checks import (
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.registry import get_planner, parse_policy
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -53,7 +53,8 @@ class PolicyArchive:
     name: str
     planner: str  #: Name of the planner of all policies.
     #: Names of the columns of ``parameters``, which are parameters of the planner. Missing
-    #: parameters keep the planner's defaults (:meth:`complete`).
+    #: parameters have the values of ``settings["start"]``, a policy's text, or the planner's
+    #: defaults (:meth:`complete`).
     parameter_names: tuple[str, ...]
     parameters: Floats  #: shape (K, P)
     #: Names of the axes (:func:`pcs_racing.game.characteristics.get_characteristics`); a larger
@@ -236,9 +237,16 @@ class PolicyArchive:
     def complete(self, parameters: ArrayLike) -> Floats:
         """Return the planner's parameter vectors for rows of the archive's parameters, (K, P).
 
-        Parameters missing in the archive have the planner's defaults.
+        Parameters missing in the archive have the values of the policy ``settings["start"]``, if
+        there is one, or the planner's defaults.
         """
-        return get_planner(self.planner).complete(self.parameter_names, parameters)
+        start = self.settings.get("start", "none")
+        planner = get_planner(self.planner)
+        base = planner.default if start == "none" else parse_policy(str(start)).parameters
+        given = np.asarray(parameters, np.float64)
+        theta = np.tile(base, (len(given), 1))
+        theta[:, planner.indices(self.parameter_names)] = given
+        return theta
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""

@@ -16,7 +16,7 @@ from pcs_racing.track.track import Track
 
 def make_game(
     track: Track | str | Path,
-    archive: PolicyArchive | str | Path = "default",
+    archive: PolicyArchive | str | Path = "default-early",
     race: GameConfig | RaceConfig | str | Path = "paper",
     *,
     opponent_planner: Planner | str | None = None,

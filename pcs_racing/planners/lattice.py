@@ -160,7 +160,8 @@ PARAMETERS = (
         -0.5,
         0.5,
         0.15,
-        "what is added to the pace while the opponent leads; the sum is at least 0, and at most 1 or the pace",
+        "what is added to the pace while the opponent leads; the sum is at least 0, and at most 1"
+        " or the pace",
     ),
 )
 
@@ -183,9 +184,7 @@ _EARLY = {
     "side_margin": (0.2, 0.45, 0.32),
     "pace_behind": (-0.5, 0.5, 0.15),
 }
-EARLY_PARAMETERS = tuple(
-    Parameter(one.name, *_EARLY[one.name], one.meaning) for one in PARAMETERS
-)
+EARLY_PARAMETERS = tuple(Parameter(one.name, *_EARLY[one.name], one.meaning) for one in PARAMETERS)
 """Parameters with the bounds and defaults set by hand, before any search."""
 
 # Memory: the chosen move, and 1 if the car attacks. The move is stored as 1 if there is a move, its

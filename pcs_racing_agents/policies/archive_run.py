@@ -180,7 +180,7 @@ def draw_policies(config: ArchiveConfig, count: int, root: np.random.SeedSequenc
 
 
 def with_varied(config: ArchiveConfig, values: Floats) -> Floats:
-    """Return parameters of policies, shape (K, P), from the varied ones; the others as at the start."""
+    """Return parameters of policies, shape (K, P), from varied ones and those of the start."""
     theta = np.tile(config.start_policy.parameters, (len(values), 1))
     theta[:, get_planner(config.planner).indices(config.varied)] = values
     return theta

@@ -32,8 +32,9 @@ from studies.headroom.report import (
 
 @command(
     "headroom",
-    "python -m studies headroom --archive contest --rules contest --out out/headroom",
-    "python -m studies headroom --archive contest --rules contest --lead-plans 6 --out out/plans",
+    "python -m studies headroom --archive contest-early --rules contest --out out/headroom",
+    "python -m studies headroom --archive contest-early --rules contest --lead-plans 6 --out"
+    " out/plans",
 )
 def run(
     *,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from pcs_racing_agents.base.statistics import Comparison
 from pcs_racing_agents.study.table import PAPER_TABLE, ArmResult, Difference, StudyTable, TableRow
 from pcs_racing_agents.tournament.races import Categorical, RaceTable, concatenate_races
-from pcs_racing_agents.base.statistics import Comparison
 
 STRENGTHS = {"never-switch": 0.0, "best-fixed": 0.5, "cfr-argmax": 0.6, "our-best": 1.1}
 

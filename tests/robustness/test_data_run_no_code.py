@@ -290,22 +290,22 @@ KINDS = {
         "read _content load_archive",
     ),
     "network": Kind(
-        shipped("pcs_racing_agents/data/networks", "default-paper-regret/manifest.yaml"),
+        shipped("pcs_racing_agents/data/networks", "default-early-paper-regret/manifest.yaml"),
         lambda file: parse_agent(
             f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")
         ),
     ),
     "set of networks": Kind(
-        shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
-        lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
+        shipped("pcs_racing_agents/data/networks", "contest-early-contest-psro/set.yaml"),
+        lambda file: make("psro", archive="contest-early", race="contest", networks=file.parent),
     ),
     "driver": Kind(
         shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
         lambda file: load_trained(file.parent),
     ),
     "fit": Kind(
-        shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
-        lambda file: make("best-fixed", archive="default", race="paper", fit=file),
+        shipped("pcs_racing_agents/data/fits", "default-early-paper-best-fixed.yaml"),
+        lambda file: make("best-fixed", archive="default-early", race="paper", fit=file),
     ),
     "replay": Kind(replay, lambda file: replay_page(read_replay(file)), "read_replay"),
     "trees": Kind(

@@ -98,7 +98,7 @@ def test_each_rule_has_its_limits():
 
 
 def test_a_game_is_recognised_by_its_moves_observations_and_archive():
-    archive = load_archive("default")
+    archive = load_archive("default-early")
     own = game_identity(SimpleNamespace(archive=archive, config=GameConfig(moves=2)))
     assert own._replace(elements=()) == (
         (),

@@ -76,4 +76,4 @@ def test_the_command_tells_the_same(printed):
     out = printed("agents", "cfr-argmax")
     for line in facts_of("cfr-argmax", make_game_spec("default", "paper")):
         assert f"- {line}\n" in out
-    assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest")
+    assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest-early")

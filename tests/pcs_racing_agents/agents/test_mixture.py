@@ -96,7 +96,7 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(spec, seen, t
     assert (
         build("psro", make_game_spec("contest", "contest"))
         .facts["networks"]
-        .startswith("contest-contest-psro: ")
+        .startswith("contest-early-contest-psro: ")
     )
     assert agent.content_hash == build("self-play", spec, networks=known).content_hash
     other = NetworkSet("three", networks[::-1], np.array([3.0, 2.0, 1.0]), "regret-matching")

@@ -134,7 +134,7 @@ def test_agents_as_text_and_bad_names_and_options(spec):
     assert only.name == "lane-switcher:4"
     spec = make_game_spec("contest", "contest")
     adaptive = parse_agent(
-        "adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", spec
+        "adaptive:network=contest-early-contest-gain,open_loop=never-switch,margin=0.5", spec
     )
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in (
@@ -244,7 +244,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
     assert describe.facts_of("random-moves", spec) == unmeasured
     assert describe.facts_of("nash", spec) == describe.NOT_SHIPPED
     assert describe.facts_of("response", make_game_spec("contest", "contest"))[0].startswith(
-        "Network: contest-contest-"
+        "Network: contest-early-contest-"
     )
     plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
     for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():

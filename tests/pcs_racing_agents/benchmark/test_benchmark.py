@@ -55,7 +55,7 @@ def protocol():
 
 @pytest.fixture(scope="module")
 def results(protocol):
-    return play_protocol(protocol, [make("random-moves", archive="default")])
+    return play_protocol(protocol, [make("random-moves", archive="default-early")])
 
 
 def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):

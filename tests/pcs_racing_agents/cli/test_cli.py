@@ -544,7 +544,7 @@ def test_rules_bring_their_archive(run, race, archive):
     )
     assert (
         "With archive default in"
-        in run("agents", "random-moves", "--rules", race, "--archive", "default")[1]
+        in run("agents", "random-moves", "--rules", race, "--archive", "default-early")[1]
     )
 
 

@@ -78,9 +78,9 @@ def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path
         assert f"{name}: the best fixed policy is {row['best_fixed']}" in text
     assert lines["mean"][1] == f"{np.mean([float(row['H']) for row in found.values()]):+.3f}"
     assert len(rows_of(tmp_path / "payoffs.csv")) == 2 * 6
-    assert len(load_archive("default")) > 16 > (small := len(load_archive("contest")))
+    assert len(load_archive("default-early")) > 16 > (small := len(load_archive("contest-early")))
     names, pool = PoolOptions(
-        track=("Pipkin",), archive="default", rules=Rules(rules="contest", seed=4), races=32
+        track=("Pipkin",), archive="default-early", rules=Rules(rules="contest", seed=4), races=32
     ).pool()
     assert (len(names), pool.races, pool.seed, pool.config.name) == (16, 32, 4, "contest")
     assert len(PoolOptions(rules=Rules(rules="contest")).pool()[0]) == small
@@ -166,7 +166,7 @@ def begun(monkeypatch):
 
 
 def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, tmp_path, told):
-    options = ["--archive", "default", "--seed", 7, "--test-track", "Vellindra"]
+    options = ["--archive", "default-early", "--seed", 7, "--test-track", "Vellindra"]
     assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
     (study,) = begun
     assert (study.archive, study.seed) == ("default", 7)

@@ -61,7 +61,7 @@ def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):
 
 
 def test_a_pool_spans_an_archive_and_races_that_cannot_be_divided_are_refused():
-    archive = load_archive("contest")
+    archive = load_archive("contest-early")
     names, policies = spanning_policies(archive, 3)
     first = archive.coordinates[:, 0]
     assert [names[0], names[2]] == [f"contest {first.argmin()}", f"contest {first.argmax()}"]

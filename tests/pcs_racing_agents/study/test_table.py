@@ -9,6 +9,7 @@ from repository import python_blocks, read_page, run_block
 from scipy import stats
 from toy_races import STRENGTHS, of, toy_difference, toy_races, toy_table
 
+from pcs_racing_agents.base.statistics import clustered_mean, compare, holm
 from pcs_racing_agents.study import table_output as texts
 from pcs_racing_agents.study.table import (
     PAPER_TABLE,
@@ -20,7 +21,6 @@ from pcs_racing_agents.study.table import (
 )
 from pcs_racing_agents.tournament.race_files import race_table, read_results, write_results
 from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.base.statistics import clustered_mean, compare, holm
 
 
 @pytest.fixture(scope="module")

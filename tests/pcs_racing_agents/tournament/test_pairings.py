@@ -9,6 +9,7 @@ from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.statistics import match_units
 from pcs_racing_agents.tournament import (
     cross_pairing,
     play_pairing,
@@ -16,7 +17,6 @@ from pcs_racing_agents.tournament import (
     repeat_race,
     runner,
 )
-from pcs_racing_agents.base.statistics import match_units
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
 

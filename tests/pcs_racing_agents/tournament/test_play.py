@@ -90,7 +90,7 @@ def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
     mixed, oval, archive, tmp_path
 ):
     plan = plan_tournament(oval, MIXED)
-    default = load_archive("default")
+    default = load_archive("default-early")
     expected = {
         "game": game_rules("paper", stay=True),
         "archive": "default",

@@ -14,6 +14,7 @@ from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.learning.responses import (
     BestReply,
     best_reply,
@@ -26,7 +27,6 @@ from pcs_racing_agents.learning.responses.best_reply import excess_estimate
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.base.statistics import clustered_mean
 
 SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
 
