@@ -75,7 +75,7 @@ def round_config(winner: str, seed: int, number: int) -> TuningConfig:
         FULL,
         against=(winner, *OTHERS),
         start=winner,
-        generations=24,
+        generations=16,
         seed=1000 * number + seed,
     )
 
