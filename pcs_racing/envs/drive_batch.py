@@ -63,15 +63,17 @@ from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import (
     MovingOpponents,
     Opponent,
+    check_weights,
     draw_opponent,
     drive_opponents,
-    shared_planner,
+    weights_of,
 )
 from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.conditions import runs_of
+from pcs_racing.planners.planner import Planner
+from pcs_racing.race.conditions import RaceConditions, Share, runs_of
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import (
     default_threads,
@@ -102,6 +104,7 @@ class DriveRules:
     cars: int  #: Number of cars in each race.
     #: Opponents of each car without an agent; one is drawn for each episode.
     rivals: tuple[list[Opponent], ...]
+    planners: tuple[tuple[Planner, ...], ...]  #: Planner of each opponent in ``rivals``.
     game: RaceGame | None  #: Game of the opponents that make moves; None if there are none.
     setup: RaceSetup  #: Rules, planners and cars, on the first track.
     elements: list[Any]  #: Elements of an observation.
@@ -147,16 +150,25 @@ def drive_rules(
 
     rivals = tuple(drive_opponents(one, make_game, options, cars) for one in given)
     moving = any(not one.policies for several in rivals for one in several)
-    if cars > 2 and (moving or any(len(several) > 1 for several in rivals)):
+    if (cars > 2 and moving) or (len(rivals) > 1 and any(len(several) > 1 for several in rivals)):
         raise InputError(
             f"opponents is {list(given)!r:.120}; in a race of {cars} cars each is one"
             " planner, no list, and none makes moves"
         )
     game = make_game() if moving else None
-    planners = tuple(shared_planner(several, game) for several in rivals)
+    # Agents of the game of moves drive with the planner of its archive.
+    planners = [[one.planner or game.archive.family() for one in several] for several in rivals]  # type: ignore[union-attr]
     # The memory of late commands has the size of the longest delay, for all episodes.
     delay = randomization.ranges.most_delay
-    setup = RaceSetup(track, config, planners, randomization.cars, delay, steered=players)
+    setup = RaceSetup(
+        track,
+        config,
+        tuple(several[0] for several in planners),
+        randomization.cars,
+        delay,
+        steered=players,
+        substitutes=tuple(one for several in planners for one in several[1:]),
+    )
     elements = drive_elements(options, cars)
     if randomization.episodes * players * len(elements) > MAX_NUMBERS:
         raise InputError(
@@ -173,6 +185,7 @@ def drive_rules(
         players=players,
         cars=cars,
         rivals=rivals,
+        planners=tuple(map(tuple, planners)),
         game=game,
         setup=setup,
         elements=elements,
@@ -268,17 +281,21 @@ class DriveBatch:
         )
         self.state, self.theta, _ = self.races
         self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
-        # Equal weights draw a whole number, others a share; the draw is part of a seed's meaning.
-        weights = np.array([opponent.weight for opponent in opponents] or [1.0])
-        self._edges = None if (weights == weights[0]).all() else np.cumsum(weights) / weights.sum()
+        self.weights = weights_of(opponents)  #: Weights of the opponents in the draw.
         #: shape (races, cars): Faults already penalised, except a race-ending fault.
         self._paid = np.zeros((races, self.cars), np.int8)
+        #: shape (races, cars): Planner of each car, None for an agent's car.
+        self._planners = np.full((races, self.cars), None, np.object_)
+        self._planners[:] = self.setup.car_planners
+        self._several = len({id(one) for own in self.rules.planners for one in own}) > len(
+            self.rules.planners
+        )
         self._moving = None if self.rules.game is None else MovingOpponents(races, self.rules.game)
         self._rows = np.arange(races)
 
     def _hire(self, threads: int | None) -> None:
         """Start the threads that share a step, each with enough work, and compile the step."""
-        planners, options = self.setup.planners, self.options
+        planners, options = [one for own in self.rules.planners for one in own], self.options
         self._in_python = any(planner.drive is not None for planner in planners)
         scans = self.players * (SCAN_US + BEAM_US * options.beams) if options.beams > 0 else 0.0
         work = self.episodes * (0.5 * max(2, self.cars) * TICK_US * options.ticks + scans)
@@ -292,7 +309,9 @@ class DriveBatch:
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
-            self._pointers = pointers_of(self.setup.car_planners)
+            for planner in planners:
+                planner.pointers()
+            self._pointers = pointers_of(self._shares(), self.episodes)
             if compiling:
                 actions = np.empty((self.episodes, self.players, 2))
                 self._step_part(self._orders(actions, 0), 0, 0, 0, self._results())
@@ -378,18 +397,33 @@ class DriveBatch:
             self._uniform &= not own
 
     def _draw_opponent(self, row: int, generator: np.random.Generator) -> None:
-        if self._edges is None:
-            self.drawn[row] = generator.integers(max(1, len(self.opponents)))
+        # Equal weights draw a whole number, others a share; the draw is part of a seed's meaning.
+        if (self.weights == self.weights[0]).all():
+            self.drawn[row] = generator.integers(len(self.weights))
         else:
-            self.drawn[row] = draw_opponent(self._edges, generator)
+            self.drawn[row] = draw_opponent(self.weights, generator)
         for car, rivals in enumerate(self.rules.rivals, self.players):
             # With several opponent cars, each has a single opponent.
             opponent = rivals[self.drawn[row] if self.opponents else 0]
             policy = opponent.draw_policy(generator)
+            self.theta[row, car] = 0.0
             if policy is not None:
                 self.theta[row, car, : len(policy.parameters)] = policy.parameters
             if self._moving is not None:
                 self._moving.draw(row, opponent, generator)
+        self._seat(row)
+
+    def _seat(self, row: int) -> None:
+        """Give the car of a race's opponent to the drawn planner, which drives to the end."""
+        if self._several:
+            planner = self.rules.planners[0][self.drawn[row]]
+            self._planners[row, self.players] = planner
+            self._pointers[self.players][row] = planner.pointers()
+
+    def _shares(self) -> list[Share]:
+        return RaceConditions(planners=self._planners).shares(
+            self.setup.car_planners, self.episodes
+        )
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:
         """Write the observations of some races' players to their rows of ``out``.
@@ -512,14 +546,17 @@ class DriveBatch:
             try:
                 self._compiled(*arguments)
             except Exception as error:
-                raise planner_error(error, self.setup.car_planners, buffers.work) from error
+                raise planner_error(error, self._shares(), buffers.work) from error
 
     def _advance_in_python(self, ticks: int) -> None:
         """Advance every race against an opponent in plain Python."""
         circuits = self.randomization.circuits.number
         for first, last in runs_of(circuits.tolist()):
             part = RaceState._make(array[first:last] for array in self.state)
-            conditions = self.randomization.conditions(np.arange(first, last))
+            conditions = replace(
+                self.randomization.conditions(np.arange(first, last)),
+                planners=self._planners[first:last],
+            )
             setup = self.circuit(int(circuits[first])).setup
             fixed = (setup.track, setup.settings, setup.car_planners, setup.vehicles)
             drive(*fixed, part, self.theta[first:last], ticks, conditions=conditions)
@@ -597,7 +634,7 @@ class DriveBatch:
         )
 
     def get_state(self) -> tuple[Any, ...]:
-        """Return copies of the races and of the opponents' indices, parameters and moves."""
+        """Return copies of the races and of the opponents' indices, parameters, moves, weights."""
         moving = None if self._moving is None else self._moving.get_state()
         return (
             self.state.copy(),
@@ -605,6 +642,7 @@ class DriveBatch:
             self.theta.copy(),
             moving,
             self.randomization.get_state(),
+            self.weights.copy(),
         )
 
     def check_state(self, state: tuple[Any, ...]) -> list[Track]:
@@ -613,7 +651,9 @@ class DriveBatch:
         Return the track of each race, with its obstacles.
         """
         moving = None if self._moving is None else FREE
-        check_part("the state", state, (self.state, self.drawn, self.theta, moving, FREE))
+        mine = self.state, self.drawn, self.theta, moving, FREE, self.weights
+        check_part("the state", state, mine)
+        check_weights(state[5], self.weights)
         tracks = self.randomization.check_state(state[4])
         lengths = np.array([track.length for track in tracks])
         check_races("the state's races", state[0], self.setup.config, lengths)
@@ -625,14 +665,16 @@ class DriveBatch:
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(state)
-        races, drawn, theta, moving, randomization = state
+        races, drawn, theta, moving, randomization, weights = state
         self.randomization.set_state(randomization, tracks)
         for number, rows in self.randomization.groups(self._rows):
             self._set_inputs(rows, self.circuit(number).inputs)
         # Copy into the own arrays: the given state stays unchanged.
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
-        self.drawn[:], self.theta[:] = drawn, theta
+        self.drawn[:], self.theta[:], self.weights = drawn, theta, weights.copy()
+        for row in range(self.episodes):
+            self._seat(row)
         if self._moving is not None:
             self._moving.set_state(moving)
 

@@ -105,10 +105,10 @@ Rival = Annotated[
     ' trained here, or its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or'
     " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
     ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list,'
-    " in which entries may be (weight, opponent), one is drawn for each episode; all must drive"
-    " with the same planner. With None there is none: the agent is alone on the track, and the"
-    " elements of the second car are 0. With two agents or more it takes the last one's"
-    " place.",
+    " in which entries may be (weight, opponent), one is drawn for each episode and drives it to"
+    " its end; planners may differ. A :class:`pcs_racing.envs.league.League` is such a list. With"
+    " None there is none: the agent is alone on the track, and the elements of the second car are"
+    " 0. With two agents or more it takes the last one's place.",
 ]
 TimeStep = Annotated[
     float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."

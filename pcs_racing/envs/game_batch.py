@@ -35,10 +35,12 @@ from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import (
     Opponent,
     check_games,
+    check_weights,
     draw_opponent,
     parse_opponents,
     replies,
     shared_planner,
+    weights_of,
 )
 from pcs_racing.envs.randomization import (
     EpisodeArguments,
@@ -198,8 +200,7 @@ class GameBatch:
         self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
         # The game on the first track; the rules are the same on the other tracks.
         self.game, self.opponents = self.game_on(0)
-        weights = np.array([each.weight for each in self.opponents] or [1.0])
-        self._edges = np.cumsum(weights) / weights.sum()
+        self.weights = weights_of(self.opponents)  #: Weights of the opponents in the draw.
         moves = {NO_MOVE: "none", **dict(enumerate(self.game.competitor_moves))}
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(each.name for each in self.opponents),
@@ -324,7 +325,7 @@ class GameBatch:
             return drawn, [None] * len(generators)
         fixed = []
         for i, generator in enumerate(generators):
-            drawn[i] = draw_opponent(self._edges, generator)
+            drawn[i] = draw_opponent(self.weights, generator)
             fixed.append(self.opponents[drawn[i]].draw_policy(generator))
         return drawn, fixed
 
@@ -425,7 +426,7 @@ class GameBatch:
 
     def info(self, environment: int) -> dict[str, Any]:
         """Return the info of one player: plain numbers, and the mask as an array."""
-        return rows_of(self.infos())[environment]
+        return rows_of(self.infos(), [environment])[0].copy()
 
     def _results(self) -> NDArray[np.int64]:
         """Return the :class:`pcs_racing.envs.infos.Result` of each game, shape (B, players)."""
@@ -511,7 +512,9 @@ class GameBatch:
         return self.state
 
     def get_state(self) -> tuple[Any, ...]:
-        """Return copies of all variables: games, opponents, last moves, memories, random draws."""
+        """Return copies of all variables: games, opponents, last moves, memories, random draws,
+        weights of the opponents.
+        """
         value = self.value()
         kept = None if value is None else value.copy()
         return (
@@ -520,6 +523,7 @@ class GameBatch:
             self.moves.copy(),
             copy.deepcopy(self.memories),
             self.randomization.get_state(),
+            self.weights.copy(),
         )
 
     def check_state(self, values: tuple[Any, ...]) -> list[Track]:
@@ -527,9 +531,10 @@ class GameBatch:
 
         Return the track of each episode, with its obstacles.
         """
-        check_part(
-            "the state", values, (FREE, self.drawn, self.moves, [FREE] * self.episodes, FREE)
-        )
+        memories = [FREE] * self.episodes
+        mine = FREE, self.drawn, self.moves, memories, FREE, self.weights
+        check_part("the state", values, mine)
+        check_weights(values[5], self.weights)
         tracks = self.randomization.check_state(values[4])
         if values[0] is not None:
             check_part(
@@ -545,9 +550,10 @@ class GameBatch:
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(values)
-        value, drawn, moves, memories, randomization = values
+        value, drawn, moves, memories, randomization, weights = values
         self.randomization.set_state(randomization, tracks)
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
+        self.weights = weights.copy()
         self._continue(None if value is None else value.copy())
 
     def _continue(self, state: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_number
+from pcs_racing.base.checks import as_array, check_number
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_races, check_within
 from pcs_racing.envs.drive_options import DriveOptions
@@ -75,8 +75,7 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
                 " opponent)"
             )
         weight, competitor = entry if isinstance(entry, list | tuple) else (1.0, entry)
-        check_number(f"the weight of opponent {i}", weight, above=0.0)
-        opponents.append(_opponent(competitor, float(weight), game))
+        opponents.append(_opponent(competitor, _weight(i, weight), game))
     return opponents
 
 
@@ -103,8 +102,26 @@ def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np
         )
 
 
-def draw_opponent(edges: NDArray[np.float64], generator: np.random.Generator) -> int:
-    """Draw the index of an opponent, given the cumulative shares of all opponents."""
+def weights_of(opponents: Sequence[Opponent]) -> NDArray[np.float64]:
+    """Return the weights of the opponents, shape (max(1, n),)."""
+    return np.array([opponent.weight for opponent in opponents] or [1.0])
+
+
+def check_weights(given: Any, like: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return new weights of the opponents, as many as in ``like``."""
+    weights = as_array(given)
+    fits = weights.shape == like.shape and weights.dtype.kind in "iuf"
+    if not fits or not ((weights > 0.0) & (weights < 1e12)).all():
+        raise InputError(
+            f"the weights of the opponents are {given!r:.80}; they must be {len(like)} numbers"
+            " above 0, one for each opponent"
+        )
+    return weights.astype(np.float64)
+
+
+def draw_opponent(weights: NDArray[np.float64], generator: np.random.Generator) -> int:
+    """Draw the index of an opponent, given the weights of all opponents."""
+    edges = np.cumsum(weights) / weights.sum()
     return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)
 
 
@@ -118,16 +135,24 @@ def drive_opponents(
     entries = given if isinstance(given, list | tuple) else [given]
     # Policies need no game, which would load an archive.
     policies = [_as_policy(one, options, cars) for one in entries]
-    if policies and all(isinstance(policy, Policy) for policy in policies):
-        return [Opponent(policy.name, 1.0, policy, (policy,)) for policy in policies]
+    weighted = [one if isinstance(one, list | tuple) else (1.0, one) for one in policies]
+    if policies and all(len(one) == 2 and isinstance(one[1], Policy) for one in weighted):
+        return [
+            Opponent(policy.name, _weight(i, weight), as_agent(policy), (policy,))
+            for i, (weight, policy) in enumerate(weighted)
+        ]
     return parse_opponents(
         policies if isinstance(given, list | tuple) else policies[0], make_game()
     )
 
 
+def _weight(index: int, value: Any) -> float:
+    return float(check_number(f"the weight of opponent {index}", value, above=0.0))
+
+
 def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
     """Return the policy of a text or a model; return other values unchanged."""
-    if isinstance(given, tuple) and len(given) == 2:
+    if isinstance(given, list | tuple) and len(given) == 2:
         return given[0], _as_policy(given[1], options, cars)
     if is_model(given) and not isinstance(given, str | Path):
         own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
@@ -138,23 +163,17 @@ def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
     return parse_policy(given) if named else given
 
 
-def shared_planner(opponents: list[Opponent], game: RaceGame | None) -> Planner:
-    """Return the planner of the opponents' car: the archive's planner, or another shared planner.
-
-    The game is required if an opponent moves between the policies of its archive.
-    """
-    planners = [opponent.planner or game.archive.family() for opponent in opponents]  # type: ignore[union-attr]
-    if not planners:
-        return game.archive.family()  # type: ignore[union-attr]
-    # The kernel takes one planner for each car; a mixture only changes its parameters.
+def shared_planner(opponents: list[Opponent], game: RaceGame) -> Planner:
+    """Return the planner of the opponents of a game: the archive's planner, or another one."""
+    planners = [opponent.planner or game.archive.family() for opponent in opponents]
     for opponent, planner in zip(opponents, planners, strict=True):
         if planner is not planners[0]:
             raise InputError(
                 f"opponents {opponents[0].name!r} and {opponent.name!r} drive with planners"
-                f" {planners[0].name!r} and {planner.name!r}; the opponents of one environment must"
-                " share a planner"
+                f" {planners[0].name!r} and {planner.name!r}; in a game of moves all opponents must"
+                " share a planner; in Drive they may differ"
             )
-    return planners[0]
+    return planners[0] if planners else game.archive.family()
 
 
 def replies(
@@ -244,7 +263,8 @@ class MovingOpponents:
     def _set_theta(self, rows: NDArray[np.int64], theta: NDArray[np.float64]) -> None:
         policy = self._games.policy[rows, 1]
         moving = policy != OUTSIDE
-        theta[rows[moving], 1] = self.game.theta(policy[moving])
+        own = self.game.theta(policy[moving])
+        theta[rows[moving], 1, : own.shape[1]] = own
 
     def get_state(self) -> tuple[GameState, RaceState, list[Any]]:
         """Return copies of all variables."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self, Union
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_choice
 from pcs_racing.base.errors import (
@@ -18,6 +18,7 @@ from pcs_racing.base.errors import (
     unknown_argument,
 )
 from pcs_racing.envs.batch import BatchStep, Generators, Step, check_reward
+from pcs_racing.envs.opponents import check_weights
 from pcs_racing.envs.randomization import EpisodeOptions
 from pcs_racing.race.rendering import MODES, Renderer, views
 from pcs_racing.track.track import Track
@@ -109,6 +110,13 @@ class OverBatch:
         """
         own = self.options.reward
         return step.reward if own is None else own(step)
+
+    def set_opponent_weights(self, weights: ArrayLike) -> None:
+        """Set the weights of the opponents, one for each, for the episodes that begin from now on.
+
+        Running episodes keep their opponents.
+        """
+        self.batch.weights = check_weights(weights, self.batch.weights)
 
     def _step_batch(
         self, actions: NDArray[Any], generators: Generators, running: NDArray[np.bool_]

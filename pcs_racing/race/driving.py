@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.numba_parts import config as numba_config
 from pcs_racing.car.lanes import LANES
 from pcs_racing.car.vehicle import STEER_DELAY, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy, held_command
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
-from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions, Share
 from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, RaceConfig
 from pcs_racing.race.kernel import ASKED, WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.state import RaceState
@@ -69,13 +70,19 @@ def largest_scratch(planners: Sequence[Planner | None]) -> int:
     return max([1, *(planner.scratch_size for planner in planners if planner is not None)])
 
 
-def pointers_of(planners: Sequence[Planner | None]) -> Any:
-    """Return the addresses of plan and control of each car, in the form that the kernel takes."""
-    pairs = [held_command() if planner is None else planner.pointers() for planner in planners]
-    addresses = [address for pair in pairs for address in pair]
+def pointers_of(shares: Sequence[Share], races: int) -> Any:
+    """Return the addresses of plan and control of each car in every race, for the kernel.
+
+    Each of the N cars has an array of shape (races, 2).
+    """
+    kind = np.object_ if numba_config.DISABLE_JIT else np.int64  # functions in place of addresses
+    cars = np.empty((len(shares), races, 2), kind)
+    for addresses, share in zip(cars, shares, strict=True):
+        for planner, rows in share:
+            addresses[rows] = held_command() if planner is None else planner.pointers()
     # From a tuple the kernel knows the number of cars at compile time: it is compiled once for one
     # car, once for two cars, and once for any other number.
-    return tuple(addresses) if len(planners) <= 2 else np.array(addresses)
+    return tuple(cars) if len(cars) <= 2 else cars
 
 
 def drive(
@@ -98,34 +105,40 @@ def drive(
     steps. (:class:`pcs_racing.envs.models.ModelDriver` has both.)
     """
     cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
-    in_python = [planner.drive for planner in planners if planner is not None and planner.drive]
+    shares = conditions.shares(planners, state.races)
+    in_python = [one.drive for one in _planners_of(shares) if one is not None and one.drive]
     if not in_python:
-        _drive_compiled(runs, settings, planners, cars, state, theta, ticks, threads)
+        _drive_compiled(runs, settings, shares, cars, state, theta, ticks, threads)
         return
     # The compiled loop stops before every command, so that Python can give the command.
     holds = [getattr(function, "hold", CONTROL_EVERY) for function in in_python]
     while ticks > 0:
         for run in runs:
-            _ask_python_drivers(run, settings, planners, cars, state, theta)
+            _ask_python_drivers(run, settings, shares, cars, state, theta)
         going = state.tick[(state.tick < settings.end_tick) & ~state.crash.any(axis=1)]
         due = min([int((hold - going % hold).min()) for hold in holds]) if len(going) else ticks
-        _drive_compiled(runs, settings, planners, cars, state, theta, min(due, ticks), 1)
+        _drive_compiled(runs, settings, shares, cars, state, theta, min(due, ticks), 1)
         ticks -= due
+
+
+def _planners_of(shares: Sequence[Share]) -> list[Planner | None]:
+    return [planner for share in shares for planner, _ in share]
 
 
 def _drive_compiled(
     runs: list[Run],
     settings: KernelSettings,
-    planners: tuple[Planner | None, ...],
+    shares: Sequence[Share],
     cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
     ticks: int,
     threads: int | None,
 ) -> None:
-    races = state.races
-    wanted = (races, len(planners), largest_theta(planners))
-    if theta.shape != wanted or theta.dtype != np.float64 or not theta.flags.c_contiguous:
+    races, planners = state.races, _planners_of(shares)
+    wanted = (races, len(shares), largest_theta(planners))
+    fits = theta.ndim == 3 and theta.shape[:2] == wanted[:2] and theta.shape[2] >= wanted[2]
+    if not fits or theta.dtype != np.float64 or not theta.flags.c_contiguous:
         raise InputError(
             f"theta has shape {theta.shape} and type {theta.dtype}; it must be C-contiguous float64"
             f" of shape {wanted}"
@@ -139,10 +152,10 @@ def _drive_compiled(
                 arrays, state, theta, cars, drivers, settings, ticks, first, last, scratch, work
             )
         except Exception as error:
-            raise planner_error(error, planners, work) from error
+            raise planner_error(error, shares, work) from error
 
     with first_call(advance_races, "the planners and the race kernel", 14) as compiling:
-        drivers = pointers_of(planners)
+        drivers = pointers_of(shares, races)
         if compiling and runs:
             part(runs[0][0].arrays, 0, 0)
     workers = min(threads or default_threads(), races, races * ticks // TICKS_OF_A_THREAD)
@@ -153,19 +166,19 @@ def _drive_compiled(
         return
     # Other types of arguments are compiled for here, before several threads would do so.
     part(runs[0][0].arrays, 0, 0)
-    pieces = _pieces(runs, races, ticks, workers, len(planners))
+    pieces = _pieces(runs, races, ticks, workers, len(shares))
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(part, *zip(*pieces, strict=True)))
 
 
 def planner_error(
-    error: Exception, planners: Sequence[Planner | None], work: NDArray[np.float64]
+    error: Exception, shares: Sequence[Share], work: NDArray[np.float64]
 ) -> InputError:
     """Return an error with race, car and planner for an exception of a compiled planner."""
     race, car = map(int, work[ASKED:])
+    name = next((getattr(one, "name", None) for one, rows in shares[car] if race in rows), None)
     return InputError(
-        f"race {race}, car {car}: planner {getattr(planners[car], 'name', None)!r} raised"
-        f" {type(error).__name__}: {error}"
+        f"race {race}, car {car}: planner {name!r} raised {type(error).__name__}: {error}"
     )
 
 
@@ -194,19 +207,21 @@ def _pieces(
 def _ask_python_drivers(
     run: Run,
     settings: KernelSettings,
-    planners: tuple[Planner | None, ...],
+    shares: Sequence[Share],
     cars: NDArray[np.float64],
     state: RaceState,
     theta: NDArray[np.float64],
 ) -> None:
     track, first, last = run
     view, part = np.zeros(VIEW_SIZE), slice(first, last)
-    going = (state.tick[part] < settings.end_tick) & ~state.crash[part].any(axis=1)
-    for car, planner in enumerate(planners):
+    going = np.zeros(state.races, np.bool_)
+    going[part] = (state.tick[part] < settings.end_tick) & ~state.crash[part].any(axis=1)
+    driven = [(car, *one) for car, share in enumerate(shares) for one in share]
+    for car, planner, own in driven:
         if planner is None or planner.drive is None:
             continue
         hold = getattr(planner.drive, "hold", CONTROL_EVERY)
-        rows = first + np.flatnonzero(going & (state.tick[part] % hold == 0))
+        rows = own[going[own] & (state.tick[own] % hold == 0)]
         if hasattr(planner.drive, "commands"):  # one call for all races
             if len(rows) == 0:
                 continue

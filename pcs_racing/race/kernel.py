@@ -336,8 +336,8 @@ def _command(
             view,
         )
         if tick % PLAN_EVERY == 0:
-            call_plan(drivers[2 * car], (track, own, view, memory, scratch, path))
-        call_control(drivers[2 * car + 1], (track, own, view, memory, scratch, path, command))
+            call_plan(drivers[car][race, 0], (track, own, view, memory, scratch, path))
+        call_control(drivers[car][race, 1], (track, own, view, memory, scratch, path, command))
         if not np.isfinite(command[0] + command[1]):
             raise FloatingPointError("its command is not finite")
         _send(state, vehicles[race, car], settings, noise_share, race, car, tick, command, memory)
@@ -398,16 +398,16 @@ def advance_races(
     its group.
 
     ``theta``, shape (B, N, P), holds the policy parameters of each race, and ``vehicles``, shape
-    (B, N, 18), the parameter rows of its cars. ``drivers`` holds the addresses of plan and control
-    of each car (:meth:`pcs_racing.planners.planner.Planner.pointers`). ``scratch`` has the maximum
-    scratch size of the planners, and ``work`` has ``WORK_SIZE`` numbers. Their contents are
-    undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised an
-    error.
+    (B, N, 18), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
+    plan and control in every race (:func:`pcs_racing.race.driving.pointers_of`). ``scratch`` has
+    the maximum scratch size of the planners, and ``work`` has ``WORK_SIZE`` numbers. Their contents
+    are undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised
+    an error.
     """
     near = WallArrays(*track[WALLS_BEGIN:WALLS_END])
     # A number of cars known at compile time makes races of two cars faster: `pointers_of` provides
     # it.
-    number = len(drivers) // 2
+    number = len(drivers)
     group = LANES // number
     noise_share = np.sqrt(1.0 - settings.noise_keep * settings.noise_keep)
     # Left-over numbers may be denormal, and arithmetic with denormal numbers is slow.

@@ -43,6 +43,9 @@ class RaceSetup:
     #: Number of cars that are steered from outside, the first ones: their memory begins with the
     #: command, a steering angle (rad) and a speed (m/s).
     steered: int = 0
+    #: Planners of races with their own planners (:class:`RaceConditions`): the state of a race has
+    #: room for their memory and parameters.
+    substitutes: tuple[Planner, ...] = ()
 
     def __post_init__(self) -> None:
         cars = self.steered + len(self.planners)
@@ -63,13 +66,14 @@ class RaceSetup:
         """Size of each car's memory in the state: planner memory and queue of delayed commands."""
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
         command = COMMAND_SLOTS if self.steered else 0
-        sizes = [command, *(planner.memory_total for planner in self.planners)]
+        planners = self.planners + self.substitutes
+        sizes = [command, *(planner.memory_total for planner in planners)]
         return max(sizes) + round(delay / COMMAND_PERIOD)
 
     @cached_property
     def theta_size(self) -> int:
         """Maximum length of the planners' parameter vectors."""
-        return largest_theta(self.planners)
+        return largest_theta(self.planners + self.substitutes)
 
     @cached_property
     def speed_range(self) -> tuple[float, float]:

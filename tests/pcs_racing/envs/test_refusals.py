@@ -78,7 +78,7 @@ PLAIN = [
         (ALL, {"opponent": "nobody"}, "nobody"),
         (ALL, {"opponent": []}, "opponent is an empty list"),
         (ALL, {"opponent": ["lattice", 7]}, "7 is not a competitor"),
-        (ALL, {"opponent": ["lane-switcher:3", "pure-pursuit"]}, "drive with planners"),
+        (GAMES, {"opponent": ["lane-switcher:3", "pure-pursuit"]}, "must share a planner"),
         (GAMES, {"opponent": "always-left"}, "always-left"),
         (GAMES, {"opponent": [(1, 2, "random-moves")]}, "opponent 0"),
         (GAMES, {"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
