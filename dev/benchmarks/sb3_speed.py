@@ -1,14 +1,19 @@
-"""Steps a second of PPO of Stable-Baselines3 with its default settings, with torch's own threads
-and with one.
+"""Steps of PPO of Stable-Baselines3 a second of processor time, learning included: default settings
+against large batches.
 
-    python dev/benchmarks/sb3_speed.py [--steps 4096]
+    python dev/benchmarks/sb3_speed.py [--steps 262144] [--profile]
 
-All in one run, in turns, and the best round of each counts. The networks are so small that more
-threads only wait for each other, most of all on a machine that does other work as well.
+``Drive`` with 41 numbers against ``lattice``, two layers of 64 for actor and critic, torch with one
+thread. All settings run in turns, and the best round of each counts; the default settings train for
+an eighth of the steps. ``--profile`` prints the functions of the large batches that take the most
+time of their own.
 """
 
 import argparse
+import cProfile
+import pstats
 import time
+from typing import Any
 
 import gymnasium as gym
 import torch
@@ -18,41 +23,67 @@ import pcs_racing  # noqa: F401  (registers)
 from pcs_racing.envs.sb3 import make_sb3_vec_env
 
 ROUNDS = 3
-ENVIRONMENTS = {
-    "gym.make": lambda: gym.make("pcs_racing/Drive-v1", opponent="lattice", beams=108),
-    "make_sb3_vec_env, 16": lambda: make_sb3_vec_env("drive", 16, opponent="lattice", beams=108),
-    "make_sb3_vec_env, 64": lambda: make_sb3_vec_env("drive", 64, opponent="lattice", beams=108),
+TASK = {"opponent": "lattice"}
+LARGE = "512 environments, batches of 8192, 4 epochs"
+SETTINGS: dict[str, tuple[int, dict[str, Any]]] = {
+    "default settings, gym.make": (0, {}),
+    "default settings, 16 environments": (16, {"n_steps": 128}),
+    LARGE: (512, {"n_steps": 32, "batch_size": 8192, "n_epochs": 4}),
 }
+FORWARD_FLOP = 2 * 2 * (41 * 64 + 64 * 64 + 64 * 2)
+"""Operations of a step forward through both networks; backward takes twice as many."""
 
 
-def steps_per_second(name: str, threads: int, steps: int) -> float:
-    """Train for some steps, and return how many a second."""
-    torch.set_num_threads(threads)
-    env = ENVIRONMENTS[name]()
-    rollout = 512 // getattr(env, "num_envs", 1)
-    model = PPO("MlpPolicy", env, n_steps=rollout, seed=0, device="cpu")
-    begun = time.perf_counter()
+def steps_per_second(name: str, steps: int) -> float:
+    """Train for about this number of steps, and return the steps a second of processor time."""
+    envs, settings = SETTINGS[name]
+    env = (
+        make_sb3_vec_env("drive", envs, **TASK) if envs else gym.make("pcs_racing/Drive-v1", **TASK)
+    )
+    model = PPO("MlpPolicy", env, seed=0, device="cpu", **settings)
+    begun = time.process_time()
     model.learn(steps)
-    return model.num_timesteps / (time.perf_counter() - begun)
+    return model.num_timesteps / (time.process_time() - begun)
+
+
+def arithmetic_limit(epochs: int) -> float:
+    """Return the steps a second that the products of the networks alone would allow.
+
+    The rate of products is measured: batches of 8192, layers of 64.
+    """
+    rows, weights = torch.randn(8192, 64), torch.randn(64, 64)
+    begun, products = time.process_time(), 200
+    for _ in range(products):
+        torch.mm(rows, weights)
+    rate = products * 2 * 8192 * 64 * 64 / (time.process_time() - begun)
+    return rate / ((1 + 3 * epochs) * FORWARD_FLOP)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--steps", type=int, default=4096, help="steps of each training")
-    steps = parser.parse_args().steps
-    usual = torch.get_num_threads()
-    cells = [(name, threads) for name in ENVIRONMENTS for threads in dict.fromkeys((usual, 1))]
-    for name in ENVIRONMENTS:
-        steps_per_second(name, usual, 1)  # compile
-    best = dict.fromkeys(cells, 0.0)
+    parser.add_argument("--steps", type=int, default=262_144, help="steps of each training")
+    parser.add_argument("--profile", action="store_true", help="profile the large batches")
+    given = parser.parse_args()
+    torch.set_num_threads(1)
+    for name in SETTINGS:
+        steps_per_second(name, 1)  # compile
+    if given.profile:
+        with cProfile.Profile() as profile:
+            steps_per_second(LARGE, given.steps)
+        pstats.Stats(profile).sort_stats("tottime").print_stats(25)
+        return
+    best = dict.fromkeys(SETTINGS, 0.0)
     for _ in range(ROUNDS):
-        for cell in cells:
-            best[cell] = max(best[cell], steps_per_second(*cell, steps))
-    print(f"steps a second of PPO, Drive with 108 beams; torch's own threads: {usual}")
-    for (name, threads), rate in best.items():
-        print(f"{name:22} {threads} threads {rate:8.0f}")
+        for name in SETTINGS:
+            steps = given.steps if name == LARGE else given.steps // 8
+            best[name] = max(best[name], steps_per_second(name, steps))
+    print("steps a second of PPO, Drive with 41 numbers")
+    for name, rate in best.items():
+        print(f"{name:45} {rate:8.0f}  x {rate / best['default settings, gym.make']:.1f}")
+    limit = arithmetic_limit(SETTINGS[LARGE][1]["n_epochs"])
+    print(f"{'limit by the products of the networks':45} {limit:8.0f}")
 
 
 if __name__ == "__main__":

@@ -33,7 +33,7 @@ is the number of faults so far. (2) Only at the control level.
 
 from collections.abc import Iterable, Mapping
 from enum import IntEnum
-from functools import cache
+from functools import cache, wraps
 from typing import Any
 
 import numpy as np
@@ -186,13 +186,63 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
     }
 
 
-def rows_of(infos: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the info of each environment: plain numbers and rows of arrays, without masks."""
-    names = [name for name in infos if not name.startswith(("_", "final_"))]
-    columns = [
-        infos[name].tolist() if infos[name].ndim == 1 else list(infos[name]) for name in names
-    ]
-    return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]
+class InfoRow(dict[str, Any]):
+    """Info of one environment of a batch: plain numbers and rows of arrays, without masks.
+
+    It is filled from the arrays of the batch at its first use: most infos of a training are never
+    read.
+    """
+
+    __slots__ = ("_columns", "_row")
+
+    def __init__(self, columns: Mapping[str, NDArray[Any]], row: int) -> None:
+        self._columns: Mapping[str, NDArray[Any]] | None = columns
+        self._row = row
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """Return a value, or the default; a missing name fills nothing."""
+        if self._columns is not None and name not in self._columns:
+            return default
+        return super().get(name, default) if self._columns is None else self[name]
+
+    def fill(self) -> None:
+        """Take the values from the arrays."""
+        columns, self._columns = self._columns, None
+        for name, values in (columns or {}).items():
+            one = values.item(self._row) if values.ndim == 1 else values[self._row]
+            super().__setitem__(name, one)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return dict, (self.copy(),)  # a plain dictionary, without the arrays
+
+
+def _after_filling(name: str) -> Any:
+    method = getattr(dict, name)
+
+    @wraps(method)
+    def call(self: InfoRow, *arguments: Any, **named: Any) -> Any:
+        if self._columns is not None:
+            self.fill()
+        return method(self, *arguments, **named)
+
+    return call
+
+
+for _name in (
+    *("__contains__", "__delitem__", "__eq__", "__getitem__", "__ior__", "__iter__", "__len__"),
+    *("__ne__", "__or__", "__repr__", "__reversed__", "__ror__", "__setitem__", "clear", "copy"),
+    *("items", "keys", "pop", "popitem", "setdefault", "update", "values"),
+):
+    setattr(InfoRow, _name, _after_filling(_name))
+
+
+def rows_of(infos: Mapping[str, Any], rows: Iterable[int] | None = None) -> list[InfoRow]:
+    """Return the infos of some environments of a batch, by default of all, without masks."""
+    columns = {
+        name: values for name, values in infos.items() if not name.startswith(("_", "final_"))
+    }
+    given = range(len(next(iter(columns.values())))) if rows is None else rows
+    return [InfoRow(columns, row) for row in given]
 
 
 def words(info: Mapping[str, Any], names: Mapping[str, Mapping[int, str]]) -> dict[str, Any]:

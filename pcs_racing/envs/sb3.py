@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
@@ -22,6 +22,7 @@ from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import rows_of
 from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
+from pcs_racing.envs.opponents import check_weights
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.track.track import Track
 
@@ -139,7 +140,8 @@ class SB3VecEnv(VecEnv):
 
         Seeds and options hold for one reset. The players of an episode share its options.
         """
-        observations, infos = [], []
+        observations: list[NDArray[np.float32]] = []
+        infos: list[dict[str, Any]] = []
         with ExitStack() as stack:  # if one batch refuses, all stay unchanged
             for k, group in enumerate(self.groups):
                 stack.enter_context(group.unless_refused())
@@ -185,19 +187,20 @@ class SB3VecEnv(VecEnv):
         done = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos = [info for step in steps for info in rows_of(step[4])]
-        for i in np.flatnonzero(~done).tolist():
-            infos[i]["TimeLimit.truncated"] = False
+        late = truncated & ~terminated
+        infos: list[dict[str, Any]] = []
         for first, step in zip(self._edges, steps, strict=False):
+            infos += rows_of({**step[4], "TimeLimit.truncated": np.zeros(len(step[1]), np.bool_)})
             if "final_info" not in step[4]:
                 continue
-            finals, rows = rows_of(step[4]["final_info"]), np.flatnonzero(step[4]["_final_info"])
-            for row in rows.tolist():
+            rows = np.flatnonzero(step[4]["_final_info"]).tolist()
+            begun, finals = rows_of(step[4], rows), rows_of(step[4]["final_info"], rows)
+            for row, new, final in zip(rows, begun, finals, strict=True):
                 i = first + row
-                self.reset_infos[i] = infos[i]
+                self.reset_infos[i] = new
                 infos[i] = {
-                    **finals[row],
-                    "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+                    **final,
+                    "TimeLimit.truncated": bool(late[i]),
                     "terminal_observation": step[4]["final_obs"][row],
                     "episode": {
                         "r": float(self._returns[i]),
@@ -208,6 +211,15 @@ class SB3VecEnv(VecEnv):
         self._returns[done] = 0.0
         self._lengths[done] = 0
         return observations, (rewards * self._scale).astype(np.float32), done, infos
+
+    def set_opponent_weights(self, weights: ArrayLike) -> None:
+        """Set the weights of the opponents, one for each, for the episodes that begin from now on.
+
+        All batches must have the same number of opponents.
+        """
+        checked = [check_weights(weights, group.batch.weights) for group in self.groups]
+        for group, own in zip(self.groups, checked, strict=True):
+            group.batch.weights = own
 
     def _step_groups(self, actions: Sequence[NDArray[Any]]) -> list[Any]:
         if self._pool is None:

@@ -100,7 +100,7 @@ def both(kind, scalar, arguments, seed=7, count=3):
 
 def same_infos(ours, theirs):
     for own, other in zip(ours, theirs, strict=True):
-        assert type(own) is dict
+        assert isinstance(own, dict)
         ends = [info.pop("episode", {"r": 0.0, "l": 0, "t": 0.0}) for info in (own, other)]
         assert ends[0]["l"] == ends[1]["l"]
         assert ends[0]["r"] == pytest.approx(ends[1]["r"], abs=1e-5)
@@ -298,3 +298,27 @@ def test_several_batches_are_one_environment(threads):
             joined.set_state(again)
     assert joined.has_attr("action_masks")
     joined.close()
+
+
+def test_an_info_of_each_step_is_filled_where_it_is_read():
+    env = make_sb3_vec_env("drive", 2, opponent=None)
+    env.reset()
+    info, other = env.step(np.zeros((2, 2), np.float32))[3]
+    assert info.get("episode") is None
+    assert dict.__len__(info) == 0  # of the dictionary below: nothing was read so far
+    assert info["time"] == pytest.approx(0.1)
+    assert info.get("progress") > 0.0
+    assert {**other} == dict(other) == other.copy() == other
+    assert list(other) == list(other.keys()) == [name for name, _ in other.items()]
+    assert "poses" in other
+    assert type(pickle.loads(pickle.dumps(info))) is dict
+    info["note"] = 1
+    assert info.pop("note") == 1
+
+
+def test_weights_of_the_opponents_hold_for_all_batches():
+    env = make_sb3_vec_env("drive", 20, opponent=["lattice", "pure-pursuit"])
+    env.set_opponent_weights([1e-9, 1.0])
+    env.reset()
+    assert {info["opponent"] for info in env.reset_infos} == {1}
+    refused("they must be 2 numbers above 0", env.set_opponent_weights, [1.0])
