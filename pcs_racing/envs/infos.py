@@ -205,6 +205,9 @@ class InfoRow(dict[str, Any]):
             return default
         return super().get(name, default) if self._columns is None else self[name]
 
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(name) if self._columns is None else name in self._columns
+
     def fill(self) -> None:
         """Take the values from the arrays."""
         columns, self._columns = self._columns, None
@@ -229,7 +232,7 @@ def _after_filling(name: str) -> Any:
 
 
 for _name in (
-    *("__contains__", "__delitem__", "__eq__", "__getitem__", "__ior__", "__iter__", "__len__"),
+    *("__delitem__", "__eq__", "__getitem__", "__ior__", "__iter__", "__len__"),
     *("__ne__", "__or__", "__repr__", "__reversed__", "__ror__", "__setitem__", "clear", "copy"),
     *("items", "keys", "pop", "popitem", "setdefault", "update", "values"),
 ):

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
+from gymnasium import spaces
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import kernel
@@ -95,6 +96,11 @@ class Sb3Policy:
         about = f"{self.layers.sizes} {self.activation} {self.moves} {self.squash}".encode()
         scale = b"".join(np.asarray(values).tobytes() for values in self.scale or ())
         return hashlib.sha256(about + self._flat.tobytes() + scale).hexdigest()
+
+    @cached_property
+    def observation_space(self) -> spaces.Box:
+        """Space of the observations; their bounds are not known."""
+        return spaces.Box(-np.inf, np.inf, (self.layers.sizes[0],))
 
     @cached_property
     def _flat(self) -> NDArray[np.float32]:
@@ -215,6 +221,24 @@ def plain_model(model: Any, name: str) -> Any:
         with suppress(InputError):
             return replace(actor_of(name, state(), activation), scale=_scale_of(model.get_env()))
     return model
+
+
+def frozen_model(model: Any, name: str) -> tuple[Sb3Policy, dict[str, Any]]:
+    """Return a copy of a model's policy as layers, and the arguments of its environment by name.
+
+    The scale of observations is rounded to float32, as in a file.
+    """
+    env, frozen = model.get_env(), plain_model(model, name)
+    if not isinstance(frozen, Sb3Policy):
+        raise InputError(
+            f"{type(model).__name__} has no actor of fully connected layers; train PPO, A2C, SAC or"
+            " TD3 with MlpPolicy"
+        )
+    scale = frozen.scale
+    if scale is not None:
+        mean, spread = (np.asarray(one, np.float32).astype(np.float64) for one in scale[:2])
+        scale = ObservationScale(mean, spread, scale.clip)
+    return replace(frozen, scale=scale), kept_arguments(env, _scaler(env))
 
 
 def _scaler(env: Any) -> Any:
