@@ -42,7 +42,6 @@ from pcs_racing.race.state import take
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
-from pcs_racing_agents.learning.ppo.learner import planner_groups
 from pcs_racing_agents.learning.ppo.settings import DriveSettings
 
 ACTION_LIMIT = 10.0  # tanh(ACTION_LIMIT) is 1 - 4e-9
@@ -117,16 +116,15 @@ class DriveTask:
         return {"tracks_sha256": {track.name: track.content_hash for track in self.tracks}}
 
     def env_groups(self) -> list[LearnerEnv]:
-        """Make the training environments: a group for each track, rules and opponent planner."""
+        """Make the training environments: a group for each track and rules."""
         settings = self.settings
-        planners = {name: policy.planner.name for name, policy in self.opponents.items()}
-        groups = planner_groups(settings.envs, settings.opponents, planners)
+        opponents = [(weight, self.opponents[name]) for name, weight in settings.opponents.items()]
         return [
             LearnerEnv(
-                share,
+                settings.envs,
                 track=track,
                 race=self.learning_rules(track, config),
-                opponent=[self.opponents[name] for weight, name in group for _ in range(weight)],
+                opponent=opponents,
                 top_speed=TOP_SPEED,
                 look_ahead=(0.0,),
                 time_step=DT * settings.hold,
@@ -137,7 +135,6 @@ class DriveTask:
             )
             for track in self.tracks
             for config in self.rules
-            for share, group in groups
         ]
 
     def learning_rules(self, track: Track, config: RaceConfig) -> RaceConfig:

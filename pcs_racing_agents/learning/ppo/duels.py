@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,10 +24,32 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.learning.ppo.evaluation import Matchup, MatchupScore, score_races
-from pcs_racing_agents.learning.ppo.learner import group_seeds, planner_groups
+from pcs_racing_agents.learning.ppo.learner import group_seeds
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import save_network
+
+
+def planner_groups(
+    envs: int, opponents: Mapping[str, int], planners: Mapping[str, str]
+) -> list[tuple[int, list[tuple[int, str]]]]:
+    """Group opponents by planner: a number of environments, and weights and names of opponents.
+
+    The opponents of a batch of games share a planner. The numbers of environments are in proportion
+    to the weights, at least 1.
+
+    Parameters
+    ----------
+    opponents, planners : Mapping
+        Weight of each opponent, and the name of its planner.
+    """
+    groups: dict[str, list[tuple[int, str]]] = {}
+    for name, weight in opponents.items():
+        groups.setdefault(planners[name], []).append((weight, name))
+    weights = [sum(weight for weight, _ in group) for group in groups.values()]
+    edges = np.cumsum([0, *weights]) * envs / sum(weights)
+    shares = [max(1, round(high) - round(low)) for low, high in pairwise(edges)]
+    return list(zip(shares, groups.values(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)

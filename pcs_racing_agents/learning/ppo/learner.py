@@ -6,9 +6,8 @@ their states afterwards.
 
 import random
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,9 +35,6 @@ def own_randomness() -> Iterator[None]:
             torch.set_rng_state(states[2])
 
 
-# Groups of environments: the races of a group share a track, rules and a mixture of opponents.
-
-
 def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
     """Return the seeds of groups of environments.
 
@@ -49,28 +45,6 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
     ]
     # Environment i of a group has the seed of the group plus i: two free bits avoid an overflow.
     return [int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(2)) for sequence in sequences]
-
-
-def planner_groups(
-    envs: int, opponents: Mapping[str, int], planners: Mapping[str, str]
-) -> list[tuple[int, list[tuple[int, str]]]]:
-    """Group opponents by planner: a number of environments, and weights and names of opponents.
-
-    A batch has one compiled planner in car 1, so each opponent planner needs its own batch. The
-    numbers of environments are in proportion to the weights, at least 1.
-
-    Parameters
-    ----------
-    opponents, planners : Mapping
-        Weight of each opponent, and the name of its planner.
-    """
-    groups: dict[str, list[tuple[int, str]]] = {}
-    for name, weight in opponents.items():
-        groups.setdefault(planners[name], []).append((weight, name))
-    weights = [sum(weight for weight, _ in group) for group in groups.values()]
-    edges = np.cumsum([0, *weights]) * envs / sum(weights)
-    shares = [max(1, round(high) - round(low)) for low, high in pairwise(edges)]
-    return list(zip(shares, groups.values(), strict=True))
 
 
 # The model

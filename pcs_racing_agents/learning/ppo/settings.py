@@ -159,14 +159,26 @@ class DriveSettings(PPOSettings):
         Interval(ge=1e-3, le=10.0),
         "Initial standard deviation of the exploration noise of actions, before their tanh.",
     ] = 0.5
+    # A step is cheap, and large batches make the networks cheap: docs/ppo.md has the figures.
+    envs: Annotated[
+        int, Interval(ge=1, le=100_000), "Parallel races for each circuit and set of rules."
+    ] = 85
+    rollout: Annotated[
+        int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."
+    ] = 32
+    batch_size: Annotated[
+        int,
+        Interval(ge=2, le=10_000_000),
+        "Environment steps in the batch of a gradient step.",
+    ] = 8192
+    epochs: Annotated[
+        int, Interval(ge=1, le=1000), "Passes over the collected steps in an update."
+    ] = 4
     discount: Annotated[float, Interval(ge=0.0, le=1.0), "Discount factor per step."] = 0.998
     reward_scale: Annotated[float, Interval(ge=1e-6, le=1e6), _REWARD_SCALE] = 0.1
     steps: Annotated[
         int, Interval(ge=1, le=10**12), "Maximum number of environment steps for each seed."
     ] = 5_000_000
-    rollout: Annotated[
-        int, Interval(ge=1, le=100_000), "Steps of each environment between two updates."
-    ] = 128
     evaluate_every: Annotated[int, Interval(ge=1, le=10**12), "Steps between two evaluations."] = (
         500_000
     )

@@ -14,6 +14,7 @@ from pcs_racing.planners.trained import trained_planner
 from pcs_racing.race.races import advance
 from pcs_racing.race.state import take
 from pcs_racing_agents.learning.ppo.drives import LearnerEnv
+from pcs_racing_agents.learning.ppo.duels import planner_groups
 from pcs_racing_agents.learning.ppo.evaluation import (
     EvaluationCurve,
     Matchup,
@@ -28,7 +29,6 @@ from pcs_racing_agents.learning.ppo.learner import (
     group_seeds,
     make_model,
     own_randomness,
-    planner_groups,
 )
 from pcs_racing_agents.learning.ppo.train import make_task
 
@@ -163,7 +163,7 @@ def test_scores_and_their_means_are_those_of_the_races():
     assert panels["payoff of a race"][0].error.tolist() == [mean.error] * 2
 
 
-def test_learners_race_in_groups_of_a_circuit_rules_and_planner(drive_settings):
+def test_learners_race_in_groups_of_a_circuit_and_rules(drive_settings):
     opponents = {"lattice:pace=0": 1, "pure-pursuit": 1, "lattice": 2}
     tracks = ("Pipkin", "Tarnfjord")
     task = make_task(
@@ -171,17 +171,11 @@ def test_learners_race_in_groups_of_a_circuit_rules_and_planner(drive_settings):
     )
     groups = task.env_groups()
     assert [(env.num_envs, env.batch.track.name) for env in groups] == [
-        (6, "Pipkin"),
-        (2, "Pipkin"),
-        (6, "Tarnfjord"),
-        (2, "Tarnfjord"),
+        (8, "Pipkin"),
+        (8, "Tarnfjord"),
     ]
-    first, second = (env.batch for env in groups[:2])
-    names = [
-        [policy.name for one in batch.opponents for policy in one.policies]
-        for batch in (first, second)
-    ]
-    assert names == [["lattice:pace=0", "lattice", "lattice"], ["pure-pursuit"]]
+    first = groups[0].batch
+    assert {one.name: one.weight for one in first.opponents} == opponents
     options = first.options
     assert (options.time_step, options.rivalry, options.crash_penalty) == (0.04, 0.3, 7.0)
     rules = task.learning_rules(task.tracks[0], task.rules[0])
