@@ -116,7 +116,7 @@ NEEDS = {
 
 
 # Which library an example misses first, and what to install.
-LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play"
+LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play league_ppo"
 EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
     "clients/openspiel_tree": ("pyspiel", '".[games]"'),

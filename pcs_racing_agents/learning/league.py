@@ -42,7 +42,7 @@ MAX_MEMBERS = 100
 MAX_BYTES = 16_000_000  # of the weights of a copy
 RARE = 0.1  # weight of an opponent with a certain result, as a share of its weight in even races
 KEEP = 0.95  # share of the former races that still count after new results
-COPY = re.compile(r"self-\d{4}")
+COPY = re.compile(r"self-\d{4,9}")
 _KEYS = ("name", "weight", "races", "won")
 _COPY_KEYS = ("sha256", "hidden", "activation", "squash", "clip", "arguments")
 
@@ -130,10 +130,11 @@ class League:
         check_number("the weight of a copy", weight, above=0.0)
         check_whole("most", most, 1, MAX_MEMBERS)
         copies = [member for member in self.members if member.model is not None]
-        number = 1 + max((int(member.name[-4:]) for member in copies), default=0)
+        number = 1 + max((int(one.name.removeprefix("self-")) for one in copies), default=0)
         name = f"self-{number:04d}"
         frozen, arguments = frozen_model(model, name)
-        kept = [one for one in self.members if one not in copies[: len(copies) + 1 - most]]
+        old = copies[: max(0, len(copies) + 1 - most)]
+        kept = [one for one in self.members if one not in old]
         return League((*kept, Member(name, weight, model=frozen, arguments=arguments)))
 
 

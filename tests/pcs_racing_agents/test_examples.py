@@ -142,6 +142,16 @@ def test_self_play_of_steering_and_speed(tmp_path):
     assert all(0.0 <= float(won) <= 100.0 for _, _, won, _ in rows)
 
 
+def test_a_league_grows_with_a_training_that_goes_on_from_its_folder(tmp_path):
+    pytest.importorskip("stable_baselines3")
+    size = ("--steps", "512", "--rounds", "2", "--envs", "8", "--races", "2", "--track", "Pipkin")
+    for copies in ("self-0002", "self-0004"):
+        out = run_python(EXAMPLES / "league_ppo.py", *size, folder=tmp_path)
+        assert re.search(rf"^{copies} +won \d+%$", out, re.M)
+    assert re.search(r"^ +1,024 +\d\.\d +4  \d+% \d+% \d+% \d+%$", out, re.M)
+    assert (tmp_path / "out" / "league_ppo" / "league" / "self-0004.safetensors").is_file()
+
+
 @pytest.mark.parametrize(
     "script",
     ["imitate_from_lidar.py cnn --rounds 2 --seconds 4 --steps 4", "residual_ppo.py --steps 256"],

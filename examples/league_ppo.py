@@ -1,0 +1,143 @@
+"""Learn to race against a league: planners of several families and frozen copies of the learner.
+
+    python examples/league_ppo.py
+    python examples/league_ppo.py --steps 8000000 --rounds 16
+
+A round trains PPO with large batches against opponents that are drawn for each race. Opponents that
+give even races are drawn most often, so difficulty rises with success. At the end of a round a copy
+of the policy joins the league, and a line says how often the policy beats planners. A stopped
+training goes on from its folder, with the same league and a model that continues from its weights.
+Run with stable-baselines3 2.9.2.
+"""
+
+import argparse
+import time
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from pcs_racing.envs import DriveVectorEnv, Result
+
+try:
+    import torch
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.vec_env import VecEnv
+
+    from pcs_racing.envs import make_sb3_vec_env
+except ModuleNotFoundError as error:
+    raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
+
+from pcs_racing_agents.agents import save_model
+from pcs_racing_agents.learning.league import League, load_league, make_league, save_league
+from pcs_racing_agents.learning.league_callback import LeagueCallback
+
+PLANNERS = {
+    "gap-follower:top_speed=4": 1,
+    "pure-pursuit:pace=0": 1,
+    "lattice:pace=0": 1,
+    "lattice:pace=0.5": 1,
+    "pure-pursuit": 1,
+    "lattice": 1,
+}
+"""Planners of the league at its start, with their weights."""
+
+TESTS = ("gap-follower:top_speed=4", "pure-pursuit", "stanley", "lattice")
+"""Opponents of the test races; ``stanley`` is never in the league."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What can be chosen on the command line."""
+
+    steps: int = 1_000_000
+    """steps of the training"""
+    rounds: int = 4
+    """rounds, each of which adds a copy to the league"""
+    track: str = "Tarnfjord"
+    """name of a shipped circuit or a map folder"""
+    envs: int = 512
+    """races side by side"""
+    races: int = 100
+    """test races against each planner after a round"""
+    seed: int = 0
+    """root of everything random"""
+    out: Path = Path("out/league_ppo")
+    """folder for the league and model.zip"""
+
+
+def main() -> None:
+    given = parse()
+    torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
+    task = {"track": given.track, "race": "contest", "normalize": True, "duration": 20.0}
+    pay = {"progress_reward": 0.1, "rivalry": 0.5, "crash_penalty": 1.0}
+    folder, file = given.out / "league", given.out / "model.zip"
+    league = load_league(folder) if folder.exists() else make_league(PLANNERS)
+    tests = {
+        name: DriveVectorEnv(given.races, opponent=name, **task | {"duration": 40.0})
+        for name in TESTS
+    }
+    print(f"{'steps':>10} {'minutes':>8} {'copies':>7}  won against " + ", ".join(tests))
+    begun = time.process_time()
+    model: PPO | None = None
+    for _ in range(given.rounds):
+        envs = make_sb3_vec_env("drive", given.envs, opponent=league.opponents(), **task, **pay)
+        if model is None:
+            model = PPO.load(file, envs) if file.exists() else make_model(envs, given.seed)
+        model.set_env(envs)
+        callback = LeagueCallback(league)
+        model.learn(given.steps // given.rounds, callback, reset_num_timesteps=False)
+        league = callback.league.with_copy(model)
+        save_league(folder, league)
+        save_model(file, model)
+        won = [f"{test(model, races):.0%}" for races in tests.values()]
+        minutes = (time.process_time() - begun) / 60
+        print(f"{model.num_timesteps:10,} {minutes:8.1f} {copies(league):7}  {' '.join(won)}")
+    for member in league.members:
+        print(f"{member.name:28} won {member.won_share:.0%}")
+
+
+def make_model(envs: VecEnv, seed: int) -> PPO:
+    """A policy of two layers of 64, trained in large batches."""
+    return PPO(
+        "MlpPolicy",
+        envs,
+        seed=seed,
+        n_steps=32,
+        batch_size=min(8192, 32 * envs.num_envs),
+        n_epochs=4,
+        learning_rate=1e-3,
+        policy_kwargs={"net_arch": [64, 64], "log_std_init": -1.0},
+        device="cpu",
+    )
+
+
+def copies(league: League) -> int:
+    """Number of frozen copies of a league."""
+    return sum(member.model is not None for member in league.members)
+
+
+def test(model: PPO, races: DriveVectorEnv) -> float:
+    """Share of races that the policy wins without exploration noise: the first of each env."""
+    seen, _ = races.reset(seed=1_000_000)
+    over, won = np.zeros(races.num_envs, bool), np.zeros(races.num_envs, bool)
+    while not over.all():
+        seen, _, ended, late, info = races.step(model.predict(seen, deterministic=True)[0])
+        won |= (ended | late) & ~over & (info["result"] == Result.WIN)
+        over |= ended | late
+    return won.mean()
+
+
+def parse() -> Arguments:
+    """Turn every field of the arguments into an option with its default and type."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    for field in fields(Arguments):
+        kind = type(field.default)
+        parser.add_argument(f"--{field.name}", type=kind, default=field.default)
+    return Arguments(**vars(parser.parse_args()))
+
+
+if __name__ == "__main__":
+    main()
