@@ -28,9 +28,8 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
+from pcs_racing_agents import learning
 from pcs_racing_agents.agents import save_model
-from pcs_racing_agents.learning.league import League, load_league, make_league, save_league
-from pcs_racing_agents.learning.league_callback import LeagueCallback
 
 PLANNERS = {
     "gap-follower:top_speed=4": 1,
@@ -72,7 +71,7 @@ def main() -> None:
     task = {"track": given.track, "race": "contest", "normalize": True, "duration": 20.0}
     pay = {"progress_reward": 0.1, "rivalry": 0.5, "crash_penalty": 1.0}
     folder, file = given.out / "league", given.out / "model.zip"
-    league = load_league(folder) if folder.exists() else make_league(PLANNERS)
+    league = learning.load_league(folder) if folder.exists() else learning.make_league(PLANNERS)
     tests = {
         name: DriveVectorEnv(given.races, opponent=name, **task | {"duration": 40.0})
         for name in TESTS
@@ -85,10 +84,10 @@ def main() -> None:
         if model is None:
             model = PPO.load(file, envs) if file.exists() else make_model(envs, given.seed)
         model.set_env(envs)
-        callback = LeagueCallback(league)
+        callback = learning.LeagueCallback(league)
         model.learn(given.steps // given.rounds, callback, reset_num_timesteps=False)
         league = callback.league.with_copy(model)
-        save_league(folder, league)
+        learning.save_league(folder, league)
         save_model(file, model)
         won = [f"{test(model, races):.0%}" for races in tests.values()]
         minutes = (time.process_time() - begun) / 60
@@ -112,7 +111,7 @@ def make_model(envs: VecEnv, seed: int) -> PPO:
     )
 
 
-def copies(league: League) -> int:
+def copies(league: learning.League) -> int:
     """Number of frozen copies of a league."""
     return sum(member.model is not None for member in league.members)
 

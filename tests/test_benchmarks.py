@@ -28,7 +28,7 @@ SMALL = {
     "race_speed": ("--track Pipkin --races 2", "ms"),
     "racing_quality": ("--tracks Pipkin --rules paper --policies 4 --opponents 2", "Pipkin"),
     "record": ("--show", "race"),
-    "sb3_speed": ("--steps 64", "steps a second of PPO"),
+    "sb3_speed": ("--steps 64", "limit by the products"),
     "scan_speed": ("--track Pipkin", "us"),
     "statistics_coverage": ("--datasets 4", "true"),
     **dict.fromkeys(("circuits", "field", "solver_speed", "start_time", "zoo"), HELP),

@@ -309,7 +309,7 @@ class DriveBatch:
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:
-            for planner in planners:
+            for planner in planners:  # all that may be drawn
                 planner.pointers()
             self._pointers = pointers_of(self._shares(), self.episodes)
             if compiling:
@@ -555,7 +555,7 @@ class DriveBatch:
             part = RaceState._make(array[first:last] for array in self.state)
             conditions = replace(
                 self.randomization.conditions(np.arange(first, last)),
-                planners=self._planners[first:last],
+                planners=self._planners[first:last] if self._several else None,
             )
             setup = self.circuit(int(circuits[first])).setup
             fixed = (setup.track, setup.settings, setup.car_planners, setup.vehicles)
