@@ -240,3 +240,33 @@ def test_a_recorded_race_of_three_is_the_race_and_shows_all(oval, tmp_path):
     assert all(
         (np.abs(without.astype(int) - colour).max(axis=2) < 12).sum() > 10 for colour in bodies
     )
+
+
+def test_the_planners_of_each_car_may_differ_between_the_races(oval):
+    """Four cars; each race as with these planners in all races, in one call or two."""
+    names = ["lattice", "pure-pursuit", "stanley", "gap-follower"]
+    policies = [parse_policy(name) for name in names]
+    planners = tuple(policy.planner for policy in policies)
+    races, cars = 4, 4
+    own = np.array([[planners[(race + car) % 4] for car in range(cars)] for race in range(races)])
+    setup = RaceSetup(oval, QUIET, planners, substitutes=planners)
+    starts = draw_starts(oval, QUIET, races, 1, cars=cars)
+    begun = start_races(setup, starts, np.arange(races, dtype=np.uint64))
+    theta = np.zeros((races, cars, setup.theta_size))
+    for race, car in np.ndindex(races, cars):
+        parameters = policies[(race + car) % 4].parameters
+        theta[race, car, : len(parameters)] = parameters
+    mixed = begun.copy()
+    for ticks in (150, 50):
+        advance(setup, mixed, theta, ticks, conditions=RaceConditions(planners=own))
+    for race in range(races):
+        alone = take(begun, [race])
+        same = replace(setup, planners=tuple(own[race]))
+        advance(same, alone, theta[race : race + 1].copy(), 200)
+        assert_same(alone._asdict(), take(mixed, [race])._asdict())
+    refused(
+        r"planners have shape \(4, 4\); for 3 races they must have \(3, 4\)",
+        RaceConditions(planners=own).shares,
+        planners,
+        3,
+    )
