@@ -336,7 +336,7 @@ class ArchiveRun:
         choose = self._choose_spread if config.selection == "spread" else self._choose_front
         chosen, notes = choose(allowed, scenarios)
         points = self.scale(explored.coordinates)
-        return theta[chosen], {
+        return chosen, {
             "search_over_crash_limit": int(crashing.sum()),
             "search_hypervolume": hypervolume(points[rows[~crashing[rows]]]),
             "search_hypervolume_without_crash_limit": hypervolume(points[rows]),
@@ -357,8 +357,6 @@ class ArchiveRun:
         if len(parameters):
             raced = self._race("measurement", "measurement", scenarios, parameters)
             measured = summarise(raced)
-            if not front:  # the first policy is the strongest of the tunings
-                self.min_score = float(measured.score[0]) - config.margin
             within_limits = kept = np.flatnonzero(
                 (measured.own_crash <= config.crash_limit) & (measured.score >= self.min_score)
             )
@@ -392,7 +390,7 @@ class ArchiveRun:
         self.callback(self.history[-1]._replace(stage="judgement", done=1.0))
         return headroom_notes(dict(zip(tracks, payoffs, strict=True)), config.tracks)
 
-    def _choose_front(self, allowed: Indices, scenarios: Scenarios) -> tuple[Indices, Notes]:
+    def _choose_front(self, allowed: Indices, scenarios: Scenarios) -> tuple[Floats, Notes]:
         """Race the best allowed policies in new scenarios; choose policies not clearly beaten."""
         config = self.config
         theta, explored = self.explored()
@@ -405,34 +403,36 @@ class ArchiveRun:
         points = _unit(measured.coordinates[not_beaten])
         distinct = not_beaten[thin_out(points, config.spacing, config.max_policies)]
         self._note("choice", len(distinct), measured)
-        return order[distinct], {
+        return theta[order[distinct]], {
             "choice_candidates": len(order),
             "choice_outside_limits": len(order) - len(within_limits),
             "choice_beaten": len(within_limits) - len(not_beaten),
             "choice_too_near_another": len(not_beaten) - len(distinct),
         }
 
-    def _choose_spread(self, allowed: Indices, scenarios: Scenarios) -> tuple[Indices, Notes]:
+    def _choose_spread(self, allowed: Indices, scenarios: Scenarios) -> tuple[Floats, Notes]:
         """Race strong policies far apart in new scenarios; choose some that still are.
 
-        The first policy of the search, the strongest of the tunings, is always among them.
+        The start and the last champion are always among them.
         """
         config = self.config
         theta, explored = self.explored()
         others = allowed[allowed != 0]
-        rows = np.concatenate([[0], others])
+        rows = np.concatenate([[0], others])  # the first policy of the search is the strongest
         order = rows[spread_out(_unit(explored.coordinates[rows]), config.candidates)]
-        raced = self._race("choice", "choice", scenarios, theta[order])
+        known = np.unique([self.strongest, config.start_policy.parameters], axis=0)
+        candidates = np.concatenate([known, theta[order[1:]]])
+        raced = self._race("choice", "choice", scenarios, candidates)
         measured = summarise(raced)
-        self.min_score = float(measured.score[0]) - config.margin
+        self.min_score = float(measured.score[: len(known)].max()) - config.margin
         within_limits = np.flatnonzero(self.violation(measured) <= 0.0)
-        kept = np.unique(np.concatenate([[0], within_limits]))
+        kept = np.unique(np.concatenate([np.arange(len(known)), within_limits]))
         points = _unit(measured.coordinates[kept])
-        distinct = kept[spread_out(points, config.max_policies)]
+        distinct = kept[spread_out(points, config.max_policies, len(known))]
         self._note("choice", len(distinct), measured)
-        return order[distinct], {
-            "choice_candidates": len(order),
-            "choice_outside_limits": len(order) - len(within_limits),
+        return candidates[distinct], {
+            "choice_candidates": len(candidates),
+            "choice_outside_limits": len(candidates) - len(within_limits),
             "choice_min_score": self.min_score,
         }
 

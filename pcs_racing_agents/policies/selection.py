@@ -81,14 +81,14 @@ def thin_out(points: Floats, spacing: float, maximum: int) -> Indices:
     return np.sort(kept)
 
 
-def spread_out(points: Floats, count: int) -> Indices:
+def spread_out(points: Floats, count: int, first: int = 1) -> Indices:
     """Choose up to ``count`` of K normalised points that are far from each other, in this order.
 
-    The first point is chosen first; then always the point whose nearest chosen point is farthest
-    away (T. Gonzalez, Clustering to minimize the maximum intercluster distance, TCS 1985).
+    The ``first`` points are chosen first; then always the point whose nearest chosen point is
+    farthest away (T. Gonzalez, Clustering to minimize the maximum intercluster distance, TCS 1985).
     """
-    kept = [0]
-    away = np.sum((points - points[0]) ** 2, axis=1)
+    kept = list(range(first))
+    away = np.min([np.sum((points - points[k]) ** 2, axis=1) for k in kept], axis=0)
     while len(kept) < count and away.max() > 0.0:
         kept.append(int(away.argmax()))
         away = np.minimum(away, np.sum((points - points[kept[-1]]) ** 2, axis=1))
