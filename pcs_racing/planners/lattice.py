@@ -196,16 +196,20 @@ MEMORY = 7
 # Rows of the scratch, each GOALS wide: end, length and coefficients of a move; its curvature, the
 # max and mean curvature, and the max change of curvature along it; its lateral acceleration; its
 # length relative to the line, and the slow-down by its bends; air along the race line and along the
-# move, nearness to walls, min air to a wall, cost independent of the speed. Then, for all
-# candidates, costs without the opponent and costs; then points and air at the ends of all segments.
+# move, nearness to walls, min air to a wall; distance from the race line, change of the last plan,
+# distance from the opponent's line, missing air; cost independent of the speed. Then, for all
+# candidates, lateral acceleration, distance behind the opponent, costs without the opponent and
+# costs; then, for each speed, distance, top speed and change of speed; then points and air at the
+# ends of all segments.
 _GOAL_D, _LENGTH, _A, _B, _KAPPA, _MAX_KAPPA, _MEAN_KAPPA, _KAPPA_RATE, _SIDEWAYS = (
     GOALS * k for k in range(9)
 )
-_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _BASE, _MIN_COST = (
-    GOALS * k for k in range(9, 17)
+_STRETCH, _SLOWED, _LINE_AIR, _MOVE_AIR, _WALL_COST, _MIN_AIR, _AWAY, _CHANGE, _ABREAST, _CLOSE = (
+    GOALS * k for k in range(9, 19)
 )
-_COSTS = _MIN_COST + CANDIDATES
-_POINT_X = _COSTS + CANDIDATES
+_BASE, _ASIDE = GOALS * 19, GOALS * 20
+_BEHIND, _MIN_COST, _COSTS, _DRIVEN = (_ASIDE + CANDIDATES * k for k in range(1, 5))
+_FAST, _BRAKED, _POINT_X = (_DRIVEN + SPEEDS * k for k in range(1, 4))
 _POINT_Y = _POINT_X + SEGMENTS * GOALS
 _AIR = _POINT_Y + SEGMENTS * GOALS
 # Profiles, a row for each metre ahead: the squared target speed, at each speed and for the
@@ -498,7 +502,7 @@ def _lay_moves(line, ds, now, start, back, scratch):
     per_return = 1.0 / back.length
     here = line[_sample_at(line, per_ds, now.s), _frenet.KAPPA]
     scratch[_MEAN_KAPPA:_LINE_AIR] = 0.0
-    scratch[_LINE_AIR:_BASE] = WALL_AIR
+    scratch[_LINE_AIR:_AWAY] = WALL_AIR
     kappa0 = here / max(1.0 - here * start.d, 0.25) + start.bend
     for first in range(0, GOALS, ACROSS):
         length = _near(v) * (FAR if first > 0 else 1.0)
@@ -693,8 +697,8 @@ def _predict_all(line, per_ds, theta, view, now, steps, scratch):
 def _meet_opponent(scratch, now, start, f, g, side_reach, w_near, most):
     """Return the cost of the predicted opponent for the move ``g`` at the speed ``f``.
 
-    Overlaps cost, and nearness costs. The cars are level within a reach that grows at each step.
-    The sum stops above ``most``.
+    Overlaps cost, and nearness costs ``w_near``. The cars are level within a reach that grows at
+    each step. The sum stops above ``most``. The nearness itself is returned as well.
     """
     s0, reach, body = now.s, now.reach, now.body
     falls_back = f == FOLLOWS
@@ -712,12 +716,14 @@ def _meet_opponent(scratch, now, start, f, g, side_reach, w_near, most):
     side_before = start.d - now.opponent_d
     deepest = 0.0
     cost = 0.0
+    nearness = 0.0
     fade = 1.0
     for k in range(HORIZON_STEPS):
         driven = scratch[_OWN_S + k * SPEEDS + f] - s0
         ahead = scratch[_OPP_S + k] - s0
         hard = fade * (REJECTED * wrong if k < rejects else later)
-        soft = fade * 0.3 * w_near
+        near = fade * 0.3
+        soft = near * w_near
         fade *= 0.85
         reach += unsure
         if abs(driven - ahead) > CLOSE + 2.0:
@@ -748,7 +754,8 @@ def _meet_opponent(scratch, now, start, f, g, side_reach, w_near, most):
             long_air = max(abs(along) - reach, 0.0)
             side_air = max(across - body, 0.0)
             cost += soft / (long_air * long_air + 0.3 + side_air * side_air)
-    return cost
+            nearness += near / (long_air * long_air + 0.3 + side_air * side_air)
+    return cost, nearness
 
 
 @inner_kernel(forceinline=True)
@@ -761,15 +768,9 @@ def _defence(theta, view, now):
 
 
 @inner_kernel(forceinline=True)
-def _weigh_moves(theta, view, memory, now, start, scratch):
-    """Sum up each move's speed-independent costs, with rejections by walls, in the base row."""
-    since, defend, opponent_d = start.since, _defence(theta, view, now), now.opponent_d
-    w_length = 2.5 * _power_of_ten(theta[LENGTH])
-    w_max = _power_of_ten(theta[MAX_CURVATURE])
-    w_mean = _power_of_ten(theta[MEAN_CURVATURE])
-    w_similarity = _power_of_ten(theta[SIMILARITY]) if start.remembered else 0.0
-    w_deviation = 0.5 * _power_of_ten(theta[DEVIATION])
-    w_walls = _power_of_ten(theta[WALLS])
+def _compare_moves(memory, now, start, scratch):
+    """Compare each move with the last plan, the race line and the opponent's line."""
+    since = start.since
     per_before = 1.0 / max(memory[_M_LENGTH], 0.1)
     for first in range(0, GOALS, ACROSS):
         length = scratch[_LENGTH + first]
@@ -782,48 +783,76 @@ def _weigh_moves(theta, view, memory, now, start, scratch):
             middle = _lateral(0.5, goal, scratch[_A + g], scratch[_B + g])
             change = goal - before
             middle_change = middle - middle_before
-            tight = max(TOUCH - scratch[_MIN_AIR + g], 0.0)
-            close = max(scratch[_LINE_AIR + g] - scratch[_MOVE_AIR + g], 0.0)
-            scratch[_BASE + g] = (
-                w_length / length
-                + w_max * scratch[_MAX_KAPPA + g]
-                + w_mean * scratch[_MEAN_KAPPA + g]
-                + w_walls * scratch[_WALL_COST + g]
-                + WALL_COST * close
-                + w_deviation * (abs(middle) + abs(goal))
-                + w_similarity * (change * change + middle_change * middle_change)
-                + defend * abs(goal - opponent_d)
-                + REJECTED * (1.0 + 3.0 * tight) * (1.0 if tight > 0.0 else 0.0)
+            scratch[_AWAY + g] = abs(middle) + abs(goal)
+            scratch[_CHANGE + g] = change * change + middle_change * middle_change
+            scratch[_ABREAST + g] = abs(goal - now.opponent_d)
+            scratch[_CLOSE + g] = max(scratch[_LINE_AIR + g] - scratch[_MOVE_AIR + g], 0.0)
+
+
+@inner_kernel(forceinline=True)
+def _weigh_moves(theta, view, now, start, scratch):
+    """Sum up each move's speed-independent costs, with rejections by walls, in the base row."""
+    defend = _defence(theta, view, now)
+    w_length = 2.5 * _power_of_ten(theta[LENGTH])
+    w_max = _power_of_ten(theta[MAX_CURVATURE])
+    w_mean = _power_of_ten(theta[MEAN_CURVATURE])
+    w_similarity = _power_of_ten(theta[SIMILARITY]) if start.remembered else 0.0
+    w_deviation = 0.5 * _power_of_ten(theta[DEVIATION])
+    w_walls = _power_of_ten(theta[WALLS])
+    for g in range(GOALS):
+        tight = max(TOUCH - scratch[_MIN_AIR + g], 0.0)
+        scratch[_BASE + g] = (
+            w_length / scratch[_LENGTH + g]
+            + w_max * scratch[_MAX_KAPPA + g]
+            + w_mean * scratch[_MEAN_KAPPA + g]
+            + w_walls * scratch[_WALL_COST + g]
+            + WALL_COST * scratch[_CLOSE + g]
+            + w_deviation * scratch[_AWAY + g]
+            + w_similarity * scratch[_CHANGE + g]
+            + defend * scratch[_ABREAST + g]
+            + REJECTED * (1.0 + 3.0 * tight) * (1.0 if tight > 0.0 else 0.0)
+        )
+
+
+@inner_kernel(forceinline=True)
+def _measure_candidates(now, steps, scratch):
+    """Measure each speed, and each candidate without the opponent's nearness."""
+    s0, v = now.s, now.v
+    ahead = scratch[_OPP_S + HORIZON_STEPS - 1] - s0 if now.meets else -100.0
+    for f in range(SPEEDS):
+        driven = max(scratch[_OWN_S + (steps - 1) * SPEEDS + f] - s0, 0.1)
+        soon = scratch[_OWN_V + 2 * SPEEDS + f]
+        scratch[_DRIVEN + f] = driven
+        scratch[_FAST + f] = max(v, scratch[_OWN_V + 4 * SPEEDS + f])
+        scratch[_BRAKED + f] = abs(soon - v)
+        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the measured bends' speed
+        share *= share
+        for g in range(GOALS):
+            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(
+                driven, scratch[_LENGTH + g]
             )
+            behind = ahead - driven - gained
+            scratch[_ASIDE + f * GOALS + g] = share * scratch[_SIDEWAYS + g]
+            scratch[_BEHIND + f * GOALS + g] = min(max(behind, 0.0), 10.0)
 
 
 @inner_kernel(forceinline=True)
 def _weigh_candidates(theta, now, steps, scratch):
     """Sum up the costs of all candidates without the opponent's nearness."""
-    s0, v, grip = now.s, now.v, now.grip
-    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - s0)
+    grip = now.grip
+    w_progress = _power_of_ten(theta[PROGRESS]) * (scratch[_OWN_S + (steps - 1) * SPEEDS] - now.s)
     w_braking = _power_of_ten(theta[BRAKE]) / (3.0 * HORIZON_STEP * 10.0)
     w_overtaking = _power_of_ten(theta[OVERTAKING]) / 5.0
     w_lateral = 0.1 * _power_of_ten(theta[LATERAL])
     w_rate = 0.1 * _power_of_ten(theta[CURVATURE_RATE])
-    ahead = scratch[_OPP_S + HORIZON_STEPS - 1] - s0 if now.meets else -100.0
     for f in range(SPEEDS):
-        driven = max(scratch[_OWN_S + (steps - 1) * SPEEDS + f] - s0, 0.1)
-        fast = max(v, scratch[_OWN_V + 4 * SPEEDS + f])
-        soon = scratch[_OWN_V + 2 * SPEEDS + f]
-        speed_cost = w_progress / driven + w_braking * abs(soon - v)
-        in_time = w_rate * fast
-        share = soon / scratch[_OWN_V + 2 * SPEEDS + ATTACKS + 1]  # of the measured bends' speed
-        share *= share
+        speed_cost = w_progress / scratch[_DRIVEN + f] + w_braking * scratch[_BRAKED + f]
+        in_time = w_rate * scratch[_FAST + f]
         for g in range(GOALS):
-            sideways = share * scratch[_SIDEWAYS + g]
-            gained = (scratch[_SLOWED + g] / scratch[_STRETCH + g] - 1.0) * min(
-                driven, scratch[_LENGTH + g]
-            )
-            behind = ahead - driven - gained
+            sideways = scratch[_ASIDE + f * GOALS + g]
             scratch[_MIN_COST + f * GOALS + g] = (
                 speed_cost
-                + w_overtaking * min(max(behind, 0.0), 10.0)
+                + w_overtaking * scratch[_BEHIND + f * GOALS + g]
                 + scratch[_BASE + g]
                 + w_lateral * sideways
                 + in_time * scratch[_KAPPA_RATE + g]
@@ -851,9 +880,10 @@ def _choose(theta, now, start, slack, scratch):
         scratch[_MIN_COST + c] = np.inf
         if now.meets:
             most = best + slack - cost
-            cost += _meet_opponent(
+            met, _ = _meet_opponent(
                 scratch, now, start, c // GOALS, c % GOALS, side_reach, w_proximity, most
             )
+            cost += met
         scratch[_COSTS + c] = cost
         if cost < best:
             best = cost
@@ -909,23 +939,25 @@ def _write_path(line, ds, length, view, now, way, scratch, g, f, path):
         square += 2.0 * braking * step
 
 
-@inner_kernel
-def _search(track, theta, view, memory, scratch, path, slack):
-    """Choose a candidate and write its path.
-
-    Candidates within ``slack`` of the best get a full cost.
-    """
-    line = track.line
-    now = _situation(track, theta, view, memory)
+@inner_kernel(forceinline=True)
+def _lay_candidates(track, theta, view, memory, now, scratch):
+    """Lay, predict, measure and weigh all candidates; return where they begin and lead back."""
     start = _plan_by_now(memory, now, track.length)
     way = _way_back(now, start)
-    _lay_moves(line, track.ds, now, start, way, scratch)
+    _lay_moves(track.line, track.ds, now, start, way, scratch)
     _measure_track(track, scratch, 0.5 * now.width)
     steps = HORIZON_STEPS if now.meets else ALONE_STEPS
-    _predict_all(line, 1.0 / track.ds, theta, view, now, steps, scratch)
-    _weigh_moves(theta, view, memory, now, start, scratch)
+    _predict_all(track.line, 1.0 / track.ds, theta, view, now, steps, scratch)
+    _compare_moves(memory, now, start, scratch)
+    _weigh_moves(theta, view, now, start, scratch)
+    _measure_candidates(now, steps, scratch)
     _weigh_candidates(theta, now, steps, scratch)
-    chosen = _choose(theta, now, start, slack, scratch)
+    return start, way
+
+
+@inner_kernel(forceinline=True)
+def _take(track, view, memory, now, way, attacks, scratch, chosen, path):
+    """Remember a candidate and write its path."""
     g, f = chosen % GOALS, chosen // GOALS
     memory[_M_VALID] = 1.0
     memory[_M_S] = now.s
@@ -933,8 +965,20 @@ def _search(track, theta, view, memory, scratch, path, slack):
     memory[_M_GOAL] = scratch[_GOAL_D + g]
     memory[_M_A] = scratch[_A + g]
     memory[_M_B] = scratch[_B + g]
-    memory[_M_ATTACKS] = 1.0 if now.attacks else 0.0
-    _write_path(line, track.ds, track.length, view, now, way, scratch, g, f, path)
+    memory[_M_ATTACKS] = 1.0 if attacks else 0.0
+    _write_path(track.line, track.ds, track.length, view, now, way, scratch, g, f, path)
+
+
+@inner_kernel
+def _search(track, theta, view, memory, scratch, path, slack):
+    """Choose a candidate and write its path.
+
+    Candidates within ``slack`` of the best get a full cost.
+    """
+    now = _situation(track, theta, view, memory)
+    start, way = _lay_candidates(track, theta, view, memory, now, scratch)
+    chosen = _choose(theta, now, start, slack, scratch)
+    _take(track, view, memory, now, way, now.attacks, scratch, chosen, path)
 
 
 @kernel
