@@ -1,0 +1,510 @@
+"""Lattice planner whose candidate is chosen by a network: ``line-ppo``, trained by PPO.
+
+The planner lays the 64 candidates of :mod:`pcs_racing.planners.lattice` and weighs them with fixed
+weights. Candidates within :data:`WINDOW` of the min cost stay. So a candidate that meets a wall or
+the opponent is rejected, as in the lattice. Of the others, the candidate with the max score wins:
+
+    score = correction - SHARPNESS * root(cost - min cost)
+
+The correction is a small network of the candidate and of the situation. With a correction of 0 the
+planner is the lattice. The fourth root (:data:`SOFT`) brings small and large differences of costs
+onto one scale, so that a correction of order one can overrule any of them.
+
+Unlike in the lattice, an attack is laid at any time: for a car in front, too.
+
+The first layer of the network is a sum of four parts: of the situation, of the move, of the speed
+and of the candidate. Each part is computed once, in a third of the time of a dense layer.
+"""
+
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError
+from safetensors.numpy import load as load_tensors
+from safetensors.numpy import save as save_tensors
+
+from pcs_racing.base.artifacts import ArtifactFormat
+from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners import lattice as _lattice
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SCRATCH, SIGHT, SPEEDS
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.trained import PLANNER_FORMAT
+from pcs_racing.track import frenet as _frenet
+
+NAME = "line-ppo"
+
+WINDOW = 200.0  # cost above the min cost, from which on a candidate is rejected
+SHARPNESS, SOFT = 5.0, 0.01
+UNASKED = 1.0  # cost of an attack that the lattice would not lay, above the profile's cost
+
+BENDS = 8  # places ahead, with the curvature of the race line
+WIDTHS = 4  # places ahead, with the width of the track
+CONTEXT = 24 + BENDS + 2 * WIDTHS  # features of the situation
+MOVE, SPEED, PAIR = 14, 8, 7  # features of a move, of a speed and of a candidate
+FEATURES = MOVE + SPEED + PAIR
+UNITS = 32  # units of the context's layer, and of the candidates' layer
+
+LAYERS = {
+    "context": (UNITS, CONTEXT),
+    "situation": (UNITS, UNITS),
+    "weights": (FEATURES, UNITS),
+    "candidate": (UNITS, FEATURES),
+    "score": (1, UNITS),
+}
+"""Shape (outputs, inputs) of each layer. The outputs of ``context`` pass a tanh and enter
+``situation`` and ``weights``. The sum of ``situation`` and ``candidate`` passes a ReLU and enters
+``score``; the outputs of ``weights`` are linear weights of the candidate's features."""
+
+
+class Weights(NamedTuple):
+    """Places of the layers' numbers in the flat vector: biases, then weights input by input."""
+
+    context: int
+    situation: int
+    weights: int
+    candidate: int
+    score: int
+    end: int
+
+
+_SIZES = [(below + 1) * above for above, below in LAYERS.values()]
+AT = Weights(*(sum(_SIZES[:k]) for k in range(len(_SIZES) + 1)))
+WEIGHTS = AT.end  # numbers of the network
+MAX_WEIGHT = 100.0
+
+# Scratch after the lattice's: nearness and added cost of each candidate by the opponent; features
+# of the situation, the moves, the speeds and the candidates; layers of the network.
+_NEARNESS = SCRATCH
+_MET = _NEARNESS + CANDIDATES
+_CONTEXT = _MET + CANDIDATES
+_MOVE = _CONTEXT + CONTEXT
+_SPEED = _MOVE + MOVE * GOALS
+_PAIR = _SPEED + SPEED * SPEEDS
+_INNER = _PAIR + PAIR * CANDIDATES
+_HIDDEN, _LINEAR = _INNER + UNITS, _INNER + 2 * UNITS
+_OF_MOVES = _LINEAR + FEATURES
+_OF_SPEEDS = _OF_MOVES + (UNITS + 1) * GOALS
+_SCORES = _OF_SPEEDS + (UNITS + 1) * SPEEDS
+TOTAL = _SCORES + UNITS
+FIRST = _CONTEXT  # place of the features of the situation, before all others
+
+# Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
+_MOVES_END = _lattice._KAPPA
+_PROFILES_END = _MOVES_END + _lattice._NOW_S - _lattice._SQUARE
+LAID = _PROFILES_END + SCRATCH - _lattice._OPP_S
+
+STRONG = {
+    "length": -1.672,
+    "max_curvature": -1.576,
+    "mean_curvature": -1.682,
+    "curvature_rate": -0.602,
+    "lateral_acceleration": -0.7704,
+    "braking": -1.352,
+    "similarity": -0.6951,
+    "progress": 0.02182,
+    "deviation": -0.3872,
+    "walls": 0.859,
+    "proximity": -1.234,
+    "overtaking": 1.807,
+    "blocking": -0.6984,
+    "pace": 0.9995,
+    "attack": 0.2639,
+    "side_margin": 0.2001,
+    "pace_behind": 0.3348,
+}
+"""Parameters of the lattice that the network starts from, found by search."""
+
+
+@inner_kernel(forceinline=True)
+def _bounded(x, limit):
+    return min(max(x, -limit), limit)
+
+
+@inner_kernel(forceinline=True)
+def _root(x):
+    """Return a fourth root of a cost, 0 at 0 and nearly linear below `SOFT`."""
+    return np.sqrt(np.sqrt(x + SOFT)) - np.sqrt(np.sqrt(SOFT))
+
+
+@inner_kernel(forceinline=True)
+def _free(now):
+    """Return the situation with an attack laid at any time."""
+    return _lattice.Situation(*now[:-1], True)
+
+
+@inner_kernel(forceinline=True)
+def _meet_all(theta, now, start, scratch):
+    """Add the opponent's costs to the candidates near the min cost; return the min cost."""
+    margin = theta[_lattice.SIDE_MARGIN]
+    side_reach = now.body + (margin if now.gives_way else 0.5 * margin)
+    w_near = _lattice._power_of_ten(theta[_lattice.PROXIMITY]) / 6.0
+    first = np.int64(np.argmin(scratch[_lattice._MIN_COST : _lattice._COSTS]))
+    best = 1e30
+    for k in range(-1, CANDIDATES):
+        c = np.int64(first if k < 0 else k)
+        if k == first:
+            continue
+        cost = scratch[_lattice._MIN_COST + c]
+        met, nearness = 0.0, 0.0
+        if now.meets and cost < best + WINDOW:
+            most = best + WINDOW - cost
+            met, nearness = _lattice._meet_opponent(
+                scratch, now, start, c // GOALS, c % GOALS, side_reach, w_near, most
+            )
+        scratch[_MET + c] = met
+        scratch[_NEARNESS + c] = nearness
+        scratch[_lattice._COSTS + c] = cost + met
+        best = min(best, cost + met)
+    return best
+
+
+@inner_kernel(forceinline=True)
+def _describe_situation(track, view, now, start, attacks, out):
+    """Write the features of the situation, all of order one, into ``out``, shape (CONTEXT,)."""
+    line, per_ds, v = track.line, 1.0 / track.ds, now.v
+    near = max(1.0 - abs(now.gap) / SIGHT, 0.0)
+    there = _lattice._sample_at(line, per_ds, view[_view.OPP_S])
+    profile = max(view[_view.SPEED_HIGH] * line[there, _frenet.SPEED], 0.5)
+    out[0] = v / 8.0
+    out[1] = now.d
+    out[2] = 3.0 * now.slope
+    out[3] = view[_view.OWN_PSI_DOT] / 5.0
+    out[4] = 5.0 * view[_view.OWN_BETA]
+    out[5] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
+    out[6] = start.d
+    out[7] = 3.0 * start.slope
+    out[8] = 3.0 * (now.scale - 1.2)
+    out[9] = near
+    out[10] = near * _bounded(now.gap / 2.0, 2.0)
+    out[11] = near * (now.opponent_d - now.d)
+    out[12] = near * now.opponent_d
+    out[13] = near * _bounded(view[_view.OPP_D_DOT], 2.0)
+    out[14] = near * (now.opponent_v - v) / 3.0
+    out[15] = near * 2.0 * _bounded(now.opponent_v / profile - 1.0, 1.0)
+    out[16] = near * 2.0 * line[there, _frenet.KAPPA]
+    out[17] = 1.0 if now.meets else 0.0
+    out[18] = near if now.gives_way else -near
+    out[19] = 1.0 if now.follows else 0.0
+    out[20] = 1.0 if now.beside else 0.0
+    out[21] = 1.0 if attacks else 0.0
+    out[22] = _bounded(view[_view.GAP] / 10.0, 1.0)
+    out[23] = max(1.0 - abs(now.gap) / 3.0, 0.0)
+    step = 0.8 + 0.2 * v
+    for j in range(BENDS):
+        i = _lattice._sample_at(line, per_ds, now.s + j * step)
+        out[24 + j] = 2.0 * line[i, _frenet.KAPPA]
+        if j % 2 == 0:
+            out[24 + BENDS + j // 2] = min(line[i, _frenet.LEFT], 2.0)
+            out[24 + BENDS + WIDTHS + j // 2] = min(line[i, _frenet.RIGHT], 2.0)
+
+
+@inner_kernel(forceinline=True)
+def _describe_candidates(theta, view, now, best, scratch):
+    """Write the features of the moves, the speeds and the candidates, a row for each feature."""
+    moves, speeds, pairs = _MOVE, _SPEED, _PAIR
+    near = max(1.0 - abs(now.gap) / SIGHT, 0.0)
+    defend = _lattice._defence(theta, view, now) / _lattice._power_of_ten(theta[_lattice.BLOCKING])
+    for g in range(GOALS):
+        goal = scratch[_lattice._GOAL_D + g]
+        scratch[moves + g] = 2.5 / scratch[_lattice._LENGTH + g]
+        scratch[moves + GOALS + g] = min(scratch[_lattice._MAX_KAPPA + g], 3.0)
+        scratch[moves + 2 * GOALS + g] = 2.0 * min(scratch[_lattice._MEAN_KAPPA + g], 2.0)
+        scratch[moves + 3 * GOALS + g] = min(scratch[_lattice._CHANGE + g], 3.0)
+        scratch[moves + 4 * GOALS + g] = 0.5 * scratch[_lattice._AWAY + g]
+        scratch[moves + 5 * GOALS + g] = 3.0 * scratch[_lattice._WALL_COST + g]
+        scratch[moves + 6 * GOALS + g] = min(defend * scratch[_lattice._ABREAST + g], 3.0)
+        scratch[moves + 7 * GOALS + g] = 3.0 * scratch[_lattice._CLOSE + g]
+        scratch[moves + 8 * GOALS + g] = goal
+        scratch[moves + 9 * GOALS + g] = goal - now.d
+        scratch[moves + 10 * GOALS + g] = near * (goal - now.opponent_d)
+        scratch[moves + 11 * GOALS + g] = near * abs(goal - now.opponent_d)
+        scratch[moves + 12 * GOALS + g] = 2.0 * _bounded(scratch[_lattice._MIN_AIR + g], 1.0)
+        scratch[moves + 13 * GOALS + g] = 5.0 * (
+            scratch[_lattice._SLOWED + g] / scratch[_lattice._STRETCH + g] - 1.0
+        )
+    for f in range(SPEEDS):
+        driven = scratch[_lattice._DRIVEN + f]
+        scratch[speeds + f] = (scratch[_lattice._OWN_V + 4 * SPEEDS + f] - now.v) / 3.0
+        scratch[speeds + SPEEDS + f] = scratch[_lattice._BRAKED + f] / 3.0
+        scratch[speeds + 2 * SPEEDS + f] = min(scratch[_lattice._DRIVEN] / driven - 1.0, 2.0)
+        scratch[speeds + 3 * SPEEDS + f] = (driven - scratch[_lattice._DRIVEN + 1]) / 4.0
+        for k in range(SPEEDS):
+            scratch[speeds + (4 + k) * SPEEDS + f] = 1.0 if k == f else 0.0
+    for f in range(SPEEDS):
+        fast = 0.1 * scratch[_lattice._FAST + f]
+        for g in range(GOALS):
+            c = f * GOALS + g
+            aside = scratch[_lattice._ASIDE + c]
+            above = scratch[_lattice._COSTS + c] - best
+            scratch[pairs + c] = min(2.5 * fast * scratch[_lattice._KAPPA_RATE + g], 3.0)
+            scratch[pairs + CANDIDATES + c] = min(aside / 10.0, 3.0)
+            scratch[pairs + 2 * CANDIDATES + c] = min(max(aside - now.grip, 0.0), 3.0)
+            scratch[pairs + 3 * CANDIDATES + c] = scratch[_lattice._BEHIND + c] / 5.0
+            scratch[pairs + 4 * CANDIDATES + c] = min(scratch[_NEARNESS + c], 4.0)
+            scratch[pairs + 5 * CANDIDATES + c] = _root(min(scratch[_MET + c], WINDOW))
+            scratch[pairs + 6 * CANDIDATES + c] = _root(above) if above <= WINDOW else -1.0
+
+
+@inner_kernel
+def describe(track, theta, view, memory, scratch):
+    """Lay all candidates and write all features into the scratch.
+
+    ``theta`` holds parameters of the lattice. The last feature of a candidate is -1 if the
+    candidate is rejected.
+    """
+    now = _lattice._situation(track, theta, view, memory)
+    attacks = now.attacks
+    now = _free(now)
+    start, _ = _lattice._lay_candidates(track, theta, view, memory, now, scratch)
+    if not attacks:
+        costs = scratch[_lattice._MIN_COST : _lattice._COSTS]
+        for g in range(GOALS):
+            costs[g] = costs[GOALS + g] + UNASKED
+    best = _meet_all(theta, now, start, scratch)
+    out = scratch[_CONTEXT : _CONTEXT + CONTEXT]
+    _describe_situation(track, view, now, start, attacks, out)
+    _describe_candidates(theta, view, now, best, scratch)
+
+
+@inner_kernel
+def take(track, theta, view, memory, scratch, chosen, path):
+    """Write the path of a candidate, after `describe` with the same scratch."""
+    now = _lattice._situation(track, theta, view, memory)
+    attacks = now.attacks
+    now = _free(now)
+    way = _lattice._way_back(now, _lattice._plan_by_now(memory, now, track.length))
+    _lattice._take(track, view, memory, now, way, attacks, scratch, chosen, path)
+
+
+@inner_kernel(forceinline=True)
+def _copy(numbers, out):
+    for k in range(len(out)):
+        out[k] = numbers[k]
+
+
+@inner_kernel
+def put_away(scratch, laid):
+    """Copy all that `take` needs from a scratch into ``laid``, shape (LAID,)."""
+    _copy(scratch, laid[:_MOVES_END])
+    _copy(scratch[_lattice._SQUARE :], laid[_MOVES_END:_PROFILES_END])
+    _copy(scratch[_lattice._OPP_S :], laid[_PROFILES_END:LAID])
+
+
+@inner_kernel
+def put_back(laid, scratch):
+    """Copy ``laid`` of `put_away` back into a scratch."""
+    _copy(laid, scratch[:_MOVES_END])
+    _copy(laid[_MOVES_END:], scratch[_lattice._SQUARE : _lattice._NOW_S])
+    _copy(laid[_PROFILES_END:], scratch[_lattice._OPP_S : SCRATCH])
+
+
+@inner_kernel(forceinline=True)
+def _add(value, numbers, total):
+    """Add a multiple of ``UNITS`` or fewer numbers to a total."""
+    for k in range(len(total)):
+        total[k] += value * numbers[k]
+
+
+@inner_kernel(forceinline=True)
+def _dense(flat, at, x, y):
+    """Write the outputs of a dense layer, with its numbers from ``at`` on."""
+    outputs = len(y)
+    for k in range(outputs):
+        y[k] = flat[at + k]
+    for j in range(len(x)):
+        _add(x[j], flat[at + outputs * (j + 1) : at + outputs * (j + 2)], y)
+
+
+@inner_kernel(forceinline=True)
+def _part(flat, features, step, linear, weights, part):
+    """Write the part of the first layer, and the linear score, of one move or one speed.
+
+    A feature is every ``step``-th of ``features``. Its weights to the units are a row of
+    ``weights``; its linear weight is in ``linear``.
+    """
+    part[:] = 0.0
+    units = part[:UNITS]
+    for j in range(len(linear)):
+        value = features[j * step]
+        _add(value, weights[UNITS * j : UNITS * (j + 1)], units)
+        part[UNITS] += value * linear[j]
+
+
+@inner_kernel
+def choose(flat, scratch):
+    """Return the candidate with the max score; ``flat`` holds the network's numbers."""
+    inner, hidden = scratch[_INNER:_HIDDEN], scratch[_HIDDEN:_LINEAR]
+    linear, units = scratch[_LINEAR:_OF_MOVES], scratch[_SCORES:TOTAL]
+    _dense(flat, AT.context, scratch[_CONTEXT:_MOVE], inner)
+    for k in range(UNITS):
+        inner[k] = hyperbolic_tangent(inner[k])
+    _dense(flat, AT.situation, inner, hidden)
+    _dense(flat, AT.weights, inner, linear)
+    _add(1.0, flat[AT.candidate : AT.candidate + UNITS], hidden)
+    weights, width = flat[AT.candidate + UNITS : AT.score], UNITS + 1
+    for g in range(GOALS):
+        part = scratch[_OF_MOVES + g * width : _OF_MOVES + (g + 1) * width]
+        _part(flat, scratch[_MOVE + g : _SPEED], GOALS, linear[:MOVE], weights, part)
+    weights = weights[UNITS * MOVE :]
+    for f in range(SPEEDS):
+        part = scratch[_OF_SPEEDS + f * width : _OF_SPEEDS + (f + 1) * width]
+        _part(flat, scratch[_SPEED + f : _PAIR], SPEEDS, linear[MOVE : MOVE + SPEED], weights, part)
+    weights, out = weights[UNITS * SPEED :], flat[AT.score + 1 : AT.end]
+    chosen, best = 0, -1e30
+    for c in range(CANDIDATES):
+        pair = scratch[_PAIR + c : _INNER]
+        above = pair[(PAIR - 1) * CANDIDATES]
+        if above < 0.0:
+            continue
+        move = scratch[_OF_MOVES + (c % GOALS) * width :]
+        speed = scratch[_OF_SPEEDS + (c // GOALS) * width :]
+        score = move[UNITS] + speed[UNITS] - SHARPNESS * above
+        for u in range(UNITS):
+            units[u] = hidden[u] + move[u] + speed[u]
+        for j in range(PAIR):
+            value = pair[j * CANDIDATES]
+            score += value * linear[MOVE + SPEED + j]
+            _add(value, weights[UNITS * j : UNITS * (j + 1)], units)
+        for u in range(UNITS):
+            score += max(units[u], 0.0) * out[u]
+        if score > best:
+            chosen, best = c, score
+    return chosen
+
+
+@kernel
+def plan_by_theta(track, theta, view, memory, scratch, path):
+    """Plan by the network in ``theta``: parameters of the lattice, then the network's numbers."""
+    lattice, flat = theta[:LATTICE_SIZE], theta[LATTICE_SIZE:]
+    describe(track, lattice, view, memory, scratch)
+    take(track, lattice, view, memory, scratch, choose(flat, scratch), path)
+
+
+LATTICE_SIZE = len(LATTICE.parameters)
+
+
+@cache
+def _plan(frozen: bytes) -> Any:
+    """Compile a network with its weights, and the lattice's parameters, as constants."""
+    constant = np.frombuffer(frozen, np.float64)
+    lattice, flat = constant[:LATTICE_SIZE].copy(), constant[LATTICE_SIZE:].copy()
+
+    @kernel
+    def plan(track, theta, view, memory, scratch, path):
+        describe(track, lattice, view, memory, scratch)
+        take(track, lattice, view, memory, scratch, choose(flat, scratch), path)
+
+    return plan
+
+
+LINE_FORMAT = ArtifactFormat(
+    "line planner",
+    ("name", "lattice", "training", "weights_sha256"),
+    "save_line_planner",
+    data_file=PLANNER_FORMAT.data_file,
+    digest_key="weights_sha256",
+    max_bytes=PLANNER_FORMAT.max_bytes,
+    shipped=PLANNER_FORMAT.shipped,
+)
+
+
+def flat_weights(tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
+    """Return the numbers of a network's tensors (``context.weight``, ...), shape (WEIGHTS,)."""
+    parts = [
+        part
+        for layer in LAYERS
+        for part in (tensors[f"{layer}.bias"], np.asarray(tensors[f"{layer}.weight"]).T.ravel())
+    ]
+    return np.concatenate(parts).astype(np.float64)
+
+
+def save_line_planner(
+    folder: str | Path,
+    tensors: Mapping[str, NDArray[Any]],
+    *,
+    name: str = NAME,
+    lattice: Mapping[str, float] = STRONG,
+    training: Mapping[str, Any],
+) -> Path:
+    """Save a line planner in a folder, created if missing.
+
+    Parameters
+    ----------
+    tensors : mapping of ndarray
+        ``LAYER.weight`` (outputs, inputs) and ``LAYER.bias`` (outputs,) of all :data:`LAYERS`.
+    lattice : mapping of float
+        Parameters of the lattice that lays and weighs the candidates.
+    training : mapping
+        Description of the training: texts and numbers by name.
+    """
+    content = save_tensors({k: np.ascontiguousarray(v, np.float32) for k, v in tensors.items()})
+    _checked_tensors(Path(folder), content)
+    values = LATTICE.policy(dict(lattice), name).parameters  # checks them
+    fields = {
+        "name": name,
+        "lattice": dict(zip(LATTICE.parameter_names, values.tolist(), strict=True)),
+        "training": dict(training),
+    }
+    return LINE_FORMAT.save(folder, fields, content)
+
+
+def _checked_tensors(folder: Path, content: bytes) -> dict[str, NDArray[Any]]:
+    file = folder / LINE_FORMAT.data_file
+    try:
+        tensors: dict[str, NDArray[Any]] = load_tensors(content)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file} is no safetensors file of numbers: {error}") from None
+    shapes = {f"{layer}.weight": shape for layer, shape in LAYERS.items()}
+    shapes |= {f"{layer}.bias": shape[:1] for layer, shape in LAYERS.items()}  # type: ignore[misc]
+    for key in sorted(shapes.keys() | tensors.keys()):
+        found = tensors[key].shape if key in tensors else None
+        if found != shapes.get(key):
+            raise InputError(
+                f"{file}: {key} has shape {found}; a line planner has {shapes.get(key)}"
+            )
+        if tensors[key].dtype != np.float32 or not (np.abs(tensors[key]) <= MAX_WEIGHT).all():
+            raise InputError(f"{file}: {key} must be float32 numbers within {MAX_WEIGHT:g}")
+    return tensors
+
+
+def read_line_planner(source: str | Path = NAME) -> tuple[dict[str, Any], NDArray[np.float64]]:
+    """Return the manifest of a line planner and its numbers: lattice's parameters, then weights.
+
+    The source is a shipped name or a folder.
+    """
+    folder = LINE_FORMAT.find(source)
+    fields, content = LINE_FORMAT.load(folder)
+    if not isinstance(fields["name"], str) or not isinstance(fields["training"], dict):
+        raise InputError(f"{folder}: name must be a text and training a mapping")
+    if not isinstance(fields["lattice"], dict):
+        raise InputError(f"{folder}: lattice must map parameters of the lattice to numbers")
+    lattice = LATTICE.policy(fields["lattice"], fields["name"]).parameters
+    return fields, np.concatenate([lattice, flat_weights(_checked_tensors(folder, content))])
+
+
+def load_line_planner(source: str | Path = NAME) -> Planner:
+    """Return a line planner, from a shipped name or a folder."""
+    fields, numbers = read_line_planner(source)
+    return Planner(
+        name=fields["name"],
+        parameters=(),
+        plan=_plan(numbers.tobytes()),
+        memory_size=_lattice.MEMORY,
+        scratch_size=TOTAL,
+        sight=SIGHT,
+    )
+
+
+def __getattr__(name: str) -> Any:
+    """Return ``LINE_PPO``, the shipped planner, loaded at its first use."""
+    if name != "LINE_PPO":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = load_line_planner(NAME)
+    return globals()[name]
