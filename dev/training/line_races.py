@@ -1,0 +1,447 @@
+"""Races in which a network learns to choose among the candidates of the lattice, in batches.
+
+A group is a batch of races on one circuit against one family of opponents. One compiled call drives
+all races of a group for 0.1 s: it takes the chosen candidates, drives, rewards, starts ended races
+again, and describes the next candidates. Threads share the groups.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcs_racing import load_track, parse_policy
+from pcs_racing.base.compilation import compiled, inner_kernel
+from pcs_racing.base.seeds import GOLDEN, scramble_one
+from pcs_racing.planners import line_ppo as _line
+from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, MEMORY, SIGHT, SPEEDS
+from pcs_racing.planners.line_ppo import (
+    CONTEXT,
+    FIRST,
+    LAID,
+    LATTICE_SIZE,
+    MOVE,
+    PAIR,
+    SPEED,
+    TOTAL,
+    WEIGHTS,
+    describe,
+    plan_by_theta,
+    put_away,
+    put_back,
+    take,
+)
+from pcs_racing.planners.planner import Parameter, Planner, Policy
+from pcs_racing.planners.view import VIEW_SIZE
+from pcs_racing.race.calibration import hazard_scan
+from pcs_racing.race.conditions import vehicle_rows
+from pcs_racing.race.config import CONTEST
+from pcs_racing.race.driving import pointers_of
+from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
+from pcs_racing.race.races import RaceSetup, start_lines
+from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
+from pcs_racing.race.start_grid import Starts, place_on_grid
+from pcs_racing.race.state import RaceState
+from pcs_racing.race.state import take as take_races
+from pcs_racing.track.track import Track
+
+STEP = 10  # simulation steps of 0.01 s from one choice to the next
+HELD_OUT = ("Saltmere", "Vellindra")
+FEATURES = CONTEXT + MOVE * GOALS + SPEED * SPEEDS + PAIR * CANDIDATES
+FAMILIES = {
+    "self": 14,
+    "frozen": 8,
+    "lattice": 8,
+    "iterated-best-response": 2,
+    "spliner": 2,
+    "stanley": 1,
+    "pure-pursuit": 1,
+    "gap-follower": 2,
+    "disparity-extender": 2,
+}
+"""Families of opponents, with the number of their groups of 40."""
+EXTRA = 3 + len(FAMILIES)  # features of the critic: time left, lead twice, family
+WIDE = FEATURES + EXTRA
+
+# Reward: for a metre, for a metre gained on the other car, for a win (a loss costs the same), and
+# the cost of an own fault. Leads count up to `LEAD` m.
+PROGRESS, GAIN, LEAD, WIN, FAULT = 0.004, 0.02, 20.0, 1.0, 1.5
+STARTS = 48  # start states of a group
+
+LEARNER = Planner(name="learner", parameters=(), memory_size=MEMORY)
+FROZEN = Planner(
+    name="frozen",
+    parameters=tuple(
+        Parameter(f"number{k}", -1e3, 1e3, 0.0, "parameter of the lattice, or weight")
+        for k in range(LATTICE_SIZE + WEIGHTS)
+    ),
+    plan=plan_by_theta,
+    memory_size=MEMORY,
+    scratch_size=TOTAL,
+    sight=SIGHT,
+)
+
+
+class Options(NamedTuple):
+    """Numbers of the reward, for the compiled loop."""
+
+    progress: float = PROGRESS
+    gain: float = GAIN
+    lead: float = LEAD
+    win: float = WIN
+    fault: float = FAULT
+
+
+@inner_kernel(forceinline=True)
+def _reward(state, race, end_tick, before, options, out):
+    """Add the rewards of the last 0.1 s; return whether the race ended."""
+    ended = state.tick[race] >= end_tick
+    crashed = state.crash[race, 0] != 0 or state.crash[race, 1] != 0
+    lead = state.progress[race, 0] - state.progress[race, 1]
+    old = before[0] - before[1]
+    gained = min(max(lead, -options.lead), options.lead) - min(
+        max(old, -options.lead), options.lead
+    )
+    won = 0.0
+    if crashed:
+        at_fault = (1 if state.fault[race, 0] > 0 else 0) - (1 if state.fault[race, 1] > 0 else 0)
+        won = -1.0 * at_fault
+    elif ended and abs(lead) > 0.01:
+        won = 1.0 if lead > 0.0 else -1.0
+    for car in range(len(out)):
+        sign = 1.0 if car == 0 else -1.0
+        driven = state.progress[race, car] - before[car]
+        out[car] = options.progress * driven + sign * (options.gain * gained + options.win * won)
+        if crashed and state.fault[race, car] > 0:
+            out[car] -= options.fault
+            if won == 0.0:
+                out[car] -= options.win
+    return crashed or ended
+
+
+@compiled
+def _begin(race, state, pool, thetas, first, last, theta, who, draws, key):
+    """Start a race again, with a start, a noise and an opponent drawn by its own counter."""
+    draws[race] += np.uint64(1)
+    bits = scramble_one(key + draws[race] * GOLDEN)
+    at = np.int64(bits % np.uint64(len(pool.tick)))
+    state.tick[race] = 0
+    state.seed[race] = scramble_one(bits)
+    state.cars[race] = pool.cars[at]
+    state.frenet[race] = pool.frenet[at]
+    state.progress[race] = pool.progress[at]
+    state.command[race] = pool.command[at]
+    state.disturbance[race] = 0.0
+    state.path[race] = 0.0
+    state.memory[race] = 0.0
+    state.sums[race] = 0.0
+    state.crash[race] = 0
+    state.fault[race] = 0
+    state.leader[race] = pool.leader[at]
+    state.overtakes[race] = 0
+    state.laps[race] = pool.laps[at]
+    state.ahead[race] = pool.ahead[at]
+    state.contact[race] = 0
+    one = first + np.int64((bits >> np.uint64(32)) % np.uint64(last - first))
+    who[race] = one
+    if theta.shape[2] == thetas.shape[1]:
+        theta[race, 1] = thetas[one]
+
+
+@compiled
+def play(
+    track, state, pool, thetas, span, theta, who, draws, key, vehicles, drivers, settings, strong,
+    options, family, laid, choices, seen, rewards, ended, tally,
+):  # fmt: skip
+    """Take the choices, drive for 0.1 s, reward, start ended races again, and describe.
+
+    With ``choices`` below 0 the races are only described. ``laid`` (races, learners, LAID) holds
+    the candidates until they are chosen.
+    """
+    races, learners = laid.shape[:2]
+    scratch, work, view = np.empty(TOTAL), np.zeros(WORK_SIZE), np.empty(VIEW_SIZE)
+    before = np.empty((races, 2))
+    if choices[0, 0] >= 0:
+        for race in range(races):
+            for car in range(learners):
+                fill_view(track, state, race, car, vehicles[race], settings, view)
+                put_back(laid[race, car], scratch)
+                take(
+                    track,
+                    strong,
+                    view,
+                    state.memory[race, car],
+                    scratch,
+                    choices[race, car],
+                    state.path[race, car],
+                )
+        before[:] = state.progress
+        advance_races(
+            track, state, theta, vehicles, drivers, settings, STEP, 0, races, scratch, work
+        )
+        for race in range(races):
+            over = _reward(state, race, settings.end_tick, before[race], options, rewards[race])
+            ended[race] = over
+            if over:
+                lead = state.progress[race, 0] - state.progress[race, 1]
+                own, other = state.fault[race, 0] > 0, state.fault[race, 1] > 0
+                score = 0.5
+                if own != other:
+                    score = 0.0 if own else 1.0
+                elif not own and abs(lead) > 0.01:
+                    score = 1.0 if lead > 0.0 else 0.0
+                row = tally[who[race]] if family > 1 else tally[0]
+                row[0] += 1.0
+                row[1] += score
+                row[2] += 1.0 if own else 0.0
+                row[3] += 1.0 if other else 0.0
+                _begin(race, state, pool, thetas, span[0], span[1], theta, who, draws, key)
+    for race in range(races):
+        for car in range(learners):
+            fill_view(track, state, race, car, vehicles[race], settings, view)
+            describe(track, strong, view, state.memory[race, car], scratch)
+            put_away(scratch, laid[race, car])
+            out = seen[race, car]
+            for k in range(FEATURES):
+                out[k] = scratch[FIRST + k]
+            lead = state.progress[race, car] - state.progress[race, 1 - car]
+            out[FEATURES:] = 0.0
+            out[FEATURES] = 1.0 - state.tick[race] / settings.end_tick
+            out[FEATURES + 1] = min(max(lead / 3.0, -1.0), 1.0)
+            out[FEATURES + 2] = min(max(lead / 20.0, -1.0), 1.0)
+            out[FEATURES + 3 + family] = 1.0
+
+
+@dataclass(frozen=True)
+class Circuit:
+    """Track of a group, with its training starts."""
+
+    track: Track
+    lines: NDArray[np.float64]  #: Arc lengths of the start lines, m.
+
+
+def circuit(name: str | int) -> Circuit:
+    """Return a shipped circuit by its name, or a random circuit by its number.
+
+    A random circuit gets the speed range of its hazard, as shipped circuits have.
+    """
+    if isinstance(name, str):
+        track = load_track(name)
+    else:
+        made = random_circuit(RandomCircuits(), name)
+        scales = np.arange(0.7, 1.46, 0.05)
+        hazard = hazard_scan(made, CONTEST, scales, cars=40, seconds=20.0, enough=0.5, threads=1)
+        high = min(float(scales[len(hazard) - 1]), 1.43)
+        own = made.calibration["contest"]
+        track = replace(made, calibration={"contest": replace(own, speed_range=(high - 0.4, high))})
+    return Circuit(track, start_lines(track, CONTEST, 0, split="train"))
+
+
+def make_circuits(names: Sequence[str | int], workers: int) -> list[Circuit]:
+    """Return circuits by name or number; several processes make them."""
+    if workers <= 1:
+        return [circuit(name) for name in names]
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        return list(pool.map(circuit, names, chunksize=2))
+
+
+def lattices() -> list[Policy]:
+    """Return the lattices to race against: the strong one first, then others."""
+    strong = _line.STRONG
+    slower = [strong | {"pace": pace, "pace_behind": 0.1} for pace in (0.8, 0.6, 0.3, 0.0)]
+    wide = [strong | {"side_margin": 0.4}, strong | {"attack": 0.0}, strong | {"blocking": 0.8}]
+    rng = np.random.default_rng(0)
+    policies = [LATTICE.policy(strong, "strong")] * 6
+    policies += [parse_policy("lattice"), parse_policy("lattice:pace=0.7,pace_behind=0.2")] * 2
+    policies += [LATTICE.policy(values, "lattice-variant") for values in (*slower, *wide)]
+    return policies + [LATTICE.policy(LATTICE.sample(rng), "lattice-random") for _ in range(7)]
+
+
+def opponents(family: str) -> list[Policy]:
+    """Return the policies of a family of the zoo, the default first."""
+    if family == "lattice":
+        return lattices()
+    default = parse_policy(family)
+    planner, names = default.planner, default.planner.parameter_names
+    policies = [default] * 2
+    for name, shares in (
+        ("pace", (0.0, 0.5, 0.8)),
+        ("speed_share", (0.5, 0.8)),
+        ("top_speed", (0.3,)),
+    ):
+        if name in names:
+            k = names.index(name)
+            low, high = planner.bounds[k]
+            policies += [
+                planner.policy({name: low + share * (high - low)}, f"{family}-slower")
+                for share in shares
+            ]
+    return policies
+
+
+class Group:
+    """Races on one circuit against one family of opponents."""
+
+    def __init__(
+        self, circuit: Circuit, family: str, cars: int, seed: int, league: "League"
+    ) -> None:
+        self.family, self.number = family, list(FAMILIES).index(family)
+        self.league, track = league, circuit.track
+        self.name = track.name
+        if family == "self":
+            other, self.policies = LEARNER, []
+            self.thetas = np.zeros((1, 1))
+        elif family == "frozen":
+            other, self.policies, self.thetas = FROZEN, [], league.numbers
+        else:
+            self.policies = opponents(family)
+            other = self.policies[0].planner
+            size = max(1, len(other.parameters))
+            self.thetas = np.zeros((len(self.policies), size))
+            for row, policy in zip(self.thetas, self.policies, strict=True):
+                row[: len(policy.parameters)] = policy.parameters
+        self.learners = 2 if family == "self" else 1
+        self.races = max(1, cars // self.learners)
+        setup = RaceSetup(track, CONTEST, (LEARNER, other))
+        self.track, self.settings = track.arrays, setup.settings._replace(ittc_horizon=0.0)
+        self.drivers = pointers_of(setup.planners)
+        self.vehicles = vehicle_rows(setup.vehicles, self.races)
+        rng = np.random.default_rng(seed)
+        self.key = np.uint64(rng.integers(2**63))
+        self.pool = _start_states(setup, circuit.lines, rng)
+        self.state = take_races(self.pool, rng.integers(len(self.pool.tick), size=self.races))
+        self.theta = np.zeros((self.races, 2, self.thetas.shape[1]))
+        self.who = np.zeros(self.races, np.int64)
+        self.draws = np.arange(self.races, dtype=np.uint64) << np.uint64(32)
+        self.ended = np.zeros(self.races, np.bool_)
+        self.tally = np.zeros((max(1, len(self.policies)), 4))
+        self.laid = np.zeros((self.races, self.learners, LAID))
+        for race in range(self.races):
+            _begin(race, self.state, self.pool, self.thetas, *self.span, self.theta, self.who,
+                   self.draws, self.key)  # fmt: skip
+        # Races end at different times, so that a batch holds all parts of a race.
+        self.state.tick[:] = STEP * rng.integers(self.settings.end_tick // STEP, size=self.races)
+
+    @property
+    def cars(self) -> int:
+        """Number of learning cars."""
+        return self.races * self.learners
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First opponent to draw, and the last one + 1."""
+        return self.league.span if self.family == "frozen" else (0, len(self.thetas))
+
+    def saved(self) -> list[NDArray[Any]]:
+        """Return all that changes while races go on, for a checkpoint."""
+        return [*self.state, self.who, self.draws]
+
+    def restore(self, saved: Sequence[NDArray[Any]]) -> None:
+        """Go on from a checkpoint."""
+        for array, value in zip(self.saved(), saved, strict=True):
+            array[:] = value
+        self.theta[:, 1] = self.thetas[self.who]
+
+    def play(
+        self, choices: Any, seen: Any, rewards: Any, ended: Any, options: Options, strong: Any
+    ) -> None:
+        """Drive for 0.1 s; see `play`."""
+        two = (self.races, self.learners)
+        play(
+            self.track, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
+            self.draws, self.key, self.vehicles, self.drivers, self.settings, strong, options,
+            self.number, self.laid, choices.reshape(two), seen.reshape(*two, WIDE),
+            rewards.reshape(two), self.ended, self.tally,
+        )  # fmt: skip
+        ended.reshape(two)[:] = self.ended[:, None]
+
+
+def _start_states(
+    setup: RaceSetup, lines: NDArray[np.float64], rng: np.random.Generator
+) -> RaceState:
+    """Return start states of a group, those in which no car stands in a wall."""
+    starts = Starts(rng.choice(lines, STARTS), np.arange(STARTS) % 2)
+    state = place_on_grid(
+        setup.track,
+        setup.config,
+        setup.start_spacing,
+        setup.speed_range[0],
+        setup.vehicles,
+        starts,
+        setup.memory_size,
+    )
+    return take_races(state, np.flatnonzero(~state.crashed))
+
+
+class League:
+    """Frozen selves: lattice's parameters and weights, the last `LAST` of them in use."""
+
+    LAST, MOST = 8, 512
+
+    def __init__(self, numbers: NDArray[np.float64]) -> None:
+        self.numbers = np.zeros((self.MOST, LATTICE_SIZE + WEIGHTS))
+        self.count = 0
+        self.add(numbers)
+
+    def add(self, numbers: NDArray[np.float64]) -> None:
+        """Add a frozen self, while there is room."""
+        if self.count < self.MOST:
+            self.numbers[self.count] = numbers
+            self.count += 1
+
+    @property
+    def span(self) -> tuple[int, int]:
+        """First frozen self in use, and the last one + 1."""
+        return max(0, self.count - self.LAST), self.count
+
+
+class Batch:
+    """Groups that are driven together; one of several batches drives while another chooses."""
+
+    def __init__(
+        self, groups: Sequence[Group], pool: ThreadPoolExecutor, threads: int, options: Options
+    ) -> None:
+        self.groups, self.pool, self.threads, self.options = list(groups), pool, threads, options
+        self.strong = LATTICE.policy(_line.STRONG).parameters.copy()
+        edges = np.cumsum([0, *(group.cars for group in groups)])
+        self.slices = [slice(a, b) for a, b in pairwise(edges.tolist())]
+        self.cars = int(edges[-1])
+        self.seen = np.zeros((self.cars, WIDE), np.float32)
+        self.rewards = np.zeros(self.cars)
+        self.ended = np.zeros(self.cars, np.bool_)
+        self.work: list[Future[None]] = []
+
+    def play(self, choices: NDArray[np.int64]) -> None:
+        """Begin to drive for 0.1 s; the results are there after `wait`."""
+        # Threads take the next group, the slowest first, from one iterator.
+        rest = iter(list(zip(self.groups, self.slices, strict=True)))
+
+        def some() -> None:
+            for group, part in rest:
+                group.play(
+                    choices[part], self.seen[part], self.rewards[part], self.ended[part],
+                    self.options, self.strong,
+                )  # fmt: skip
+
+        self.work = [self.pool.submit(some) for _ in range(self.threads)]
+
+    def wait(self) -> None:
+        """Wait for all groups."""
+        for one in self.work:
+            one.result()
+        self.work = []
+
+
+def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, league: League) -> list[Group]:
+    """Return a group for each circuit, with ``cars`` learning cars, families in turn."""
+    families = [name for name, count in FAMILIES.items() for _ in range(count)]
+    order = np.random.default_rng(seed).permutation(len(families))
+    return [
+        Group(one, families[order[k % len(order)]], cars, 1000 * seed + k, league)
+        for k, one in enumerate(circuits)
+    ]
