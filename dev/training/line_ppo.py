@@ -30,10 +30,11 @@ from line_races import (
     HELD_OUT,
     WIDE,
     Batch,
+    Circuit,
     League,
     Options,
-    make_circuits,
     make_groups,
+    prepare,
 )
 from torch import Tensor, nn
 
@@ -121,7 +122,7 @@ class Settings:
     gamma: float = 0.99
     lambda_: float = 0.95
     clip: float = 0.2
-    entropy: float = 0.002
+    entropy: float = 0.0
     kl: float = 0.008  #: Divergence of an update that the learning rate aims at.
     max_kl: float = 0.03  #: Above it an update ends early.
     average: float = 0.9  #: Share of the averaged weights that an update keeps.
@@ -367,7 +368,8 @@ class Run:
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments, self.folder = arguments, arguments.out
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.log = Log(self.folder)
+        self.log, self.shipped = Log(self.folder), list(arguments.tracks)
+        circuits = self._circuits()
         torch.manual_seed(arguments.seed)
         settings = Settings(
             steps=arguments.steps,
@@ -384,21 +386,13 @@ class Run:
         if file.exists():
             saved = torch.load(file, map_location="cpu", weights_only=True)
             self._restore(saved)
-        shipped = [name for name in arguments.tracks if name not in HELD_OUT]
-        self.shipped = shipped
-        names: list[str | int] = [*shipped] * arguments.each
-        names += range(arguments.random)
-        circuits = make_circuits(names[-arguments.random - len(shipped) :], arguments.workers)
-        circuits = circuits[: len(shipped)] * (arguments.each - 1) + circuits
-        self._say(f"{len(circuits)} circuits")
         cars = max(2, arguments.cars // len(circuits))
         options = Options(fault=arguments.fault)
         groups = make_groups(circuits, cars, arguments.seed, self.league)
         if saved is not None:
             for group, arrays in zip(groups, saved["races"], strict=True):
                 group.restore([one.numpy() for one in arrays])
-        pool = ThreadPoolExecutor(arguments.threads)
-        self.groups = groups
+        pool, self.groups = ThreadPoolExecutor(arguments.threads), groups
         self.batches = [
             Batch(groups[k :: arguments.batches], pool, arguments.threads, options)
             for k in range(arguments.batches)
@@ -407,6 +401,14 @@ class Run:
         for batch in self.batches:
             batch.wait()
         self._say(f"{self.collector.cars} cars ready")
+
+    def _circuits(self) -> list[Circuit]:
+        """Return the circuits of the groups: shipped ones several times, then random ones."""
+        a = self.arguments
+        found = prepare([*self.shipped, *range(a.random)], a.workers)
+        self._say(f"{len(found)} circuits")
+        shipped, random = found[: len(self.shipped)], found[len(self.shipped) :]
+        return shipped * a.each + random
 
     def train(self) -> None:
         """Train until the time is over."""
@@ -505,7 +507,8 @@ def main() -> None:
     add("--threads", type=int, default=1, help="threads that drive")
     add("--workers", type=int, default=1, help="processes that make circuits")
     add("--cars", type=int, default=1024, help="learning cars, shared by the circuits")
-    add("--tracks", nargs="*", default=list_tracks(), help="shipped circuits")
+    known = [name for name in list_tracks() if name not in HELD_OUT]
+    add("--tracks", nargs="*", default=known, help="shipped circuits")
     add("--rivals", nargs="*", default=RIVALS, help="planners of the evaluation; 'strong' leads")
     add("--random", type=int, default=24, help="random circuits")
     add("--each", type=int, default=2, help="groups on each shipped circuit")
@@ -514,7 +517,7 @@ def main() -> None:
     add("--minibatch", type=int, default=8192, help="choices of a step of the optimiser")
     add("--epochs", type=int, default=3, help="passes over a rollout")
     add("--rate", type=float, default=1e-3, help="first learning rate")
-    add("--entropy", type=float, default=0.002, help="weight of the entropy")
+    add("--entropy", type=float, default=0.0, help="weight of the entropy")
     add("--fault", type=float, default=1.5, help="cost of an own crash")
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")

@@ -242,14 +242,6 @@ def circuit(name: str | int) -> Circuit:
     return Circuit(track, start_lines(track, CONTEST, 0, split="train"))
 
 
-def make_circuits(names: Sequence[str | int], workers: int) -> list[Circuit]:
-    """Return circuits by name or number; several processes make them."""
-    if workers <= 1:
-        return [circuit(name) for name in names]
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        return list(pool.map(circuit, names, chunksize=2))
-
-
 def lattices() -> list[Policy]:
     """Return the lattices to race against: the strong one first, then others."""
     strong = _line.STRONG
@@ -445,3 +437,26 @@ def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, league: Leagu
         Group(one, families[order[k % len(order)]], cars, 1000 * seed + k, league)
         for k, one in enumerate(circuits)
     ]
+
+
+def compile_for(family: str) -> None:
+    """Compile, for all later processes, the code of the races against a family."""
+    league = League(np.zeros(LATTICE_SIZE + WEIGHTS))
+    group = Group(circuit("Pipkin"), family, 2, 0, league)
+    cars, strong = group.cars, LATTICE.policy(_line.STRONG).parameters.copy()
+    seen = np.zeros((cars, WIDE), np.float32)
+    for choices in (np.full(cars, -1), np.zeros(cars, np.int64)):
+        ended = np.zeros(cars, np.bool_)
+        group.play(choices, seen, np.zeros(cars), ended, Options(), strong)
+
+
+def prepare(names: Sequence[str | int], workers: int) -> list[Circuit]:
+    """Return circuits by name or number; processes make them, and compile all other code."""
+    if workers <= 1:
+        return [circuit(name) for name in names]
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        compiling = [pool.submit(compile_for, family) for family in FAMILIES]
+        circuits = list(pool.map(circuit, names))
+        for one in compiling:
+            one.result()
+    return circuits
