@@ -51,8 +51,10 @@ from pcs_racing.planners.line_ppo import (
     flat_weights,
     save_line_planner,
 )
+from pcs_racing.planners.planner import Policy
 from pcs_racing.track.maps import list_tracks
 
+STRONG_LATTICE = LATTICE.policy(STRONG, "strong")
 RIVALS = ("strong", "lattice", "iterated-best-response", "pure-pursuit", "gap-follower")
 
 
@@ -131,8 +133,8 @@ class Settings:
 class Learner:
     """Actor, critic, their optimiser, and the averaged actor that is evaluated and saved."""
 
-    def __init__(self, settings: Settings, device: str) -> None:
-        self.settings, self.device = settings, torch.device(device)
+    def __init__(self, settings: Settings, lattice: Policy, device: str) -> None:
+        self.settings, self.lattice, self.device = settings, lattice, torch.device(device)
         self.actor, self.critic = Chooser().to(self.device), Critic().to(self.device)
         self.averaged = Chooser().to(self.device)
         self.averaged.load_state_dict(self.actor.state_dict())
@@ -194,7 +196,7 @@ class Learner:
 
     def numbers(self) -> np.ndarray:
         """Return the lattice's parameters and the averaged actor's numbers, for `FROZEN`."""
-        return np.concatenate([LATTICE.policy(STRONG).parameters, flat_weights(self.tensors())])
+        return np.concatenate([self.lattice.parameters, flat_weights(self.tensors())])
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Return the tensors of the averaged actor's layers."""
@@ -283,10 +285,13 @@ class Collector:
 def evaluate(
     numbers: np.ndarray, rivals: Sequence[str], tracks: Sequence[str], races: int, threads: int
 ) -> list[dict[str, Any]]:
-    """Race the network, without exploration, against other planners; return a row for each."""
+    """Race the network, without exploration, against other planners; return a row for each.
+
+    The rival ``strong`` is the lattice `STRONG`.
+    """
     policy, rows = FROZEN.policy(numbers, "line-ppo"), []
     for name in rivals:
-        rival = LATTICE.policy(STRONG, name) if name == "strong" else parse_policy(name)
+        rival = STRONG_LATTICE if name == "strong" else parse_policy(name)
         found = []
         for track in tracks:
             result = run_races(
@@ -378,7 +383,8 @@ class Run:
             rate=arguments.rate,
             entropy=arguments.entropy,
         )
-        self.learner = Learner(settings, arguments.device)
+        lattice = parse_policy(arguments.lattice) if arguments.lattice else STRONG_LATTICE
+        self.learner = Learner(settings, lattice, arguments.device)
         self.learner.generator.manual_seed(arguments.seed)
         self.league = League(self.learner.numbers())
         self.updates, self.choices, self.best = 0, 0, -1e9
@@ -394,7 +400,13 @@ class Run:
                 group.restore([one.numpy() for one in arrays])
         pool, self.groups = ThreadPoolExecutor(arguments.threads), groups
         self.batches = [
-            Batch(groups[k :: arguments.batches], pool, arguments.threads, options)
+            Batch(
+                groups[k :: arguments.batches],
+                pool,
+                arguments.threads,
+                options,
+                lattice.parameters.copy(),
+            )
             for k in range(arguments.batches)
         ]
         self.collector = Collector(self.batches, self.learner)
@@ -450,7 +462,9 @@ class Run:
             self.best = found
             folders.append(self.folder / "best")
         for folder in folders:
-            save_line_planner(folder, self.learner.tensors(), training=training)
+            values = self.learner.lattice.parameters.tolist()
+            lattice = dict(zip(LATTICE.parameter_names, values, strict=True))
+            save_line_planner(folder, self.learner.tensors(), lattice=lattice, training=training)
         self._save()
 
     def _save(self) -> None:
@@ -516,9 +530,10 @@ def main() -> None:
     add("--steps", type=int, default=32, help="choices of a car between two updates")
     add("--minibatch", type=int, default=8192, help="choices of a step of the optimiser")
     add("--epochs", type=int, default=3, help="passes over a rollout")
+    add("--lattice", help="policy of the lattice that lays the candidates (default: STRONG)")
     add("--rate", type=float, default=1e-3, help="first learning rate")
     add("--entropy", type=float, default=0.0, help="weight of the entropy")
-    add("--fault", type=float, default=1.5, help="cost of an own crash")
+    add("--fault", type=float, default=1.0, help="cost of an own crash")
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from pcs_racing import load_track, parse_policy
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.seeds import GOLDEN, scramble_one
-from pcs_racing.planners import line_ppo as _line
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, MEMORY, SIGHT, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
@@ -28,6 +27,7 @@ from pcs_racing.planners.line_ppo import (
     MOVE,
     PAIR,
     SPEED,
+    STRONG,
     TOTAL,
     WEIGHTS,
     describe,
@@ -155,7 +155,7 @@ def _begin(race, state, pool, thetas, first, last, theta, who, draws, key):
 
 @compiled
 def play(
-    track, state, pool, thetas, span, theta, who, draws, key, vehicles, drivers, settings, strong,
+    track, state, pool, thetas, span, theta, who, draws, key, vehicles, drivers, settings, lattice,
     options, family, laid, choices, seen, rewards, ended, tally,
 ):  # fmt: skip
     """Take the choices, drive for 0.1 s, reward, start ended races again, and describe.
@@ -173,7 +173,7 @@ def play(
                 put_back(laid[race, car], scratch)
                 take(
                     track,
-                    strong,
+                    lattice,
                     view,
                     state.memory[race, car],
                     scratch,
@@ -204,7 +204,7 @@ def play(
     for race in range(races):
         for car in range(learners):
             fill_view(track, state, race, car, vehicles[race], settings, view)
-            describe(track, strong, view, state.memory[race, car], scratch)
+            describe(track, lattice, view, state.memory[race, car], scratch)
             put_away(scratch, laid[race, car])
             out = seen[race, car]
             for k in range(FEATURES):
@@ -244,11 +244,11 @@ def circuit(name: str | int) -> Circuit:
 
 def lattices() -> list[Policy]:
     """Return the lattices to race against: the strong one first, then others."""
-    strong = _line.STRONG
+    strong = STRONG
     slower = [strong | {"pace": pace, "pace_behind": 0.1} for pace in (0.8, 0.6, 0.3, 0.0)]
     wide = [strong | {"side_margin": 0.4}, strong | {"attack": 0.0}, strong | {"blocking": 0.8}]
     rng = np.random.default_rng(0)
-    policies = [LATTICE.policy(strong, "strong")] * 6
+    policies = [LATTICE.policy(strong, "strong")] * 12
     policies += [parse_policy("lattice"), parse_policy("lattice:pace=0.7,pace_behind=0.2")] * 2
     policies += [LATTICE.policy(values, "lattice-variant") for values in (*slower, *wide)]
     return policies + [LATTICE.policy(LATTICE.sample(rng), "lattice-random") for _ in range(7)]
@@ -340,13 +340,13 @@ class Group:
         self.theta[:, 1] = self.thetas[self.who]
 
     def play(
-        self, choices: Any, seen: Any, rewards: Any, ended: Any, options: Options, strong: Any
+        self, choices: Any, seen: Any, rewards: Any, ended: Any, options: Options, lattice: Any
     ) -> None:
         """Drive for 0.1 s; see `play`."""
         two = (self.races, self.learners)
         play(
             self.track, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
-            self.draws, self.key, self.vehicles, self.drivers, self.settings, strong, options,
+            self.draws, self.key, self.vehicles, self.drivers, self.settings, lattice, options,
             self.number, self.laid, choices.reshape(two), seen.reshape(*two, WIDE),
             rewards.reshape(two), self.ended, self.tally,
         )  # fmt: skip
@@ -396,10 +396,15 @@ class Batch:
     """Groups that are driven together; one of several batches drives while another chooses."""
 
     def __init__(
-        self, groups: Sequence[Group], pool: ThreadPoolExecutor, threads: int, options: Options
+        self,
+        groups: Sequence[Group],
+        pool: ThreadPoolExecutor,
+        threads: int,
+        options: Options,
+        lattice: NDArray[np.float64],
     ) -> None:
         self.groups, self.pool, self.threads, self.options = list(groups), pool, threads, options
-        self.strong = LATTICE.policy(_line.STRONG).parameters.copy()
+        self.lattice = lattice
         edges = np.cumsum([0, *(group.cars for group in groups)])
         self.slices = [slice(a, b) for a, b in pairwise(edges.tolist())]
         self.cars = int(edges[-1])
@@ -417,7 +422,7 @@ class Batch:
             for group, part in rest:
                 group.play(
                     choices[part], self.seen[part], self.rewards[part], self.ended[part],
-                    self.options, self.strong,
+                    self.options, self.lattice,
                 )  # fmt: skip
 
         self.work = [self.pool.submit(some) for _ in range(self.threads)]
@@ -443,11 +448,11 @@ def compile_for(family: str) -> None:
     """Compile, for all later processes, the code of the races against a family."""
     league = League(np.zeros(LATTICE_SIZE + WEIGHTS))
     group = Group(circuit("Pipkin"), family, 2, 0, league)
-    cars, strong = group.cars, LATTICE.policy(_line.STRONG).parameters.copy()
+    cars, lattice = group.cars, LATTICE.policy(STRONG).parameters.copy()
     seen = np.zeros((cars, WIDE), np.float32)
     for choices in (np.full(cars, -1), np.zeros(cars, np.int64)):
         ended = np.zeros(cars, np.bool_)
-        group.play(choices, seen, np.zeros(cars), ended, Options(), strong)
+        group.play(choices, seen, np.zeros(cars), ended, Options(), lattice)
 
 
 def prepare(names: Sequence[str | int], workers: int) -> list[Circuit]:

@@ -136,7 +136,7 @@ def _root(x):
 @inner_kernel(forceinline=True)
 def _free(now):
     """Return the situation with an attack laid at any time."""
-    return _lattice.Situation(*now[:-1], True)
+    return _lattice.Situation(*now[:-1], True)  # type: ignore[call-arg]
 
 
 @inner_kernel(forceinline=True)

@@ -11,6 +11,7 @@ from warm_start import call_python
 from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_networks import read_lidar_planner
+from pcs_racing.planners.line_ppo import read_line_planner
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.game_spec import make_game_spec
@@ -180,6 +181,26 @@ def test_a_lidar_driver_is_trained(tmp_path, script):
     assert re.search(r"^Pipkin: own crashes alone in 40 s [\d.]+$", out, re.M)
     assert re.search(r"^Tarnfjord: own crashes alone in 40 s [\d.]+, held out$", out, re.M)
     assert read_lidar_planner(tmp_path / "made")[0] in ("lidar-cnn", "residual")
+
+
+def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
+    torch = pytest.importorskip("torch")
+    file = EXAMPLES.parent / "dev" / "training" / "line_ppo.py"
+    size = ("--tracks", "Pipkin", "--random", 0, "--each", 1, "--cars", 8, "--steps", 8)
+    size += ("--rivals", "strong", "--races", 2, "--minibatch", 16, "--device", "cpu")
+    run_python(file, *size, "--updates", 2, "--out", "whole", folder=tmp_path)
+    for updates in (1, 2):
+        out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=tmp_path)
+        assert re.search(r"^  eval [\d.-]+  strong [\d.]+/[\d.]+$", out, re.M)
+    whole, parts = (
+        torch.load(tmp_path / name / "checkpoint.pt", weights_only=True)
+        for name in ("whole", "parts")
+    )
+    assert whole["choices"] == 2 * 8 * 8
+    for net in ("actor", "critic", "averaged"):
+        assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
+    fields, _ = read_line_planner(tmp_path / "whole" / "last")
+    assert (fields["name"], fields["training"]["choices"]) == ("line-ppo", 128)
 
 
 def test_ppo_against_cfr(tmp_path):
