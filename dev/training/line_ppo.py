@@ -124,8 +124,10 @@ class Settings:
     gamma: float = 0.99
     lambda_: float = 0.95
     clip: float = 0.2
-    entropy: float = 0.0
-    kl: float = 0.008  #: Divergence of an update that the learning rate aims at.
+    entropy: float = 0.001  #: Weight of the entropy; falls to 0 at the horizon.
+    #: Divergence of an update that the learning rate aims at; falls to a fifth at the horizon.
+    kl: float = 0.008
+    horizon: float = 1e9  #: Choices of the whole training.
     max_kl: float = 0.03  #: Above it an update ends early.
     average: float = 0.9  #: Share of the averaged weights that an update keeps.
 
@@ -151,9 +153,9 @@ class Learner:
             chosen = (logs - noise.log()).argmax(dim=1)
             return chosen, logs.gather(1, chosen[:, None])[:, 0]
 
-    def update(self, rollout: "Rollout") -> dict[str, float]:
-        """Improve actor and critic by one rollout; return means of the update."""
-        s = self.settings
+    def update(self, rollout: "Rollout", choices: int) -> dict[str, float]:
+        """Improve actor and critic by one rollout, after some choices; return means."""
+        s, left = self.settings, max(1.0 - choices / self.settings.horizon, 0.0)
         sums, count, stopped = np.zeros(4), 0, False
         total = len(rollout.chosen)
         for _ in range(s.epochs):
@@ -168,7 +170,7 @@ class Learner:
                 actor = -torch.min(ratio * gain, ratio.clamp(1 - s.clip, 1 + s.clip) * gain).mean()
                 entropy = -(logs.exp() * logs.clamp_min(-30.0)).sum(dim=1).mean()
                 error = (self.critic(rollout.seen[rows]) - rollout.returns[rows]).square().mean()
-                loss = actor - s.entropy * entropy + 0.5 * error
+                loss = actor - left * s.entropy * entropy + 0.5 * error
                 self.optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 nn.utils.clip_grad_norm_(self.actor.parameters(), 1.0)
@@ -181,18 +183,17 @@ class Learner:
                     break
             if stopped:
                 break
-        self._follow(float(values[0]))
+        self._follow(float(values[0]), s.kl * (0.2 + 0.8 * left))
         with torch.no_grad():
             for slow, fast in zip(self.averaged.parameters(), self.actor.parameters(), strict=True):
                 slow.lerp_(fast, 1.0 - s.average)
         return dict(zip(("kl", "entropy", "error", "actor"), sums / count, strict=True))
 
-    def _follow(self, kl: float) -> None:
+    def _follow(self, kl: float, aim: float) -> None:
         """Adapt the learning rate to the divergence of the last step of an update."""
-        s = self.settings
-        factor = 1.5 if kl < 0.5 * s.kl else 1.0 / 1.5 if kl > 2.0 * s.kl else 1.0
+        factor = 1.5 if kl < 0.5 * aim else 1.0 / 1.5 if kl > 2.0 * aim else 1.0
         for group in self.optimiser.param_groups:
-            group["lr"] = min(max(group["lr"] * factor, 1e-5), s.max_rate)
+            group["lr"] = min(max(group["lr"] * factor, 1e-5), self.settings.max_rate)
 
     def numbers(self) -> np.ndarray:
         """Return the lattice's parameters and the averaged actor's numbers, for `FROZEN`."""
@@ -382,6 +383,7 @@ class Run:
             epochs=arguments.epochs,
             rate=arguments.rate,
             entropy=arguments.entropy,
+            horizon=1e6 * arguments.horizon,
         )
         lattice = parse_policy(arguments.lattice) if arguments.lattice else STRONG_LATTICE
         self.learner = Learner(settings, lattice, arguments.device)
@@ -431,7 +433,7 @@ class Run:
             begun = time.monotonic()
             rollout = self.collector.collect()
             middle = time.monotonic()
-            means = learner.update(rollout)
+            means = learner.update(rollout, self.choices)
             self.updates += 1
             self.choices += len(rollout.chosen)
             done = time.monotonic()
@@ -532,7 +534,8 @@ def main() -> None:
     add("--epochs", type=int, default=3, help="passes over a rollout")
     add("--lattice", help="policy of the lattice that lays the candidates (default: STRONG)")
     add("--rate", type=float, default=1e-3, help="first learning rate")
-    add("--entropy", type=float, default=0.0, help="weight of the entropy")
+    add("--horizon", type=float, default=1000.0, help="choices of the whole training, in millions")
+    add("--entropy", type=float, default=0.001, help="weight of the entropy")
     add("--fault", type=float, default=1.0, help="cost of an own crash")
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")

@@ -54,15 +54,15 @@ STEP = 10  # simulation steps of 0.01 s from one choice to the next
 HELD_OUT = ("Saltmere", "Vellindra")
 FEATURES = CONTEXT + MOVE * GOALS + SPEED * SPEEDS + PAIR * CANDIDATES
 FAMILIES = {
-    "self": 14,
-    "frozen": 8,
+    "self": 12,
+    "frozen": 6,
     "lattice": 8,
     "iterated-best-response": 2,
     "spliner": 2,
     "stanley": 1,
-    "pure-pursuit": 1,
-    "gap-follower": 2,
-    "disparity-extender": 2,
+    "pure-pursuit": 2,
+    "gap-follower": 4,
+    "disparity-extender": 3,
 }
 """Families of opponents, with the number of their groups of 40."""
 EXTRA = 3 + len(FAMILIES)  # features of the critic: time left, lead twice, family
