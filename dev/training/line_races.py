@@ -72,6 +72,8 @@ WIDE = FEATURES + EXTRA
 # the cost of an own fault. Leads count up to `LEAD` m.
 PROGRESS, GAIN, LEAD, WIN, FAULT = 0.004, 0.02, 20.0, 1.0, 1.5
 STARTS = 48  # start states of a group
+LENGTHS = ((60.0, 120.0), (60.0, 120.0), (120.0, 200.0), (180.0, 320.0))  # m, of random circuits
+WIDTHS = (2.2, 2.0, 3.0)  # m
 
 LEARNER = Planner(name="learner", parameters=(), memory_size=MEMORY)
 FROZEN = Planner(
@@ -233,7 +235,10 @@ def circuit(name: str | int) -> Circuit:
     if isinstance(name, str):
         track = load_track(name)
     else:
-        made = random_circuit(RandomCircuits(), name)
+        shortest, longest = LENGTHS[name % len(LENGTHS)]
+        width = WIDTHS[name // len(LENGTHS) % len(WIDTHS)]
+        drawn = RandomCircuits(width=width, shortest=shortest, longest=longest)
+        made = random_circuit(drawn, name)
         scales = np.arange(0.7, 1.46, 0.05)
         hazard = hazard_scan(made, CONTEST, scales, cars=40, seconds=20.0, enough=0.5, threads=1)
         high = min(float(scales[len(hazard) - 1]), 1.43)
