@@ -31,6 +31,7 @@ from line_races import (
     WIDE,
     Batch,
     Circuit,
+    Group,
     League,
     Options,
     make_groups,
@@ -390,16 +391,12 @@ class Run:
         self.learner.generator.manual_seed(arguments.seed)
         self.league = League(self.learner.numbers())
         self.updates, self.choices, self.best = 0, 0, -1e9
-        file, saved = self.folder / "checkpoint.pt", None
-        if file.exists():
-            saved = torch.load(file, map_location="cpu", weights_only=True)
-            self._restore(saved)
+        if (self.folder / "checkpoint.pt").exists():
+            self._restore(torch.load(self.folder / "checkpoint.pt", "cpu", weights_only=True))
         cars = max(2, arguments.cars // len(circuits))
         options = Options(fault=arguments.fault)
         groups = make_groups(circuits, cars, arguments.seed, self.league)
-        if saved is not None:
-            for group, arrays in zip(groups, saved["races"], strict=True):
-                group.restore([one.numpy() for one in arrays])
+        self._restore_races(groups)
         pool, self.groups = ThreadPoolExecutor(arguments.threads), groups
         self.batches = [
             Batch(
@@ -470,26 +467,39 @@ class Run:
         self._save()
 
     def _save(self) -> None:
-        """Write the checkpoint, whole or not at all."""
-        learner, new = self.learner, self.folder / "checkpoint.new"
-        torch.save(
-            {
-                "actor": learner.actor.state_dict(),
-                "critic": learner.critic.state_dict(),
-                "averaged": learner.averaged.state_dict(),
-                "optimiser": learner.optimiser.state_dict(),
-                "generator": learner.generator.get_state(),
-                "league": torch.from_numpy(self.league.numbers[: self.league.count].copy()),
-                "races": [
-                    [torch.from_numpy(one.copy()) for one in group.saved()] for group in self.groups
-                ],
-                "updates": self.updates,
-                "choices": self.choices,
-                "best": self.best,
-            },
-            new,
-        )
-        new.replace(self.folder / "checkpoint.pt")
+        """Write the checkpoint, whole or not at all; the races first, in their own file."""
+        learner = self.learner
+        races = [[torch.from_numpy(one) for one in group.saved()] for group in self.groups]
+        self._write("races.pt", {"updates": self.updates, "races": races})
+        checkpoint = {
+            "actor": learner.actor.state_dict(),
+            "critic": learner.critic.state_dict(),
+            "averaged": learner.averaged.state_dict(),
+            "optimiser": learner.optimiser.state_dict(),
+            "generator": learner.generator.get_state(),
+            "league": torch.from_numpy(self.league.numbers[: self.league.count].copy()),
+            "updates": self.updates,
+            "choices": self.choices,
+            "best": self.best,
+        }
+        self._write("checkpoint.pt", checkpoint)
+
+    def _write(self, name: str, values: dict[str, Any]) -> None:
+        new = self.folder / f"{name}.new"
+        torch.save(values, new)
+        new.replace(self.folder / name)
+
+    def _restore_races(self, groups: Sequence[Group]) -> None:
+        """Let the races go on that belong to the checkpoint; without them, races begin again."""
+        file = self.folder / "races.pt"
+        if self.updates == 0 or not file.exists():
+            return
+        saved = torch.load(file, weights_only=True)
+        if saved["updates"] != self.updates or len(saved["races"]) != len(groups):
+            self._say("races begin again: races.pt belongs to another checkpoint")
+            return
+        for group, arrays in zip(groups, saved["races"], strict=True):
+            group.restore([one.numpy() for one in arrays])
 
     def _restore(self, saved: dict[str, Any]) -> None:
         learner = self.learner
