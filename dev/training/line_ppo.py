@@ -10,6 +10,7 @@ weights with the best score are saved. The same command goes on after a stop.
 
 import argparse
 import csv
+import sys
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -151,7 +152,7 @@ class Learner:
         with torch.no_grad():
             logs = self.actor(seen)
             noise = torch.empty_like(logs).exponential_(generator=self.generator)
-            chosen = (logs - noise.log()).argmax(dim=1)
+            chosen = (logs - noise.clamp_min(1e-20).log()).argmax(dim=1)
             return chosen, logs.gather(1, chosen[:, None])[:, 0]
 
     def update(self, rollout: "Rollout", choices: int) -> dict[str, float]:
@@ -552,6 +553,8 @@ def main() -> None:
     add("--seed", type=int, default=0)
     arguments = parser.parse_args()
     torch.set_num_threads(max(1, arguments.threads if arguments.device == "cpu" else 1))
+    # A thread that drives needs the interpreter for microseconds, between two groups.
+    sys.setswitchinterval(2e-4)
     Run(arguments).train()
 
 
