@@ -50,6 +50,7 @@ from pcs_racing.planners.line_ppo import (
     SHARPNESS,
     SPEED,
     STRONG,
+    UNITS,
     flat_weights,
     save_line_planner,
 )
@@ -76,24 +77,30 @@ class Chooser(nn.Module):
         """Return the log probabilities of the candidates, shape (N, 64)."""
         ends = (CONTEXT, MOVE * GOALS, SPEED * SPEEDS, PAIR * CANDIDATES)
         context, moves, speeds, pairs = seen[:, :FEATURES].split(ends, dim=1)
-        moves = moves.view(-1, MOVE, GOALS)
-        speeds = speeds.view(-1, SPEED, SPEEDS)
-        pairs = pairs.view(-1, PAIR, CANDIDATES)
+        # Rejected candidates, more than half, are left out.
+        row, candidate = (pairs[:, -CANDIDATES:] >= 0.0).nonzero(as_tuple=True)
+        each = torch.cat(
+            [
+                _columns(moves, MOVE, row * GOALS + candidate % GOALS),
+                _columns(speeds, SPEED, row * SPEEDS + candidate // GOALS),
+                _columns(pairs, PAIR, row * CANDIDATES + candidate),
+            ],
+            dim=1,
+        )
         inner = torch.tanh(self.context(context))
-        of_moves, of_speeds, of_pairs = self.candidate.weight.split((MOVE, SPEED, PAIR), dim=1)
-        hidden = (self.situation(inner) + self.candidate.bias)[:, :, None, None]
-        hidden = hidden + torch.matmul(of_speeds, speeds)[:, :, :, None]
-        hidden = hidden + torch.matmul(of_moves, moves)[:, :, None, :]
-        hidden = hidden + torch.matmul(of_pairs, pairs).view(-1, len(of_pairs), SPEEDS, GOALS)
-        score = torch.einsum("u,nufg->nfg", self.score.weight[0], torch.relu(hidden))
-        linear = self.weights(inner)[:, None]
-        by_move, by_speed, by_pair = linear.split((MOVE, SPEED, PAIR), dim=2)
-        score = score + torch.bmm(by_speed, speeds).view(-1, SPEEDS, 1)
-        score = score + torch.bmm(by_move, moves)
-        flat = score.flatten(1) + torch.bmm(by_pair, pairs)[:, 0]
-        above = pairs[:, -1]
-        flat = (flat - SHARPNESS * above) * self.sharper.exp()
-        return torch.log_softmax(flat.masked_fill(above < 0.0, -1e9), dim=1)
+        ours = torch.cat([self.situation(inner), self.weights(inner)], dim=1).index_select(0, row)
+        hidden = torch.relu(self.candidate(each) + ours[:, :UNITS])
+        score = hidden @ self.score.weight[0] + (ours[:, UNITS:] * each).sum(dim=1)
+        score = (score - SHARPNESS * each[:, -1]) * self.sharper.exp()
+        scores = torch.full((len(seen) * CANDIDATES,), -1e9, device=seen.device)
+        scores = scores.index_copy(0, row * CANDIDATES + candidate, score)
+        return torch.log_softmax(scores.view(-1, CANDIDATES), dim=1)
+
+
+def _columns(features: Tensor, count: int, chosen: Tensor) -> Tensor:
+    """Return columns of features (N, count * columns), one after the other, shape (., count)."""
+    columns = features.unflatten(1, (count, -1)).transpose(1, 2)
+    return columns.reshape(-1, count).index_select(0, chosen)
 
 
 class Critic(nn.Module):
