@@ -462,7 +462,8 @@ class Run:
         numbers = self.learner.numbers()
         rows = evaluate(numbers, a.rivals, self.shipped, a.races, a.threads)
         self.log.curve(self.choices, rows)
-        training = {"choices": self.choices, "updates": self.updates, "seed": a.seed}
+        training = {key: getattr(a, key) for key in ("cars", "random", "each", "steps", "seed")}
+        training |= {"choices": self.choices, "updates": self.updates}
         found = merit(rows)
         folders = [self.folder / "last"]
         if found > self.best:

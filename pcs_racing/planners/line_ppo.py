@@ -28,6 +28,7 @@ from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
 from pcs_racing.base.artifacts import ArtifactFormat
+from pcs_racing.base.checks import is_number
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
@@ -483,9 +484,10 @@ def read_line_planner(source: str | Path = NAME) -> tuple[dict[str, Any], NDArra
     fields, content = LINE_FORMAT.load(folder)
     if not isinstance(fields["name"], str) or not isinstance(fields["training"], dict):
         raise InputError(f"{folder}: name must be a text and training a mapping")
-    if not isinstance(fields["lattice"], dict):
+    values = fields["lattice"]
+    if not isinstance(values, dict) or not all(map(is_number, values.values())):
         raise InputError(f"{folder}: lattice must map parameters of the lattice to numbers")
-    lattice = LATTICE.policy(fields["lattice"], fields["name"]).parameters
+    lattice = LATTICE.policy(values, fields["name"]).parameters
     return fields, np.concatenate([lattice, flat_weights(_checked_tensors(folder, content))])
 
 
