@@ -58,7 +58,14 @@ from pcs_racing.planners.planner import Policy
 from pcs_racing.track.maps import list_tracks
 
 STRONG_LATTICE = LATTICE.policy(STRONG, "strong")
-RIVALS = ("strong", "lattice", "iterated-best-response", "pure-pursuit", "gap-follower")
+RIVALS = (
+    "strong",
+    "lattice",
+    "lattice:early",
+    "iterated-best-response",
+    "pure-pursuit",
+    "gap-follower",
+)
 
 
 class Chooser(nn.Module):

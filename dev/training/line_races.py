@@ -39,7 +39,7 @@ from pcs_racing.planners.line_ppo import (
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.calibration import hazard_scan
-from pcs_racing.race.conditions import vehicle_rows
+from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST
 from pcs_racing.race.driving import pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
@@ -254,7 +254,9 @@ def lattices() -> list[Policy]:
     wide = [strong | {"side_margin": 0.4}, strong | {"attack": 0.0}, strong | {"blocking": 0.8}]
     rng = np.random.default_rng(0)
     policies = [LATTICE.policy(strong, "strong")] * 12
-    policies += [parse_policy("lattice"), parse_policy("lattice:pace=0.7,pace_behind=0.2")] * 2
+    policies += [parse_policy("lattice")] * 8
+    early = ("lattice:early", "lattice:early,pace=0.7,pace_behind=0.2")
+    policies += [parse_policy(text) for text in early] * 2
     policies += [LATTICE.policy(values, "lattice-variant") for values in (*slower, *wide)]
     return policies + [LATTICE.policy(LATTICE.sample(rng), "lattice-random") for _ in range(7)]
 
@@ -306,7 +308,7 @@ class Group:
         self.races = max(1, cars // self.learners)
         setup = RaceSetup(track, CONTEST, (LEARNER, other))
         self.track, self.settings = track.arrays, setup.settings._replace(ittc_horizon=0.0)
-        self.drivers = pointers_of(setup.planners)
+        self.drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
