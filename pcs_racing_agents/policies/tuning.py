@@ -215,7 +215,7 @@ def policy_text(planner: Planner, theta: Floats) -> str:
     return f"{planner.name}:{','.join(pairs)}"
 
 
-@dataclass
+@dataclass(frozen=True)
 class TuningRun:
     """Stages of a tuning, whose races are tasks of a job."""
 
