@@ -26,7 +26,7 @@ from pcs_racing_agents.agents.describe import (
 )
 from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, entries
 
-SETTINGS = (("default", "paper"), ("contest", "contest"))
+SETTINGS = (("default-early", "paper"), ("contest-early", "contest"))
 """Archive and rules of the games in which agents are measured: those that networks and choices are
 shipped for.
 """

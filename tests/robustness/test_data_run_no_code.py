@@ -83,7 +83,7 @@ class Main:
 WORDS = ("evil.py:main", "evil_module:main", "evil.py")
 PROTOCOL = {
     "race": "paper",
-    "archive": "default",
+    "archive": "default-early",
     "seen": ("Pipkin",),
     "unseen": ("Pipkin",),
     "keeps": ("never-switch",),
@@ -293,7 +293,7 @@ KINDS = {
     "network": Kind(
         shipped("pcs_racing_agents/data/networks", "default-early-paper-regret/manifest.yaml"),
         lambda file: parse_agent(
-            f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")
+            f"cfr-argmax:network={file.parent}", make_game_spec("default-early", "paper")
         ),
     ),
     "set of networks": Kind(
@@ -545,5 +545,5 @@ def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command
 
 def test_a_text_is_no_code_unless_its_caller_says_so(evil):
     for word in WORDS:
-        refused("no file may name code", parse_agent, word, make_game_spec("default", "paper"))
+        refused("no file may name code", parse_agent, word, make_game_spec("default-early", "paper"))
         refused("unknown", make, word)

@@ -104,7 +104,7 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
         (),
         ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -"),
         (0.5,),
-        "default",
+        "default-early",
         archive.content_hash,
         "paper",
         2,
@@ -157,7 +157,7 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
         ({"epsilon": (0.25, 1.0)}, "^it was made for moves of epsilon 0.5; the game has 0.25, 1$"),
         (
             {"archive": "b", "archive_sha256": 20 * "b"},
-            r"'default' \(sha256 \w{12}\); .* 'b' \(sha256 b{12}\)$",
+            r"'default-early' \(sha256 \w{12}\); .* 'b' \(sha256 b{12}\)$",
         ),
     ]:
         refused(message, check_same_game, own, own._replace(**change), "it")

@@ -94,7 +94,7 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(spec, seen, t
         "rounds 3",
     ]
     assert (
-        build("psro", make_game_spec("contest", "contest"))
+        build("psro", make_game_spec("contest-early", "contest"))
         .facts["networks"]
         .startswith("contest-early-contest-psro: ")
     )

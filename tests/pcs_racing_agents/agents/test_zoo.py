@@ -116,7 +116,7 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
         pcs_racing_agents.mak  # noqa: B018
     other = make("never-switch")
     refused(
-        r"agent 'never-switch' was made for archive 'default' \(.*\)",
+        r"agent 'never-switch' was made for archive 'default-early' \(.*\)",
         game_between,
         game,
         other,
@@ -132,7 +132,7 @@ def test_agents_as_text_and_bad_names_and_options(spec):
     assert len(parse_agent("lane-switcher", spec).policies) == 20
     (only,) = parse_agent("lane-switcher:4", spec).policies
     assert only.name == "lane-switcher:4"
-    spec = make_game_spec("contest", "contest")
+    spec = make_game_spec("contest-early", "contest")
     adaptive = parse_agent(
         "adaptive:network=contest-early-contest-gain,open_loop=never-switch,margin=0.5", spec
     )
@@ -243,7 +243,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
     unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
     assert describe.facts_of("random-moves", spec) == unmeasured
     assert describe.facts_of("nash", spec) == describe.NOT_SHIPPED
-    assert describe.facts_of("response", make_game_spec("contest", "contest"))[0].startswith(
+    assert describe.facts_of("response", make_game_spec("contest-early", "contest"))[0].startswith(
         "Network: contest-early-contest-"
     )
     plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"

@@ -489,7 +489,7 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     (tmp_path / "own_racers.py").write_text(OWN)
-    spec = make_game_spec("default", "paper")
+    spec = make_game_spec("default-early", "paper")
     for place in ("own_racers.py", "own_racers"):
         assert parse_own_policy(f"{place}:Straight").name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
@@ -535,7 +535,7 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
 
 
 @pytest.mark.parametrize(
-    ("race", "archive"), [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")]
+    ("race", "archive"), [("paper", "default-early"), ("contest", "contest-early"), ("roboracer", "contest-early")]
 )
 def test_rules_bring_their_archive(run, race, archive):
     assert (
@@ -543,7 +543,7 @@ def test_rules_bring_their_archive(run, race, archive):
         in run("agents", "random-moves", "--rules", race)[1]
     )
     assert (
-        "With archive default in"
+        "With archive default-early in"
         in run("agents", "random-moves", "--rules", race, "--archive", "default-early")[1]
     )
 

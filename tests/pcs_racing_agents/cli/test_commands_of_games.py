@@ -169,7 +169,7 @@ def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, t
     options = ["--archive", "default-early", "--seed", 7, "--test-track", "Vellindra"]
     assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
     (study,) = begun
-    assert (study.archive, study.seed) == ("default", 7)
+    assert (study.archive, study.seed) == ("default-early", 7)
     assert study.table.tracks[-1] == "Vellindra"
     assert "Vellindra" not in study.learning.tracks
 
@@ -213,7 +213,7 @@ def folder(tmp_path_factory):
 
 def test_solve_prints_every_method_on_every_tree(folder, run, printed):
     out = printed("solve", folder, "--iterations", 50)
-    assert "2 trees of archive default on Pipkin, preset paper; CFR with 50 iterations" in out
+    assert "2 trees of archive default-early on Pipkin, preset paper; CFR with 50 iterations" in out
     for method in METHODS:
         assert out.count(f"  {method} ") == 3
     assert "\n1     2, 1      exact " in out

@@ -93,7 +93,7 @@ def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
     default = load_archive("default-early")
     expected = {
         "game": game_rules("paper", stay=True),
-        "archive": "default",
+        "archive": "default-early",
         "archive_sha256": default.content_hash,
     }
     assert tournament_settings(plan) == {

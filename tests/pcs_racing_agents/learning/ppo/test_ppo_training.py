@@ -189,9 +189,9 @@ def test_a_duel_policy_is_an_agent_and_a_drive_policy_a_planner(trained):
     network = load_network(trained["duel"].folder)
     assert network.name == "default-early-paper-ppo"
     assert network.training["setting_opponents"] == "2 random-moves, 1 never-switch, 1 pure-pursuit"
-    network.check_fits(make_game(load_track("Larkmoor"), "default"))
+    network.check_fits(make_game(load_track("Larkmoor"), "default-early"))
     agent = make("ppo", network=trained["duel"].folder)
-    game = make_game(load_track("Pipkin"), "default", stay=True)
+    game = make_game(load_track("Pipkin"), "default-early", stay=True)
     seen = game.observation(game.reset(games=3))[:, 0]
     np.testing.assert_array_equal(agent.act(seen), network.choose(seen))
     run = trained["drive"]
