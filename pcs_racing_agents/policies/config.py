@@ -302,7 +302,6 @@ class ArchiveConfig(Settings):
         choice = met * (self.choice_opponents + rivals) * self.choice_starts
         final = met * (self.final_opponents + rivals) * self.final_starts
         work = {
-            "champions": 0.0,
             "search": self.evaluations * search * self.duration,
             "choice": self.candidates * choice * self.duration,
             "measurement": self.max_policies * final * self.final_duration,
@@ -311,7 +310,7 @@ class ArchiveConfig(Settings):
             one = self.tuning((), 0)
             policies = one.generations * one.population
             races = met * (len(self.rivals) + self.champions / 2) * one.starts
-            work["champions"] = self.champions * policies * races * self.final_duration
+            work = {"champions": self.champions * policies * races * self.final_duration, **work}
         if self.selection == "spread":
             judging = len(self.tracks) + len(self.judging_tracks or ())
             pairs = comb(self.max_policies, 2)

@@ -326,8 +326,8 @@ def _check_lines(config: TuningConfig, scenarios: Scenarios, raced: Arrays) -> I
                     opponent,
                     len(races),
                     score.mean,
-                    score.low,
-                    score.high,
+                    max(score.low, 0.0),
+                    min(score.high, 1.0),
                     float(raced["own_crash"][k, races].mean()),
                 )
 

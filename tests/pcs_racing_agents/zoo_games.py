@@ -6,7 +6,7 @@ from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing_agents.agents import GameSpec
 from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.networks import RegretNetwork
@@ -17,7 +17,7 @@ CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
 def toy_archive(policies: int = 12) -> PolicyArchive:
     """Lattice policies from slow to fast; their coordinates are made up."""
     rng = np.random.default_rng(0)
-    lattice = get_planner("lattice")
+    lattice = REFERENCE
     pace = np.linspace(0.2, 0.9, policies)
     drivers = [lattice.policy({"pace": value}).parameters for value in pace]
     explored = [lattice.policy({"pace": value}).parameters for value in np.linspace(0.0, 1.0, 30)]

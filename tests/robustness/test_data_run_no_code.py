@@ -545,5 +545,7 @@ def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command
 
 def test_a_text_is_no_code_unless_its_caller_says_so(evil):
     for word in WORDS:
-        refused("no file may name code", parse_agent, word, make_game_spec("default-early", "paper"))
+        refused(
+            "no file may name code", parse_agent, word, make_game_spec("default-early", "paper")
+        )
         refused("unknown", make, word)

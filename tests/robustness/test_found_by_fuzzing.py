@@ -74,7 +74,11 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
     replay = record_race(
         track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0
     )
-    folder, file, game = Path(name.format("d")), name.format, make_game_spec("default-early", "paper")
+    folder, file, game = (
+        Path(name.format("d")),
+        name.format,
+        make_game_spec("default-early", "paper"),
+    )
     for call in (
         lambda: load_track(file("yaml")),
         lambda: load_archive(folder),

@@ -18,7 +18,7 @@ from pcs_racing.envs.match import (
 )
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import decode_match
-from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.lattice import REFERENCE
 
 AGENTS = ("car_0", "car_1")  # of two
 AXES = ("aggressiveness", "restraint")
@@ -39,7 +39,7 @@ MANY = {
 
 def six_policies() -> PolicyArchive:
     """Six policies from slow to fast, with coordinates that were made up."""
-    planner = get_planner("lattice")
+    planner = REFERENCE
     pace = np.linspace(0.3, 0.9, 6)
     parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
     coordinates = np.column_stack([20.0 * pace - 10.0, [4.0, 3.0, 3.5, 2.0, 2.5, 1.0]])

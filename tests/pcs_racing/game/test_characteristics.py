@@ -6,7 +6,7 @@ from pcs_racing import InputError, load_race_config, load_track
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game import characteristics as measures
-from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.lattice import LATTICE, REFERENCE
 from pcs_racing.race import races as racing
 from pcs_racing.race import state as kept
 from pcs_racing.race.races import draw_starts
@@ -56,7 +56,7 @@ def test_pieces_of_a_race_add_up():
     """The lead is the sum over the pieces; restraint is their mean, weighted by samples."""
     config = load_race_config("paper", duration=4.0)
     track = load_track("Pipkin")
-    setup = racing.RaceSetup(track, config, (LATTICE, LATTICE))
+    setup = racing.RaceSetup(track, config, (REFERENCE, REFERENCE))
     state = racing.start_races(setup, draw_starts(track, config, 4, 0), racing.race_seeds(0, 4))
     theta = np.tile(LATTICE.default, (4, 2, 1))
     moments = [state.copy()]
@@ -135,11 +135,11 @@ def pieces(name, paces, preset="paper", seconds=12.0, skip=4.0):
     config = load_race_config(
         preset, duration=seconds, start="rolling", start_gap=min(0.5 * track.length, 50.0)
     )
-    setup = racing.RaceSetup(track, config, (LATTICE, LATTICE))
+    setup = racing.RaceSetup(track, config, (REFERENCE, REFERENCE))
     starts = Starts(np.zeros(len(paces)), np.zeros(len(paces), np.int64))
     state = racing.start_races(setup, starts, race_seeds(0, len(paces)))
     theta = np.array(
-        [[LATTICE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
+        [[REFERENCE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
     )
     racing.advance(setup, state, theta, round(100 * skip))
     before = state.copy()

@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 from pcs_racing import load_race_config, load_track
 from pcs_racing.car.vehicle import DELTA
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
-from pcs_racing.planners.lattice import GRIP, LATTICE
+from pcs_racing.planners.lattice import GRIP, REFERENCE
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command
 from pcs_racing.planners.view import (
@@ -25,14 +25,14 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import KAPPA, SPEED
 from pcs_racing.track.maps import list_tracks
 
-MEMORY = np.zeros(LATTICE.memory_size)
+MEMORY = np.zeros(REFERENCE.memory_size)
 RANGE = (0.8, 1.0)
 PARKED = Planner("parked", (), control=hold_command, memory_size=COMMAND_SLOTS)
 
 
 def candidates(track, view, parameters=None):
     """Points (64, 9, 2) and costs (64,)."""
-    return LATTICE.candidates(track.arrays, LATTICE.policy(parameters).parameters, view, MEMORY)
+    return REFERENCE.candidates(track.arrays, REFERENCE.policy(parameters).parameters, view, MEMORY)
 
 
 def path(track, view, parameters=None):
@@ -43,9 +43,9 @@ def path(track, view, parameters=None):
 def plan(track, view, memory=MEMORY, parameters=None):
     """The path that the planner writes, and its memory after that."""
     written, memory = np.full((PATH_POINTS, 4), np.nan), memory.copy()
-    scratch = np.full(LATTICE.scratch_size, np.nan)  # whatever was left there must not matter
-    LATTICE.plan(
-        track.arrays, LATTICE.policy(parameters).parameters, view, memory, scratch, written
+    scratch = np.full(REFERENCE.scratch_size, np.nan)  # whatever was left there must not matter
+    REFERENCE.plan(
+        track.arrays, REFERENCE.policy(parameters).parameters, view, memory, scratch, written
     )
     return written, memory
 
@@ -170,7 +170,7 @@ def test_it_drives_real_circuits(name, real_maps, drive_alone):
 
 
 def check_solo(track, drive_alone):
-    result = drive_alone(track, [LATTICE.policy({"pace": 0.5})], speed_range=RANGE)
+    result = drive_alone(track, [REFERENCE.policy({"pace": 0.5})], speed_range=RANGE)
     assert not result.crashed.any()
     # At least 85 % of what the profile allows at this pace.
     laps = result.state.progress[0] + [0.0, min(0.5 * track.length, 50.0)]
@@ -186,7 +186,7 @@ def test_a_faster_follower_gets_by_a_slower_car(shipped):
     config = RaceConfig(
         duration=20.0, start="rolling", start_gap=3.0, start_spacing=0.0, speed_range=(0.5, 0.85)
     )
-    slow, fast = PURE_PURSUIT.policy({"pace": 0.0}), [LATTICE.policy({"pace": 1.0})] * 10
+    slow, fast = PURE_PURSUIT.policy({"pace": 0.0}), [REFERENCE.policy({"pace": 1.0})] * 10
     # From the places of the paper's start, which every circuit brings: those of this one would be
     # found by driving.
     starts = [draw_starts(track, load_race_config("paper"), 10, seed=1) for track in shipped]
@@ -332,7 +332,7 @@ def test_alone_it_neither_crashes_nor_falls_behind_pure_pursuit(oval, drive_alon
                 speed_range=(1.0, 1.2),
                 steering_noise=0.01,
             )
-            for planner in (LATTICE, PURE_PURSUIT)
+            for planner in (REFERENCE, PURE_PURSUIT)
         )
         assert not ours.crashed.any()
         assert ours.state.progress.sum() > 0.985 * theirs.state.progress.sum()
@@ -342,7 +342,7 @@ def test_alone_it_neither_crashes_nor_falls_behind_pure_pursuit(oval, drive_alon
 def test_it_does_not_weave_on_straights(oval, scale, noise):
     """Its steering moves no faster than 1.3 times that of pure pursuit."""
     ours, theirs = (
-        steering_rate(oval, planner, scale, noise) for planner in (LATTICE, PURE_PURSUIT)
+        steering_rate(oval, planner, scale, noise) for planner in (REFERENCE, PURE_PURSUIT)
     )
     assert ours < 1.3 * theirs
 
@@ -376,6 +376,6 @@ def test_a_car_that_stands_on_the_race_line_is_driven_around():
     starts = Starts(np.arange(40) / 40.0 * track.length, np.ones(40, np.int64))
     for noise in (0.0, 0.02):
         rules = replace(config, steering_noise=noise)
-        result = run_races(track, [LATTICE.policy()] * 40, PARKED.policy(), rules, starts=starts)
+        result = run_races(track, [REFERENCE.policy()] * 40, PARKED.policy(), rules, starts=starts)
         assert (np.abs(result.state.progress[:, 1]) < 0.1).all()  # it stands
         assert ((result.lead > 10.0) & ~result.crashed).mean() > 0.9

@@ -125,7 +125,8 @@ def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(examp
         ("example:pace=2", "'pace' is 2"),
         ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
         ("example:pace=1,", "'' is not"),
-        ("example:brave,pace=1", "'brave' is not"),
+        ("example:timid,pace=1", "no variant 'timid'"),
+        ("example:pace=1,brave", "'brave' is not"),
         (None, "policy None"),
     ]:
         refused(message, parse_policy, text)

@@ -39,7 +39,7 @@ def test_what_is_counted_at_a_place_is_what_races_from_there_do(oval, driven):
     starts = Starts(np.full(2 * len(pairs), place * PLACE_EVERY), np.tile([0, 1], len(pairs)))
     twice = np.repeat(pairs, 2, axis=0)
     egos, rivals = (
-        [start_places.LATTICE.policy(theta) for theta in twice[:, car]] for car in range(2)
+        [start_places.REFERENCE.policy(theta) for theta in twice[:, car]] for car in range(2)
     )
     result = run_races(oval, egos, rivals, rules, starts=starts)
     assert result.crashed.mean() == crashes[place]
@@ -176,7 +176,7 @@ def test_shipped_circuits_start_where_hardly_a_race_is_over_at_once():
             short = replace(config, duration=2.0)
             paces = rng.uniform(size=(2, races))
             egos, rivals = (
-                [start_places.LATTICE.policy({"pace": pace}) for pace in car] for car in paces
+                [start_places.REFERENCE.policy({"pace": pace}) for pace in car] for car in paces
             )
             over += int(run_races(load_track(name), egos, rivals, short, seed=2).crashed.sum())
     assert over <= 0.02 * 2 * races * len(list_tracks())

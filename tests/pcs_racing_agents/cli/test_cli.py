@@ -535,7 +535,8 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
 
 
 @pytest.mark.parametrize(
-    ("race", "archive"), [("paper", "default-early"), ("contest", "contest-early"), ("roboracer", "contest-early")]
+    ("race", "archive"),
+    [("paper", "default-early"), ("contest", "contest-early"), ("roboracer", "contest-early")],
 )
 def test_rules_bring_their_archive(run, race, archive):
     assert (

@@ -1,4 +1,4 @@
-"""Archives of front policies and of policies chosen for headroom, as resumable runs."""
+"""Archives of front policies and of strong policies far apart, as resumable runs."""
 
 import csv
 import shutil
@@ -14,6 +14,7 @@ from refusal import refused
 from pcs_racing import load_archive
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.registry import parse_policy
 from pcs_racing.testing import check_archive
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies.archive_report import front_picture, hypervolume_error
@@ -53,27 +54,32 @@ def with_(**changes) -> ArchiveConfig:
     return load_archive_config(TINY, **changes)
 
 
-POOL = ArchiveConfig(
-    name="pool",
+SPREAD = ArchiveConfig(
+    name="spread",
     preset="contest",
     tracks=("Pipkin",),
+    rivals=("lane-switcher", "gap-follower"),
+    champions=1,
+    champion_generations=2,
+    margin=0.5,
     duration=4.0,
     final_duration=4.0,
     segment_seconds=2.0,
+    characteristics=("speed", "smoothness"),
     generations=1,
     population=4,
-    initial_sample=16,
-    opponents=1,
+    initial_sample=8,
+    opponents=0,
     starts=1,
     crash_limit=1.0,
-    selection="headroom",
+    selection="spread",
     candidates=8,
-    groups=2,
-    payoff_races=16,
+    choice_opponents=0,
+    choice_starts=1,
     judging_races=32,
     judging_tracks=("Tarnfjord",),
-    final_opponents=1,
-    final_starts=1,
+    final_opponents=0,
+    final_starts=2,
     min_policies=3,
     max_policies=4,
     seed=5,
@@ -88,10 +94,10 @@ def made(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def pool(tmp_path_factory):
-    """An archive chosen for headroom, its folder, and the progress of its run."""
-    folder, progress = tmp_path_factory.mktemp("archive") / "pool", []
-    return synthesize(POOL, folder, callback=progress.append), folder, progress
+def spread(tmp_path_factory):
+    """An archive of policies far apart, its folder, and the progress of its run."""
+    folder, progress = tmp_path_factory.mktemp("archive") / "spread", []
+    return synthesize(SPREAD, folder, callback=progress.append), folder, progress
 
 
 def stated(facts: dict) -> dict:
@@ -141,7 +147,7 @@ def test_the_manifest_states_settings_versions_and_what_each_stage_left_out(made
         "search_hypervolume_without_crash_limit": hypervolume(points),
     }
     assert {key: settings[key] for key in facts} == stated(facts)
-    assert not {*settings} & {"groups", "payoff_races", "judging_races", "judging_tracks"}
+    assert not {*settings} & {"margin", "judging_races", "judging_tracks"}
     assert "Tarnfjord " in settings["track_hashes"]
     reasons = ("choice_outside_limits", "choice_beaten", "choice_too_near_another")
     reasons += ("measurement_outside_limits", "measurement_beaten")
@@ -198,7 +204,7 @@ def test_the_coordinates_come_from_races_of_their_own(made):
         "hypervolume_error": hypervolume_error(raced, scale),
         "own_crash_mean": found.own_crash.mean(),
         "own_crash_max": found.own_crash.max(),
-        "win_share_against_random": (raced["winner"] == 0).mean(),
+        "win_share": (raced["winner"] == 0).mean(),
         "no_op_share": no_op_share(archive),
         "duplicate_share": duplicate_share(archive),
         "correlation_aggressiveness_restraint": np.corrcoef(found.coordinates.T)[0, 1],
@@ -209,38 +215,34 @@ def test_the_coordinates_come_from_races_of_their_own(made):
     assert {key: archive.settings[key] for key in facts} == stated(facts)
 
 
-def test_a_pool_is_an_ordinary_archive_chosen_and_judged_by_payoffs(pool):
-    archive, folder, progress = pool
+def test_policies_far_apart_lie_around_the_champion_and_are_judged_by_payoffs(spread):
+    archive, folder, progress = spread
     check_archive(load_archive(folder))
-    assert len(archive) == 4
-    assert (np.diff(archive.coordinates[:, 0]) >= 0.0).all()
-    explored = archive.explored.parameters
-    assert len(explored) == 16 + 4
-    assert all((explored == theta).all(axis=1).any() for theta in archive.parameters)
-    settings = archive.settings
-    assert (settings["selection"], settings["choice_candidates"]) == ("headroom", 8)
+    assert 3 <= len(archive) <= 4
+    settings, explored = archive.settings, archive.explored.parameters
+    assert len(explored) == SPREAD.evaluations == 8 + 4 * 4  # both axes up and down
+    champion = parse_policy(settings["champion_1"]).parameters
+    np.testing.assert_array_equal(explored[0], champion)
+    assert any((theta == champion).all() for theta in archive.parameters)
+    assert (settings["selection"], settings["margin"]) == ("spread", 0.5)
     assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
-    assert [*dict.fromkeys(step.stage for step in progress)] == [*POOL.work]
+    assert [*dict.fromkeys(step.stage for step in progress)] == [*SPREAD.work]
     assert progress[-1] == progress[-2]._replace(done=1.0)
-    # Of 28 pairs of candidates and 6 of chosen ones, so many races of 4 s.
-    work = (20 * 2 * 4.0, 28 * 16 * 4.0, 4 * 2 * 4.0, 6 * 2 * 32 * 4.0)
-    assert tuple(POOL.work.values()) == work
-    # Races of each fold: an even number of folds that divides the start lines.
-    chunks = folder / "job" / "chunks"
-    shapes = [
-        np.load(min(chunks.glob(f"{name}-*.npz")))["payoffs"].shape[1]
-        for name in ("choice", "judgement")
-    ]
-    assert shapes == [8, 16]
-    policies = tuple(archive.policy(k) for k in range(4))
-    again = PolicyPool(policies, ("Tarnfjord",), POOL.rules_of(4.0), races=32, seed=3)
+    met = 2 * 3  # both sides, two rivals and a champion
+    work = (2 * 16 * 2 * 2.5 * 2 * 4.0, 24 * met * 4.0, 8 * met * 4.0, 4 * 2 * met * 4.0)
+    assert tuple(SPREAD.work.values()) == (*work, 6 * 2 * 32 * 4.0)
+    policies = tuple(archive.policy(k) for k in range(len(archive)))
+    again = PolicyPool(policies, ("Tarnfjord",), SPREAD.rules_of(4.0), races=32, seed=3)
     elsewhere = headroom(pool_payoffs(again)[0]).value
     assert abs(elsewhere - settings["headroom_elsewhere"]) < 0.3
 
 
-def test_a_pool_needs_as_many_candidates_as_policies(tmp_path):
-    few = load_archive_config(POOL, initial_sample=8, generations=0, max_policies=10, candidates=10)
-    refused("8 candidates differ in speed", synthesize, few, tmp_path)
+def test_a_champion_is_the_result_of_a_tuning_and_meets_the_champions_before_it(spread, tmp_path):
+    config = SPREAD.tuning(("lattice:pace=1",), 3)
+    assert config.against == ("lane-switcher", "gap-follower", "lattice:pace=1")
+    assert (config.start, config.generations, config.duration) == ("lattice:pace=1", 2, 4.0)
+    names = {file.name.rpartition("-")[0] for file in (spread[1] / "job" / "chunks").iterdir()}
+    assert {"champion-1-00001", "champion-1-00002", "champion-1-choice"} <= names
 
 
 def test_the_error_of_a_hypervolume_is_its_spread_over_draws_of_the_races():
@@ -260,23 +262,21 @@ def test_the_error_of_a_hypervolume_is_its_spread_over_draws_of_the_races():
 
 def test_limits_are_violated_by_the_largest_shortfall():
     """Crashes, the score against rivals, and coordinates in units of the initial sample."""
-    config = with_(
-        crash_limit=0.19, min_score=0.5, rivals=("lane-switcher",), min_coordinates=(1.0, 2.0)
-    )
+    config = with_(crash_limit=0.19, rivals=("lane-switcher",), min_coordinates=(1.0, 2.0))
     assert config.search_crash_limit == pytest.approx(0.1)
     assert config.work["search"] == 30 * 2 * (2 + 1) * 2 * 4.0
     assert (config.work["choice"], config.work["measurement"]) == (
         16 * 4 * 3 * 4.0,
         80 * 4 * 4 * 8.0,
     )
-    run = ArchiveRun(config, None, None, None)
+    run = ArchiveRun(config, None, None, None, min_score=0.5)
     corners = np.array([[10.0, 0.0], [0.0, 4.0]])
     run.searched.append((corners, Evaluation(corners, *[corners[:, 0]] * 4)))
     coordinates = np.array([[2.0, 3.0], [2.0, 3.0], [2.0, 3.0], [0.0, 3.0], [2.0, 1.0]])
     crashes, score = np.array([0.05, 0.3, 0.1, 0.1, 0.1]), np.array([0.6, 0.6, 0.2, 0.5, 0.5])
     evaluation = Evaluation(coordinates, crashes, coordinates, crashes, score)
     assert run.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.3, 0.1, 0.25])
-    run.config = with_(crash_limit=0.19)
+    run.config, run.min_score = with_(crash_limit=0.19), 0.0
     assert run.violation(evaluation) == pytest.approx([-0.05, 0.2, 0.0, 0.0, 0.0])
 
 
@@ -300,32 +300,32 @@ def test_the_picture_of_an_archive_shows_the_front_with_its_errors(made):
         np.testing.assert_allclose(ends, [points[:, k] - spread[:, k], points[:, k] + spread[:, k]])
 
 
-def test_fixed_parameters_keep_their_defaults_and_are_left_out(tmp_path):
+def test_fixed_parameters_keep_their_values_of_the_start(tmp_path):
     """The search has a dimension less for each; its opponents do not vary them either."""
-    config = with_(generations=1, fixed=("pace_behind", "blocking"))
-    archive = synthesize(config, tmp_path / "made")
-    assert archive.parameter_names == config.varied
+    start = "lattice:early,blocking=0.25"
+    config = with_(generations=1, start=start, fixed=("pace_behind", "blocking"))
     assert set(LATTICE.parameter_names) - set(config.varied) == {"pace_behind", "blocking"}
+    archive = synthesize(config, tmp_path / "made")
+    assert archive.parameter_names == LATTICE.parameter_names
     rows, final = LATTICE.indices(config.fixed), stage_scenarios(config)[2]
-    policies = archive.complete(archive.parameters)
-    for theta in (policies, archive.complete(archive.explored_parameters), final.opponents):
-        np.testing.assert_array_equal(theta[:, rows] - LATTICE.default[rows], 0.0)
-    found = summarise(race_policies((final, policies)))
+    for theta in (archive.parameters, archive.explored_parameters, final.opponents):
+        np.testing.assert_array_equal(theta[:, rows] - [0.15, 0.25], 0.0)
+    found = summarise(race_policies((final, archive.parameters)))
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
 
 
-def test_the_executor_has_no_influence(made, pool, tmp_path):
+def test_the_executor_has_no_influence(made, spread, tmp_path):
     with make_executor("threads", 2) as executor:
-        for config, folder in ((TINY, made[1]), (POOL, pool[1])):
+        for config, folder in ((TINY, made[1]), (SPREAD, spread[1])):
             synthesize(config, tmp_path / config.name, executor=executor)
             assert files(tmp_path / config.name) == files(folder)
 
 
-def test_a_finished_run_races_nothing_again(made, pool, monkeypatch, tmp_path):
+def test_a_finished_run_races_nothing_again(made, spread, monkeypatch, tmp_path):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
     monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)
-    np.testing.assert_array_equal(synthesize(POOL, pool[1]).parameters, pool[0].parameters)
+    np.testing.assert_array_equal(synthesize(SPREAD, spread[1]).parameters, spread[0].parameters)
     # of a run that was killed while it wrote
     (folder / ".archive.npz.0123abcd").write_bytes(b"half")
     synthesize(TINY, folder)
@@ -362,23 +362,20 @@ def test_a_crash_limit_leaves_out_policies_that_crash(tmp_path):
 
 
 def test_a_measurement_leaves_out_policies_that_score_too_little(monkeypatch, tmp_path):
-    config = with_(rivals=("lane-switcher",), min_score=0.2, generations=0, crash_limit=1.0)
-    real, left_out = ArchiveRun._race, []
+    real, measured = ArchiveRun._race, []
 
     def race(run, stage, name, scenarios, parameters):
         raced = real(run, stage, name, scenarios, parameters)
         if stage == "measurement":
+            raced["winner"][1:], raced["crashed"][1:] = 0, False  # every race won
             raced["winner"][0], raced["crashed"][0] = 1, False  # every race lost
-            left_out.append(len(parameters))
+            measured.append(len(parameters))
         return raced
 
     monkeypatch.setattr(ArchiveRun, "_race", race)
-    archive = synthesize(config, tmp_path / "made")
-    outside, beaten = (
-        archive.settings[f"measurement_{why}"] for why in ("outside_limits", "beaten")
-    )
-    assert outside >= 1
-    assert len(archive) == left_out[0] - outside - beaten
+    archive = synthesize(replace(SPREAD, margin=0.2, min_policies=1), tmp_path / "made")
+    assert archive.settings["measurement_outside_limits"] == 1
+    assert len(archive) == measured[0] - 1
 
 
 def test_policies_below_the_least_coordinates_stay_out_and_too_few_are_told(tmp_path, made, caplog):
@@ -397,7 +394,9 @@ def test_impossible_settings_are_refused():
         ({"min_coordinates": (1.0,)}, "min_coordinates is"),
         ({"min_coordinates": (1.0, "x")}, "min_coordinates is"),
         ({"min_policies": 81}, "min_policies is 81, above max_policies, 80"),
-        ({"min_score": 0.1}, r"min_score is 0\.1, but there are no rivals"),
+        ({"champions": 1}, "champions is 1, but there are no rivals"),
+        ({"opponents": 0}, "there are no rivals, and a stage has no opponents"),
+        ({"start": "spliner"}, "start is 'spliner'; it must be a policy of planner 'lattice'"),
         ({"duration": 0.9}, r"duration is 0\.9 s"),
         ({"final_duration": 8.001}, r"final_duration is 8\.001 s"),
         ({"fixed": ("speed",)}, "has no parameter 'speed'"),
@@ -409,15 +408,12 @@ def test_impossible_settings_are_refused():
     ]:
         refused(message, with_, **changes)
     for changes, message in [
-        ({"max_policies": 2, "min_policies": 2, "groups": 1}, "max_policies is 2"),
-        ({"candidates": 3}, "than there are candidates, 3"),
-        ({"groups": 5}, "groups is 5, above max_policies, 4"),
-        ({"payoff_races": 22}, "payoff_races is 22"),
+        ({"rivals": (), "champions": 0, "opponents": 1}, "selection is 'spread', but"),
         ({"judging_races": 50}, "judging_races is 50"),
         ({"judging_tracks": ("Pipkin",)}, "judging_tracks names 'Pipkin'"),
         ({"selection": "luck"}, "luck"),
     ]:
-        refused(message, load_archive_config, POOL, **changes)
+        refused(message, load_archive_config, SPREAD, **changes)
 
 
 def test_the_command(tmp_path, run, told):

@@ -9,7 +9,7 @@ from refusal import refused
 from pcs_racing import InputError, load_track, parse_policy
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.lattice import LATTICE, REFERENCE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
@@ -32,12 +32,22 @@ SHORT = CONFIG.rules
 
 def policies(count, seed=0):
     rng = np.random.default_rng(seed)
-    return np.stack([LATTICE.sample(rng) for _ in range(count)])
+    return np.stack([REFERENCE.sample(rng) for _ in range(count)])
 
 
 def drawn(opponents=3, seed=4, **changes):
     config = load_archive_config(CONFIG, **changes)
-    return draw_scenarios(config, policies(opponents, 1), starts=2, duration=4.0, seed=seed)
+    return draw_scenarios(
+        config.planner,
+        config.tracks,
+        config.rules_of(4.0),
+        opponents=policies(opponents, 1),
+        rivals=config.rivals,
+        characteristics=config.axes,
+        segment_seconds=config.segment_seconds,
+        starts=2,
+        seed=seed,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -196,7 +206,7 @@ def test_wins_ties_and_crashes_are_scored_against_rivals_only():
 def test_tracks_without_room_and_characteristics_that_are_no_number_are_refused(
     monkeypatch, scenarios
 ):
-    refused("start_lines is 0", draw_scenarios, CONFIG, policies(1), starts=0, duration=4.0, seed=0)
+    refused("start_lines is 0", draw_scenarios, "lattice", ["Pipkin"], SHORT, starts=0, seed=0)
     broken = Characteristic(
         "broken", "1", "for a test", lambda segment: segment.progress / 0.0 - np.inf
     )

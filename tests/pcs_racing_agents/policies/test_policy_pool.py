@@ -64,7 +64,10 @@ def test_a_pool_spans_an_archive_and_races_that_cannot_be_divided_are_refused():
     archive = load_archive("contest-early")
     names, policies = spanning_policies(archive, 3)
     first = archive.coordinates[:, 0]
-    assert [names[0], names[2]] == [f"contest {first.argmin()}", f"contest {first.argmax()}"]
+    assert [names[0], names[2]] == [
+        f"contest-early {first.argmin()}",
+        f"contest-early {first.argmax()}",
+    ]
     assert len(policies) == 3
     for size in (2, len(archive) + 1):
         refused(f"size is {size}", spanning_policies, archive, size)

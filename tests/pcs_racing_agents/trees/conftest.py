@@ -8,7 +8,7 @@ from pcs_racing import CONTEST, load_track, make_game
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState
-from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
 from pcs_racing_agents.trees import RaceTree
@@ -27,11 +27,11 @@ def archive() -> PolicyArchive:
     pace = np.linspace(0.05, 0.95, 9)
     odd = np.arange(9) % 2
     values = [{"pace": p, "side_margin": 0.25 + 0.1 * o} for p, o in zip(pace, odd, strict=True)]
-    theta = [LATTICE.policy(one).parameters for one in values]
+    theta = [REFERENCE.policy(one).parameters for one in values]
     coordinates = np.stack([20.0 * pace - 10.0, 2.0 - pace + 0.7 * odd], axis=1)
     names = ("aggressiveness", "restraint")
     return PolicyArchive(
-        "tiny", "lattice", LATTICE.parameter_names, np.array(theta), names, coordinates
+        "tiny", "lattice", REFERENCE.parameter_names, np.array(theta), names, coordinates
     )
 
 
