@@ -40,7 +40,14 @@ def run(
         ),
     ] = (),
     track: Annotated[Sequence[str], Option(f"circuits of the search: {TRACK_HELP}", "T")] = (),
-    held_out: Annotated[Sequence[str], Option("circuits of the check only", "T")] = HELD_OUT,
+    held_out: Annotated[
+        Sequence[str],
+        Option(
+            f"circuits of the check only (default: those of {', '.join(HELD_OUT)} that are not"
+            " searched)",
+            "T",
+        ),
+    ] = (),
     rules: Annotated[str | None, Option("rules of the races: a preset or a YAML file")] = None,
     out: Annotated[Path, Option("folder of the search; a stopped search resumes here", "DIR")],
     changes: Annotated[
@@ -63,7 +70,8 @@ def run(
     given = {"against": tuple(against), "tracks": tuple(track)}
     changes |= {key: value for key, value in given.items() if value}
     searched = changes.get("tracks", TUNING_TRACKS)
-    changes["held_out"] = tuple(name for name in held_out if name not in searched)
+    rest = tuple(name for name in HELD_OUT if name not in searched)
+    changes["held_out"] = tuple(held_out) or rest
     if rules is not None:
         changes["preset"] = rules
     config = TuningConfig(planner=planner, **changes)

@@ -23,7 +23,7 @@ import yaml
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text, plain_settings
 from pcs_racing.planners.planner import Planner, Policy
@@ -98,8 +98,8 @@ class TuningConfig(Settings):
         names = get_planner(self.planner).without(self.fixed)
         if len(names) < MIN_PARAMETERS:
             raise ConfigError(
-                f"planner {self.planner!r} has {len(names)} parameters to tune; the search needs"
-                f" {MIN_PARAMETERS} at least"
+                f"planner {self.planner!r} has {', '.join(names) or 'nothing'} to tune; the search"
+                f" needs {MIN_PARAMETERS} parameters at least"
             )
         for policy in self.against:
             parse_policy(policy)
@@ -192,13 +192,16 @@ def tune(
     folder = Path(folder)
     tracks = (*config.tracks, *config.held_out)
     hashes = {name: load_track(name).content_hash for name in tracks}
+    for name in config.held_out:
+        if hashes[name] in {hashes[track] for track in config.tracks}:
+            raise InputError(f"held_out names {name!r}, a circuit of the search")
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder, "tuning", settings) as job:
         clear_half_written(folder)
         run = TuningRun(config, job, executor, callback or (lambda *_: None))
-        theta = run.choose(run.search())
-        check = run.check(theta)
-        text = policy_text(get_planner(config.planner), theta)
+        text = policy_text(get_planner(config.planner), run.choose(run.search()))
+        # The policy as it is written, with four digits.
+        check = run.check(parse_policy(text).parameters)
         write_csv(table_rows(CHECK, check), folder / "check.csv")
         write_csv(table_rows(COURSE, run.course), folder / "progress.csv")
         if find_spec("matplotlib") is not None:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pkgutil import resolve_name
 from types import ModuleType
 
+import numpy as np
 import pytest
 from refusal import refused
 
@@ -132,3 +133,14 @@ def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(examp
         refused(message, parse_policy, text)
     for name in ["", "a:b", "a=b", "a b", "a,b", None]:
         refused("must be text without", register_planner, "module:PLANNER", name=name)
+
+
+def test_a_variant_with_parameters_changes_only_those():
+    policy = parse_policy("lattice:early,pace=0.7")
+    early = parse_policy("lattice:early")
+    pace = early.planner.parameter_names.index("pace")
+    assert policy.name == "lattice:early,pace=0.7"
+    assert policy.parameters[pace] == 0.7
+    np.testing.assert_array_equal(
+        np.delete(policy.parameters, pace), np.delete(early.parameters, pace)
+    )

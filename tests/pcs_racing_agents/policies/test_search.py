@@ -252,3 +252,15 @@ def test_impossible_results_are_named(results, words):
     refused(words, search.tell, *results)
     search.tell(spheres(np.random.default_rng(0).random((12, 6))))
     refused(r"shape \(12, 3\)", lambda: (search.ask(), search.tell(np.zeros((12, 3)))))
+
+
+def test_a_bounded_distribution_stays_within_the_cube_and_finds_an_optimum_on_its_border():
+    rng = np.random.default_rng(0)
+    es = CubeCMAES(np.array([1.0, 0.5, 0.0]), 0.2, 0.4, 8, 4, rng, bounded=True)
+    target = np.array([0.0, 0.3, 1.2])  # the last one lies outside
+    for _ in range(60):
+        points = es.ask()
+        assert (points >= 0.0).all()
+        assert (points <= 1.0).all()
+        es.tell(np.argsort(np.argsort(np.square(points - target).sum(axis=1))).astype(float))
+    np.testing.assert_allclose(es.mean, [0.0, 0.3, 1.0], atol=0.02)

@@ -10,7 +10,7 @@ from long_jobs import files
 from refusal import refused
 
 from pcs_racing import PAPER, load_track, parse_policy
-from pcs_racing.race.races import RaceSetup, advance, start_races
+from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies import TuningConfig, tune
@@ -98,7 +98,9 @@ def test_a_line_of_the_check_counts_the_races_of_one_opponent_on_one_circuit(tun
         if (one.policy, one.track, one.opponent) == ("tuned", "Tarnfjord", TINY.against[0])
     )
     assert line.races == len(races) == 8
+    won = winners(rules, state)
     assert line.own_crash == (state.fault[:, 0] == 1).mean()
+    assert line.score == pytest.approx(np.mean((won == 0) + 0.5 * ((won < 0) & ~state.crashed)))
     assert 0.0 <= line.low <= line.score <= line.high <= 1.0
 
 
@@ -137,9 +139,12 @@ def test_a_policy_as_text_is_the_same_policy_to_four_digits():
     ("changes", "message"),
     [
         ({"planner": "latice"}, "planner 'latice' is unknown; did you mean 'lattice'"),
-        ({"planner": "ppo-drive", "start": None}, "planner 'ppo-drive' has 0 parameters to tune"),
+        ({"planner": "ppo-drive", "start": None}, "planner 'ppo-drive' has nothing to tune"),
         ({"fixed": ("charm",)}, "planner 'pure-pursuit' has no parameter 'charm'"),
-        ({"fixed": ("pace", "lookahead", "lookahead_time")}, "has 1 parameters to tune"),
+        (
+            {"fixed": ("pace", "lookahead", "lookahead_time")},
+            "has follow_distance to tune; the search needs 2 parameters",
+        ),
         ({"start": "lattice"}, "start is 'lattice'; it must be a policy of planner"),
         ({"start": "pure-pursuit:pace=7"}, "parameter 'pace' is 7; it must lie in"),
         ({"held_out": ("Pipkin",)}, "held_out names 'Pipkin', a circuit of the search"),
@@ -164,12 +169,14 @@ def test_a_folder_with_something_else_is_refused_before_any_race(tmp_path, monke
 def test_the_command(tmp_path, run):
     given = ["pure-pursuit", "--against", "gap-follower", "--track", "Pipkin"]
     small = ["--generations", 1, "--population", 4, "--starts", 1, "--duration", 2.0]
-    small += ["--held-out", "Pipkin"]  # a circuit of the search is no check: it is left out
+    small += ["--held-out", "Tarnfjord"]
     code, out, err = run("tune", *given, *small, "--out", tmp_path / "a")
     assert code == 0
     assert [line.split()[0] for line in out.splitlines()[:2]] == ["opponent", "gap-follower"]
     assert "pure-pursuit:pace=" in out
     assert "1/1 generations" in err
+    (row,) = [line for line in out.splitlines() if "held out" in line]
+    assert row.split()[0] == "gap-follower"
     for wrong in (["nobody"], ["lattice", "--fixed", "charm"], ["lattice", "--start", "spliner"]):
         code, _, err = run("tune", *wrong, "--out", tmp_path / "b")
         assert code == 2
