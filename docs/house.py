@@ -17,7 +17,7 @@ FLOORS = [
     ("agents", "agents/", "the zoo: everything that answers predict"),
     ("agents", "networks/", "regrets of a game tree, learned"),
     ("agents", "trees/  solvers/", "game trees that were driven; CFR, equilibria"),
-    ("agents", "policies/", "MO-CMA-ES: archives of policies; payoffs of pools"),
+    ("agents", "policies/", "MO-CMA-ES: archives of policies; tuning; payoffs of pools"),
     ("agents", "base/", "jobs that resume; tables, style of pictures"),
     ("environment", "testing/", "checks for your own planners, archives, axes"),
     ("environment", "f1tenth/", "the F1TENTH gym's interface, for its programs"),
