@@ -36,7 +36,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
-RULES = {"paper": "default", "contest": "contest"}
+RULES = {"paper": "default-early", "contest": "contest-early"}
 """Rules of the races, and the archive that was made under them."""
 
 
