@@ -74,7 +74,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     rules = game_rules(arguments.rules)
-    mine = catch_up(make_game_spec("default", rules))
+    mine = catch_up(make_game_spec("default-early", rules))
 
     # 3. Under a name it can be asked for like the others; a distribution declares it in the entry
     #    points "pcs_racing.agents" instead, and then the command line knows it, too.

@@ -31,7 +31,7 @@ except ModuleNotFoundError as error:
         f'this example needs {error.name}: pip install ".[learning]" sb3-contrib'
     ) from None
 
-WORLD = {"archive": "contest", "race": "contest"}
+WORLD = {"archive": "contest-early", "race": "contest"}
 """Archive and rules of the benchmark."""
 CIRCUITS = ["Brackwater", "Pipkin"]
 """The circuits that it lets agents train on."""

@@ -38,7 +38,7 @@ def main() -> None:
     )
     parser.add_argument("--track", default="Tarnfjord", help="circuit to learn and to race on")
     parser.add_argument("--rules", default="paper", help="rules of the race: paper or contest")
-    parser.add_argument("--archive", default="default", help="archive that both move in")
+    parser.add_argument("--archive", default="default-early", help="archive that both move in")
     parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
     parser.add_argument("--opponent", default="cfr-argmax", help="agent of the zoo to race against")
     parser.add_argument(

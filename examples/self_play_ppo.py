@@ -32,7 +32,7 @@ parser.add_argument(
     "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
 )
 parser.add_argument(
-    "--archive", default="contest", help="archive of policies that both cars drive with"
+    "--archive", default="contest-early", help="archive of policies that both cars drive with"
 )
 parser.add_argument(
     "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"

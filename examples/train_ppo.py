@@ -37,7 +37,7 @@ class Arguments:
     """moves to learn from"""
     track: str = "Brackwater"
     """name of a shipped circuit or a map folder"""
-    archive: str = "contest"
+    archive: str = "contest-early"
     """archive of policies that both cars drive with"""
     rules: str = "contest"
     """rules of the race: paper, contest or a YAML file"""

@@ -17,7 +17,7 @@ import pcs_racing  # noqa: F401  registers the environments
 import pcs_racing_agents
 from pcs_racing import InputError
 
-GAMES = {"default": "paper", "contest": "contest"}  # the rules by the archive
+GAMES = {"default-early": "paper", "contest-early": "contest"}  # the rules by the archive
 ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Match-v0", "pcs_racing/Drive-v1")
 
 
