@@ -50,7 +50,9 @@ def main() -> None:
     parser.add_argument(
         "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
     )
-    parser.add_argument("--archive", default="default-early", help="archive that the agents move in")
+    parser.add_argument(
+        "--archive", default="default-early", help="archive that the agents move in"
+    )
     parser.add_argument(
         "--agents", nargs="+", default=AGENTS, help="names, or name:option=value,..."
     )

@@ -36,7 +36,7 @@ from pcs_racing_agents.tournament.games import variant_count
 
 SEED = 20_011  # of these races, and of nothing else
 OTHERS = ("Saltmere", "Tarnfjord", "Larkmoor", "Quillburg", "Kestrelheim", "Brackwater", "Pipkin")
-DRIVE_RULES = (("paper", "default"), ("contest", "contest"))
+DRIVE_RULES = (("paper", "default-early"), ("contest", "contest-early"))
 ARMS = ("best-fixed", "cfr-argmax", "response")  # beside a constant move, never-switch and ppo
 OPPONENTS = ("never-switch", "random-moves", "lane-switcher", "cfr-argmax")
 MAX_LINES = 125  # a cell takes eight times as many from the circuit, which has at most 1,000

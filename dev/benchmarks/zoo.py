@@ -5,9 +5,9 @@
 
 Every agent that there is with its defaults, and two lattices, race six others, on a circuit that
 some agents learned on and on one that none learned on (but for the driver ppo-drive, which learned
-on Kestrelheim), once with the archive "default" in the paper's race and once with the archive
-"contest" in the contest. All drive the same races. What is left in --out of an earlier call is not
-driven again, unless an agent has changed.
+on Kestrelheim), once with the archive "default-early" in the paper's race and once with the archive
+"contest-early" in the contest. All drive the same races. What is left in --out of an earlier call
+is not driven again, unless an agent has changed.
 """
 
 import argparse
@@ -40,8 +40,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page
 
 TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
-# the planner of the archives: its defaults, and set by hand
-TUNED = ("lattice", "lattice:pace=0.7,pace_behind=0.2")
+# the planner of the archives: its first defaults, and two of them set by hand
+TUNED = ("lattice:early", "lattice:early,pace=0.7,pace_behind=0.2")
 FIELD = (
     "never-switch",
     "random-moves",
