@@ -136,7 +136,10 @@ def test_self_play_of_steering_and_speed(tmp_path):
     row = r"^ +512 steps .* about +0\.0 left .* won against lattice: \d+% .paper., \d+% .contest.$"
     assert re.search(row, out, re.M)
     rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", out, re.M)
-    pairs = (("lattice, archive default", "paper"), ("lattice, archive contest", "contest"))
+    pairs = (
+        ("lattice, archive default-early", "paper"),
+        ("lattice, archive contest-early", "contest"),
+    )
     assert [row[:2] for row in rows] == [
         row for pair in pairs for row in (pair, ("ppo-drive", pair[1]))
     ]
