@@ -494,7 +494,7 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
         assert parse_own_policy(f"{place}:Straight").name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
             assert parse_agent(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
-        assert parse_agent(f"{place}:last", spec, code=True).model.name == "default"
+        assert parse_agent(f"{place}:last", spec, code=True).model.name == "default-early"
         nobody = "no driver and no agent: .* has no class and no function 'Nobody'"
         refused(nobody, parse_agent, f"{place}:Nobody", spec, code=True)
         refused("here it must be a driver, not an agent", parse_own_policy, f"{place}:First")

@@ -237,7 +237,7 @@ def test_export_writes_what_openspiel_loads(folder, tmp_path, run, printed):
     game = pyspiel.load_efg_game(path.read_text())
     state = game.new_initial_state()
     assert state.action_to_string(state.legal_actions()[0]) == "aggressiveness +"
-    assert 'EFG 2 R "pcs-racing: default 2 and 1 on Pipkin"' in path.read_text()
+    assert 'EFG 2 R "pcs-racing: default-early 2 and 1 on Pipkin"' in path.read_text()
     assert (
         "there is no tree 2; there are trees 0 to 1"
         in run("solve", folder, "--export", path, "--tree", 2)[2]
