@@ -72,7 +72,7 @@ class TuningConfig(Settings):
     preset: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "contest"
     duration: Annotated[float, Interval(ge=0.1, le=3600.0), "Length of a race, s."] = 40.0
     start: Annotated[
-        Text | None, "Policy of the planner that the search starts from; None for its default."
+        Text | None, "Policy that the search starts from, by default the planner's default policy."
     ] = None
     fixed: Annotated[OptionalNames, "Parameters that keep their values of the start."] = ()
     generations: Annotated[int, Interval(ge=1, le=100_000), "Number of generations."] = 80

@@ -152,7 +152,7 @@ def test_a_policy_as_text_is_the_same_policy_to_four_digits():
         ({"against": ("nobody",)}, "planner 'nobody' is unknown"),
         ({"step_size": float("nan")}, "step_size is nan"),
         ({"population": 3}, "population is 3"),
-        ({"preset": "nothing"}, "race settings 'nothing' are unknown"),
+        ({"preset": "nothing.yaml"}, "race settings 'nothing.yaml' are unknown"),
     ],
 )
 def test_impossible_settings_are_refused(changes, message):
@@ -162,8 +162,16 @@ def test_impossible_settings_are_refused(changes, message):
 def test_a_folder_with_something_else_is_refused_before_any_race(tmp_path, monkeypatch):
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
     (tmp_path / "notes.txt").write_text("mine")
-    refused("notes.txt|no job", tune, TINY, tmp_path)
-    refused("track 'Nowhere'|Nowhere", tune, replace(TINY, tracks=("Nowhere",)), tmp_path / "new")
+    refused("holds notes.txt but no job.yaml", tune, TINY, tmp_path)
+    refused("Nowhere", tune, replace(TINY, tracks=("Nowhere",)), tmp_path / "new")
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_folder_of_another_tuning_is_refused_before_any_race(tuned, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
+    before = files(tuned[1])
+    refused("generations", tune, replace(TINY, generations=6), tuned[1])
+    assert files(tuned[1]) == before
 
 
 def test_the_command(tmp_path, run):
