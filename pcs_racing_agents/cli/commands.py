@@ -58,7 +58,7 @@ class ConfigOptions:
                 type=kind,
                 nargs="+" if several else None,
                 metavar={int: "N", float: "X"}.get(kind, name.upper()),
-                help=_phrase(option_words(options[name])),
+                help=_phrase(option_words(options[name], options[name].default != ())),
             )
 
     def values(self, parsed: Namespace) -> dict[str, Any]:
