@@ -43,7 +43,7 @@ from pcs_racing.race.replay import read_replay, replay_page
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import make, parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.agents.sb3_files import load_model
+from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy
 from pcs_racing_agents.benchmark.card import (
     Card,
     CardScore,
@@ -54,6 +54,8 @@ from pcs_racing_agents.benchmark.card import (
 )
 from pcs_racing_agents.benchmark.protocol import ProtocolConfig, load_protocol
 from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
+from pcs_racing_agents.learning.league import League, Member, load_league, save_league
 from pcs_racing_agents.learning.ppo.drives import make_drive_task
 from pcs_racing_agents.learning.ppo.settings import LEVELS, load_ppo_settings
 from pcs_racing_agents.learning.psro import load_psro_settings
@@ -198,7 +200,7 @@ def card(folder: Path) -> Path:
 def model(folder: Path) -> Path:
     """Write the weights of a model, and the arguments of its environment."""
     torch = pytest.importorskip("torch")
-    layers = {"mlp_extractor.policy_net.0": (4, 46), "action_net": (2, 4)}
+    layers = {"mlp_extractor.policy_net.0": (4, 41), "action_net": (2, 4)}
     state = {f"{name}.weight": torch.zeros(shape) for name, shape in layers.items()}
     state |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in layers.items()} | {
         "log_std": torch.zeros(2)
@@ -213,6 +215,14 @@ def model(folder: Path) -> Path:
     return settings("model.yaml", {"see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]})(
         folder
     )
+
+
+def league(folder: Path) -> Path:
+    """Save a league of a planner and the frozen copy of a model."""
+    file = model(folder)
+    weights, arguments = load_sb3_policy(file.with_suffix(".zip")), yaml.safe_load(file.read_text())
+    copy = Member("self-0001", model=weights, arguments=arguments)
+    return save_league(folder / "league", League((Member("lattice"), copy))) / LEAGUE_FILE
 
 
 def replay(folder: Path) -> Path:
@@ -319,6 +329,7 @@ KINDS = {
     "model": Kind(
         model, lambda file: load_model(file.with_suffix(".zip")), "load_model load_sb3_policy"
     ),
+    "league": Kind(league, lambda file: load_league(file.parent).opponents(), "_read_copy"),
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
         lambda file: [read_map(file.parent), load_map(file)],
