@@ -341,7 +341,7 @@ KINDS = {
         "parse_info",
     ),
     "race": config(load_race_config, RaceConfig()),
-    "game": config(load_game_config, {"characteristics": ["aggressiveness"], "utility": "win"}),
+    "game": config(load_game_config, RaceConfig()),
     "vehicle": config(load_vehicle, F1TENTH),
     "obstacles": config(load_obstacles, Obstacles()),
     "randomization": config(load_randomization, Randomization()),
@@ -356,6 +356,7 @@ KINDS = {
     "training": config(load_train_settings),
     "texts of opponents": Kind(settings("texts.yaml", {"": "lattice"}), competitor),
 }
+INCOMPLETE = ("trees", "texts of opponents")  # no trees beside the names; a name that is empty
 NAMELESS = {
     # the readers that the others call
     "load_settings",
@@ -424,6 +425,8 @@ def evil(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_name_in_a_file_is_code_that_runs(evil, kind):
     file, tried = KINDS[kind].make(made(evil / "files")), 0
+    if kind not in INCOMPLETE:
+        KINDS[kind].open(file)  # a file that is refused anyway would test nothing
     for tried, content in enumerate(spoilt(file), start=1):  # noqa: B007
         file.write_bytes(content)
         try:
