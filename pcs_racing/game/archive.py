@@ -242,9 +242,14 @@ class PolicyArchive:
         """
         start = self.settings.get("start", "none")
         planner = get_planner(self.planner)
-        base = planner.default if start == "none" else parse_policy(str(start)).parameters
+        policy = planner.policy() if start == "none" else parse_policy(str(start))
+        if policy.planner.name != self.planner:
+            raise InputError(
+                f"archive {self.name!r}: start is {start!r}; it must be a policy of planner"
+                f" {self.planner!r}"
+            )
         given = np.asarray(parameters, np.float64)
-        theta = np.tile(base, (len(given), 1))
+        theta = np.tile(policy.parameters, (len(given), 1))
         theta[:, planner.indices(self.parameter_names)] = given
         return theta
 

@@ -111,6 +111,10 @@ def synthesize(
     folder = Path(folder)
     tracks = (*config.tracks, *(config.judging_tracks or ()))
     hashes = {name: load_track(name).content_hash for name in tracks}
+    searched = {hashes[name] for name in config.tracks}
+    for name in config.judging_tracks or ():
+        if hashes[name] in searched:
+            raise InputError(f"judging_tracks names {name!r}, a circuit of the search")
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     stage_scenarios(config)
     _check_folder(folder)
@@ -150,7 +154,7 @@ def stage_scenarios(
             config.tracks,
             config.rules_of(duration),
             opponents=policies,
-            rivals=(*config.rivals, *champions),
+            rivals=tuple(dict.fromkeys((*config.rivals, *champions))),
             characteristics=config.axes,
             segment_seconds=config.segment_seconds,
             starts=starts,

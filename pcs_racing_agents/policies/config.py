@@ -202,15 +202,18 @@ class ArchiveConfig(Settings):
             (self.opponents, self.choice_opponents, self.final_opponents)
         ):
             raise ConfigError("there are no rivals, and a stage has no opponents: nobody to race")
-        if not self.varied:
+        if len(self.varied) < 2:
             raise ConfigError(
-                f"fixed names all parameters of planner {self.planner!r}; at least one must vary"
+                f"fixed leaves {len(self.varied)} parameters of planner {self.planner!r}; at least"
+                " 2 must vary"
             )
         if self.start_policy.planner.name != self.planner:
             raise ConfigError(
                 f"start is {self.start!r}; it must be a policy of planner {self.planner!r}"
             )
         get_characteristics(self.axes)
+        if len(self.axes) < 2:
+            raise ConfigError(f"characteristics are {self.axes!r}; the search needs at least 2")
         for rival in self.rivals:
             parse_policy(rival)
         if self.min_coordinates is not None and len(self.min_coordinates) != len(self.axes):
@@ -223,6 +226,11 @@ class ArchiveConfig(Settings):
         """Check the options that only the choice of policies far apart needs."""
         if not self.rivals:
             raise ConfigError("selection is 'spread', but there are no rivals to measure strength")
+        for key in ("candidates", "max_policies"):
+            if getattr(self, key) < 3:
+                raise ConfigError(
+                    f"{key} is {getattr(self, key)}; policies far apart are at least 3"
+                )
         if self.judging_races % 4:
             raise ConfigError(f"judging_races is {self.judging_races}; it must be a multiple of 4")
         both = set(self.tracks) & set(self.judging_tracks or ())
@@ -281,7 +289,8 @@ class ArchiveConfig(Settings):
         """Return the tuning of the next champion, which starts at the last one."""
         return TuningConfig(
             planner=self.planner,
-            against=(*self.rivals, *champions),
+            # A tuning may keep its start: the same policy is one opponent.
+            against=tuple(dict.fromkeys((*self.rivals, *champions))),
             tracks=self.tracks,
             held_out=(),
             preset=self.preset,

@@ -1,5 +1,6 @@
 import hashlib
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from pcs_racing.game.moves import (
 )
 from pcs_racing.planners import registry
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.registry import get_planner
 
 AXES = ("aggressiveness", "restraint")
 COORDINATES = np.array([[0.0, 4.0], [2.0, 3.0], [6.0, 2.0], [8.0, 0.0], [10.0, -1.0]])
@@ -316,3 +318,12 @@ def swap_arrays(folder):
             arrays_sha256=hashlib.sha256((folder / "archive.npz").read_bytes()).hexdigest()
         )
     )(folder)
+
+
+def test_missing_parameters_have_the_values_of_the_start():
+    early = load_archive("default-early")
+    assert early.settings["start"] == "lattice:early"
+    assert early.parameter_names == get_planner("lattice").parameter_names[:-1]
+    assert set(early.complete(early.parameters)[:, -1]) == {0.15}
+    other = replace(early, settings={"start": "gap-follower"})
+    refused("start is 'gap-follower'; it must be a policy", other.complete, early.parameters)

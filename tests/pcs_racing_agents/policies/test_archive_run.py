@@ -241,6 +241,7 @@ def test_a_champion_is_the_result_of_a_tuning_and_meets_the_champions_before_it(
     config = SPREAD.tuning(("lattice:pace=1",), 3)
     assert config.against == ("lane-switcher", "gap-follower", "lattice:pace=1")
     assert (config.start, config.generations, config.duration) == ("lattice:pace=1", 2, 4.0)
+    assert SPREAD.tuning(("lattice", "lattice"), 3).against == (*SPREAD.rivals, "lattice")
     names = {file.name.rpartition("-")[0] for file in (spread[1] / "job" / "chunks").iterdir()}
     assert {"champion-1-00001", "champion-1-00002", "champion-1-choice"} <= names
 
@@ -400,7 +401,8 @@ def test_impossible_settings_are_refused():
         ({"duration": 0.9}, r"duration is 0\.9 s"),
         ({"final_duration": 8.001}, r"final_duration is 8\.001 s"),
         ({"fixed": ("speed",)}, "has no parameter 'speed'"),
-        ({"fixed": LATTICE.parameter_names}, "fixed names all parameters"),
+        ({"fixed": LATTICE.parameter_names[1:]}, "fixed leaves 1 parameters"),
+        ({"characteristics": ("speed",)}, "the search needs at least 2"),
         ({"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         ({"preset": "nothing"}, "race settings 'nothing' are unknown"),
         ({"speed": 3}, "unknown archive setting 'speed'"),
@@ -409,6 +411,7 @@ def test_impossible_settings_are_refused():
         refused(message, with_, **changes)
     for changes, message in [
         ({"rivals": (), "champions": 0, "opponents": 1}, "selection is 'spread', but"),
+        ({"max_policies": 2, "min_policies": 2}, "max_policies is 2; policies far apart"),
         ({"judging_races": 50}, "judging_races is 50"),
         ({"judging_tracks": ("Pipkin",)}, "judging_tracks names 'Pipkin'"),
         ({"selection": "luck"}, "luck"),
