@@ -7,7 +7,7 @@ from pcs_racing import load_race_config, parse_policy
 from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
 from studies.headroom.lead_plans import lead_plan_payoffs, lead_plan_value, make_lead_plans
 
-POLICIES = tuple(parse_policy(f"lattice:pace={pace}") for pace in (0.1, 0.5, 1.0))
+POLICIES = tuple(parse_policy(f"lattice:early,pace={pace}") for pace in (0.1, 0.5, 1.0))
 
 
 QUIET = load_race_config("contest", duration=6.0, steering_noise=0.0)
