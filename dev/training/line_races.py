@@ -363,7 +363,7 @@ class Group:
 def _start_states(
     setup: RaceSetup, lines: NDArray[np.float64], rng: np.random.Generator
 ) -> RaceState:
-    """Return start states of a group, those in which no car stands in a wall."""
+    """Return start states of a group; in each of them no car stands in a wall."""
     starts = Starts(rng.choice(lines, STARTS), np.arange(STARTS) % 2)
     state = place_on_grid(
         setup.track,

@@ -10,6 +10,11 @@ GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 """Step between the inputs of `scramble` in a sequence of random numbers (splitmix64)."""
 
 
+def signed_seed(sequence: np.random.SeedSequence) -> int:
+    """Return a seed of 63 bits from a seed sequence; seeds are stored as signed numbers."""
+    return int(sequence.generate_state(1, np.uint64)[0] >> np.uint64(1))
+
+
 def race_seed(seed: int, index: int) -> np.uint64:
     """Return the noise key of one race: a function of the root seed and the race's index alone."""
     # The first number separates the noise from the start lines, whose key begins with 0.

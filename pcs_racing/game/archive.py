@@ -248,10 +248,7 @@ class PolicyArchive:
                 f"archive {self.name!r}: start is {start!r}; it must be a policy of planner"
                 f" {self.planner!r}"
             )
-        given = np.asarray(parameters, np.float64)
-        theta = np.tile(policy.parameters, (len(given), 1))
-        theta[:, planner.indices(self.parameter_names)] = given
-        return theta
+        return planner.complete(self.parameter_names, parameters, policy.parameters)
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""

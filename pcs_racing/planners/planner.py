@@ -142,15 +142,27 @@ class Planner:
         self.indices(fixed)
         return tuple(name for name in self.parameter_names if name not in fixed)
 
+    def complete(
+        self, names: Sequence[str], values: ArrayLike, base: ArrayLike | None = None
+    ) -> NDArray[np.float64]:
+        """Return parameter vectors (K, P) from the values of some parameters.
+
+        ``values``, shape (K, len(names)), belong to the parameters ``names``. The other parameters
+        have the values of ``base``, shape (P,), by default the planner's defaults.
+        """
+        given = np.asarray(values, np.float64)
+        theta = np.tile(self.default if base is None else np.asarray(base), (len(given), 1))
+        theta[:, self.indices(names)] = given
+        return theta
+
     def sample(self, rng: np.random.Generator, fixed: Sequence[str] = ()) -> NDArray[np.float64]:
         """Draw a parameter vector uniformly between the bounds, shape (P,).
 
         The parameters in ``fixed`` keep their defaults, without a draw.
         """
-        rows = self.indices(self.without(fixed))
-        theta = self.default
-        theta[rows] = rng.uniform(*self.bounds[rows].T)
-        return theta
+        names = self.without(fixed)
+        bounds = self.bounds[self.indices(names)]
+        return self.complete(names, rng.uniform(bounds[:, 0], bounds[:, 1])[None])[0]
 
     def policy(
         self,

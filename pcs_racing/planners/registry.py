@@ -106,8 +106,7 @@ def parse_policy(text: str) -> Policy:
             values[key] = float(value)
         except ValueError:
             raise InputError(f"policy {text!r}: {key} is {value!r}; it must be a number") from None
-    theta = base.parameters.copy()
-    theta[planner.indices(list(values))] = list(values.values())
+    (theta,) = planner.complete(list(values), [list(values.values())], base.parameters)
     return planner.policy(theta, name=f"{name}:{rest}")
 
 

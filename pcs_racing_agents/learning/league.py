@@ -123,17 +123,17 @@ class League:
                 members[k] = replace(member, races=races, won=won)
         return League(tuple(members))
 
-    def with_copy(self, model: Any, weight: float = 1.0, *, most: int = 8) -> "League":
+    def with_copy(self, model: Any, weight: float = 1.0, *, max_copies: int = 8) -> "League":
         """Add a frozen copy of a model of Stable-Baselines3; the oldest leaves if there are more
-        than ``most`` copies.
+        than ``max_copies`` copies.
         """
         check_number("the weight of a copy", weight, above=0.0)
-        check_whole("most", most, 1, MAX_MEMBERS)
+        check_whole("max_copies", max_copies, 1, MAX_MEMBERS)
         copies = [member for member in self.members if member.model is not None]
         number = 1 + max((int(one.name.removeprefix("self-")) for one in copies), default=0)
         name = f"self-{number:04d}"
         frozen, arguments = frozen_model(model, name)
-        old = copies[: max(0, len(copies) + 1 - most)]
+        old = copies[: max(0, len(copies) + 1 - max_copies)]
         kept = [one for one in self.members if one not in old]
         return League((*kept, Member(name, weight, model=frozen, arguments=arguments)))
 

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Policy
@@ -154,7 +155,7 @@ def stage_scenarios(
             config.tracks,
             config.rules_of(duration),
             opponents=policies,
-            rivals=tuple(dict.fromkeys((*config.rivals, *champions))),
+            rivals=config.rivals_with(champions),
             characteristics=config.axes,
             segment_seconds=config.segment_seconds,
             starts=starts,
@@ -180,14 +181,7 @@ def draw_policies(config: ArchiveConfig, count: int, root: np.random.SeedSequenc
     varied = planner.indices(config.varied)
     low, high = planner.bounds[varied].T
     drawn = low + latin_hypercube(count, len(low), np.random.default_rng(root)) * (high - low)
-    return with_varied(config, drawn)
-
-
-def with_varied(config: ArchiveConfig, values: Floats) -> Floats:
-    """Return parameters of policies, shape (K, P), from varied ones and those of the start."""
-    theta = np.tile(config.start_policy.parameters, (len(values), 1))
-    theta[:, get_planner(config.planner).indices(config.varied)] = values
-    return theta
+    return planner.complete(config.varied, drawn, config.start_policy.parameters)
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
@@ -200,8 +194,8 @@ def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
 
 def _number(root: np.random.SeedSequence) -> int:
     """Return a seed derived from a root, independent of the draws from the root itself."""
-    # A child of the root, since other draws use the root itself; 63 bits, since seeds are signed.
-    return int(root.spawn(1)[0].generate_state(1, np.uint64)[0] >> np.uint64(1))
+    # A child of the root, since other draws use the root itself.
+    return signed_seed(root.spawn(1)[0])
 
 
 def _check_folder(folder: Path) -> None:
@@ -298,10 +292,10 @@ class ArchiveRun:
             # Halfway to the strongest policy: of policies drawn at random hardly any is strong.
             sample = 0.5 * (sample + self.strongest)
             sample[0] = self.strongest
-        coordinates, violation = self._searched("initial-sample", scenarios, sample)
+        sampled = self._searched("initial-sample", scenarios, sample)
         if spread:
-            self.min_score = float(self.searched[0][1].score[0]) - config.margin
-            violation = self.violation(self.searched[0][1])
+            self.min_score = float(sampled.score[0]) - config.margin
+        violation = self.violation(sampled)
         for number, signs in enumerate(config.directions):
             search = Search(
                 planner.bounds[varied],
@@ -311,13 +305,15 @@ class ArchiveRun:
                 start=self.strongest[varied] if spread else None,
                 seed=_number(seed),
             )
-            search.add(sample[:, varied], signs * coordinates, violation)
+            search.add(sample[:, varied], signs * sampled.coordinates, violation)
             self._note_search(search)
             for generation in range(1, config.generations + 1):
                 name = f"generation-{number * config.generations + generation:05d}"
-                points = with_varied(config, search.ask())
-                values, beyond = self._searched(name, scenarios, points)
-                search.tell(signs * values, beyond)
+                points = planner.complete(
+                    config.varied, search.ask(), config.start_policy.parameters
+                )
+                found = self._searched(name, scenarios, points)
+                search.tell(signs * found.coordinates, self.violation(found))
                 self._note_search(search)
 
     def choose(self, scenarios: Scenarios) -> tuple[Floats, Notes]:
@@ -440,13 +436,11 @@ class ArchiveRun:
             "choice_min_score": self.min_score,
         }
 
-    def _searched(
-        self, name: str, scenarios: Scenarios, parameters: Floats
-    ) -> tuple[Floats, Floats]:
-        """Race and record policies of the search; return coordinates and violations."""
+    def _searched(self, name: str, scenarios: Scenarios, parameters: Floats) -> Evaluation:
+        """Race and record policies of the search."""
         evaluation = summarise(self._race("search", name, scenarios, parameters))
         self.searched.append((parameters, evaluation))
-        return evaluation.coordinates, self.violation(evaluation)
+        return evaluation
 
     def _race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
         """Race policies as tasks of this name, or load results of an earlier run."""

@@ -285,12 +285,15 @@ class ArchiveConfig(Settings):
         """Maximum number of policies raced in the search, initial sample included."""
         return self.initial_sample + len(self.directions) * self.generations * self.population
 
+    def rivals_with(self, champions: Sequence[str]) -> tuple[str, ...]:
+        """Return rivals and champions, each policy once: a tuning may keep its start."""
+        return tuple(dict.fromkeys((*self.rivals, *champions)))
+
     def tuning(self, champions: Sequence[str], seed: int) -> TuningConfig:
         """Return the tuning of the next champion, which starts at the last one."""
         return TuningConfig(
             planner=self.planner,
-            # A tuning may keep its start: the same policy is one opponent.
-            against=tuple(dict.fromkeys((*self.rivals, *champions))),
+            against=self.rivals_with(champions),
             tracks=self.tracks,
             held_out=(),
             preset=self.preset,

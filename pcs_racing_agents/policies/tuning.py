@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text, plain_settings
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
@@ -233,9 +234,13 @@ class TuningRun:
         """Return the start and the means of the distribution after each generation, (N + 1, P)."""
         config, planner = self.config, get_planner(self.config.planner)
         root, draws = np.random.SeedSequence(config.seed).spawn(2)
-        varied = planner.indices(planner.without(config.fixed))
+        names, start = planner.without(config.fixed), config.start_policy.parameters
+        varied = planner.indices(names)
         low, high = planner.bounds[varied].T
-        start = config.start_policy.parameters
+
+        def vectors(unit: Floats) -> Floats:
+            return planner.complete(names, low + unit * (high - low), start)
+
         es = CubeCMAES(
             (start[varied] - low) / (high - low),
             config.step_size,
@@ -247,15 +252,12 @@ class TuningRun:
         )
         means = [start]
         for number, child in enumerate(root.spawn(config.generations), 1):
-            theta = np.tile(start, (config.population, 1))
-            theta[:, varied] = low + np.clip(es.ask(), 0.0, 1.0) * (high - low)
-            found = self._race(f"{self.name}-{number:05d}", theta, child, config.starts)
+            name = f"{self.name}-{number:05d}"
+            found = self._race(name, vectors(es.ask()), child, config.starts)
             grown = max(0.0, 2.0 * number / config.generations - 1.0)
             value = fitness(found, config.crash_limit, grown)
             es.tell(np.argsort(np.argsort(-value, kind="stable"), kind="stable").astype(float))
-            mean = start.copy()
-            mean[varied] = low + np.clip(es.mean, 0.0, 1.0) * (high - low)
-            means.append(mean)
+            means.append(vectors(es.mean[None])[0])
             about = (found.score.mean(), value.max(), found.own_crash.mean(), es.step_size)
             self.course.append(TuningProgress(number, *map(float, about)))
             self.callback("search", number, config.generations, self.course[-1])
@@ -299,7 +301,7 @@ class TuningRun:
             config.rules,
             rivals=config.against,
             starts=starts,
-            seed=int(seed.generate_state(1, np.uint64)[0] >> np.uint64(1)),
+            seed=signed_seed(seed),
         )
 
     def _raced(self, name: str, theta: Floats, scenarios: Scenarios) -> Arrays:

@@ -36,9 +36,8 @@ FIELD = (
     "stanley",
 )
 """Planners with two parameters or more, besides the lattice."""
-HELD_OUT = ("Saltmere", "Vellindra")
 REAL = ("Austin", "Monza", "Sepang", "Zandvoort")
-"""Real circuits, all held out."""
+"""Real circuits, held out of all searches."""
 ROUNDS, SEEDS = 5, 3
 
 FULL = TuningConfig(
@@ -55,7 +54,6 @@ ARMS = {
     "crashes cost nothing": replace(FULL, crash_limit=1.0),
     "pace fixed at 1": replace(FULL, fixed=("pace",), start=HAND_SET.replace("0.7", "1")),
 }
-
 
 PAPER = TuningConfig(
     against=(HAND_SET, "lattice:early", "lattice:early,pace=0.9", "lattice:early,pace=0.2"),

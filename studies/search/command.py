@@ -18,13 +18,18 @@ from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.tables import aligned, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Workers
-from pcs_racing_agents.policies.tuning import TUNING_TRACKS, TuningConfig, TuningProgress, tune
+from pcs_racing_agents.policies.tuning import (
+    HELD_OUT,
+    TUNING_TRACKS,
+    TuningConfig,
+    TuningProgress,
+    tune,
+)
 from studies.search.arms import (
     ARMS,
     FIELD,
     FOUND,
     HAND_SET,
-    HELD_OUT,
     OTHERS,
     PAPER,
     REAL,
@@ -67,8 +72,8 @@ def search(
                     _tuned(out / "field" / planner, field_config(planner), executor)
             else:
                 _tuned(out / "paper" / "scalar", PAPER, executor)
-    done = [part for part in SEARCHES if any((out / part).glob("*/tuned.yaml"))]
-    found = [(f"{part}/{name}", text) for part in done for name, text in policies(out, part)]
+    files = sorted(out.glob("*/*/tuned.yaml"))
+    found = [(str(file.parent.relative_to(out)), _policy(file)) for file in files]
     print(f"written: {write_csv([('search', 'policy'), *found], out / 'policies.csv')}")
 
 
@@ -77,9 +82,7 @@ def search(
     "python -m studies judge-search arms rounds field archive paper --maps maps --out out/search",
 )
 def judge_search(
-    parts: Annotated[
-        Sequence[str], Option("what is judged", choices=(*SEARCHES, "archive", "axes"))
-    ],
+    parts: Annotated[Sequence[str], Option("parts to judge", choices=JUDGED)],
     *,
     out: Annotated[Path, Option("folder of the searches", "DIR")],
     archive: Annotated[str, Option("archive of the rules contest")] = "contest",
@@ -98,7 +101,7 @@ def judge_search(
         elif part == "axes":
             rows = axis_rows(_near(archive), (FOUND, HAND_SET, *OTHERS), TUNING_TRACKS)
         elif part == "archive":
-            rows = archive_rows(archive, FOUND, HAND_SET, tracks[:4])
+            rows = archive_rows(archive, tracks[:4])
         else:
             ((_, text),) = policies(out, part)
             rows = field_rows(
@@ -113,7 +116,11 @@ def policies(out: Path, part: str) -> list[tuple[str, str]]:
     files = sorted((out / part).glob("*/tuned.yaml"))
     if not files:
         raise InputError(f"{out / part} holds no finished search; run the searches first")
-    return [(f.parent.name, str(yaml.safe_load(f.read_text("utf-8"))["policy"])) for f in files]
+    return [(file.parent.name, _policy(file)) for file in files]
+
+
+def _policy(file: Path) -> str:
+    return str(yaml.safe_load(file.read_text(encoding="utf-8"))["policy"])
 
 
 def _near(archive: str) -> Floats:
@@ -136,4 +143,4 @@ def _tuned(folder: Path, config: TuningConfig, executor: Executor) -> str:
             show(done, total, f"{folder.name}, {stage}, {state.best if state else 0:.3f}")
 
         tune(config, folder, executor=executor, callback=update)
-    return str(yaml.safe_load(file.read_text(encoding="utf-8"))["policy"])
+    return _policy(file)

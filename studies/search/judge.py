@@ -1,10 +1,11 @@
 """Judgement of policies on circuits held out: scores, own crashes, payoffs of all pairs."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.config import load_race_config
@@ -68,10 +69,8 @@ def judge(
 
 def arm_rows(arms: Sequence[tuple[str, str]], tracks: Sequence[str]) -> list[tuple[str, ...]]:
     """Return scores of each arm's policy against the two reference policies."""
-    head = ("arm", "against found", "own crashes", "against the hand-set lattice", "own crashes")
     met = judge([text for _, text in arms], (FOUND, HAND_SET), tracks, races=120)
-    rows = [(name, *met[2 * k].cells, *met[2 * k + 1].cells) for k, (name, _) in enumerate(arms)]
-    return [head, *rows]
+    return _pair_rows("arm", (name for name, _ in arms), met)
 
 
 def field_rows(
@@ -83,34 +82,33 @@ def field_rows(
     return [("opponent", "score against it", "own crashes"), *rows]
 
 
-def archive_rows(
-    name: str, found: str, hand_set: str, tracks: Sequence[str]
-) -> list[tuple[str, ...]]:
-    """Return scores of the policies of an archive against two policies, and their means."""
+def archive_rows(name: str, tracks: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return scores of the policies of an archive, as of arms, and their means."""
     archive = load_archive(name)
-    texts = [
-        policy_text(policy.planner, policy.parameters)
-        for policy in (archive.policy(k) for k in range(len(archive)))
-    ]
-    met = judge(texts, (found, hand_set), tracks, races=200)
-    rows = [(str(k), *met[2 * k].cells, *met[2 * k + 1].cells) for k in range(len(archive))]
+    texts = [_text_of(archive, k) for k in range(len(archive))]
+    met = judge(texts, (FOUND, HAND_SET), tracks, races=200)
     numbers = np.array([(one.score, one.own_crash) for one in met]).reshape(len(archive), 4)
     mean = tuple(f"{value:.3f}" for value in numbers.mean(axis=0))
-    head = ("policy", "against found", "own crashes", "against the hand-set lattice", "own crashes")
-    return [head, *rows, ("mean", *mean)]
+    return [*_pair_rows("policy", map(str, range(len(archive))), met), ("mean", *mean)]
 
 
 def best_of(name: str) -> str:
-    """Return the strongest policy of an archive: its last champion, or its first policy in rank by
-    races won in the search.
-    """
+    """Return the last champion of an archive, or its policy with the max on the first axis."""
     archive = load_archive(name)
-    champions = [text for key, text in archive.settings.items() if key.startswith("champion_")]
-    texts = [str(text) for text in champions if str(text).startswith("lattice:")]
-    if texts:
-        return texts[-1]
-    fastest = archive.policy(int(np.argmax(archive.coordinates[:, 0])))
-    return policy_text(fastest.planner, fastest.parameters)
+    champion = archive.settings.get(f"champion_{archive.settings['champions']}")
+    return str(champion or _text_of(archive, int(np.argmax(archive.coordinates[:, 0]))))
+
+
+def _text_of(archive: PolicyArchive, index: int) -> str:
+    policy = archive.policy(index)
+    return policy_text(policy.planner, policy.parameters)
+
+
+def _pair_rows(what: str, names: Iterable[str], met: Sequence[Meeting]) -> list[tuple[str, ...]]:
+    """Return the table of meetings with the two reference policies."""
+    head = (what, "against found", "own crashes", "against the hand-set lattice", "own crashes")
+    pairs = zip(names, met[::2], met[1::2], strict=True)
+    return [head, *((name, *first.cells, *second.cells) for name, first, second in pairs)]
 
 
 def round_rows(winners: Sequence[tuple[str, str]], tracks: Sequence[str]) -> list[tuple[str, ...]]:

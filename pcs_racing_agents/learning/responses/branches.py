@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.seeds import race_seeds, signed_seed
 from pcs_racing.game.competitor import ask_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
@@ -43,8 +43,7 @@ class GameBlock(NamedTuple):
 
 def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock]:
     """Return ``count`` games in blocks; a game depends only on seed, place and its number."""
-    spawn = np.random.SeedSequence(seed, spawn_key=place)
-    root = int(spawn.generate_state(1, np.uint64)[0] >> np.uint64(1))
+    root = signed_seed(np.random.SeedSequence(seed, spawn_key=place))
     return [
         GameBlock(place, first, min(first + BLOCK, count), root) for first in range(0, count, BLOCK)
     ]

@@ -62,13 +62,19 @@ def test_samples_are_policies(seed):
     np.testing.assert_array_equal(PLANNER.sample(np.random.default_rng(seed)), theta)
 
 
-def test_fixed_parameters_keep_their_defaults():
+def test_fixed_parameters_keep_their_defaults_and_vectors_are_completed():
     one, other = np.random.default_rng(3), np.random.default_rng(3)
     theta = PLANNER.sample(one, fixed=("pace",))
     np.testing.assert_array_equal(theta, [PACE.default, other.uniform(AIR.low, AIR.high)])
     assert one.random() == other.random()
     assert PLANNER.without(("pace",)) == ("air",)
     refused("no parameter 'speed'", PLANNER.sample, one, fixed=("speed",), error=UnknownNameError)
+    np.testing.assert_array_equal(
+        PLANNER.complete(("air",), [[0.2], [0.3]]), [[0.5, 0.2], [0.5, 0.3]]
+    )
+    np.testing.assert_array_equal(PLANNER.complete(("air", "pace"), [[0.2, 0.9]]), [[0.9, 0.2]])
+    np.testing.assert_array_equal(PLANNER.complete(("air",), [[0.2]], [0.7, 0.1]), [[0.7, 0.2]])
+    refused("no parameter 'speed'", PLANNER.complete, ("speed",), [[0.2]], error=UnknownNameError)
 
 
 def test_bad_parameters_are_refused():

@@ -139,7 +139,7 @@ def test_a_copy_is_the_same_after_its_file_and_does_not_learn_on(model, tmp_path
 def test_the_oldest_copy_leaves(model):
     league = make_league(ROOKIES)
     for _ in range(5):
-        league = league.with_copy(model, most=3)
+        league = league.with_copy(model, max_copies=3)
     names = [member.name for member in league.members]
     assert names == [*ROOKIES, "self-0003", "self-0004", "self-0005"]
 

@@ -10,6 +10,7 @@ from long_jobs import files
 from refusal import refused
 
 from pcs_racing import PAPER, load_track, parse_policy
+from pcs_racing.base.seeds import signed_seed
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.base.executors import make_executor
@@ -75,14 +76,13 @@ def test_a_line_of_the_check_counts_the_races_of_one_opponent_on_one_circuit(tun
         for circuit in circuits
         for opponent in TINY.against
     ]
-    seed = np.random.SeedSequence(TINY.seed, spawn_key=(3,))
     scenarios = module.draw_scenarios(
         TINY.planner,
         ("Pipkin", "Tarnfjord"),
         TINY.rules,
         rivals=TINY.against,
         starts=4,
-        seed=int(seed.generate_state(1, np.uint64)[0] >> np.uint64(1)),
+        seed=signed_seed(np.random.SeedSequence(TINY.seed, spawn_key=(3,))),
     )
     races = np.flatnonzero((scenarios.track == 1) & (scenarios.opponent == 0))
     rival = parse_policy(TINY.against[0])
