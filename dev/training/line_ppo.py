@@ -2,10 +2,11 @@
 
     python dev/training/line_ppo.py --out out/line-ppo --minutes 8
 
-Training starts level with the lattice ``STRONG``. Two cars race under the rules ``contest``, on
+Training starts level with the default lattice. Two cars race under the rules ``contest``, on
 shipped and random circuits; the opponent is the network itself, a frozen self, or another planner.
-Every minute the network without exploration races the strong lattice and other planners, and the
-weights with the best score are saved. The same command goes on after a stop.
+Half of the cars have the default style, the others a random one. Every minute the network with the
+default style, and without exploration, races the lattice and other planners, and the weights with
+the best score are saved. The same command goes on after a stop.
 """
 
 import argparse
@@ -26,6 +27,7 @@ except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 from line_races import (
     EXTRA,
+    FAULT,
     FEATURES,
     FROZEN,
     HELD_OUT,
@@ -44,28 +46,30 @@ from pcs_racing import load_track, parse_policy, run_races
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
+    LATTICE_SIZE,
     LAYERS,
     MOVE,
     PAIR,
+    PARAMETERS,
     SHARPNESS,
     SPEED,
-    STRONG,
     UNITS,
     flat_weights,
+    read_line_planner,
     save_line_planner,
 )
 from pcs_racing.planners.planner import Policy
 from pcs_racing.track.maps import list_tracks
 
-STRONG_LATTICE = LATTICE.policy(STRONG, "strong")
 RIVALS = (
-    "strong",
     "lattice",
     "lattice:early",
     "iterated-best-response",
     "pure-pursuit",
     "gap-follower",
+    "residual",
 )
+DEFAULT_STYLE = [one.default for one in PARAMETERS]
 
 
 class Chooser(nn.Module):
@@ -102,6 +106,17 @@ class Chooser(nn.Module):
         scores = torch.full((len(seen) * CANDIDATES,), -1e9, device=seen.device)
         scores = scores.index_copy(0, row * CANDIDATES + candidate, score)
         return torch.log_softmax(scores.view(-1, CANDIDATES), dim=1)
+
+
+def tensors_of(numbers: np.ndarray) -> dict[str, Tensor]:
+    """Return the tensors of a network's numbers, the inverse of `flat_weights`."""
+    tensors, at = {}, 0
+    for name, (outputs, inputs) in LAYERS.items():
+        part = torch.from_numpy(numbers[at : at + outputs * (inputs + 1)].copy()).float()
+        tensors[f"{name}.bias"] = part[:outputs]
+        tensors[f"{name}.weight"] = part[outputs:].view(inputs, outputs).T.contiguous()
+        at += outputs * (inputs + 1)
+    return tensors
 
 
 def _columns(features: Tensor, count: int, chosen: Tensor) -> Tensor:
@@ -161,6 +176,11 @@ class Learner:
         )
         self.generator = torch.Generator(self.device)
 
+    def start_from(self, numbers: np.ndarray) -> None:
+        """Start from the numbers of a network."""
+        for network in (self.actor, self.averaged):
+            network.load_state_dict(tensors_of(numbers), strict=False)
+
     def act(self, seen: Tensor) -> tuple[Tensor, Tensor]:
         """Draw candidates; return them and their log probabilities."""
         with torch.no_grad():
@@ -212,8 +232,9 @@ class Learner:
             group["lr"] = min(max(group["lr"] * factor, 1e-5), self.settings.max_rate)
 
     def numbers(self) -> np.ndarray:
-        """Return the lattice's parameters and the averaged actor's numbers, for `FROZEN`."""
-        return np.concatenate([self.lattice.parameters, flat_weights(self.tensors())])
+        """Return default style, lattice and the averaged actor's numbers, for `FROZEN`."""
+        weights = flat_weights(self.tensors())
+        return np.concatenate([DEFAULT_STYLE, self.lattice.parameters, weights])
 
     def tensors(self) -> dict[str, np.ndarray]:
         """Return the tensors of the averaged actor's layers."""
@@ -302,14 +323,10 @@ class Collector:
 def evaluate(
     numbers: np.ndarray, rivals: Sequence[str], tracks: Sequence[str], races: int, threads: int
 ) -> list[dict[str, Any]]:
-    """Race the network, without exploration, against other planners; return a row for each.
-
-    The rival ``strong`` is the lattice `STRONG`.
-    """
+    """Race the network, without exploration, against other planners; return a row for each."""
     policy, rows = FROZEN.policy(numbers, "line-ppo"), []
     for name in rivals:
-        rival = STRONG_LATTICE if name == "strong" else parse_policy(name)
-        found = []
+        rival, found = parse_policy(name), []
         for track in tracks:
             result = run_races(
                 load_track(track), [policy] * races, rival, "contest", seed=11, threads=threads
@@ -326,9 +343,8 @@ def evaluate(
 
 def merit(rows: Sequence[dict[str, Any]]) -> float:
     """Return what the best weights are chosen by: scores, and own crashes."""
-    strong = rows[0]
     return float(
-        strong["score"]
+        rows[0]["score"]
         + 0.5 * np.mean([row["score"] for row in rows])
         - np.mean([row["own_crash"] for row in rows])
     )
@@ -401,9 +417,11 @@ class Run:
             entropy=arguments.entropy,
             horizon=1e6 * arguments.horizon,
         )
-        lattice = parse_policy(arguments.lattice) if arguments.lattice else STRONG_LATTICE
+        lattice = parse_policy(arguments.lattice)
         self.learner = Learner(settings, lattice, arguments.device)
         self.learner.generator.manual_seed(arguments.seed)
+        if arguments.start:
+            self.learner.start_from(read_line_planner(arguments.start)[1][LATTICE_SIZE:])
         self.league = League(self.learner.numbers())
         self.updates, self.choices, self.best = 0, 0, -1e9
         if (self.folder / "checkpoint.pt").exists():
@@ -551,18 +569,19 @@ def main() -> None:
     add("--cars", type=int, default=1024, help="learning cars, shared by the circuits")
     known = [name for name in list_tracks() if name not in HELD_OUT]
     add("--tracks", nargs="*", default=known, help="shipped circuits")
-    add("--rivals", nargs="*", default=RIVALS, help="planners of the evaluation; 'strong' leads")
+    add("--rivals", nargs="*", default=RIVALS, help="planners of the evaluation")
     add("--random", type=int, default=24, help="random circuits")
     add("--each", type=int, default=2, help="groups on each shipped circuit")
     add("--batches", type=int, default=1, help="batches that drive in turn")
     add("--steps", type=int, default=32, help="choices of a car between two updates")
     add("--minibatch", type=int, default=8192, help="choices of a step of the optimiser")
     add("--epochs", type=int, default=3, help="passes over a rollout")
-    add("--lattice", help="policy of the lattice that lays the candidates (default: STRONG)")
+    add("--lattice", default="lattice", help="policy that lays the candidates")
+    add("--start", help="folder of a line planner to start from (default: level with the lattice)")
     add("--rate", type=float, default=1e-3, help="first learning rate")
     add("--horizon", type=float, default=1000.0, help="choices of the whole training, in millions")
     add("--entropy", type=float, default=0.001, help="weight of the entropy")
-    add("--fault", type=float, default=1.0, help="cost of an own crash")
+    add("--fault", type=float, default=FAULT[0], help="cost of an own crash at risk 0")
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)

@@ -18,16 +18,22 @@ from numpy.typing import NDArray
 from pcs_racing import load_track, parse_policy
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.seeds import GOLDEN, scramble_one
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, MEMORY, SIGHT, SPEEDS
+from pcs_racing.game.archive_files import load_archive
+from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SIGHT, SPEEDS
 from pcs_racing.planners.line_ppo import (
+    ASSERTIVENESS,
     CONTEXT,
     FIRST,
     LAID,
     LATTICE_SIZE,
+    MEMORY,
     MOVE,
+    PACE,
     PAIR,
+    PARAMETERS,
+    RISK,
     SPEED,
-    STRONG,
+    STYLE,
     TOTAL,
     WEIGHTS,
     describe,
@@ -40,7 +46,7 @@ from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.calibration import hazard_scan
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
-from pcs_racing.race.config import CONTEST
+from pcs_racing.race.config import CONTEST, RaceConfig
 from pcs_racing.race.driving import pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup, start_lines
@@ -56,31 +62,46 @@ FEATURES = CONTEXT + MOVE * GOALS + SPEED * SPEEDS + PAIR * CANDIDATES
 FAMILIES = {
     "self": 12,
     "frozen": 6,
-    "lattice": 8,
+    "lattice": 9,
     "iterated-best-response": 2,
     "spliner": 2,
     "stanley": 1,
     "pure-pursuit": 2,
     "gap-follower": 4,
-    "disparity-extender": 3,
+    "disparity-extender": 2,
+    "residual": 2,
 }
-"""Families of opponents, with the number of their groups of 40."""
+"""Families of opponents, with the number of their groups of 42."""
 EXTRA = 3 + len(FAMILIES)  # features of the critic: time left, lead twice, family
 WIDE = FEATURES + EXTRA
 
-# Reward: for a metre, for a metre gained on the other car, for a win (a loss costs the same), and
-# the cost of an own fault. Leads count up to `LEAD` m.
-PROGRESS, GAIN, LEAD, WIN, FAULT = 0.004, 0.02, 20.0, 1.0, 1.5
+# Reward: for a metre, for a metre gained on the other car, for a win (a loss costs the same).
+# Leads count up to `LEAD` m. Cost of an own fault at risk 0 and 1. Price of a lead and of a win at
+# assertiveness 0 and 1, and cost of 0.1 s within `CLOSE` m of the other car at assertiveness 0.
+PROGRESS, GAIN, LEAD, WIN, FAULT = 0.004, 0.02, 20.0, 1.0, (6.0, 0.5)
+PRICES, CLOSE, CONTACT = (0.25, 1.5), 0.9, 0.03
+DEFAULT_STYLE = 0.5  # share of the cars that race by the default style
+FAST = PARAMETERS[PACE].low + 0.9  # pace from which on half of the drawn paces are
 STARTS = 48  # start states of a group
 LENGTHS = ((60.0, 120.0), (60.0, 120.0), (120.0, 200.0), (180.0, 320.0))  # m, of random circuits
 WIDTHS = (2.2, 2.0, 3.0)  # m
 
+# Rules of the groups, in turn: the contest; side by side from rest; far apart.
+RULES = (
+    CONTEST,
+    CONTEST,
+    RaceConfig.known(**vars(CONTEST) | {"start": "side-by-side", "start_spacing": 0.62}),
+    CONTEST,
+    RaceConfig.known(**vars(CONTEST) | {"start_gap": 5.0}),
+)
+
 LEARNER = Planner(name="learner", parameters=(), memory_size=MEMORY)
+NUMBERS = STYLE + LATTICE_SIZE + WEIGHTS
 FROZEN = Planner(
     name="frozen",
     parameters=tuple(
-        Parameter(f"number{k}", -1e3, 1e3, 0.0, "parameter of the lattice, or weight")
-        for k in range(LATTICE_SIZE + WEIGHTS)
+        Parameter(f"number{k}", -1e3, 1e3, 0.0, "style, parameter of the lattice, or weight")
+        for k in range(NUMBERS)
     ),
     plan=plan_by_theta,
     memory_size=MEMORY,
@@ -96,12 +117,17 @@ class Options(NamedTuple):
     gain: float = GAIN
     lead: float = LEAD
     win: float = WIN
-    fault: float = FAULT
+    fault: float = FAULT[0]
+    bold: float = FAULT[1]
+    shy: float = PRICES[0]
+    eager: float = PRICES[1]
+    close: float = CLOSE
+    contact: float = CONTACT
 
 
 @inner_kernel(forceinline=True)
-def _reward(state, race, end_tick, before, options, out):
-    """Add the rewards of the last 0.1 s; return whether the race ended."""
+def _reward(state, race, end_tick, before, options, styles, out):
+    """Write the rewards of the last 0.1 s, priced by the styles; return whether the race ended."""
     ended = state.tick[race] >= end_tick
     crashed = state.crash[race, 0] != 0 or state.crash[race, 1] != 0
     lead = state.progress[race, 0] - state.progress[race, 1]
@@ -115,20 +141,49 @@ def _reward(state, race, end_tick, before, options, out):
         won = -1.0 * at_fault
     elif ended and abs(lead) > 0.01:
         won = 1.0 if lead > 0.0 else -1.0
+    x = state.cars[race, 0, 0] - state.cars[race, 1, 0]
+    y = state.cars[race, 0, 1] - state.cars[race, 1, 1]
+    near = max(1.0 - np.sqrt(x * x + y * y) / options.close, 0.0)
     for car in range(len(out)):
         sign = 1.0 if car == 0 else -1.0
+        assertive = styles[car, ASSERTIVENESS]
+        price = options.shy + (options.eager - options.shy) * assertive
         driven = state.progress[race, car] - before[car]
-        out[car] = options.progress * driven + sign * (options.gain * gained + options.win * won)
+        out[car] = options.progress * driven - options.contact * (1.0 - assertive) * near
+        out[car] += sign * price * (options.gain * gained + options.win * won)
         if crashed and state.fault[race, car] > 0:
-            out[car] -= options.fault
+            out[car] -= options.fault * (options.bold / options.fault) ** styles[car, RISK]
             if won == 0.0:
-                out[car] -= options.win
+                out[car] -= price * options.win
     return crashed or ended
 
 
+_BOX = np.array([(one.low, one.high) for one in PARAMETERS])
+_DEFAULT = np.array([one.default for one in PARAMETERS])
+
+
+@inner_kernel(forceinline=True)
+def _share(bits):
+    """Return a number in [0, 1) from random bits."""
+    return np.float64(bits >> np.uint64(11)) * 2.0**-53
+
+
+@inner_kernel
+def _draw_style(bits, out):
+    """Draw the default style, or a style of the box with many high paces."""
+    bits = scramble_one(bits)
+    plain = _share(bits) < DEFAULT_STYLE
+    bits = scramble_one(bits)
+    fast = _share(bits) < 0.5
+    for k in range(STYLE):
+        bits = scramble_one(bits)
+        low = FAST if k == PACE and fast else _BOX[k, 0]
+        out[k] = _DEFAULT[k] if plain else low + _share(bits) * (_BOX[k, 1] - low)
+
+
 @compiled
-def _begin(race, state, pool, thetas, first, last, theta, who, draws, key):
-    """Start a race again, with a start, a noise and an opponent drawn by its own counter."""
+def _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key):
+    """Start a race again: draw a start, a noise, an opponent and styles by the race's counter."""
     draws[race] += np.uint64(1)
     bits = scramble_one(key + draws[race] * GOLDEN)
     at = np.int64(bits % np.uint64(len(pool.tick)))
@@ -149,16 +204,19 @@ def _begin(race, state, pool, thetas, first, last, theta, who, draws, key):
     state.laps[race] = pool.laps[at]
     state.ahead[race] = pool.ahead[at]
     state.contact[race] = 0
-    one = first + np.int64((bits >> np.uint64(32)) % np.uint64(last - first))
+    one = span[0] + np.int64((bits >> np.uint64(32)) % np.uint64(span[1] - span[0]))
     who[race] = one
-    if theta.shape[2] == thetas.shape[1]:
-        theta[race, 1] = thetas[one]
+    theta[race, 1] = thetas[one]
+    for car in range(styles.shape[1]):
+        _draw_style(bits + np.uint64(car + 1), styles[race, car])
+    if frozen:
+        _draw_style(bits + np.uint64(2), theta[race, 1, :STYLE])
 
 
 @compiled
 def play(
-    track, state, pool, thetas, span, theta, who, draws, key, vehicles, drivers, settings, lattice,
-    options, family, laid, choices, seen, rewards, ended, tally,
+    track, state, pool, thetas, span, frozen, theta, styles, who, draws, key, vehicles, drivers,
+    settings, lattice, options, family, laid, choices, seen, rewards, ended, tally,
 ):  # fmt: skip
     """Take the choices, drive for 0.1 s, reward, start ended races again, and describe.
 
@@ -176,6 +234,7 @@ def play(
                 take(
                     track,
                     lattice,
+                    styles[race, car],
                     view,
                     state.memory[race, car],
                     scratch,
@@ -187,7 +246,9 @@ def play(
             track, state, theta, vehicles, drivers, settings, STEP, 0, races, scratch, work
         )
         for race in range(races):
-            over = _reward(state, race, settings.end_tick, before[race], options, rewards[race])
+            over = _reward(
+                state, race, settings.end_tick, before[race], options, styles[race], rewards[race]
+            )
             ended[race] = over
             if over:
                 lead = state.progress[race, 0] - state.progress[race, 1]
@@ -197,16 +258,16 @@ def play(
                     score = 0.0 if own else 1.0
                 elif not own and abs(lead) > 0.01:
                     score = 1.0 if lead > 0.0 else 0.0
-                row = tally[who[race]] if family > 1 else tally[0]
+                row = tally[who[race]] if not frozen else tally[0]
                 row[0] += 1.0
                 row[1] += score
                 row[2] += 1.0 if own else 0.0
                 row[3] += 1.0 if other else 0.0
-                _begin(race, state, pool, thetas, span[0], span[1], theta, who, draws, key)
+                _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key)
     for race in range(races):
         for car in range(learners):
             fill_view(track, state, race, car, vehicles[race], settings, view)
-            describe(track, lattice, view, state.memory[race, car], scratch)
+            describe(track, lattice, styles[race, car], view, state.memory[race, car], scratch)
             put_away(scratch, laid[race, car])
             out = seen[race, car]
             for k in range(FEATURES):
@@ -248,17 +309,17 @@ def circuit(name: str | int) -> Circuit:
 
 
 def lattices() -> list[Policy]:
-    """Return the lattices to race against: the strong one first, then others."""
-    strong = STRONG
-    slower = [strong | {"pace": pace, "pace_behind": 0.1} for pace in (0.8, 0.6, 0.3, 0.0)]
-    wide = [strong | {"side_margin": 0.4}, strong | {"attack": 0.0}, strong | {"blocking": 0.8}]
+    """Return the lattices to race against: often the default, and others."""
+    slower = [{"pace": pace, "pace_behind": 0.1} for pace in (0.9, 0.6, 0.3, 0.0)]
+    other = [{"side_margin": 0.15}, {"side_margin": 0.4}, {"blocking": 0.9}, {"pace": 1.45}]
     rng = np.random.default_rng(0)
-    policies = [LATTICE.policy(strong, "strong")] * 12
-    policies += [parse_policy("lattice")] * 8
+    policies = [LATTICE.policy()] * 18
     early = ("lattice:early", "lattice:early,pace=0.7,pace_behind=0.2")
     policies += [parse_policy(text) for text in early] * 2
-    policies += [LATTICE.policy(values, "lattice-variant") for values in (*slower, *wide)]
-    return policies + [LATTICE.policy(LATTICE.sample(rng), "lattice-random") for _ in range(7)]
+    policies += [LATTICE.policy(values, "lattice-variant") for values in slower + other]
+    archive = load_archive("contest")
+    policies += [archive.policy(k) for k in range(len(archive))]
+    return policies + [LATTICE.policy(LATTICE.sample(rng), "lattice-random") for _ in range(5)]
 
 
 def opponents(family: str) -> list[Policy]:
@@ -287,8 +348,9 @@ class Group:
     """Races on one circuit against one family of opponents."""
 
     def __init__(
-        self, circuit: Circuit, family: str, cars: int, seed: int, league: "League"
-    ) -> None:
+        self, circuit: Circuit, family: str, rules: RaceConfig, cars: int, seed: int,
+        league: "League",
+    ) -> None:  # fmt: skip
         self.family, self.number = family, list(FAMILIES).index(family)
         self.league, track = league, circuit.track
         self.name = track.name
@@ -306,7 +368,7 @@ class Group:
                 row[: len(policy.parameters)] = policy.parameters
         self.learners = 2 if family == "self" else 1
         self.races = max(1, cars // self.learners)
-        setup = RaceSetup(track, CONTEST, (LEARNER, other))
+        setup = RaceSetup(track, rules, (LEARNER, other))
         self.track, self.settings = track.arrays, setup.settings._replace(ittc_horizon=0.0)
         self.drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
@@ -315,14 +377,15 @@ class Group:
         self.pool = _start_states(setup, circuit.lines, rng)
         self.state = take_races(self.pool, rng.integers(len(self.pool.tick), size=self.races))
         self.theta = np.zeros((self.races, 2, self.thetas.shape[1]))
+        self.styles = np.zeros((self.races, self.learners, STYLE))
         self.who = np.zeros(self.races, np.int64)
         self.draws = np.arange(self.races, dtype=np.uint64) << np.uint64(32)
         self.ended = np.zeros(self.races, np.bool_)
         self.tally = np.zeros((max(1, len(self.policies)), 4))
         self.laid = np.zeros((self.races, self.learners, LAID))
         for race in range(self.races):
-            _begin(race, self.state, self.pool, self.thetas, *self.span, self.theta, self.who,
-                   self.draws, self.key)  # fmt: skip
+            _begin(race, self.state, self.pool, self.thetas, self.span, self.family == "frozen",
+                   self.theta, self.styles, self.who, self.draws, self.key)  # fmt: skip
         # Races end at different times, so that a batch holds all parts of a race.
         self.state.tick[:] = STEP * rng.integers(self.settings.end_tick // STEP, size=self.races)
 
@@ -338,13 +401,12 @@ class Group:
 
     def saved(self) -> list[NDArray[Any]]:
         """Return all that changes while races go on, for a checkpoint."""
-        return [*self.state, self.who, self.draws]
+        return [*self.state, self.who, self.draws, self.theta, self.styles]
 
     def restore(self, saved: Sequence[NDArray[Any]]) -> None:
         """Go on from a checkpoint."""
         for array, value in zip(self.saved(), saved, strict=True):
             array[:] = value
-        self.theta[:, 1] = self.thetas[self.who]
 
     def play(
         self, choices: Any, seen: Any, rewards: Any, ended: Any, options: Options, lattice: Any
@@ -352,10 +414,10 @@ class Group:
         """Drive for 0.1 s; see `play`."""
         two = (self.races, self.learners)
         play(
-            self.track, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
-            self.draws, self.key, self.vehicles, self.drivers, self.settings, lattice, options,
-            self.number, self.laid, choices.reshape(two), seen.reshape(*two, WIDE),
-            rewards.reshape(two), self.ended, self.tally,
+            self.track, self.state, self.pool, self.thetas, self.span, self.family == "frozen",
+            self.theta, self.styles, self.who, self.draws, self.key, self.vehicles, self.drivers,
+            self.settings, lattice, options, self.number, self.laid, choices.reshape(two),
+            seen.reshape(*two, WIDE), rewards.reshape(two), self.ended, self.tally,
         )  # fmt: skip
         ended.reshape(two)[:] = self.ended[:, None]
 
@@ -378,12 +440,12 @@ def _start_states(
 
 
 class League:
-    """Frozen selves: lattice's parameters and weights, the last `LAST` of them in use."""
+    """Frozen selves: default style, lattice and weights, the last `LAST` of them in use."""
 
     LAST, MOST = 8, 512
 
     def __init__(self, numbers: NDArray[np.float64]) -> None:
-        self.numbers = np.zeros((self.MOST, LATTICE_SIZE + WEIGHTS))
+        self.numbers = np.zeros((self.MOST, NUMBERS))
         self.count = 0
         self.add(numbers)
 
@@ -446,16 +508,23 @@ def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, league: Leagu
     families = [name for name, count in FAMILIES.items() for _ in range(count)]
     order = np.random.default_rng(seed).permutation(len(families))
     return [
-        Group(one, families[order[k % len(order)]], cars, 1000 * seed + k, league)
+        Group(
+            one,
+            families[order[k % len(order)]],
+            RULES[k % len(RULES)],
+            cars,
+            1000 * seed + k,
+            league,
+        )
         for k, one in enumerate(circuits)
     ]
 
 
 def compile_for(family: str) -> None:
     """Compile, for all later processes, the code of the races against a family."""
-    league = League(np.zeros(LATTICE_SIZE + WEIGHTS))
-    group = Group(circuit("Pipkin"), family, 2, 0, league)
-    cars, lattice = group.cars, LATTICE.policy(STRONG).parameters.copy()
+    league = League(np.zeros(NUMBERS))
+    group = Group(circuit("Pipkin"), family, CONTEST, 2, 0, league)
+    cars, lattice = group.cars, LATTICE.policy().parameters.copy()
     seen = np.zeros((cars, WIDE), np.float32)
     for choices in (np.full(cars, -1), np.zeros(cars, np.int64)):
         ended = np.zeros(cars, np.bool_)

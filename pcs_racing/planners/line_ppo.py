@@ -2,7 +2,8 @@
 
 The planner lays the 64 candidates of :mod:`pcs_racing.planners.lattice` and weighs them with fixed
 weights. Candidates within :data:`WINDOW` of the min cost stay. So a candidate that meets a wall or
-the opponent is rejected, as in the lattice. Of the others, the candidate with the max score wins:
+the opponent is rejected, as in the lattice. If all of them meet the opponent, all stay. Of the
+candidates that stay, the candidate with the max score wins:
 
     score = correction - SHARPNESS * root(cost - min cost)
 
@@ -11,6 +12,10 @@ planner is the lattice. The fourth root (:data:`SOFT`) brings small and large di
 onto one scale, so that a correction of order one can overrule any of them.
 
 Unlike in the lattice, an attack is laid at any time: for a car in front, too.
+
+The parameters of the planner are its style. In training every car drew a style for each race. The
+style shapes the candidates (speeds, air beside the opponent), is an input of the network, and set
+the prices of the car's rewards: one network, a family of policies.
 
 The first layer of the network is a sum of four parts: of the situation, of the move, of the speed
 and of the candidate. Each part is computed once, in a third of the time of a dense layer.
@@ -35,27 +40,65 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners import lattice as _lattice
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SCRATCH, SIGHT, SPEEDS
-from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing.track import frenet as _frenet
 
 NAME = "line-ppo"
 
 WINDOW = 200.0  # cost above the min cost, from which on a candidate is rejected
+EASED = 4.0  # cost of ten times the overlap with the opponent, above the window
 SHARPNESS, SOFT = 5.0, 0.01
 UNASKED = 1.0  # cost of an attack that the lattice would not lay, above the profile's cost
 
+OWN = 30  # features of the situation before the track ahead
 BENDS = 8  # places ahead, with the curvature of the race line
 WIDTHS = 4  # places ahead, with the width of the track
-CONTEXT = 24 + BENDS + 2 * WIDTHS  # features of the situation
+CONTEXT = OWN + BENDS + 2 * WIDTHS  # features of the situation
 MOVE, SPEED, PAIR = 14, 8, 7  # features of a move, of a speed and of a candidate
 FEATURES = MOVE + SPEED + PAIR
-UNITS = 32  # units of the context's layer, and of the candidates' layer
+INNER, UNITS = 48, 32  # units of the context's layer, and of the candidates' layer
+
+PARAMETERS = (
+    Parameter(
+        "risk",
+        0.0,
+        1.0,
+        0.25,
+        "price of an own crash in training: from six lost races (0) to half of one (1)",
+    ),
+    Parameter(
+        "assertiveness",
+        0.0,
+        1.0,
+        0.7,
+        "air to keep beside the opponent, from 0.4 m (0) to 0.1 m (1), and price of a lead",
+    ),
+    Parameter(
+        "pace",
+        0.0,
+        1.6,
+        1.4,
+        "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+    ),
+    Parameter(
+        "pace_behind",
+        -0.5,
+        0.5,
+        0.0,
+        "what is added to the pace while the opponent leads; the sum is at least 0, and at most 1"
+        " or the pace",
+    ),
+)
+"""Style of the planner."""
+RISK, ASSERTIVENESS, PACE, PACE_BEHIND = range(4)
+STYLE = len(PARAMETERS)
+SIDE_MARGINS = (0.4, 0.1)  # m, air beside the opponent at assertiveness 0 and 1
 
 LAYERS = {
-    "context": (UNITS, CONTEXT),
-    "situation": (UNITS, UNITS),
-    "weights": (FEATURES, UNITS),
+    "context": (INNER, CONTEXT),
+    "situation": (UNITS, INNER),
+    "weights": (FEATURES, INNER),
     "candidate": (UNITS, FEATURES),
     "score": (1, UNITS),
 }
@@ -80,8 +123,15 @@ AT = Weights(*(sum(_SIZES[:k]) for k in range(len(_SIZES) + 1)))
 WEIGHTS = AT.end  # numbers of the network
 MAX_WEIGHT = 100.0
 
+# Memory after the lattice's: opponent's speed at the last plan and 1 s after the time of this plan,
+# 0 if the opponent was out of sight; and its usual speed, as a share of the profile's above 1.
+_M_SPEED, _M_TIME, _M_USUAL = (_lattice.MEMORY + k for k in range(3))
+MEMORY = _lattice.MEMORY + 3
+RECENT = 0.05  # weight of the last plan in the usual speed
+
 # Scratch after the lattice's: nearness and added cost of each candidate by the opponent; features
-# of the situation, the moves, the speeds and the candidates; layers of the network.
+# of the situation, the moves, the speeds and the candidates; layers of the network; lattice's
+# parameters for the style.
 _NEARNESS = SCRATCH
 _MET = _NEARNESS + CANDIDATES
 _CONTEXT = _MET + CANDIDATES
@@ -89,38 +139,19 @@ _MOVE = _CONTEXT + CONTEXT
 _SPEED = _MOVE + MOVE * GOALS
 _PAIR = _SPEED + SPEED * SPEEDS
 _INNER = _PAIR + PAIR * CANDIDATES
-_HIDDEN, _LINEAR = _INNER + UNITS, _INNER + 2 * UNITS
+_HIDDEN = _INNER + INNER
+_LINEAR = _HIDDEN + UNITS
 _OF_MOVES = _LINEAR + FEATURES
 _OF_SPEEDS = _OF_MOVES + (UNITS + 1) * GOALS
 _SCORES = _OF_SPEEDS + (UNITS + 1) * SPEEDS
-TOTAL = _SCORES + UNITS
+_STYLED = _SCORES + UNITS
+TOTAL = _STYLED + len(LATTICE.parameters)
 FIRST = _CONTEXT  # place of the features of the situation, before all others
 
 # Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
 _MOVES_END = _lattice._KAPPA
 _PROFILES_END = _MOVES_END + _lattice._NOW_S - _lattice._SQUARE
 LAID = _PROFILES_END + SCRATCH - _lattice._OPP_S
-
-STRONG = {
-    "length": -1.672,
-    "max_curvature": -1.576,
-    "mean_curvature": -1.682,
-    "curvature_rate": -0.602,
-    "lateral_acceleration": -0.7704,
-    "braking": -1.352,
-    "similarity": -0.6951,
-    "progress": 0.02182,
-    "deviation": -0.3872,
-    "walls": 0.859,
-    "proximity": -1.234,
-    "overtaking": 1.807,
-    "blocking": -0.6984,
-    "pace": 0.9995,
-    "attack": 0.2639,
-    "side_margin": 0.2001,
-    "pace_behind": 0.3348,
-}
-"""Parameters of the lattice that the network starts from, found by search."""
 
 
 @inner_kernel(forceinline=True)
@@ -135,9 +166,35 @@ def _root(x):
 
 
 @inner_kernel(forceinline=True)
+def _copy(numbers, out):
+    for k in range(len(out)):
+        out[k] = numbers[k]
+
+
+@inner_kernel(forceinline=True)
+def _shape(lattice, style, theta):
+    """Write the lattice's parameters for a style."""
+    _copy(lattice, theta)
+    wide, narrow = SIDE_MARGINS
+    theta[_lattice.SIDE_MARGIN] = wide + (narrow - wide) * style[ASSERTIVENESS]
+    theta[_lattice.PACE] = style[PACE]
+    theta[_lattice.PACE_BEHIND] = style[PACE_BEHIND]
+    return theta
+
+
+@inner_kernel(forceinline=True)
 def _free(now):
     """Return the situation with an attack laid at any time."""
     return _lattice.Situation(*now[:-1], True)  # type: ignore[call-arg]
+
+
+@inner_kernel(forceinline=True)
+def _eased(met):
+    """Return the opponent's cost, with only a small rise above `WINDOW`.
+
+    So the network chooses among all candidates where each of them meets the opponent.
+    """
+    return met if met < WINDOW else WINDOW + EASED * np.log10(met / WINDOW)
 
 
 @inner_kernel(forceinline=True)
@@ -155,10 +212,11 @@ def _meet_all(theta, now, start, scratch):
         cost = scratch[_lattice._MIN_COST + c]
         met, nearness = 0.0, 0.0
         if now.meets and cost < best + WINDOW:
-            most = best + WINDOW - cost
+            most = best + WINDOW - cost if best < WINDOW else 1e30
             met, nearness = _lattice._meet_opponent(
                 scratch, now, start, c // GOALS, c % GOALS, side_reach, w_near, most
             )
+            met = _eased(met)
         scratch[_MET + c] = met
         scratch[_NEARNESS + c] = nearness
         scratch[_lattice._COSTS + c] = cost + met
@@ -167,12 +225,38 @@ def _meet_all(theta, now, start, scratch):
 
 
 @inner_kernel(forceinline=True)
-def _describe_situation(track, view, now, start, attacks, out):
+def _speeds_up(view, memory):
+    """Return the opponent's acceleration since the last plan, m/s^2; 0 without a last plan."""
+    passed = view[_view.TIME] - (memory[_M_TIME] - 1.0)
+    if not 0.0 < passed < 0.5:
+        return 0.0
+    return (view[_view.OPP_V] - memory[_M_SPEED]) / passed
+
+
+@inner_kernel(forceinline=True)
+def _above_profile(track, view):
+    """Return the opponent's speed as a share of the profile's above 1, within .5."""
+    there = _lattice._sample_at(track.line, 1.0 / track.ds, view[_view.OPP_S])
+    profile = max(view[_view.SPEED_HIGH] * track.line[there, _frenet.SPEED], 0.5)
+    return _bounded(view[_view.OPP_V] / profile - 1.0, 0.5)
+
+
+@inner_kernel(forceinline=True)
+def _notice(track, view, now, memory):
+    """Remember the opponent's speed."""
+    if abs(now.gap) < SIGHT:
+        memory[_M_SPEED], memory[_M_TIME] = view[_view.OPP_V], view[_view.TIME] + 1.0
+        memory[_M_USUAL] += RECENT * (_above_profile(track, view) - memory[_M_USUAL])
+    else:
+        memory[_M_SPEED:MEMORY] = 0.0
+
+
+@inner_kernel(forceinline=True)
+def _describe_situation(track, style, view, memory, now, start, attacks, out):
     """Write the features of the situation, all of order one, into ``out``, shape (CONTEXT,)."""
     line, per_ds, v = track.line, 1.0 / track.ds, now.v
     near = max(1.0 - abs(now.gap) / SIGHT, 0.0)
     there = _lattice._sample_at(line, per_ds, view[_view.OPP_S])
-    profile = max(view[_view.SPEED_HIGH] * line[there, _frenet.SPEED], 0.5)
     out[0] = v / 8.0
     out[1] = now.d
     out[2] = 3.0 * now.slope
@@ -188,7 +272,7 @@ def _describe_situation(track, view, now, start, attacks, out):
     out[12] = near * now.opponent_d
     out[13] = near * _bounded(view[_view.OPP_D_DOT], 2.0)
     out[14] = near * (now.opponent_v - v) / 3.0
-    out[15] = near * 2.0 * _bounded(now.opponent_v / profile - 1.0, 1.0)
+    out[15] = near * 2.0 * _above_profile(track, view)
     out[16] = near * 2.0 * line[there, _frenet.KAPPA]
     out[17] = 1.0 if now.meets else 0.0
     out[18] = near if now.gives_way else -near
@@ -197,13 +281,19 @@ def _describe_situation(track, view, now, start, attacks, out):
     out[21] = 1.0 if attacks else 0.0
     out[22] = _bounded(view[_view.GAP] / 10.0, 1.0)
     out[23] = max(1.0 - abs(now.gap) / 3.0, 0.0)
+    out[24] = near * _bounded(_speeds_up(view, memory) / 5.0, 2.0)
+    out[25] = 4.0 * memory[_M_USUAL]
+    out[26] = 2.0 * style[RISK] - 1.0
+    out[27] = 2.0 * style[ASSERTIVENESS] - 1.0
+    out[28] = 2.0 * (style[PACE] - 1.0)
+    out[29] = 4.0 * style[PACE_BEHIND]
     step = 0.8 + 0.2 * v
     for j in range(BENDS):
         i = _lattice._sample_at(line, per_ds, now.s + j * step)
-        out[24 + j] = 2.0 * line[i, _frenet.KAPPA]
+        out[OWN + j] = 2.0 * line[i, _frenet.KAPPA]
         if j % 2 == 0:
-            out[24 + BENDS + j // 2] = min(line[i, _frenet.LEFT], 2.0)
-            out[24 + BENDS + WIDTHS + j // 2] = min(line[i, _frenet.RIGHT], 2.0)
+            out[OWN + BENDS + j // 2] = min(line[i, _frenet.LEFT], 2.0)
+            out[OWN + BENDS + WIDTHS + j // 2] = min(line[i, _frenet.RIGHT], 2.0)
 
 
 @inner_kernel(forceinline=True)
@@ -254,12 +344,14 @@ def _describe_candidates(theta, view, now, best, scratch):
 
 
 @inner_kernel
-def describe(track, theta, view, memory, scratch):
+def describe(track, lattice, style, view, memory, scratch):
     """Lay all candidates and write all features into the scratch.
 
-    ``theta`` holds parameters of the lattice. The last feature of a candidate is -1 if the
+    ``lattice`` holds parameters of the lattice. The last feature of a candidate is -1 if the
     candidate is rejected.
     """
+    theta = scratch[_STYLED:TOTAL]
+    _shape(lattice, style, theta)
     now = _lattice._situation(track, theta, view, memory)
     attacks = now.attacks
     now = _free(now)
@@ -270,24 +362,21 @@ def describe(track, theta, view, memory, scratch):
             costs[g] = costs[GOALS + g] + UNASKED
     best = _meet_all(theta, now, start, scratch)
     out = scratch[_CONTEXT : _CONTEXT + CONTEXT]
-    _describe_situation(track, view, now, start, attacks, out)
+    _describe_situation(track, style, view, memory, now, start, attacks, out)
     _describe_candidates(theta, view, now, best, scratch)
 
 
 @inner_kernel
-def take(track, theta, view, memory, scratch, chosen, path):
+def take(track, lattice, style, view, memory, scratch, chosen, path):
     """Write the path of a candidate, after `describe` with the same scratch."""
+    theta = scratch[_STYLED:TOTAL]
+    _shape(lattice, style, theta)
     now = _lattice._situation(track, theta, view, memory)
     attacks = now.attacks
     now = _free(now)
     way = _lattice._way_back(now, _lattice._plan_by_now(memory, now, track.length))
     _lattice._take(track, view, memory, now, way, attacks, scratch, chosen, path)
-
-
-@inner_kernel(forceinline=True)
-def _copy(numbers, out):
-    for k in range(len(out)):
-        out[k] = numbers[k]
+    _notice(track, view, now, memory)
 
 
 @inner_kernel
@@ -382,10 +471,11 @@ def choose(flat, scratch):
 
 @kernel
 def plan_by_theta(track, theta, view, memory, scratch, path):
-    """Plan by the network in ``theta``: parameters of the lattice, then the network's numbers."""
-    lattice, flat = theta[:LATTICE_SIZE], theta[LATTICE_SIZE:]
-    describe(track, lattice, view, memory, scratch)
-    take(track, lattice, view, memory, scratch, choose(flat, scratch), path)
+    """Plan by a network in ``theta``: style, parameters of the lattice, the network's numbers."""
+    style, lattice = theta[:STYLE], theta[STYLE : STYLE + LATTICE_SIZE]
+    describe(track, lattice, style, view, memory, scratch)
+    chosen = choose(theta[STYLE + LATTICE_SIZE :], scratch)
+    take(track, lattice, style, view, memory, scratch, chosen, path)
 
 
 LATTICE_SIZE = len(LATTICE.parameters)
@@ -399,8 +489,8 @@ def _plan(frozen: bytes) -> Any:
 
     @kernel
     def plan(track, theta, view, memory, scratch, path):
-        describe(track, lattice, view, memory, scratch)
-        take(track, lattice, view, memory, scratch, choose(flat, scratch), path)
+        describe(track, lattice, theta, view, memory, scratch)
+        take(track, lattice, theta, view, memory, scratch, choose(flat, scratch), path)
 
     return plan
 
@@ -431,7 +521,7 @@ def save_line_planner(
     tensors: Mapping[str, NDArray[Any]],
     *,
     name: str = NAME,
-    lattice: Mapping[str, float] = STRONG,
+    lattice: Mapping[str, float] | None = None,
     training: Mapping[str, Any],
 ) -> Path:
     """Save a line planner in a folder, created if missing.
@@ -441,13 +531,13 @@ def save_line_planner(
     tensors : mapping of ndarray
         ``LAYER.weight`` (outputs, inputs) and ``LAYER.bias`` (outputs,) of all :data:`LAYERS`.
     lattice : mapping of float
-        Parameters of the lattice that lays and weighs the candidates.
+        Parameters of the lattice that lays and weighs the candidates (default: its own defaults).
     training : mapping
         Description of the training: texts and numbers by name.
     """
     content = save_tensors({k: np.ascontiguousarray(v, np.float32) for k, v in tensors.items()})
     _checked_tensors(Path(folder), content)
-    values = LATTICE.policy(dict(lattice), name).parameters  # checks them
+    values = LATTICE.policy(dict(lattice or {}), name).parameters  # checks them
     fields = {
         "name": name,
         "lattice": dict(zip(LATTICE.parameter_names, values.tolist(), strict=True)),
@@ -496,9 +586,9 @@ def load_line_planner(source: str | Path = NAME) -> Planner:
     fields, numbers = read_line_planner(source)
     return Planner(
         name=fields["name"],
-        parameters=(),
+        parameters=PARAMETERS,
         plan=_plan(numbers.tobytes()),
-        memory_size=_lattice.MEMORY,
+        memory_size=MEMORY,
         scratch_size=TOTAL,
         sight=SIGHT,
     )
