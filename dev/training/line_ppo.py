@@ -541,7 +541,10 @@ class Run:
         learner.critic.load_state_dict(saved["critic"])
         learner.averaged.load_state_dict(saved["averaged"])
         learner.optimiser.load_state_dict(saved["optimiser"])
-        learner.generator.set_state(saved["generator"])
+        if saved["generator"].shape == learner.generator.get_state().shape:
+            learner.generator.set_state(saved["generator"])
+        else:  # from another kind of device
+            learner.generator.manual_seed(self.arguments.seed + saved["updates"])
         league = saved["league"].numpy()
         self.league.numbers[: len(league)] = league
         self.league.count = len(league)

@@ -431,9 +431,9 @@ def _part(flat, features, step, linear, weights, part):
 def choose(flat, scratch):
     """Return the candidate with the max score; ``flat`` holds the network's numbers."""
     inner, hidden = scratch[_INNER:_HIDDEN], scratch[_HIDDEN:_LINEAR]
-    linear, units = scratch[_LINEAR:_OF_MOVES], scratch[_SCORES:TOTAL]
+    linear, units = scratch[_LINEAR:_OF_MOVES], scratch[_SCORES:_STYLED]
     _dense(flat, AT.context, scratch[_CONTEXT:_MOVE], inner)
-    for k in range(UNITS):
+    for k in range(INNER):
         inner[k] = hyperbolic_tangent(inner[k])
     _dense(flat, AT.situation, inner, hidden)
     _dense(flat, AT.weights, inner, linear)

@@ -5,19 +5,23 @@ import pytest
 from refusal import refused
 from safetensors.numpy import load, save
 
+from pcs_racing import load_track, parse_policy, run_races
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import line_ppo
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, MEMORY, SPEEDS
+from pcs_racing.planners import lattice, line_ppo
+from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     FEATURES,
     LATTICE_SIZE,
     LAYERS,
+    MEMORY,
     MOVE,
     PAIR,
+    PARAMETERS,
     SHARPNESS,
+    SIDE_MARGINS,
     SPEED,
-    STRONG,
+    STYLE,
     TOTAL,
     flat_weights,
     load_line_planner,
@@ -27,7 +31,8 @@ from pcs_racing.planners.line_ppo import (
 )
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS
 
-WHOLE = LATTICE.policy(STRONG).parameters
+WHOLE = LATTICE.default
+DEFAULT = np.array([one.default for one in PARAMETERS])
 
 
 def tensors(size: float, seed: int = 0) -> dict[str, np.ndarray]:
@@ -45,24 +50,30 @@ def path_of(plan, track, theta, view, memory) -> np.ndarray:
 
 @pytest.mark.parametrize("gap", [-5.0, 2.0, 5.0, 20.0])
 def test_a_network_of_zeros_drives_as_the_lattice(oval, view_at, gap):
-    theta = np.concatenate([WHOLE, flat_weights(tensors(0.0))])
+    _, assertiveness, pace, pace_behind = DEFAULT
+    wide, narrow = SIDE_MARGINS
+    same = {"pace": pace, "pace_behind": pace_behind}
+    same["side_margin"] = wide + (narrow - wide) * assertiveness
+    whole = LATTICE.policy(same).parameters
+    theta = np.concatenate([DEFAULT, WHOLE, flat_weights(tensors(0.0))])
     memories = np.zeros((2, MEMORY))
     for s in (5.0, 5.4, 5.8):
         view = view_at(oval, s, 0.1, speed=4.0, gap=gap, opp_speed=3.0)
         own = path_of(plan_by_theta, oval, theta, view, memories[0])
-        np.testing.assert_array_equal(own, path_of(LATTICE.plan, oval, WHOLE, view, memories[1]))
-        np.testing.assert_array_equal(memories[0], memories[1])
+        np.testing.assert_array_equal(own, path_of(LATTICE.plan, oval, whole, view, memories[1]))
+        np.testing.assert_array_equal(*memories[:, : lattice.MEMORY])
 
 
 @compiled
 def _describe_and_choose(track, theta, view, memory, scratch):
-    line_ppo.describe(track, theta[:LATTICE_SIZE], view, memory, scratch)
-    return line_ppo.choose(theta[LATTICE_SIZE:], scratch)
+    style, numbers = theta[:STYLE], theta[STYLE:]
+    line_ppo.describe(track, numbers[:LATTICE_SIZE], style, view, memory, scratch)
+    return line_ppo.choose(numbers[LATTICE_SIZE:], scratch)
 
 
 def test_the_choice_is_the_candidate_with_the_max_score(oval, view_at):
     own = tensors(0.3)
-    theta, scratch = np.concatenate([WHOLE, flat_weights(own)]), np.empty(TOTAL)
+    theta, scratch = np.concatenate([DEFAULT, WHOLE, flat_weights(own)]), np.empty(TOTAL)
     chosen = set()
     for s in np.arange(0.0, oval.length, 2.0):
         view = view_at(oval, s, 0.2, speed=4.0, gap=2.0, opp_speed=3.0)
@@ -101,8 +112,33 @@ def test_what_is_saved_is_read(tmp_path, oval, view_at):
     planner, view = load_line_planner(folder), view_at(oval, 5.0, gap=3.0)
     np.testing.assert_array_equal(
         path_of(planner.plan, oval, planner.default, view, np.zeros(MEMORY)),
-        path_of(plan_by_theta, oval, numbers, view, np.zeros(MEMORY)),
+        path_of(plan_by_theta, oval, np.append(DEFAULT, numbers), view, np.zeros(MEMORY)),
     )
+
+
+def test_the_memory_holds_the_opponents_speed_while_it_is_in_sight(oval, view_at):
+    theta, memory = np.concatenate([DEFAULT, WHOLE, flat_weights(tensors(0.0))]), np.zeros(MEMORY)
+    path_of(plan_by_theta, oval, theta, view_at(oval, 5.0, gap=3.0, opp_speed=2.5), memory)
+    speed, _, usual = memory[lattice.MEMORY :]
+    assert speed == 2.5
+    assert usual < 0.0  # slower than the profile
+    path_of(plan_by_theta, oval, theta, view_at(oval, 5.0, gap=-13.0, opp_speed=2.5), memory)
+    np.testing.assert_array_equal(memory[lattice.MEMORY :], 0.0)
+
+
+def test_a_style_out_of_bounds_is_refused():
+    refused("'risk' is 2; it must lie", parse_policy, "line-ppo:risk=2")
+    refused("no parameter 'boldness'", parse_policy, "line-ppo:boldness=1")
+
+
+def test_a_higher_pace_drives_faster():
+    track, slow = load_track("Pipkin"), parse_policy("pure-pursuit:pace=0")
+    results = [
+        run_races(track, [parse_policy(f"line-ppo:{style}")] * 24, slow, "contest", seed=3)
+        for style in ("pace=0.2", "pace=1.4")
+    ]
+    slower, faster = (result.state.progress[:, 0].mean() for result in results)
+    assert faster > 1.15 * slower
 
 
 @pytest.mark.parametrize(
