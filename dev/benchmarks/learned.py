@@ -41,7 +41,7 @@ SEED = 4049
 STYLES = {
     "risk": (0.0, 1.0),
     "assertiveness": (0.0, 1.0),
-    "pace": (0.4, 1.6),
+    "pace": (0.0, 2.0),
     "pace_behind": (-0.5, 0.5),
 }
 VALUES = 7  # values of each style, the others at their defaults

@@ -81,7 +81,7 @@ WIDE = FEATURES + EXTRA
 PROGRESS, GAIN, LEAD, WIN, FAULT = 0.004, 0.02, 20.0, 1.0, (6.0, 0.5)
 PRICES, CLOSE, CONTACT = (0.25, 1.5), 0.9, 0.03
 DEFAULT_STYLE = 0.5  # share of the cars that race by the default style
-FAST = PARAMETERS[PACE].low + 0.9  # pace from which on half of the drawn paces are
+FAST, FASTEST = 0.9, 1.6  # half of the drawn paces are between; the others below `FASTEST`
 STARTS = 48  # start states of a group
 LENGTHS = ((60.0, 120.0), (60.0, 120.0), (120.0, 200.0), (180.0, 320.0))  # m, of random circuits
 WIDTHS = (2.2, 2.0, 3.0)  # m
@@ -159,6 +159,7 @@ def _reward(state, race, end_tick, before, options, styles, out):
 
 
 _BOX = np.array([(one.low, one.high) for one in PARAMETERS])
+_BOX[PACE, 1] = FASTEST
 _DEFAULT = np.array([one.default for one in PARAMETERS])
 
 

@@ -77,7 +77,7 @@ PARAMETERS = (
     Parameter(
         "pace",
         0.0,
-        1.6,
+        2.0,
         1.4,
         "speed scale between the slowest (0) and fastest (1) of the race's speed range",
     ),

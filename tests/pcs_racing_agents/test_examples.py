@@ -190,11 +190,11 @@ def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     torch = pytest.importorskip("torch")
     file = EXAMPLES.parent / "dev" / "training" / "line_ppo.py"
     size = ("--tracks", "Pipkin", "--random", 0, "--each", 1, "--cars", 8, "--steps", 8)
-    size += ("--rivals", "strong", "--races", 2, "--minibatch", 16, "--device", "cpu")
+    size += ("--rivals", "lattice", "--races", 2, "--minibatch", 16, "--device", "cpu")
     run_python(file, *size, "--updates", 2, "--out", "whole", folder=tmp_path)
     for updates in (1, 2):
         out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=tmp_path)
-        assert re.search(r"^  eval [\d.-]+  strong [\d.]+/[\d.]+$", out, re.M)
+        assert re.search(r"^  eval [\d.-]+  lattice [\d.]+/[\d.]+$", out, re.M)
     whole, parts = (
         torch.load(tmp_path / name / "checkpoint.pt", weights_only=True)
         for name in ("whole", "parts")
