@@ -53,6 +53,7 @@ def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
         "judge-search",
         "match",
         "overtaking",
+        "ppo-against-cfr",
         "reading",
         "search",
     }

@@ -1,0 +1,1 @@
+"""PPO and counterfactual regret in equal races, with the best open-loop agent and planner."""
