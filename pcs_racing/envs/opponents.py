@@ -31,6 +31,9 @@ from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.state import RaceState, empty_state, take
 
+WEIGHTS = 1e-12, 1e12
+"""Min and max weight of an opponent in a draw."""
+
 
 @dataclass(frozen=True, eq=False)
 class Opponent:
@@ -110,11 +113,12 @@ def weights_of(opponents: Sequence[Opponent]) -> NDArray[np.float64]:
 def check_weights(given: Any, like: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return new weights of the opponents, as many as in ``like``."""
     weights = as_array(given)
+    low, high = WEIGHTS
     fits = weights.shape == like.shape and weights.dtype.kind in "iuf"
-    if not fits or not ((weights > 0.0) & (weights < 1e12)).all():
+    if not fits or not ((weights >= low) & (weights <= high)).all():
         raise InputError(
             f"the weights of the opponents are {given!r:.80}; they must be {len(like)} numbers"
-            " above 0, one for each opponent"
+            f" from {low:g} to {high:g}, one for each opponent"
         )
     return weights.astype(np.float64)
 
@@ -147,7 +151,7 @@ def drive_opponents(
 
 
 def _weight(index: int, value: Any) -> float:
-    return float(check_number(f"the weight of opponent {index}", value, above=0.0))
+    return float(check_number(f"the weight of opponent {index}", value, *WEIGHTS))
 
 
 def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:

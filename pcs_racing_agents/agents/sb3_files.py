@@ -228,6 +228,8 @@ def frozen_model(model: Any, name: str) -> tuple[Sb3Policy, dict[str, Any]]:
 
     The scale of observations is rounded to float32, as in a file.
     """
+    if not callable(getattr(model, "get_env", None)):
+        raise InputError(f"a {type(model).__name__} is no model of Stable-Baselines3")
     env, frozen = model.get_env(), plain_model(model, name)
     if not isinstance(frozen, Sb3Policy):
         raise InputError(

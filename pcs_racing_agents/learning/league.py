@@ -21,12 +21,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.artifacts import ManifestFormat
-from pcs_racing.base.checks import check_choice, check_number, check_whole
+from pcs_racing.base.checks import (
+    check_choice,
+    check_number,
+    check_text,
+    check_whole,
+    check_whole_array,
+)
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import read_limited, write_atomically
 from pcs_racing.envs.infos import Result
-from pcs_racing.envs.models import model_policy
+from pcs_racing.envs.models import KEPT, model_policy
+from pcs_racing.envs.opponents import WEIGHTS
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing_agents.agents.sb3_files import (
@@ -113,7 +120,12 @@ class League:
 
         Results are numbers of :class:`pcs_racing.envs.infos.Result`; a no-contest does not count.
         """
-        met, ended = np.asarray(opponents, np.int64), np.asarray(results, np.int64)
+        met = check_whole_array(
+            "opponents", opponents, (None,), minimum=0, maximum=len(self.members) - 1
+        )
+        ended = check_whole_array(
+            "results", results, met.shape, minimum=min(Result), maximum=max(Result)
+        )
         worth = {Result.WIN: 1.0, Result.TIE: 0.5, Result.LOSS: 0.0}
         members = list(self.members)
         for k, member in enumerate(members):
@@ -127,7 +139,7 @@ class League:
         """Add a frozen copy of a model of Stable-Baselines3; the oldest leaves if there are more
         than ``max_copies`` copies.
         """
-        check_number("the weight of a copy", weight, above=0.0)
+        check_number("the weight of a copy", weight, *WEIGHTS)
         check_whole("max_copies", max_copies, 1, MAX_MEMBERS)
         copies = [member for member in self.members if member.model is not None]
         number = 1 + max((int(one.name.removeprefix("self-")) for one in copies), default=0)
@@ -140,7 +152,13 @@ class League:
 
 def make_league(opponents: Mapping[str, float] | Sequence[str]) -> League:
     """Make a league of planners' policies by name, with weights if a mapping is given."""
-    given = opponents if isinstance(opponents, Mapping) else dict.fromkeys(opponents, 1.0)
+    listed = isinstance(opponents, Sequence) and not isinstance(opponents, str)
+    if not isinstance(opponents, Mapping) and not listed:
+        raise InputError(
+            f"opponents is {opponents!r:.80}; it must list names, or map names to weights"
+        )
+    names = [check_text("the name of an opponent", name) for name in opponents]
+    given = opponents if isinstance(opponents, Mapping) else dict.fromkeys(names, 1.0)
     return League(
         tuple(_member(f"opponent {k}", _planner(*one)) for k, one in enumerate(given.items()))
     )
@@ -203,8 +221,8 @@ def _member(where: str, given: Any) -> Member:
     keys = (*_KEYS, *(_COPY_KEYS if copied else ()))
     if not isinstance(given, dict) or set(given) != set(keys):
         raise InputError(f"{where} is {given!r:.80}; it must have the fields {', '.join(keys)}")
-    name = str(given["name"])
-    weight = check_number(f"{where}: weight", given["weight"], above=0.0)
+    name = check_text(f"{where}: name", given["name"])
+    weight = check_number(f"{where}: weight", given["weight"], *WEIGHTS)
     races = check_number(f"{where}: races", given["races"], 0.0, 1e12)
     won = check_number(f"{where}: won", given["won"], 0.0, races)
     try:
@@ -228,6 +246,8 @@ def _read_copy(where: str, given: Mapping[str, Any]) -> dict[str, Any]:
     check_choice("activation", given["activation"], ACTIVATIONS)
     if not isinstance(given["squash"], bool) or not isinstance(given["arguments"], dict):
         raise InputError("squash must be true or false, and arguments a mapping")
+    for key in given["arguments"]:
+        check_choice("a name in arguments", key, ("cars", *KEPT, "vehicle"))
     model = Sb3Policy(str(given["name"]), layers, given["activation"], False, given["squash"])
     if scaled:
         clip = float(check_number("clip", given["clip"], above=0.0))

@@ -102,7 +102,7 @@ def test_new_weights_hold_for_the_races_that_begin_later():
     duels.reset(seed=0)
     assert set(duels.batch.drawn) == {1}
     for wrong in ([1.0, 2.0], [1.0, 0.0, 1.0], [1.0, np.nan, 1.0], "often", None):
-        refused("they must be 3 numbers above 0", envs.set_opponent_weights, wrong)
+        refused("they must be 3 numbers from 1e-12 to 1e", envs.set_opponent_weights, wrong)
 
 
 def test_a_state_holds_the_opponent_of_each_race():

@@ -74,7 +74,13 @@ def changed(tmp_path, **changes):
         ({"name": "lattise"}, "member 0: .*'lattise'.* did you mean"),
         ({"name": "lattice:pase=0"}, "member 0: .*pase"),
         ({"name": "lattice:pace=9"}, "member 0: .*pace.* is 9"),
-        ({"weight": 0.0}, r"member 0: weight is 0\.0"),
+        ({"weight": 0.0}, r"member 0: weight is 0\.0; it must be a number from 1e-12 to 1e\+12"),
+        (
+            {"weight": 1e13},
+            r"member 0: weight is 10000000000000\.0; it must be a number from 1e-12 to 1e\+12",
+        ),
+        ({"weight": [1, 2]}, r"member 0: weight is \[1, 2\]; it must be a number"),
+        ({"name": 3}, "member 0: name is 3; it must be a non-empty text"),
         ({"weight": float("nan")}, "numbers must be finite"),
         ({"won": 3.0}, r"member 0: won is 3\.0; it must be a number from 0 to 0"),
         ({"weight": None}, "member 0 is .* must have the fields name, weight, races, won"),
@@ -94,6 +100,45 @@ def test_a_league_is_neither_empty_nor_endless(tmp_path):
     refused("has 0 opponents", League, ())
     refused("has 101 opponents", make_league, [f"lattice:pace={k / 200}" for k in range(101)])
     refused("can't read .*; a league must have been written by save_league", load_league, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("opponents", "message"),
+    [
+        ("lattice", "opponents is 'lattice'; it must list names, or map names to weights"),
+        (None, "opponents is None"),
+        ([(2, "lattice")], "the name of an opponent is .*; it must be a non-empty text"),
+        ({"lattice": "2"}, "opponent 0: weight is '2'; it must be a number"),
+        ({"lattice": 10**13}, "opponent 0: weight is 10000000000000; it must be a number"),
+        ({"lattice": float("inf")}, "opponent 0: weight is inf; it must be a number"),
+    ],
+    ids=str,
+)
+def test_opponents_are_names_with_weights(opponents, message):
+    refused(message, make_league, opponents)
+
+
+@pytest.mark.parametrize(
+    ("opponents", "results", "message"),
+    [
+        ([4], [1], "opponents holds 4 at 0; it must be a whole number from 0 to 2"),
+        ([0, 1], [1], r"results has shape \(1,\)"),
+        ([0], [77], "results holds 77 at 0; it must be a whole number"),
+        (["lattice"], [1], "opponents has shape .* it must hold whole numbers"),
+    ],
+)
+def test_races_that_could_not_have_been_raced_are_refused(opponents, results, message):
+    refused(message, make_league(ROOKIES).record, opponents, results)
+
+
+def test_a_copy_is_of_a_model():
+    refused("a list is no model of Stable-Baselines3", make_league(ROOKIES).with_copy, [3])
+    refused(
+        r"the weight of a copy is 10000000000000\.0; it must be a number from 1e-12",
+        make_league(ROOKIES).with_copy,
+        [3],
+        1e13,
+    )
 
 
 # Frozen copies of a model of Stable-Baselines3
@@ -149,7 +194,10 @@ def test_the_oldest_copy_leaves(model):
     [
         ({"hidden": [8, 9]}, "its manifest says"),
         ({"activation": "GELU"}, "activation is 'GELU'"),
-        ({"arguments": {"beans": 3}}, "'beans' is unknown"),
+        ({"arguments": {"beans": 3}}, "a name in arguments is 'beans'; .* did you mean 'beams'"),
+        ({"arguments": {3: 3}}, "a name in arguments is 3; it must be one of cars, time_step"),
+        ({"arguments": {"like": 3}}, "a name in arguments is 'like'; it must be one of cars"),
+        ({"arguments": [3]}, "arguments a mapping"),
         ({"arguments": {"beams": 3}}, "observation"),
         ({"clip": None}, "unknown or missing mean, spread"),
         ({"sha256": "0"}, "its digest differs"),
