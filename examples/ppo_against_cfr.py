@@ -1,14 +1,15 @@
-"""PPO against the agent of counterfactual regret: train it, save it, race it.
+"""PPO against the agent of counterfactual regret: train PPO, save it, race both and others.
 
     python examples/ppo_against_cfr.py
     python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest-early
 
-PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. What it has
-learned is saved as plain numbers, read again without torch, and raced against the opponent and
-others: every start policy against every opponent, from both sides, in the very races that the agent
-which never switches drives, too. The default is a look at how it works, in about a minute; the
-weights that come with the package were trained for longer (docs/ppo.md). Stop the training and
-start it again: it goes on where it was.
+PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. Its weights are
+saved as plain numbers and read again without torch. Four racers then drive equal races, from both
+sides of each start line, against three opponents: the trained PPO, which moves between policies
+every 8 s, `line-ppo`, which ships and chooses a path ten times a second, the agent of
+counterfactual regret, and the agent that never switches. The default takes a minute; the shipped
+weights were trained for longer, and the full comparison is `python -m studies ppo-against-cfr`
+(docs/reports/ppo.md). Stop the training and start it again: it resumes.
 """
 
 import argparse
@@ -20,9 +21,10 @@ from pcs_racing import InputError, load_track, make_game, save_replay
 from pcs_racing_agents import learning, make
 from pcs_racing_agents.tournament import (
     compare,
-    cross_pairing,
+    draw_schedule,
     play_pairing,
     repeat_race,
+    schedule_pairing,
     show_progress,
 )
 
@@ -40,19 +42,18 @@ def main() -> None:
     parser.add_argument("--rules", default="paper", help="rules of the race: paper or contest")
     parser.add_argument("--archive", default="default-early", help="archive that both move in")
     parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
-    parser.add_argument("--opponent", default="cfr-argmax", help="agent of the zoo to race against")
+    parser.add_argument("--opponent", default="cfr-argmax", help="agent of the zoo to compare with")
     parser.add_argument(
         "--opponent-network", metavar="DIR", help="its network, where none is shipped"
     )
-    parser.add_argument("--egos", type=int, default=8, help="start policies of each agent")
-    parser.add_argument("--variants", type=int, default=8, help="start policies of each opponent")
+    parser.add_argument("--races", type=int, default=100, help="races of each pair, even")
     parser.add_argument("--seed", type=int, default=0, help="root of everything random")
     parser.add_argument(
         "--out", type=Path, default=Path("out/ppo_against_cfr"), help="folder for all that is made"
     )
     arguments = parser.parse_args()
 
-    # 0. Who races; a name that is unknown is told before anything is trained.
+    # 0. Racers and opponents; an unknown name is reported before the training.
     world = {"archive": arguments.archive, "race": arguments.rules}
     options = {"network": arguments.opponent_network} if arguments.opponent_network else {}
     try:
@@ -62,7 +63,7 @@ def main() -> None:
             f"ppo_against_cfr: error: {error}; or race another one with --opponent"
         ) from None
 
-    # 1. Train, against opponents that PPO is to beat. The folder keeps curves and weights.
+    # 1. Train against a mixture of opponents. The folder holds curves and weights.
     settings = learning.DuelSettings(
         archive=arguments.archive,
         race=arguments.rules,
@@ -80,43 +81,51 @@ def main() -> None:
         settings, arguments.out / "training", name="ppo-example", progress=show_progress("moves")
     )
 
-    # 2. What was saved: weights.safetensors, manifest.yaml and curve.csv. No torch is needed from
-    # here on.
+    # 2. The folder holds weights.safetensors, manifest.yaml and curve.csv; torch is not needed now.
     print(f"saved: {trained.folder} (seed {trained.seed}, after {trained.steps} moves)")
-    ppo = make("ppo", network=trained.folder, **world)
-
-    # 3. Race. All cells against an opponent have the same races, so their differences are not those
-    # of luck.
-    game = make_game(load_track(arguments.track), arguments.archive, arguments.rules)
-    never_switch = make("never-switch", **world)
-    draws = {
-        "egos": arguments.egos,
-        "opponents": arguments.variants,
-        "lines": 3,
-        "seed": arguments.seed + 1,
+    racers = {
+        "ppo": make("ppo", network=trained.folder, **world),
+        "line-ppo": make("line-ppo", **world),
+        opponent.name: opponent,
+        "never-switch": make("never-switch", **world),
     }
-    print(
-        f"\n{game.track.name}, rules {arguments.rules}: score (a win 1, a tie a half), difference"
-        " at 95 %"
-    )
-    print(
-        f"{'against':>24} {'races':>6} {'never-switch':>13} {'ppo':>7} {'difference':>11}"
-        f" {'interval':>18}"
-    )
-    for other in (opponent, never_switch, make("random-moves", **world)):
-        pairings = [cross_pairing(game, ego, other, **draws) for ego in (never_switch, ppo)]
-        base, score = (play_pairing(pairing).score for pairing in pairings)
-        egos, opponents = pairings[0].variants.T
-        # its interval knows which races share a policy
-        gain = compare(score, base, egos, opponents)
-        interval = f"[{gain.low:+.3f}, {gain.high:+.3f}]"
-        figures = f"{base.mean():13.3f} {score.mean():7.3f} {gain.difference:+11.3f} {interval:>18}"
-        print(f"{other.name:>24} {len(score):6} {figures}")
 
-    # 4. One of these races to watch.
-    pairing = cross_pairing(game, ppo, opponent, **draws)
-    best = int(np.argmax(play_pairing(pairing).lead))
-    recording = repeat_race(pairing, best)
+    # 3. Race. Race k has the same start line, side, noise and start policies for all racers, so
+    # differences between them are not due to luck.
+    game = make_game(load_track(arguments.track), arguments.archive, arguments.rules)
+    seed = arguments.seed + 1
+    schedule = draw_schedule(game.track, game.config.race_rules, arguments.races, seed)
+    opponents = [opponent, racers["never-switch"], make("random-moves", **world)]
+    pairings = {
+        name: [schedule_pairing(game, racer, other, schedule, seed) for other in opponents]
+        for name, racer in racers.items()
+    }
+    played = {name: [play_pairing(pairing) for pairing in own] for name, own in pairings.items()}
+    labels = pairings["never-switch"]
+    egos = np.concatenate([pairing.variants[:, 0] for pairing in labels])
+    others = np.concatenate([1000 * k + one.variants[:, 1] for k, one in enumerate(labels)])
+    starts = np.tile(np.arange(arguments.races) // 2, len(opponents))
+    print(
+        f"\n{game.track.name}, rules {arguments.rules}, {arguments.races} races of each pair: score"
+    )
+    heads = [f"against {other.name}" for other in opponents]
+    width = max(map(len, racers))
+    print(f"{'':{width}}", *heads, "own crashes", "minus never-switch (95 %)", sep="  ")
+    base = np.concatenate([races.score for races in played["never-switch"]])
+    for name, tables in played.items():
+        score = np.concatenate([races.score for races in tables])
+        own_crashes = np.mean([races.fault[:, 0] == 1 for races in tables])
+        gain = compare(score, base, egos, others, start=starts)
+        cells = [
+            f"{races.score.mean():{len(head)}.3f}"
+            for races, head in zip(tables, heads, strict=True)
+        ]
+        interval = f"{gain.difference:+.3f} [{gain.low:+.3f}, {gain.high:+.3f}]"
+        print(f"{name:{width}}", *cells, f"{own_crashes:11.3f}", f"{interval:>25}", sep="  ")
+
+    # 4. Record the race of PPO with the longest lead.
+    best = int(np.argmax(played["ppo"][0].lead))
+    recording = repeat_race(pairings["ppo"][0], best)
     print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 

@@ -207,23 +207,17 @@ def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
 
 
 def test_ppo_against_cfr(tmp_path):
-    arguments = [
-        "--track",
-        "Pipkin",
-        "--steps",
-        "100",
-        "--opponent",
-        "always-aggressiveness+",
-        "--egos",
-        "2",
-    ]
-    out = run_python(
-        EXAMPLES / "ppo_against_cfr.py", *arguments, "--variants", "2", folder=tmp_path
-    )
+    size = ("--track", "Pipkin", "--steps", 100, "--races", 4)
+    against = ("--opponent", "always-aggressiveness+")
+    out = run_python(EXAMPLES / "ppo_against_cfr.py", *size, *against, folder=tmp_path)
     created = tmp_path / "out" / "ppo_against_cfr"
     kept = {path.name for path in (created / "training" / "policy").iterdir()}
     assert kept == {"weights.safetensors", "manifest.yaml", "curve.csv"}
-    assert "always-aggressiveness+     24 " in out
+    table = [line.split() for line in out.splitlines() if re.search(r"\[[+-]", line)]
+    names = ["ppo", "line-ppo", "always-aggressiveness+", "never-switch"]
+    assert [cells[0] for cells in table] == names
+    assert all(0.0 <= float(share) <= 1.0 for cells in table for share in cells[1:5])
+    assert table[-1][5:] == ["+0.000", "[+0.000,", "+0.000]"]
     assert (created / "race.html").is_file()
 
 
