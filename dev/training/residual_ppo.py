@@ -222,7 +222,7 @@ def main() -> None:
     )
     parser.add_argument("--tracks", nargs="*", default=list_tracks(), help="circuits")
     parser.add_argument("--random", type=int, default=18, help="random circuits, beside the others")
-    parser.add_argument("--races", type=int, default=4, help="races at a time on a circuit")
+    parser.add_argument("--races", type=int, default=11, help="races at a time on a circuit")
     parser.add_argument("--steps", type=int, default=5_000_000, help="steps of training")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -234,9 +234,9 @@ def main() -> None:
     model = PPO(
         "MlpPolicy",
         env,
-        n_steps=64,
-        batch_size=2048,
-        n_epochs=5,
+        n_steps=32,
+        batch_size=8448,  # two batches of 528 cars
+        n_epochs=4,
         gamma=0.98,
         gae_lambda=0.95,
         clip_range=0.2,
