@@ -24,7 +24,6 @@ SMALL = {
         "out/one out/two",
         "error: there is no out/one/table.csv, out/two/table.csv",
     ),
-    "ppo_baselines": ("--lines 0", ""),
     "race_speed": ("--track Pipkin --races 2", "ms"),
     "racing_quality": ("--tracks Pipkin --rules paper --policies 4 --opponents 2", "Pipkin"),
     "record": ("--show", "race"),
