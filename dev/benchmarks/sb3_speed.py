@@ -1,19 +1,17 @@
 """Steps of PPO of Stable-Baselines3 a second of processor time, learning included: default settings
 against large batches.
 
-    python dev/benchmarks/sb3_speed.py [--steps 262144] [--profile] [--league] [--learn 60]
+    python dev/benchmarks/sb3_speed.py [--steps 262144] [--league] [--learn 60]
 
 ``Drive`` with 41 numbers against ``lattice``, two layers of 64 for actor and critic, torch and
 races with one thread. All settings run in turns, and the best round of each counts; the default
-settings train for an eighth of the steps. ``--profile`` prints the functions of the large batches
-that take the most time of their own. ``--league`` measures the large batches against planners, with
-one thread and with all, and against the same planners and eight frozen copies. ``--learn`` trains
-with each of the settings for this processor time (s), and prints what the policy is worth then.
+settings train for an eighth of the steps. ``--league`` measures the large batches against planners,
+with one thread and with all, and against the same planners and eight frozen copies. ``--learn``
+trains with each of the settings for this processor time (s), and prints what the policy is worth
+then.
 """
 
 import argparse
-import cProfile
-import pstats
 import time
 from typing import Any
 
@@ -122,7 +120,6 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--steps", type=int, default=262_144, help="steps of each training")
-    parser.add_argument("--profile", action="store_true", help="profile the large batches")
     parser.add_argument("--league", action="store_true", help="measure opponents of a league")
     parser.add_argument("--learn", type=float, default=0.0, help="processor time of a lesson, s")
     given = parser.parse_args()
@@ -136,11 +133,6 @@ def main() -> None:
     if given.league:
         for name, rate in league_speeds(given.steps).items():
             print(f"{name:50} {rate:8.0f}")
-        return
-    if given.profile:
-        with cProfile.Profile() as profile:
-            steps_per_second(LARGE, given.steps)
-        pstats.Stats(profile).sort_stats("tottime").print_stats(25)
         return
     best = dict.fromkeys(SETTINGS, 0.0)
     for _ in range(ROUNDS):

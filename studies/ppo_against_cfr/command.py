@@ -9,6 +9,8 @@ from pcs_racing_agents.base.tables import markdown, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Workers, can_draw, output_folder
 from pcs_racing_agents.tournament.races import RaceTable
+from pcs_racing_agents.tournament.runner import play_pairings
+from studies.ppo_against_cfr import races, tables
 
 
 @command(
@@ -26,29 +28,27 @@ def run(
     workers: Workers,
 ) -> None:
     """Race PPO, agents of counterfactual regret, open-loop agents and the best planner."""
-    from pcs_racing_agents.tournament.runner import play_pairings
-    from studies.ppo_against_cfr import races, tables
-
-    size = races.SMALL if small else races.Size()
-    setups = [races.make_setup(rules, size, maps) for rules in races.ARCHIVES]
-    settings = races.job_settings(setups, size.races)
-    raced: dict[tuple[str, str, str, str], list[RaceTable]] = {}
+    number = races.SMALL if small else races.RACES
+    tracks = {rules: races.circuits(rules, small, maps) for rules in races.ARCHIVES}
+    hashes = {
+        rules: [track.content_hash for kind in own.values() for track in kind]
+        for rules, own in tracks.items()
+    }
+    settings = {"seed": races.SEED, "races": number, "tracks": hashes}
+    raced: dict[races.Key, list[RaceTable]] = {}
     with workers.start() as executor, open_job(output_folder(out), "ppo-cfr", settings) as job:
-        for setup in setups:
-            played = play_pairings(
-                races.make_pairings(setup, size.races),
-                name=setup.rules,
-                job=job,
-                executor=executor,
-                progress=show_progress("races"),
-            )
-            raced |= races.by_pair(setup, played)
+        for rules, own in tracks.items():
+            keys, pairings = zip(*races.make_pairings(rules, own, number), strict=True)
+            show = show_progress("races")
+            played = play_pairings(pairings, name=rules, job=job, executor=executor, progress=show)
+            for key, table in zip(keys, played, strict=True):
+                raced.setdefault(key, []).append(table)
     cells = tables.make_cells(raced)
-    for setup in setups:
-        print(f"\n## Rules {setup.rules}\n")
-        for kind, tracks in zip(races.CIRCUITS, (setup.training, setup.held_out), strict=True):
-            print(f"{kind} circuits: {', '.join(track.name for track in tracks)}")
-        for title, rows in tables.page(cells, setup.rules):
+    for rules, own in tracks.items():
+        print(f"\n## Rules {rules}\n")
+        for kind, several in own.items():
+            print(f"{kind} circuits: {', '.join(track.name for track in several)}")
+        for title, rows in tables.page(cells, rules):
             print(f"\n{title}\n\n" + "\n".join(markdown(rows)))
     print(f"\nwritten: {write_csv(tables.score_rows(cells), out / 'scores.csv')}")
     if can_draw("the picture"):

@@ -5,7 +5,7 @@ where they vary. They apply to these circuits and opponents: races are compared 
 their circuit and opponent.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,12 +16,19 @@ from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.style import COLOURS, INK, new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import with_interval
 from pcs_racing_agents.tournament.races import RaceTable
-from studies.ppo_against_cfr.races import CIRCUITS, CROSS_PLAY, LEVELS, OPPONENTS, racers
+from studies.ppo_against_cfr.races import CIRCUITS, CROSS_PLAY, LEVELS, OPPONENTS, Key, racers
 
 Floats = NDArray[np.float64]
 Labels = NDArray[np.str_]
-
-ALL = "all"
+BASES = ("best-fixed", "cfr-argmax", "lattice")
+"""Open loop, counterfactual regret and planner, for the differences."""
+WHAT = ("score", "own crashes")
+MARKS = "os", ("full", "none"), (-0.14, 0.14)
+COLUMNS = (
+    *("rules", "circuits", "level", "racer", "opponent", "races"),
+    *("score", "low", "high", "own_crash", "own_low", "own_high"),
+)
+"""Columns of ``scores.csv``."""
 
 
 class Cell(NamedTuple):
@@ -33,8 +40,7 @@ class Cell(NamedTuple):
     clusters: tuple[Labels, ...]  #: shape (N,) each: Start place; start policies of both.
 
 
-Cells = dict[tuple[str, str, str, str], Cell]
-"""Cells by rules, kind of circuits, racer and opponent."""
+Cells = dict[Key, Cell]
 
 
 class Share(NamedTuple):
@@ -80,7 +86,7 @@ def joined(cells: Sequence[Cell]) -> Cell:
     )
 
 
-def make_cells(raced: Mapping[tuple[str, str, str, str], Sequence[RaceTable]]) -> Cells:
+def make_cells(raced: Mapping[Key, Sequence[RaceTable]]) -> Cells:
     """Return the cells of all pairs, by the keys of the races, and of the opponents not raced as
     egos.
     """
@@ -120,131 +126,81 @@ def difference(ego: Cell, other: Cell) -> Share:
     return share(ego.score - other.score, ego.strata, (*ego.clusters, other.clusters[1]))
 
 
-COLUMNS = (
-    *("rules", "circuits", "level", "racer", "opponent", "races"),
-    *("score", "low", "high", "own_crash", "own_low", "own_high"),
-)
-
-
 def score_rows(cells: Cells) -> list[tuple[object, ...]]:
     """Return a line for each racer, opponent (and all), kind of circuits and rules."""
     rows: list[tuple[object, ...]] = [COLUMNS]
-    for rules, circuits in kinds(cells):
+    for rules, circuits in dict.fromkeys(key[:2] for key in cells):
         for racer, level in racers().items():
-            whole = over_opponents(cells, rules, circuits, racer)
-            parts = [(name, cells[rules, circuits, racer, name]) for name in OPPONENTS]
-            for name, cell in [(ALL, whole), *parts]:
-                shares = score_of(cell), own_crashes_of(cell)
-                figures = (f"{value:.4f}" for one in shares for value in one)
+            parts = {name: cells[rules, circuits, racer, name] for name in OPPONENTS}
+            for name, cell in {"all": joined(list(parts.values())), **parts}.items():
+                figures = (
+                    f"{x:.4f}" for one in (score_of(cell), own_crashes_of(cell)) for x in one
+                )
                 rows.append((rules, circuits, level, racer, name, len(cell.score), *figures))
     return rows
 
 
-def kinds(cells: Cells) -> list[tuple[str, str]]:
-    """Return rules and kinds of circuits in order."""
-    return list(dict.fromkeys((rules, circuits) for rules, circuits, *_ in cells))
+def table(
+    names: Iterable[str], columns: Sequence[str], text: Callable[[str, str], str]
+) -> list[tuple[str, ...]]:
+    """Return a table of racers against others, empty where a racer meets itself."""
+    rows = (
+        (f"`{name}`", *("" if name == one else text(name, one) for one in columns))
+        for name in names
+    )
+    return [("racer", *(f"`{one}`" for one in columns)), *rows]
 
 
-def main_table(cells: Cells, rules: str) -> list[tuple[str, ...]]:
-    """Return level, racer, score and own crashes of each racer on both kinds of circuits."""
-    rows = [("level", "racer", *(f"{one}: {what}" for one in CIRCUITS for what in WHAT))]
-    for racer, level in racers().items():
-        texts = []
-        for circuits in CIRCUITS:
-            cell = over_opponents(cells, rules, circuits, racer)
-            texts += [str(score_of(cell)), str(own_crashes_of(cell))]
-        rows.append((level, f"`{racer}`", *texts))
-    return rows
+def page(cells: Cells, rules: str) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """Return the titles and tables of the report for one set of rules."""
+    names, held_out = racers(), CIRCUITS[1]
+    keys = [(kind, name) for kind in CIRCUITS for name in names]
+    whole = {key: over_opponents(cells, rules, *key) for key in keys}
+    shown = {key: (str(score_of(one)), str(own_crashes_of(one))) for key, one in whole.items()}
 
+    def gain(name: str, base: str) -> str:
+        return with_interval(*difference(whole[held_out, name], whole[held_out, base]))
 
-WHAT = ("score", "own crashes")
-BASES = ("best-fixed", "cfr-argmax", "lattice")
+    def against(name: str, opponent: str) -> str:
+        found = score_of(cells[rules, held_out, name, opponent])
+        return f"{found.mean:.3f} ± {0.5 * (found.high - found.low):.3f}"
 
+    def payoff(name: str, opponent: str) -> str:
+        return str(score_of(joined([cells[rules, kind, name, opponent] for kind in CIRCUITS])))
 
-def difference_table(cells: Cells, rules: str, circuits: str) -> list[tuple[str, ...]]:
-    """Return the differences of each racer's score to open loop, CFR and planner."""
-    rows = [("racer", *(f"minus `{base}`" for base in BASES))]
-    whole = {name: over_opponents(cells, rules, circuits, name) for name in racers()}
-    for racer in racers():
-        texts = (
-            "" if racer == base else with_interval(*difference(whole[racer], whole[base]))
-            for base in BASES
-        )
-        rows.append((f"`{racer}`", *texts))
-    return rows
-
-
-def opponent_table(cells: Cells, rules: str, circuits: str) -> list[tuple[str, ...]]:
-    """Return the score of each racer against each opponent, and half of its interval."""
-    rows = [("racer", *(f"`{name}`" for name in OPPONENTS))]
-    for racer in racers():
-        found = [score_of(cells[rules, circuits, racer, name]) for name in OPPONENTS]
-        texts = (f"{one.mean:.3f} ± {0.5 * (one.high - one.low):.3f}" for one in found)
-        rows.append((f"`{racer}`", *texts))
-    return rows
-
-
-def payoff_table(cells: Cells, rules: str) -> list[tuple[str, ...]]:
-    """Return the payoffs of the cross-play, all against all."""
-    names = [name for name in CROSS_PLAY if name in racers()]
-
-    def payoff(racer: str, opponent: str) -> str:
-        both = joined([cells[rules, circuits, racer, opponent] for circuits in CIRCUITS])
-        return str(score_of(both))
-
-    rows = [("row against column", *(f"`{name}`" for name in names))]
-    for racer in names:
-        texts = ("" if racer == other else payoff(racer, other) for other in names)
-        rows.append((f"`{racer}`", *texts))
-    return rows
+    head = ("level", "racer", *(f"{one}: {what}" for one in CIRCUITS for what in WHAT))
+    main = [
+        (level, f"`{name}`", *(text for kind in CIRCUITS for text in shown[kind, name]))
+        for name, level in names.items()
+    ]
+    cross = [name for name in CROSS_PLAY if name in names]
+    return [
+        ("Score against the six opponents, and own crashes", [head, *main]),
+        ("Score minus the score of others, held-out circuits", table(names, BASES, gain)),
+        ("Score by opponent, held-out circuits", table(names, OPPONENTS, against)),
+        ("Score of all against all, all circuits", table(cross, cross, payoff)),
+    ]
 
 
 @picture
 def draw_scores(cells: Cells, file: Path) -> Path:
     """Draw each racer's mean score with its interval, a panel for each set of rules."""
-    rules = list(dict.fromkeys(one for one, _ in kinds(cells)))
+    rules, names, levels = list(dict.fromkeys(key[0] for key in cells)), racers(), list(LEVELS)
     figure = new_figure(4.6 * len(rules), 3.4)
     panels = figure.subplots(1, len(rules), squeeze=False, sharey=True)[0]
-    names, levels = list(racers()), list(LEVELS)
     for panel, one in zip(panels, rules, strict=True):
-        for circuits, marker, shift in zip(CIRCUITS, "os", (-0.14, 0.14), strict=True):
-            for k, name in enumerate(names):
-                cell = over_opponents(cells, one, circuits, name)
-                found = score_of(cell)
-                colour = COLOURS[levels.index(racers()[name])]
+        for circuits, marker, fill, shift in zip(CIRCUITS, *MARKS, strict=True):
+            style = {"marker": marker, "fillstyle": fill}
+            for k, (name, level) in enumerate(names.items()):
+                found = score_of(over_opponents(cells, one, circuits, name))
+                colour = COLOURS[levels.index(level)]
                 panel.plot([found.low, found.high], [k + shift] * 2, color=colour, linewidth=1.6)
-                panel.plot(
-                    found.mean,
-                    k + shift,
-                    marker,
-                    color=colour,
-                    markerfacecolor=colour if marker == "o" else "white",
-                )
-            panel.plot(
-                [],
-                [],
-                marker,
-                color=INK,
-                label=f"{circuits} circuits",
-                markerfacecolor=INK if marker == "o" else "white",
-            )
+                panel.plot(found.mean, k + shift, color=colour, **style)
+            label = f"{circuits} circuits"
+            panel.plot([], [], color=INK, linestyle="", label=label, **style)
         panel.set(title=f"rules {one}", xlabel="score against the six opponents", xlim=(0.0, 1.0))
-        panel.set_yticks(range(len(names)), [f"{name} ({racers()[name]})" for name in names])
+        panel.set_yticks(range(len(names)), [f"{name} ({names[name]})" for name in names])
         tidy(panel, "x")
     panels[0].invert_yaxis()
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower right", ncols=2)
     return save_picture(figure, file)
-
-
-def page(cells: Cells, rules: str) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """Return the titles and tables of the report for one set of rules."""
-    held_out = CIRCUITS[1]
-    return [
-        ("Score against the six opponents, and own crashes", main_table(cells, rules)),
-        (
-            "Differences of the score in equal races, held-out circuits",
-            difference_table(cells, rules, held_out),
-        ),
-        ("Score by opponent, held-out circuits", opponent_table(cells, rules, held_out)),
-        ("Cross-play, all circuits: score of the row", payoff_table(cells, rules)),
-    ]
