@@ -53,15 +53,16 @@ def main() -> None:
     )
     arguments = parser.parse_args()
 
-    # 0. Racers and opponents; an unknown name is reported before the training.
+    # 0. The game, its races and the opponent; bad input is reported before the training.
+    seed = arguments.seed + 1
     world = {"archive": arguments.archive, "race": arguments.rules}
     options = {"network": arguments.opponent_network} if arguments.opponent_network else {}
     try:
+        game = make_game(load_track(arguments.track), arguments.archive, arguments.rules)
+        schedule = draw_schedule(game.track, game.config.race_rules, arguments.races, seed)
         opponent = make(arguments.opponent, **world, **options)
     except InputError as error:
-        raise SystemExit(
-            f"ppo_against_cfr: error: {error}; or race another one with --opponent"
-        ) from None
+        raise SystemExit(f"ppo_against_cfr: error: {error}") from None
 
     # 1. Train against a mixture of opponents. The folder holds curves and weights.
     settings = learning.DuelSettings(
@@ -92,9 +93,6 @@ def main() -> None:
 
     # 3. Race. Race k has the same start line, side, noise and start policies for all racers, so
     # differences between them are not due to luck.
-    game = make_game(load_track(arguments.track), arguments.archive, arguments.rules)
-    seed = arguments.seed + 1
-    schedule = draw_schedule(game.track, game.config.race_rules, arguments.races, seed)
     opponents = [opponent, racers["never-switch"], make("random-moves", **world)]
     pairings = {
         name: [schedule_pairing(game, racer, other, schedule, seed) for other in opponents]

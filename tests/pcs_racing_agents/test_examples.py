@@ -236,10 +236,17 @@ def test_a_tree_in_openspiel(tmp_path):
     assert abs(cells["pcs-racing"]) < 1e-12
 
 
-def test_an_unknown_opponent_is_told_before_training(tmp_path):
-    done = call_python(EXAMPLES / "ppo_against_cfr.py", "--opponent", "nobody", cwd=tmp_path)
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--opponent", "nobody"), "agent 'nobody' is unknown"),
+        (("--races", "3"), "races_per_pair is 3; it must be an even number"),
+    ],
+)
+def test_bad_input_is_reported_before_the_training(tmp_path, arguments, message):
+    done = call_python(EXAMPLES / "ppo_against_cfr.py", *arguments, cwd=tmp_path)
     assert done.returncode == 1
-    assert done.stderr.startswith("ppo_against_cfr: error: agent 'nobody' is unknown")
+    assert done.stderr.startswith(f"ppo_against_cfr: error: {message}")
     assert not (tmp_path / "out").exists()
 
 
