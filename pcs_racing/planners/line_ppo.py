@@ -71,7 +71,7 @@ PARAMETERS = (
         "assertiveness",
         0.0,
         1.0,
-        0.7,
+        0.9,
         "air to keep beside the opponent, from 0.4 m (0) to 0.1 m (1), and price of a lead",
     ),
     Parameter(
