@@ -38,6 +38,7 @@ from pcs_racing.base.elementary import hyperbolic_tangent, sine_cosine
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.lidar import Beams
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.field import lidar_ppo as _ppo
 from pcs_racing.planners.field import residual as _residual
 from pcs_racing.planners.line_following import lane_step, speed_scale
 from pcs_racing.planners.planner import Parameter, Planner
@@ -111,10 +112,13 @@ LAYERS = {
     # Layers from the inputs and from the state to the gates, the outputs.
     "gru": ((SEEN, 3 * UNITS), (UNITS, 3 * UNITS), (UNITS, OUTPUTS)),
     "residual": _residual.LAYERS,
+    "ppo": _ppo.LAYERS,
 }
 """Numbers of inputs and outputs of the layers of each network."""
-MEMORY = {"cnn": 0, "gru": UNITS, "residual": 0}
-SCANNED = {"cnn": BEAMS, "gru": BEAMS, "residual": _residual.BEAMS}
+COMMANDING = {"residual": _residual, "ppo": _ppo}
+"""Networks that put out a command, with the modules of their planners."""
+MEMORY = {"cnn": 0, "gru": UNITS, "residual": 0, "ppo": _ppo.MEMORY}
+SCANNED = {"cnn": BEAMS, "gru": BEAMS, "residual": _residual.BEAMS, "ppo": _ppo.BEAMS}
 SCRATCH = 800  # numbers of working memory of a network
 
 PARAMETERS = (
@@ -292,23 +296,26 @@ def read_lidar_planner(source: str | Path) -> tuple[str, str, NDArray[np.float64
 def load_lidar_planner(source: str | Path) -> Planner:
     """Return a lidar planner; source and errors as for :func:`read_lidar_planner`."""
     name, network, flat = read_lidar_planner(source)
-    residual = network == "residual"
-    known = _residual.PARAMETERS if residual else PARAMETERS
+    if network in COMMANDING:
+        own: Any = COMMANDING[network]
+        plan, parameters, variants = own.frozen_plan(flat.tobytes()), own.PARAMETERS, own.VARIANTS
+        scratch = own.SCRATCH
+    else:
+        plan, parameters, variants = _plan(network, flat.tobytes()), PARAMETERS, VARIANTS
+        scratch = WORK + SEEN + SCRATCH
     return Planner(
         name=name,
-        parameters=known,
-        plan=(
-            _residual.residual_plan(flat.tobytes()) if residual else _plan(network, flat.tobytes())
-        ),
+        parameters=parameters,
+        plan=plan,
         memory_size=MEMORY[network],
-        scratch_size=_residual.SCRATCH if residual else WORK + SEEN + SCRATCH,
-        variants=_residual.VARIANTS if residual else VARIANTS,
+        scratch_size=scratch,
+        variants=variants,
     )
 
 
 def __getattr__(name: str) -> Any:
-    """Return ``LIDAR_CNN``, ``LIDAR_GRU`` or ``RESIDUAL``, shipped planners loaded at first use."""
-    if name not in ("LIDAR_CNN", "LIDAR_GRU", "RESIDUAL"):
+    """Return ``LIDAR_CNN``, ``LIDAR_GRU``, ``LIDAR_PPO`` or ``RESIDUAL``, loaded at first use."""
+    if name not in ("LIDAR_CNN", "LIDAR_GRU", "LIDAR_PPO", "RESIDUAL"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = load_lidar_planner(name.lower().replace("_", "-"))
     return globals()[name]

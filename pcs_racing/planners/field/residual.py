@@ -83,7 +83,7 @@ def lay_corrected(view, steering, speed, turn, faster, share, path):
 
 
 @cache
-def residual_plan(frozen: bytes) -> Any:
+def frozen_plan(frozen: bytes) -> Any:
     """Compile the planner with the weights of its network as constants of the code."""
     constant = np.frombuffer(frozen, np.float64)
 

@@ -60,7 +60,7 @@ def test_a_network_corrects_the_potential_field(oval, view_at):
     layers, view = pairs("residual"), view_at(oval, 3.0, speed=4.0, gap=2.0, opp_d=0.3)
     scratch, out = np.zeros(residual.SCRATCH), np.zeros(residual.SEEN)
     field, none, full = np.zeros((3, PATH_POINTS, 4))
-    plan = residual.residual_plan(networks.flat_weights(layers).tobytes())
+    plan = residual.frozen_plan(networks.flat_weights(layers).tobytes())
     for share, path in ((0.0, none), (1.0, full)):
         plan(oval.arrays, np.array([share, 1.0]), view, out, scratch, path)
     POTENTIAL_FIELD.plan(oval.arrays, POTENTIAL_FIELD.default, view, out, scratch, field)

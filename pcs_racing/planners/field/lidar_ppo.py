@@ -1,0 +1,136 @@
+"""Racing without a map by a network, trained by PPO: ``lidar-ppo``.
+
+Ten times a second the network (two hidden layers) sees the nearest range in each of 54 sectors, how
+these ranges changed within the last two tenths of a second, the car's measurements of itself and
+its last command. Its two outputs are a curvature, as a share of `max_curvature`, and a change of
+speed. The car follows the arc of this curvature until the next command. The network first imitated
+a planner with a map in the places where the network drove, as in DAgger [1]_, and was then improved
+by PPO [2]_ against itself and other planners (``dev/training/lidar_ppo.py``). The critic of the
+training, and only the critic, knows the map and the opponent [3]_.
+
+References
+----------
+.. [1] S. Ross, G. Gordon and J. A. Bagnell, "A reduction of imitation learning and structured
+   prediction to no-regret online learning", AISTATS 2011.
+.. [2] J. Schulman, F. Wolski, P. Dhariwal, A. Radford and O. Klimov, "Proximal policy optimization
+   algorithms", 2017, arXiv:1707.06347.
+.. [3] L. Pinto, M. Andrychowicz, P. Welinder, W. Zaremba and P. Abbeel, "Asymmetric actor critic
+   for image-based robot learning", RSS 2018, arXiv:1710.06542.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.dense import dense_forward, weight_count
+from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.planners import view as _view
+from pcs_racing.planners.planner import Parameter
+from pcs_racing.planners.pursuit import steady_course
+from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, write_arc
+
+SECTOR = 5  # beams per sector; the last beam of 271 is left out
+SECTORS = BEAMS // SECTOR
+FRAMES = 3  # scans: the present scan and two before, 0.1 s apart
+OWN = 5  # speed, yaw rate, steering angle, last command
+SEEN = FRAMES * SECTORS + OWN  # inputs
+WIDTH = 128
+SIZES = (SEEN, WIDTH, WIDTH, 2)
+LAYERS = ((SEEN, WIDTH), (WIDTH, WIDTH), (WIDTH, 2))  # ReLU, ReLU, tanh
+WEIGHTS = weight_count(SIZES)
+MEMORY = 3 + (FRAMES - 1) * SECTORS  # 1 after the first scan, last command, earlier scans
+SCRATCH = SCAN_SIZE + 2 * SEEN
+CHANGE = 6.0  # factor of the change of a sector between two scans
+MAX_KAPPA, HALVED = 1.3, 4.0  # max curvature at rest, 1/m, and the speed that halves it, m/s
+PUSH = 1.0  # max change of the speed, m/s
+SLOWEST = 0.5  # m/s
+
+PARAMETERS = (
+    Parameter(
+        "speed_share",
+        0.4,
+        1.1,
+        1.0,
+        "factor of the speed; the network sees its own speed divided by it",
+    ),
+)
+VARIANTS = {"calm": {"speed_share": 0.85}}
+
+
+@compiled
+def observe(track, view, share, memory, scratch, seen):
+    """Scan, write the inputs of the network into ``seen``, shape (SEEN,), and remember the scan.
+
+    All inputs are of order one.
+    """
+    scan(track, view, scratch)
+    ranges = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]
+    begun = memory[0] > 0.0
+    memory[0] = 1.0
+    for k in range(SECTORS):
+        nearest = MAX_RANGE
+        for j in range(SECTOR * k, SECTOR * (k + 1)):
+            nearest = min(nearest, ranges[j])
+        # The root resolves near ranges without losing far ones.
+        now = 2.0 * np.sqrt(nearest / MAX_RANGE) - 1.0
+        seen[k] = now
+        for j in range(1, FRAMES):
+            at = 3 + (j - 1) * SECTORS + k
+            before = memory[at] if begun else now
+            seen[j * SECTORS + k] = min(max(CHANGE * (now - before), -1.0), 1.0)
+        for j in range(FRAMES - 1, 1, -1):
+            at = 3 + (j - 1) * SECTORS + k
+            memory[at] = memory[at - SECTORS] if begun else now
+        memory[3 + k] = now
+    own = FRAMES * SECTORS
+    seen[own] = view[_view.OWN_V] / (8.0 * share)
+    seen[own + 1] = view[_view.OWN_PSI_DOT] / (4.0 * share)
+    seen[own + 2] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
+    seen[own + 3] = memory[1]
+    seen[own + 4] = memory[2]
+
+
+@compiled
+def max_curvature(v):
+    """Return the max curvature of a command (1/m) at a speed (m/s)."""
+    return MAX_KAPPA / (1.0 + (v / HALVED) ** 2)
+
+
+@compiled
+def lay_command(view, share, memory, turn, push, path):
+    """Write the path of a command: ``turn`` and ``push``, both from -1 to 1; remember it."""
+    memory[1], memory[2] = turn, push
+    v = view[_view.OWN_V] / share
+    kappa = turn * max_curvature(v)
+    speed = share * max(v + PUSH * push, SLOWEST)
+    write_arc(view, steady_course(view, kappa), kappa, 0.5 + 0.25 * view[_view.OWN_V], speed, path)
+
+
+@compiled
+def plan_by(flat, track, share, view, memory, scratch, path):
+    """Plan by the network with the numbers ``flat``."""
+    x, y = scratch[SCAN_SIZE : SCAN_SIZE + SEEN], scratch[SCAN_SIZE + SEEN : SCRATCH]
+    observe(track, view, share, memory, scratch, x)
+    dense_forward(flat, SIZES, x, y, False)
+    turn, push = hyperbolic_tangent(y[0]), hyperbolic_tangent(y[1])
+    lay_command(view, share, memory, turn, push, path)
+
+
+@compiled
+def plan_by_theta(track, theta, view, memory, scratch, path):
+    """Plan by ``theta``: the share of the speed, then the network's numbers."""
+    plan_by(theta[1:], track, theta[0], view, memory, scratch, path)
+
+
+@cache
+def frozen_plan(frozen: bytes) -> Any:
+    """Compile the planner with the weights of its network as constants of the code."""
+    constant = np.frombuffer(frozen, np.float64)
+
+    @compiled
+    def plan(track, theta, view, memory, scratch, path):
+        plan_by(constant, track, theta[0], view, memory, scratch, path)
+
+    return plan
