@@ -34,16 +34,17 @@ from lidar_races import (
     OLD,
     WIDE,
     Batch,
+    Options,
     make_groups,
     prepare,
 )
 from line_ppo import Log
-from line_races import HELD_OUT, Circuit, Options
+from line_races import HELD_OUT, Circuit
 from torch import Tensor, nn
 
 from pcs_racing import parse_policy, run_races
 from pcs_racing.planners.field.lidar_networks import flat_weights, save_lidar_planner
-from pcs_racing.planners.field.lidar_ppo import SEEN, SIZES
+from pcs_racing.planners.field.lidar_ppo import LAYERS, SEEN
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
@@ -58,8 +59,7 @@ class Driver(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        pairs = zip(SIZES[:-1], SIZES[1:], strict=True)
-        self.layers = nn.ModuleList(nn.Linear(inputs, outputs) for inputs, outputs in pairs)
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in LAYERS)
         for layer in self.layers[:-1]:
             nn.init.orthogonal_(layer.weight, 2.0**0.5)
             nn.init.zeros_(layer.bias)
@@ -167,8 +167,8 @@ class Learner:
     def update(self, rollout: "Rollout") -> dict[str, float]:
         """Improve actor and critic by one rollout; return means."""
         s, left = self.settings, max(1.0 - self.choices / self.settings.horizon, 0.0)
-        sums = torch.zeros(5, device=self.device)
-        unit, count, stopped = torch.tensor(UNIT, device=self.device), 0, False
+        sums = torch.zeros(4, device=self.device)
+        unit, count = torch.tensor(UNIT, device=self.device), 0
         weight, warms = self.imitation, self.warms
         for _ in range(s.epochs):
             order = torch.randperm(len(rollout.logs), generator=self.generator, device=self.device)
@@ -192,7 +192,7 @@ class Learner:
                 nn.utils.clip_grad_norm_(self.actor.parameters(), 1.0)
                 nn.utils.clip_grad_norm_(self.critic.parameters(), 1.0)
                 self.optimiser.step()
-                sums += torch.stack([kl, error, actor, apart, kl]).detach()
+                sums += torch.stack([kl, error, actor, apart]).detach()
                 count += 1
             last = float(kl.detach())
             if not warms and last > s.max_kl:
@@ -205,7 +205,7 @@ class Learner:
                 slow.lerp_(fast, 1.0 - s.average)
         self.choices += len(rollout.logs)
         names = ("kl", "error", "actor", "apart")
-        return dict(zip(names, (sums / count).tolist(), strict=False))
+        return dict(zip(names, (sums / count).tolist(), strict=True))
 
     def _follow(self, kl: float, aim: float) -> None:
         """Adapt the learning rate to the divergence of the last step of an update."""
@@ -373,6 +373,8 @@ class Run:
             horizon=1e6 * arguments.horizon,
             warm=1e6 * arguments.warm,
             fade=1e6 * arguments.fade,
+            gamma=arguments.gamma,
+            kl=arguments.kl,
         )
         self.learner = Learner(settings, arguments.device)
         self.learner.generator.manual_seed(arguments.seed)
@@ -381,7 +383,7 @@ class Run:
             self._restore(torch.load(self.folder / "checkpoint.pt", "cpu", weights_only=True))
         options = Options(
             progress=arguments.progress, gain=arguments.gain, win=arguments.win,
-            fault=arguments.fault,
+            fault=arguments.fault, passing=arguments.passing,
         )  # fmt: skip
         cars = max(2, arguments.cars // len(circuits))
         self.groups = make_groups(circuits, cars, arguments.seed, teacher)
@@ -535,6 +537,9 @@ def main() -> None:
     add("--gain", type=float, default=0.02, help="reward of a metre gained on the other car")
     add("--win", type=float, default=1.0, help="reward of a win")
     add("--fault", type=float, default=2.0, help="cost of an own crash, beside the lost race")
+    add("--passing", type=float, default=1.0, help="reward of a pass")
+    add("--gamma", type=float, default=0.995, help="discount of a choice")
+    add("--kl", type=float, default=0.01, help="divergence of an update that is aimed at")
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)

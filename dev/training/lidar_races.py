@@ -10,13 +10,13 @@ from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from multiprocessing import get_context
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from line_races import STARTS, STEP, Circuit, Options, _begin, _reward, _start_states, circuit
+from line_races import STEP, Circuit, _begin, _start_states, circuit
 from numpy.typing import NDArray
 
-from pcs_racing import parse_policy
+from pcs_racing import load_track, parse_policy, run_races
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
@@ -83,9 +83,52 @@ BY_THETA = Planner(
 )
 
 
+class Options(NamedTuple):
+    """Numbers of the reward, for the compiled loop."""
+
+    progress: float = 0.01  #: Reward of a metre.
+    gain: float = 0.02  #: Reward of a metre gained on the other car, up to a lead of `far`.
+    far: float = 20.0  #: m.
+    passing: float = 1.0  #: Reward of the way from `near` behind to `near` ahead.
+    near: float = 2.0  #: m.
+    win: float = 1.0  #: Reward of a win; a loss costs the same.
+    fault: float = 2.0  #: Cost of an own fault, beside the lost race.
+
+
 @inner_kernel(forceinline=True)
 def _bounded(value, bound):
     return min(max(value, -bound), bound)
+
+
+@inner_kernel(forceinline=True)
+def _worth(lead, options):
+    """Return the worth of a lead (m); what a car gains of it is its reward."""
+    close = _bounded(lead / options.near, 1.0)
+    return options.gain * _bounded(lead, options.far) + 0.5 * options.passing * close
+
+
+@inner_kernel(forceinline=True)
+def _reward(state, race, end_tick, before, options, out):
+    """Write the rewards of the last 0.1 s; return whether the race ended."""
+    ended = state.tick[race] >= end_tick
+    crashed = state.crash[race, 0] != 0 or state.crash[race, 1] != 0
+    lead = state.progress[race, 0] - state.progress[race, 1]
+    gained = _worth(lead, options) - _worth(before[0] - before[1], options)
+    won = 0.0
+    if crashed:
+        at_fault = (1 if state.fault[race, 0] > 0 else 0) - (1 if state.fault[race, 1] > 0 else 0)
+        won = -1.0 * at_fault
+    elif ended and abs(lead) > 0.01:
+        won = 1.0 if lead > 0.0 else -1.0
+    for car in range(len(out)):
+        sign = 1.0 if car == 0 else -1.0
+        driven = state.progress[race, car] - before[car]
+        out[car] = options.progress * driven + sign * (gained + options.win * won)
+        if crashed and state.fault[race, car] > 0:
+            out[car] -= options.fault
+            if won == 0.0:
+                out[car] -= options.win
+    return crashed or ended
 
 
 @inner_kernel
@@ -260,7 +303,7 @@ class Group:
     ) -> None:
         self.family, self.number, track = family, list(FAMILIES).index(family), circuit.track
         self.name, self.teacher = track.name, teacher
-        policies = [] if family == "self" else opponents(family)
+        self.policies = policies = [] if family == "self" else opponents(family)
         other = policies[0].planner if policies else LEARNER
         self.thetas = np.zeros((max(1, len(policies)), max(1, len(other.parameters))))
         for row, policy in zip(self.thetas, policies, strict=False):
@@ -418,6 +461,8 @@ def compile_for(family: str, teacher: Policy) -> None:
     seen, ended = np.zeros((group.cars, WIDE), np.float32), np.zeros(group.cars, np.bool_)
     for first in (True, False):
         group.play(two, seen, np.zeros(group.cars), ended, two.copy(), Options(), first, True)
+    rival = group.policies[0] if group.policies else "pure-pursuit"
+    run_races(load_track("Pipkin"), BY_THETA.policy(), rival, "contest", seed=0, threads=1)
 
 
 def prepare(names: Sequence[str | int], workers: int, teacher: Policy) -> list[Circuit]:

@@ -37,7 +37,7 @@ def test_what_is_written_is_read(tmp_path, network):
     np.testing.assert_array_equal(flat, networks.flat_weights(pairs(network)))
     planner = networks.load_lidar_planner(folder)
     assert planner.plan is networks.load_lidar_planner(folder).plan  # compiled once
-    assert planner.parameter_names[1] == "speed_share"
+    assert "speed_share" in planner.parameter_names
 
 
 def test_the_convolutional_network_is_its_formula():
