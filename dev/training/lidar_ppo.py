@@ -260,7 +260,6 @@ class Collector:
         for batch in batches:
             if device.type == "cuda":  # memory that the device reads without a copy
                 batch.seen = torch.zeros((batch.cars, WIDE), pin_memory=True).numpy()
-            batch.play(first=True)
 
     def collect(self) -> Rollout:
         """Drive for the steps of a rollout."""
@@ -382,19 +381,22 @@ class Run:
         if (self.folder / "checkpoint.pt").exists():
             self._restore(torch.load(self.folder / "checkpoint.pt", "cpu", weights_only=True))
         options = Options(
-            progress=arguments.progress, gain=arguments.gain, win=arguments.win,
-            fault=arguments.fault, passing=arguments.passing,
-        )  # fmt: skip
+            progress=arguments.progress,
+            gain=arguments.gain,
+            win=arguments.win,
+            passing=arguments.passing,
+        )
         cars = max(2, arguments.cars // len(circuits))
         self.groups = make_groups(circuits, cars, arguments.seed, teacher)
-        self._restore_races()
         pool, count = ThreadPoolExecutor(arguments.threads), arguments.batches
         self.batches = [
             Batch(self.groups[k::count], pool, arguments.threads, options) for k in range(count)
         ]
         self.collector = Collector(self.batches, self.learner)
-        for batch in self.batches:
-            batch.wait()
+        if not self._restore_races():
+            for batch in self.batches:
+                batch.play(first=True)
+                batch.wait()
         self._say(f"{self.collector.cars} cars ready, {len(self.collector.live)} of them learn")
 
     def _circuits(self, teacher: Any) -> list[Circuit]:
@@ -412,6 +414,7 @@ class Run:
         end, saved = 60.0 * a.minutes, self.log.seconds
         while self.updates < a.updates and self.log.seconds < end - a.spare:
             begun = time.monotonic()
+            self._price()
             rollout = self.collector.collect()
             middle = time.monotonic()
             means = learner.update(rollout)
@@ -434,6 +437,13 @@ class Run:
                 saved = self.log.seconds
         self._evaluate()
 
+    def _price(self) -> None:
+        """Raise the cost of an own crash: a network that fears crashes first never tries to pass."""
+        a = self.arguments
+        share = min(self.learner.choices / (1e6 * a.bold), 1.0) if a.bold > 0.0 else 1.0
+        for batch in self.batches:
+            batch.options = batch.options._replace(fault=share * a.fault)
+
     def _evaluate(self) -> None:
         a, layers = self.arguments, self.learner.layers()
         rows = evaluate(flat_weights(layers), a.rivals, self.checked, a.races, a.threads)
@@ -453,7 +463,10 @@ class Run:
         """Write the checkpoint, whole or not at all; the races first, in their own file."""
         learner = self.learner
         races = [[torch.from_numpy(one) for one in group.saved()] for group in self.groups]
-        self._write("races.pt", {"updates": self.updates, "races": races})
+        seen = [torch.from_numpy(batch.seen) for batch in self.batches]
+        taught = [torch.from_numpy(batch.taught) for batch in self.batches]
+        saved = {"updates": self.updates, "races": races, "seen": seen, "taught": taught}
+        self._write("races.pt", saved)
         checkpoint = {
             "actor": learner.actor.state_dict(),
             "critic": learner.critic.state_dict(),
@@ -473,17 +486,20 @@ class Run:
         torch.save(values, new)
         new.replace(self.folder / name)
 
-    def _restore_races(self) -> None:
-        """Let the races go on that belong to the checkpoint; without them, races begin again."""
+    def _restore_races(self) -> bool:
+        """Let the races of the checkpoint go on; without them (False), races begin again."""
         file = self.folder / "races.pt"
         if self.updates == 0 or not file.exists():
-            return
+            return False
         saved = torch.load(file, weights_only=True)
         if saved["updates"] != self.updates or len(saved["races"]) != len(self.groups):
             self._say("races begin again: races.pt belongs to another checkpoint")
-            return
+            return False
         for group, arrays in zip(self.groups, saved["races"], strict=True):
             group.restore([one.numpy() for one in arrays])
+        for batch, seen, taught in zip(self.batches, saved["seen"], saved["taught"], strict=True):
+            batch.seen[:], batch.taught[:] = seen.numpy(), taught.numpy()
+        return True
 
     def _restore(self, saved: dict[str, Any]) -> None:
         learner = self.learner
@@ -537,7 +553,8 @@ def main() -> None:
     add("--gain", type=float, default=0.02, help="reward of a metre gained on the other car")
     add("--win", type=float, default=1.0, help="reward of a win")
     add("--fault", type=float, default=2.0, help="cost of an own crash, beside the lost race")
-    add("--passing", type=float, default=1.0, help="reward of a pass")
+    add("--passing", type=float, default=2.0, help="reward of a pass")
+    add("--bold", type=float, default=30.0, help="choices until --fault is reached, in millions")
     add("--gamma", type=float, default=0.995, help="discount of a choice")
     add("--kl", type=float, default=0.01, help="divergence of an update that is aimed at")
     add("--freeze", type=int, default=20, help="updates between two frozen selves")

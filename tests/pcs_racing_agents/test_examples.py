@@ -206,6 +206,27 @@ def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     assert (fields["name"], fields["training"]["choices"]) == ("line-ppo", 128)
 
 
+def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
+    torch = pytest.importorskip("torch")
+    file = EXAMPLES.parent / "dev" / "training" / "lidar_ppo.py"
+    size = ("--tracks", "Pipkin", "--random", 0, "--checks", 0, "--cars", 8, "--steps", 8)
+    size += ("--rivals", "pure-pursuit", "--races", 2, "--minibatch", 16, "--device", "cpu")
+    # The first update only imitates, the second one does both.
+    size += ("--warm", 3e-5, "--fade", 1e-3, "--teacher", "pure-pursuit")
+    run_python(file, *size, "--updates", 2, "--out", "whole", folder=tmp_path)
+    for updates in (1, 2):
+        out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=tmp_path)
+        assert re.search(r"^  eval [\d.-]+  pure-purs [\d.]+/[\d.]+$", out, re.M)
+    whole, parts = (
+        torch.load(tmp_path / name / "checkpoint.pt", weights_only=True)
+        for name in ("whole", "parts")
+    )
+    assert whole["choices"] == parts["choices"] > 0
+    for net in ("actor", "critic", "averaged"):
+        assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
+    assert read_lidar_planner(tmp_path / "whole" / "last")[:2] == ("lidar-ppo", "ppo")
+
+
 def test_ppo_against_cfr(tmp_path):
     size = ("--track", "Pipkin", "--steps", 100, "--races", 4)
     against = ("--opponent", "always-aggressiveness+")
