@@ -438,7 +438,7 @@ class Run:
         self._evaluate()
 
     def _price(self) -> None:
-        """Raise the cost of an own crash: a network that fears crashes first never tries to pass."""
+        """Raise the cost of an own crash: with a high cost from the start, no car tries to pass."""
         a = self.arguments
         share = min(self.learner.choices / (1e6 * a.bold), 1.0) if a.bold > 0.0 else 1.0
         for batch in self.batches:

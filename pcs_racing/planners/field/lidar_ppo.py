@@ -1,12 +1,13 @@
 """Racing without a map by a network, trained by PPO: ``lidar-ppo``.
 
-Ten times a second the network (two hidden layers) sees the nearest range in each of 54 sectors, how
-these ranges changed within the last two tenths of a second, the car's measurements of itself and
-its last command. Its two outputs are a curvature, as a share of `max_curvature`, and a change of
-speed. The car follows the arc of this curvature until the next command. The network first imitated
-a planner with a map in the places where the network drove, as in DAgger [1]_, and was then improved
-by PPO [2]_ against itself and other planners (``dev/training/lidar_ppo.py``). The critic of the
-training, and only the critic, knows the map and the opponent [3]_.
+Ten times a second the network (two hidden layers) sees the nearest range in each of 75 sectors,
+narrow ones in front and wide ones at the sides, how these ranges changed within the last two tenths
+of a second, the car's measurements of itself and its last command. Its two outputs are a curvature,
+as a share of `max_curvature`, and a change of speed. The car follows the arc of this curvature
+until the next command. The network first imitated a planner with a map in the places where the
+network drove, as in DAgger [1]_, and was then improved by PPO [2]_ against itself and other
+planners (``dev/training/lidar_ppo.py``). The critic of the training, and only the critic, knows the
+map and the opponent [3]_.
 
 References
 ----------
@@ -31,8 +32,9 @@ from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.pursuit import steady_course
 from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, write_arc
 
-SECTOR = 5  # beams per sector; the last beam of 271 is left out
-SECTORS = BEAMS // SECTOR
+EDGES = np.concatenate([np.arange(0, 90, 6), np.arange(90, 180, 2), np.arange(180, 271, 6)])
+"""First beam of each sector, from right to left, and the end of the last one."""
+SECTORS = len(EDGES) - 1
 FRAMES = 3  # scans: the present scan and two before, 0.1 s apart
 OWN = 5  # speed, yaw rate, steering angle, last command
 SEEN = FRAMES * SECTORS + OWN  # inputs
@@ -71,7 +73,7 @@ def observe(track, view, share, memory, scratch, seen):
     memory[0] = 1.0
     for k in range(SECTORS):
         nearest = MAX_RANGE
-        for j in range(SECTOR * k, SECTOR * (k + 1)):
+        for j in range(EDGES[k], EDGES[k + 1]):
             nearest = min(nearest, ranges[j])
         # The root resolves near ranges without losing far ones.
         now = 2.0 * np.sqrt(nearest / MAX_RANGE) - 1.0

@@ -6,7 +6,15 @@ from random_layers import random_layers
 
 from pcs_racing.planners.field import lidar_networks as networks
 from pcs_racing.planners.field import lidar_ppo
-from pcs_racing.planners.field.lidar_ppo import CHANGE, FRAMES, MEMORY, SCRATCH, SECTORS, SEEN
+from pcs_racing.planners.field.lidar_ppo import (
+    CHANGE,
+    EDGES,
+    FRAMES,
+    MEMORY,
+    SCRATCH,
+    SECTORS,
+    SEEN,
+)
 from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan
 from pcs_racing.planners.view import OWN_PSI_DOT, OWN_V, PATH_POINTS
 
@@ -20,7 +28,7 @@ def seen_from(oval, view, memory, share=1.0):
 def nearest(oval, view):
     scratch = np.zeros(SCAN_SIZE)
     scan(oval.arrays, view, scratch)
-    sectors = scratch[SCAN_SIZE - BEAMS :][: 5 * SECTORS].reshape(SECTORS, 5).min(axis=1)
+    sectors = np.minimum.reduceat(scratch[SCAN_SIZE - BEAMS : -1], EDGES[:-1])
     return 2.0 * np.sqrt(sectors / MAX_RANGE) - 1.0
 
 
