@@ -52,7 +52,7 @@ SLOWEST = 0.5  # m/s
 PARAMETERS = (
     Parameter(
         "speed_share",
-        0.4,
+        0.6,
         1.1,
         1.0,
         "factor of the speed; the network sees its own speed divided by it",
