@@ -35,6 +35,7 @@ LIDAR = (
     "residual",
     "lidar-cnn",
     "lidar-gru",
+    "lidar-ppo",
 )
 CARS = 200
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)

@@ -55,10 +55,10 @@ FAMILIES = {
 }
 """Families of opponents, with the number of their groups of 40."""
 OF_LINES = ("pure-pursuit", "lattice", "stanley", "spliner")
-SLOWDOWN = (1.0, 0.85, 1.0, 0.6, 1.0, 0.75, 0.5)
+SLOWDOWN = (1.0, 0.75, 1.0, 0.6, 0.85, 0.5, 1.0)
 """Factors of the speeds of planners that follow lines, group after group."""
 REST = replace(CONTEST, start_gap=3.0, start_spacing=0.0, start_speed=0.0, duration=16.0)
-REST_EVERY = 5  # groups; one of them starts at rest, 3 m apart
+REST_EVERY = 3  # groups; one of them starts at rest, 3 m apart
 
 # Opponents in self-play: the network itself, the network at a share of its speed, a frozen one.
 LIVE, SLOW, FROZEN = 0, 1, 2

@@ -58,7 +58,7 @@ PARAMETERS = (
         "factor of the speed; the network sees its own speed divided by it",
     ),
 )
-VARIANTS = {"calm": {"speed_share": 0.85}}
+VARIANTS = {"calm": {"speed_share": 0.85}, "bold": {"speed_share": 1.05}}
 
 
 @compiled

@@ -49,6 +49,7 @@ LIDAR = (
     "disparity-extender",
     "follow-the-gap",
     "lidar-cnn",
+    "lidar-ppo",
     "potential-field",
     "residual",
     "lidar-gru",

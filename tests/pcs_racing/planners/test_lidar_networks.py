@@ -143,6 +143,7 @@ def test_weights_that_do_not_fit_are_refused(tmp_path):
 def test_the_shipped_ones_are_read_when_they_are_first_asked_for():
     assert get_planner("lidar-cnn") is networks.LIDAR_CNN
     assert get_planner("lidar-gru") is networks.LIDAR_GRU
+    assert get_planner("lidar-ppo") is networks.LIDAR_PPO
     assert get_planner("residual") is networks.RESIDUAL
     with pytest.raises(AttributeError, match="no attribute 'OTHER'"):
         networks.OTHER  # noqa: B018
