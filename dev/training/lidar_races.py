@@ -13,7 +13,7 @@ from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
-from line_races import STEP, Circuit, _begin, _start_states, circuit
+from line_races import STEP, Circuit, begin_race, circuit, start_states
 from numpy.typing import NDArray
 
 from pcs_racing import load_track, parse_policy, run_races
@@ -242,7 +242,7 @@ def play(
                 tally[0, 1] += score
                 tally[0, 2] += 1.0 if own else 0.0
                 tally[0, 3] += 1.0 if other else 0.0
-                _begin(race, state, pool, thetas, span[0], span[1], theta, who, draws, key)
+                begin_race(race, state, pool, thetas, span, theta, who, draws, key)
                 lessons[race] = 0.0
                 draw = np.float64(state.seed[race] >> np.uint64(40)) / 2.0**24
                 shares[race, 1] = _share(kinds[race], draw)
@@ -327,7 +327,7 @@ class Group:
         self.size = max(SCRATCH, largest_scratch((other, teacher.planner)), EXTRA)
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
-        self.pool = _start_states(setup, circuit.lines, rng)
+        self.pool = start_states(setup, circuit.lines, rng)
         self.state = take_races(self.pool, rng.integers(len(self.pool.tick), size=self.races))
         self.theta = np.zeros((self.races, 2, self.thetas.shape[1]))
         self.who = np.zeros(self.races, np.int64)
@@ -350,8 +350,8 @@ class Group:
         self.teacher_at = pointers_of(AS_THE_SETUP.shares((teacher.planner,), 1), 1)[0][0]
         self.lesson = teacher.parameters.copy() if len(teacher.parameters) else np.zeros(1)
         for race in range(self.races):
-            _begin(race, self.state, self.pool, self.thetas, *self.span, self.theta, self.who,
-                   self.draws, self.key)  # fmt: skip
+            begin_race(race, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
+                       self.draws, self.key)  # fmt: skip
         # Races end at different times, so that a batch holds all parts of a race.
         self.state.tick[:] = STEP * rng.integers(self.settings.end_tick // STEP, size=self.races)
 

@@ -183,8 +183,11 @@ def _draw_style(bits, out):
 
 
 @compiled
-def _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key):
-    """Start a race again: draw a start, a noise, an opponent and styles by the race's counter."""
+def begin_race(race, state, pool, thetas, span, theta, who, draws, key):
+    """Start a race again: draw a start, a noise and an opponent by the race's own counter.
+
+    The random bits of the draw are returned.
+    """
     draws[race] += np.uint64(1)
     bits = scramble_one(key + draws[race] * GOLDEN)
     at = np.int64(bits % np.uint64(len(pool.tick)))
@@ -207,7 +210,15 @@ def _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, k
     state.contact[race] = 0
     one = span[0] + np.int64((bits >> np.uint64(32)) % np.uint64(span[1] - span[0]))
     who[race] = one
-    theta[race, 1] = thetas[one]
+    if theta.shape[2] == thetas.shape[1]:
+        theta[race, 1] = thetas[one]
+    return bits
+
+
+@compiled
+def _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key):
+    """Start a race again, with drawn styles."""
+    bits = begin_race(race, state, pool, thetas, span, theta, who, draws, key)
     for car in range(styles.shape[1]):
         _draw_style(bits + np.uint64(car + 1), styles[race, car])
     if frozen:
@@ -375,7 +386,7 @@ class Group:
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
-        self.pool = _start_states(setup, circuit.lines, rng)
+        self.pool = start_states(setup, circuit.lines, rng)
         self.state = take_races(self.pool, rng.integers(len(self.pool.tick), size=self.races))
         self.theta = np.zeros((self.races, 2, self.thetas.shape[1]))
         self.styles = np.zeros((self.races, self.learners, STYLE))
@@ -423,7 +434,7 @@ class Group:
         ended.reshape(two)[:] = self.ended[:, None]
 
 
-def _start_states(
+def start_states(
     setup: RaceSetup, lines: NDArray[np.float64], rng: np.random.Generator
 ) -> RaceState:
     """Return start states of a group; in each of them no car stands in a wall."""
