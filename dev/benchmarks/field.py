@@ -33,8 +33,6 @@ LIDAR = (
     "disparity-extender",
     "potential-field",
     "residual",
-    "lidar-cnn",
-    "lidar-gru",
     "lidar-ppo",
 )
 CARS = 200

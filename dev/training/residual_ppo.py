@@ -21,14 +21,14 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 from gymnasium import spaces
-from imitate_from_lidar import crashes_alone
 
-from pcs_racing import load_track
+from pcs_racing import CONTEST, load_track, run_races
 from pcs_racing.base.compilation import compiled
 from pcs_racing.planners.field.lidar_networks import load_lidar_planner, save_lidar_planner
 from pcs_racing.planners.field.residual import SCRATCH, SEEN, lay_corrected, observe
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW_SIZE
+from pcs_racing.race.calibration import calibration_of
 from pcs_racing.race.conditions import vehicle_rows
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.kernel import fill_view
@@ -207,6 +207,27 @@ def actor_layers(model: PPO) -> list[tuple[np.ndarray, np.ndarray]]:
         (one.weight.detach().numpy().copy(), one.bias.detach().numpy().copy())
         for one in [*layers, model.policy.action_net]
     ]
+
+
+def crashes_alone(track: Track, planner: Planner, races: int, seconds: float) -> float:
+    """Return the share of cars alone that crash in 40 s.
+
+    The parameters are the defaults, noise and speeds those of `contest`.
+    """
+    gap = min(0.5 * track.length, 50.0)
+    config = RaceConfig(
+        start="staggered",
+        start_gap=gap,
+        start_spacing=0.0,
+        steering_noise=CONTEST.steering_noise,
+        duration=seconds,
+        speed_range=calibration_of(track, CONTEST).speed_range,
+    )
+    starts = Starts(np.arange(races) / races * track.length, np.zeros(races, np.int64))
+    state = run_races(
+        track, [planner.policy()] * races, planner.policy(), config, starts=starts, threads=1
+    ).state
+    return float(1.0 - np.exp(-40.0 * (state.crash == 1).sum() / (0.02 * state.tick.sum())))
 
 
 def main() -> None:

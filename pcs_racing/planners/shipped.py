@@ -12,8 +12,6 @@ SHIPPED = {
     "iterated-best-response": "pcs_racing.planners.field.best_response:BEST_RESPONSE",
     "lane-switcher": "pcs_racing.planners.lane_switcher:LANE_SWITCHER",
     "lattice": "pcs_racing.planners.lattice:LATTICE",
-    "lidar-cnn": "pcs_racing.planners.field.lidar_networks:LIDAR_CNN",
-    "lidar-gru": "pcs_racing.planners.field.lidar_networks:LIDAR_GRU",
     "lidar-ppo": "pcs_racing.planners.field.lidar_networks:LIDAR_PPO",
     "line-ppo": "pcs_racing.planners.line_ppo:LINE_PPO",
     "mppi": "pcs_racing.planners.field.mppi:MPPI",

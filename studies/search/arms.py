@@ -25,8 +25,6 @@ FIELD = (
     "gap-follower",
     "iterated-best-response",
     "lane-switcher",
-    "lidar-cnn",
-    "lidar-gru",
     "mppi",
     "potential-field",
     "predictive-spliner",

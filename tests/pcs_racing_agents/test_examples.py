@@ -156,14 +156,11 @@ def test_a_league_grows_with_a_training_that_goes_on_from_its_folder(tmp_path):
     assert (tmp_path / "out" / "league_ppo" / "league" / "self-0004.safetensors").is_file()
 
 
-@pytest.mark.parametrize(
-    "script",
-    ["imitate_from_lidar.py cnn --rounds 2 --seconds 4 --steps 4", "residual_ppo.py --steps 256"],
-)
-def test_a_lidar_driver_is_trained(tmp_path, script):
+def test_a_residual_planner_is_trained(tmp_path):
     pytest.importorskip("stable_baselines3")
-    file, *size = script.split()
-    size += (
+    size = (
+        "--steps",
+        256,
         "--races",
         2,
         "--random",
@@ -174,16 +171,12 @@ def test_a_lidar_driver_is_trained(tmp_path, script):
         "--hold-out",
         "Tarnfjord",
     )
-    file = EXAMPLES.parent / "dev" / "training" / file
+    file = EXAMPLES.parent / "dev" / "training" / "residual_ppo.py"
     out = run_python(file, *size, "--out", "made", folder=tmp_path)
-    assert re.search(
-        r"^(round 1: drove [\d.]+% of the time, loss [\d.]+|\| +total_timesteps +\| 256 +\|)$",
-        out,
-        re.M,
-    )
+    assert re.search(r"^\| +total_timesteps +\| 256 +\|$", out, re.M)
     assert re.search(r"^Pipkin: own crashes alone in 40 s [\d.]+$", out, re.M)
     assert re.search(r"^Tarnfjord: own crashes alone in 40 s [\d.]+, held out$", out, re.M)
-    assert read_lidar_planner(tmp_path / "made")[0] in ("lidar-cnn", "residual")
+    assert read_lidar_planner(tmp_path / "made")[0] == "residual"
 
 
 def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):

@@ -39,6 +39,7 @@ SEEN = SECTORS + 5  # inputs: sectors from right to left; speed, yaw rate, steer
 WIDTH = 64
 LAYERS = ((SEEN, WIDTH), (WIDTH, WIDTH), (WIDTH, 2))  # a tanh after each
 STEERING, SPEED = 0.2, 3.0  # max corrections, rad and m/s
+MEMORY = 0
 SCRATCH = SCAN_SIZE + 2 * WIDTH
 
 PARAMETERS = (

@@ -48,10 +48,8 @@ MAPPED = (*PASSING, "stanley")
 LIDAR = (
     "disparity-extender",
     "follow-the-gap",
-    "lidar-cnn",
     "potential-field",
     "residual",
-    "lidar-gru",
     "lidar-ppo",
 )
 
@@ -329,8 +327,8 @@ def test_a_field_pulls_to_free_space_and_pushes_away_from_what_is_near():
 
 
 @pytest.mark.parametrize("opp_d", [-0.2, 0.2])
-# what the other three do follows from more than one scan
-@pytest.mark.parametrize("name", LIDAR[:-3])
+# what the other two do follows from more than one scan
+@pytest.mark.parametrize("name", LIDAR[:-2])
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))
     view = view_at(oval, 3.0, gap=2.0, opp_d=opp_d)
