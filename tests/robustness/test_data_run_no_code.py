@@ -36,6 +36,7 @@ from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
+from pcs_racing.planners.field.lidar_networks import load_lidar_planner
 from pcs_racing.planners.line_ppo import load_line_planner
 from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
@@ -313,6 +314,10 @@ KINDS = {
     "driver": Kind(
         shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
         lambda file: load_trained(file.parent),
+    ),
+    "lidar driver": Kind(
+        shipped("pcs_racing/data/planners", "lidar-ppo/manifest.yaml"),
+        lambda file: load_lidar_planner(file.parent),
     ),
     "line planner": Kind(
         shipped("pcs_racing/data/planners", "line-ppo/manifest.yaml"),
