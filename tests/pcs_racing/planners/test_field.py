@@ -87,7 +87,8 @@ def behind_a_slow_car(name, share=0.6, races=10):
         start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(1.1 * share, 1.1)
     )
     starts = Starts(np.arange(races) / races * track.length, np.ones(races, np.int64))
-    ego = get_planner(name).policy({"pace": 1.0})
+    planner = get_planner(name)
+    ego = planner.policy({"pace": 1.0} if "pace" in planner.parameter_names else {})
     return run_races(
         track,
         [ego] * races,
@@ -97,7 +98,7 @@ def behind_a_slow_car(name, share=0.6, races=10):
     )
 
 
-@pytest.mark.parametrize("name", PASSING)
+@pytest.mark.parametrize("name", [*PASSING, "lidar-ppo"])
 def test_it_passes_a_slow_car(name):
     result = behind_a_slow_car(name)
     assert np.mean(result.state.overtakes[:, 0] > 0) >= 0.7
