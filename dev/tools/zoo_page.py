@@ -47,8 +47,8 @@ hand:
 
 - **score**: share of races won, where a tie counts half; the mean over six opponents (without the
   agent itself), {field}, on two circuits ({tracks}). With either archive, some agents trained on
-  the first circuit and none on the second; the driver `ppo-drive` trained on Tarnfjord and
-  Kestrelheim. All drive the same races. With {races:.0f} races a score has a standard error of at
+  the first circuit and none on the second; the planner `ppo-drive` trained on all but
+  Saltmere. All drive the same races. With {races:.0f} races a score has a standard error of at
   least {error:.3f};
 - **rating**: Bradley-Terry with ties over the same races, with its 95 % interval. The mean is 0,
   and a difference of 400 means odds of ten to one. Crashes that pay neither car, as all in the
