@@ -19,7 +19,6 @@ from scipy.stats import spearmanr
 from pcs_racing import load_track, parse_policy, run_races
 from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.base.statistics import clustered_mean
-from pcs_racing_agents.base.tables import with_interval
 
 SHIPPED = ("Saltmere", "Vellindra")
 REAL = ("Austin", "Monza", "Sepang", "Zandvoort")
@@ -88,7 +87,7 @@ class Races:
 def _estimate(found: list[np.ndarray], column: int) -> str:
     labels = [f"{k} {line}" for k, rows in enumerate(found) for line in rows[:, LINE]]
     mean = clustered_mean(np.concatenate(found)[:, column], labels)
-    return with_interval(mean.mean, mean.low, mean.high)
+    return f"{mean.mean:.3f} [{mean.low:.3f}, {min(mean.high, 1.0):.3f}]"
 
 
 def pairs(kept: Races, races: int, egos: Sequence[str]) -> None:
