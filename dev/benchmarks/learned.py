@@ -18,6 +18,7 @@ from scipy.stats import spearmanr
 
 from pcs_racing import load_track, parse_policy, run_races
 from pcs_racing.race.config import load_race_config
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.statistics import clustered_mean
 
 SHIPPED = ("Saltmere", "Vellindra")
@@ -57,20 +58,24 @@ class Races:
 
     def on(self, track: str, ego: str, rival: str, rules: str, races: int) -> np.ndarray:
         """Return a row for each race: score, own crash, the rival's, overtakes, speed, line."""
-        file = self.folder / f"{ego} {rival} {rules} {track} {races}.npy"
+        circuit = load_track(str(self.maps / track) if track in REAL else track)
+        policies, config = [parse_policy(text) for text in (ego, rival)], load_race_config(rules)
+        # Weights, rules or circuits that changed are other races.
+        mark = fingerprint(policies, config, circuit.content_hash, SEED)[:12]
+        file = self.folder / f"{ego} {rival} {rules} {track} {races} {mark}.npy"
         if not file.exists():
             result = run_races(
-                load_track(str(self.maps / track) if track in REAL else track),
-                [parse_policy(ego)] * races,
-                parse_policy(rival),
-                rules,
+                circuit,
+                [policies[0]] * races,
+                policies[1],
+                config,
                 seed=SEED,
                 threads=self.threads,
             )
             state = result.state
             won = np.where(result.winner == -1, 0.5, result.winner == 0)
             speed = state.progress[:, 0] / np.maximum(result.time, 0.1)
-            line = np.arange(races) // 2 % load_race_config(rules).start_lines
+            line = np.arange(races) // 2 % config.start_lines
             columns = [won, *result.own_crash.T, state.overtakes[:, 0], speed, line]
             new = file.with_suffix(".new.npy")
             np.save(new, np.stack(columns, axis=1).astype(float))
@@ -87,7 +92,7 @@ class Races:
 def _estimate(found: list[np.ndarray], column: int) -> str:
     labels = [f"{k} {line}" for k, rows in enumerate(found) for line in rows[:, LINE]]
     mean = clustered_mean(np.concatenate(found)[:, column], labels)
-    return f"{mean.mean:.3f} [{mean.low:.3f}, {min(mean.high, 1.0):.3f}]"
+    return f"{mean.mean:.3f} [{max(mean.low, 0.0):.3f}, {min(mean.high, 1.0):.3f}]"
 
 
 def pairs(kept: Races, races: int, egos: Sequence[str]) -> None:
@@ -165,6 +170,9 @@ def main() -> None:
     add("--picture", type=Path, help="picture of the styles")
     add("--threads", type=int, default=os.cpu_count(), help="threads that share the races")
     arguments = parser.parse_args()
+    if arguments.races < 8 or arguments.threads < 1:
+        said = f"--races {arguments.races} must be at least 8"
+        parser.error(f"{said}, --threads {arguments.threads} at least 1")
     maps = Path(os.environ.get("PCS_RACING_MAPS", "../shared/maps"))
     missing = [name for name in REAL if not (maps / name).is_dir()]
     if missing:

@@ -40,6 +40,7 @@ from lidar_races import (
 )
 from line_ppo import Log
 from line_races import HELD_OUT, Circuit
+from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
 from pcs_racing import parse_policy, run_races
@@ -359,7 +360,7 @@ class Run:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments, self.folder = arguments, arguments.out
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self.run = RunFolder(arguments, self._say)
         self.log, teacher = Log(self.folder), parse_policy(arguments.teacher)
         circuits = self._circuits(teacher)
         torch.manual_seed(arguments.seed)
@@ -378,8 +379,8 @@ class Run:
         self.learner = Learner(settings, arguments.device)
         self.learner.generator.manual_seed(arguments.seed)
         self.updates, self.best = 0, -1e9
-        if (self.folder / "checkpoint.pt").exists():
-            self._restore(torch.load(self.folder / "checkpoint.pt", "cpu", weights_only=True))
+        if (saved := self.run.checkpoint()) is not None:
+            self._restore(saved)
         options = Options(
             progress=arguments.progress,
             gain=arguments.gain,
@@ -447,10 +448,10 @@ class Run:
     def _evaluate(self) -> None:
         a, layers = self.arguments, self.learner.layers()
         rows = evaluate(flat_weights(layers), a.rivals, self.checked, a.races, a.threads)
-        self.log.curve(self.learner.choices, rows)
+        found = merit(rows)
+        self.log.curve(self.learner.choices, rows, found)
         training = {key: getattr(a, key) for key in ("cars", "random", "each", "steps", "seed")}
         training |= {"choices": self.learner.choices, "updates": self.updates}
-        found = merit(rows)
         folders = [self.folder / "last"]
         if found > self.best and not self.learner.warms:
             self.best = found
@@ -465,8 +466,7 @@ class Run:
         races = [[torch.from_numpy(one) for one in group.saved()] for group in self.groups]
         seen = [torch.from_numpy(batch.seen) for batch in self.batches]
         taught = [torch.from_numpy(batch.taught) for batch in self.batches]
-        saved = {"updates": self.updates, "races": races, "seen": seen, "taught": taught}
-        self._write("races.pt", saved)
+        driven = {"races": races, "seen": seen, "taught": taught}
         checkpoint = {
             "actor": learner.actor.state_dict(),
             "critic": learner.critic.state_dict(),
@@ -476,24 +476,14 @@ class Run:
             "old": [one.state_dict() for one in learner.old],
             "frozen": learner.frozen,
             "choices": learner.choices,
-            "updates": self.updates,
             "best": self.best,
         }
-        self._write("checkpoint.pt", checkpoint)
-
-    def _write(self, name: str, values: dict[str, Any]) -> None:
-        new = self.folder / f"{name}.new"
-        torch.save(values, new)
-        new.replace(self.folder / name)
+        self.run.save(self.updates, driven, checkpoint)
 
     def _restore_races(self) -> bool:
         """Let the races of the checkpoint go on; without them (False), races begin again."""
-        file = self.folder / "races.pt"
-        if self.updates == 0 or not file.exists():
-            return False
-        saved = torch.load(file, weights_only=True)
-        if saved["updates"] != self.updates or len(saved["races"]) != len(self.groups):
-            self._say("races begin again: races.pt belongs to another checkpoint")
+        saved = self.run.races(self.updates)
+        if saved is None:
             return False
         for group, arrays in zip(self.groups, saved["races"], strict=True):
             group.restore([one.numpy() for one in arrays])
@@ -507,8 +497,10 @@ class Run:
         learner.critic.load_state_dict(saved["critic"])
         learner.averaged.load_state_dict(saved["averaged"])
         learner.optimiser.load_state_dict(saved["optimiser"])
-        if saved["generator"].shape == learner.generator.get_state().shape:  # not of another device
+        if saved["generator"].shape == learner.generator.get_state().shape:
             learner.generator.set_state(saved["generator"])
+        else:  # from another kind of device
+            learner.generator.manual_seed(self.arguments.seed + saved["updates"])
         for one, values in zip(learner.old, saved["old"], strict=True):
             one.load_state_dict(values)
         learner.frozen, learner.choices = saved["frozen"], saved["choices"]
@@ -560,7 +552,7 @@ def main() -> None:
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    arguments = read_arguments(parser)
     torch.set_num_threads(max(1, arguments.threads if arguments.device == "cpu" else 1))
     # A thread that drives needs the interpreter for microseconds, between two groups.
     sys.setswitchinterval(2e-4)

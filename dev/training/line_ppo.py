@@ -40,6 +40,7 @@ from line_races import (
     make_groups,
     prepare,
 )
+from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
 from pcs_racing import load_track, parse_policy, run_races
@@ -384,8 +385,8 @@ class Log:
         print(f"{self.seconds:6.0f} s {steps / 1e6:8.2f} M  " + "  ".join(parts), flush=True)
         self.last, self.sums = self.seconds, []
 
-    def curve(self, steps: int, rows: Sequence[dict[str, Any]]) -> None:
-        """Print an evaluation, and add it to the csv file."""
+    def curve(self, steps: int, rows: Sequence[dict[str, Any]], found: float) -> None:
+        """Print an evaluation with its merit, and add it to the csv file."""
         new = not self.file.exists()
         with self.file.open("a", newline="") as file:
             writer = csv.DictWriter(file, ["seconds", "steps", *rows[0]])
@@ -397,7 +398,7 @@ class Log:
                 }
                 writer.writerow({"seconds": round(self.seconds), "steps": steps, **rounded})
         cells = [f"{row['rival'][:9]} {row['score']:.3f}/{row['own_crash']:.3f}" for row in rows]
-        print(f"  eval {merit(rows):.3f}  " + "  ".join(cells), flush=True)
+        print(f"  eval {found:.3f}  " + "  ".join(cells), flush=True)
 
 
 class Run:
@@ -405,7 +406,7 @@ class Run:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments, self.folder = arguments, arguments.out
-        self.folder.mkdir(parents=True, exist_ok=True)
+        self.run = RunFolder(arguments, self._say)
         self.log, self.shipped = Log(self.folder), list(arguments.tracks)
         circuits = self._circuits()
         torch.manual_seed(arguments.seed)
@@ -424,8 +425,8 @@ class Run:
             self.learner.start_from(read_line_planner(arguments.start)[1][LATTICE_SIZE:])
         self.league = League(self.learner.numbers())
         self.updates, self.choices, self.best = 0, 0, -1e9
-        if (self.folder / "checkpoint.pt").exists():
-            self._restore(torch.load(self.folder / "checkpoint.pt", "cpu", weights_only=True))
+        if (saved := self.run.checkpoint()) is not None:
+            self._restore(saved)
         cars = max(2, arguments.cars // len(circuits))
         options = Options(fault=arguments.fault)
         groups = make_groups(circuits, cars, arguments.seed, self.league)
@@ -486,10 +487,10 @@ class Run:
         a = self.arguments
         numbers = self.learner.numbers()
         rows = evaluate(numbers, a.rivals, self.shipped, a.races, a.threads)
-        self.log.curve(self.choices, rows)
+        found = merit(rows)
+        self.log.curve(self.choices, rows, found)
         training = {key: getattr(a, key) for key in ("cars", "random", "each", "steps", "seed")}
         training |= {"choices": self.choices, "updates": self.updates}
-        found = merit(rows)
         folders = [self.folder / "last"]
         if found > self.best:
             self.best = found
@@ -504,7 +505,6 @@ class Run:
         """Write the checkpoint, whole or not at all; the races first, in their own file."""
         learner = self.learner
         races = [[torch.from_numpy(one) for one in group.saved()] for group in self.groups]
-        self._write("races.pt", {"updates": self.updates, "races": races})
         checkpoint = {
             "actor": learner.actor.state_dict(),
             "critic": learner.critic.state_dict(),
@@ -512,27 +512,15 @@ class Run:
             "optimiser": learner.optimiser.state_dict(),
             "generator": learner.generator.get_state(),
             "league": torch.from_numpy(self.league.numbers[: self.league.count].copy()),
-            "updates": self.updates,
             "choices": self.choices,
             "best": self.best,
         }
-        self._write("checkpoint.pt", checkpoint)
-
-    def _write(self, name: str, values: dict[str, Any]) -> None:
-        new = self.folder / f"{name}.new"
-        torch.save(values, new)
-        new.replace(self.folder / name)
+        self.run.save(self.updates, {"races": races}, checkpoint)
 
     def _restore_races(self, groups: Sequence[Group]) -> None:
-        """Let the races go on that belong to the checkpoint; without them, races begin again."""
-        file = self.folder / "races.pt"
-        if self.updates == 0 or not file.exists():
-            return
-        saved = torch.load(file, weights_only=True)
-        if saved["updates"] != self.updates or len(saved["races"]) != len(groups):
-            self._say("races begin again: races.pt belongs to another checkpoint")
-            return
-        for group, arrays in zip(groups, saved["races"], strict=True):
+        """Let the races of the checkpoint go on; without them, races begin again."""
+        saved = self.run.races(self.updates)
+        for group, arrays in zip(groups, saved["races"], strict=True) if saved else ():
             group.restore([one.numpy() for one in arrays])
 
     def _restore(self, saved: dict[str, Any]) -> None:
@@ -588,7 +576,7 @@ def main() -> None:
     add("--freeze", type=int, default=20, help="updates between two frozen selves")
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)
-    arguments = parser.parse_args()
+    arguments = read_arguments(parser)
     torch.set_num_threads(max(1, arguments.threads if arguments.device == "cpu" else 1))
     # A thread that drives needs the interpreter for microseconds, between two groups.
     sys.setswitchinterval(2e-4)

@@ -34,7 +34,7 @@ from safetensors.numpy import save as save_tensors
 
 from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.checks import is_number
-from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.compilation import identified, inner_kernel, kernel
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import lattice as _lattice
@@ -492,7 +492,7 @@ def _plan(frozen: bytes) -> Any:
         describe(track, lattice, theta, view, memory, scratch)
         take(track, lattice, theta, view, memory, scratch, choose(flat, scratch), path)
 
-    return plan
+    return identified(plan, frozen)
 
 
 LINE_FORMAT = ArtifactFormat(

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import is_whole
-from pcs_racing.base.compilation import compiled
+from pcs_racing.base.compilation import compiled, identified
 from pcs_racing.base.dense import dense_forward, weight_count
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import view as _view
@@ -116,7 +116,7 @@ def _control(hidden: tuple[int, ...], hold: int, frozen: bytes | None) -> Any:
             command[0] = memory[0]
             command[1] = memory[1]
 
-    return control
+    return control if frozen is None else identified(control, frozen)
 
 
 def make_network_planner(

@@ -157,10 +157,10 @@ class Driver(PolicySet):
     @property
     def content_hash(self) -> str:
         """SHA-256 of the planner's name, parameters and network weights, without the own name."""
-        weights = [self.facts["weights sha256"]] if "weights sha256" in self.facts else []
-        weights += [
-            one for one in [getattr(self.planner.drive, "content_hash", None)] if one is not None
-        ]
+        known = self.facts.get("weights sha256")
+        drives = (self.planner.drive, self.planner.plan)
+        hashes = [getattr(one, "content_hash", None) for one in drives]
+        weights = [one for one in (known, *hashes) if one is not None]
         return fingerprint(
             self.planner.name,
             self.planner.parameter_names,

@@ -195,6 +195,8 @@ def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     assert whole["choices"] == 2 * 8 * 8
     for net in ("actor", "critic", "averaged"):
         assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
+    out = run_python(file, *size, "--updates", 2, "--seed", 7, "--out", "parts", folder=tmp_path)
+    assert "races begin again: they were driven with another --seed" in out
     fields, _ = read_line_planner(tmp_path / "whole" / "last")
     assert (fields["name"], fields["training"]["choices"]) == ("line-ppo", 128)
 

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.compilation import compiled
+from pcs_racing.base.compilation import compiled, identified
 from pcs_racing.base.dense import dense_forward, weight_count
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.planners import view as _view
@@ -135,4 +135,4 @@ def frozen_plan(frozen: bytes) -> Any:
     def plan(track, theta, view, memory, scratch, path):
         plan_by(constant, track, theta[0], view, memory, scratch, path)
 
-    return plan
+    return identified(plan, frozen)

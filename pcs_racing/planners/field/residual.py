@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.compilation import compiled
+from pcs_racing.base.compilation import compiled, identified
 from pcs_racing.base.dense import dense_forward
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.field.potential_field import (
@@ -95,4 +95,4 @@ def frozen_plan(frozen: bytes) -> Any:
         dense_forward(constant, _SIZES, x, y, True)
         lay_corrected(view, steering, speed, theta[0] * y[0], theta[0] * y[1], theta[1], path)
 
-    return plan
+    return identified(plan, frozen)

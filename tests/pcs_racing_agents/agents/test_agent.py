@@ -6,6 +6,7 @@ from refusal import refused
 from same_move import Model
 
 from pcs_racing.game.competitor import RandomMoves
+from pcs_racing.planners.line_ppo import LAYERS, load_line_planner, save_line_planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing_agents.agents import Agent, Driver, as_agent, make, observing
 from pcs_racing_agents.agents.agent import competitor_hash, draw, hash_rows
@@ -98,6 +99,17 @@ def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_no
     known = Model()
     known.content_hash = "abc"
     assert competitor_hash(as_agent(known, "x")) == competitor_hash(as_agent(known, "y"))
+
+
+def test_weights_inside_compiled_code_are_part_of_the_hash(tmp_path):
+    hashes = set()
+    for value in (0.0, 1.0):
+        weights = {f"{name}.weight": np.full(shape, value) for name, shape in LAYERS.items()}
+        weights |= {f"{name}.bias": np.zeros(shape[0]) for name, shape in LAYERS.items()}
+        folder = save_line_planner(tmp_path / str(value), weights, training={})
+        policy = load_line_planner(folder).policy()
+        hashes |= {competitor_hash(policy), as_agent(policy).content_hash}
+    assert len(hashes) == 4
 
 
 def test_bad_agents_drivers_and_observations_are_refused(spec):
