@@ -156,29 +156,6 @@ def test_a_league_grows_with_a_training_that_goes_on_from_its_folder(tmp_path):
     assert (tmp_path / "out" / "league_ppo" / "league" / "self-0004.safetensors").is_file()
 
 
-def test_a_residual_planner_is_trained(tmp_path):
-    pytest.importorskip("stable_baselines3")
-    size = (
-        "--steps",
-        256,
-        "--races",
-        2,
-        "--random",
-        0,
-        "--tracks",
-        "Pipkin",
-        "Tarnfjord",
-        "--hold-out",
-        "Tarnfjord",
-    )
-    file = EXAMPLES.parent / "dev" / "training" / "residual_ppo.py"
-    out = run_python(file, *size, "--out", "made", folder=tmp_path)
-    assert re.search(r"^\| +total_timesteps +\| 256 +\|$", out, re.M)
-    assert re.search(r"^Pipkin: own crashes alone in 40 s [\d.]+$", out, re.M)
-    assert re.search(r"^Tarnfjord: own crashes alone in 40 s [\d.]+, held out$", out, re.M)
-    assert read_lidar_planner(tmp_path / "made")[0] == "residual"
-
-
 def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     torch = pytest.importorskip("torch")
     file = EXAMPLES.parent / "dev" / "training" / "line_ppo.py"

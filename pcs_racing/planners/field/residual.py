@@ -4,7 +4,7 @@ Ten times a second the potential field (:mod:`pcs_racing.planners.field.potentia
 steering angle and a speed. The inputs of a network are the nearest range in each of 54 sectors, the
 car's measurements of itself and this command. It adds at most `STEERING` and `SPEED` to the
 command. It was trained by PPO in races of the planner against itself and alone
-(``dev/training/residual_ppo.py``), rewarded for progress and for gaining on the other car.
+(``data/planners/README.md``), rewarded for progress and for gaining on the other car.
 
 Differences: the network is fully connected and its input is one scan; the paper's network is
 convolutional, and its input is several scans.
