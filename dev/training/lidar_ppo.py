@@ -43,7 +43,7 @@ from line_races import HELD_OUT, Circuit
 from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
-from pcs_racing import parse_policy, run_races
+from pcs_racing import InputError, parse_policy, run_races
 from pcs_racing.planners.field.lidar_networks import flat_weights, save_lidar_planner
 from pcs_racing.planners.field.lidar_ppo import LAYERS, SEEN
 from pcs_racing.track.maps import list_tracks
@@ -553,6 +553,10 @@ def main() -> None:
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)
     arguments = read_arguments(parser)
+    try:
+        parse_policy(arguments.teacher)
+    except InputError as error:
+        parser.error(str(error))
     torch.set_num_threads(max(1, arguments.threads if arguments.device == "cpu" else 1))
     # A thread that drives needs the interpreter for microseconds, between two groups.
     sys.setswitchinterval(2e-4)

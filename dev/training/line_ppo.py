@@ -43,7 +43,7 @@ from line_races import (
 from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
-from pcs_racing import load_track, parse_policy, run_races
+from pcs_racing import InputError, load_track, parse_policy, run_races
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
@@ -577,6 +577,12 @@ def main() -> None:
     add("--races", type=int, default=16, help="races of an evaluation, for each circuit and rival")
     add("--seed", type=int, default=0)
     arguments = read_arguments(parser)
+    try:
+        parse_policy(arguments.lattice)
+        if arguments.start:
+            read_line_planner(arguments.start)
+    except InputError as error:
+        parser.error(str(error))
     torch.set_num_threads(max(1, arguments.threads if arguments.device == "cpu" else 1))
     # A thread that drives needs the interpreter for microseconds, between two groups.
     sys.setswitchinterval(2e-4)
