@@ -578,7 +578,8 @@ def main() -> None:
     add("--seed", type=int, default=0)
     arguments = read_arguments(parser)
     try:
-        parse_policy(arguments.lattice)
+        if parse_policy(arguments.lattice).planner is not LATTICE:
+            parser.error(f"--lattice is {arguments.lattice!r}; it must be a policy of lattice")
         if arguments.start:
             read_line_planner(arguments.start)
     except InputError as error:

@@ -27,6 +27,8 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
         zero = name in MAY_BE_ZERO
         if isinstance(value, int | float) and not (value >= 0.0 if zero else value > 0.0):
             parser.error(f"--{name} is {value:g}; it must be {'at least' if zero else 'above'} 0")
+    if arguments.device.startswith("cuda") and not torch.cuda.is_available():
+        parser.error(f"--device is {arguments.device!r}, but torch finds no such device")
     try:
         for name in arguments.tracks:
             load_track(name)

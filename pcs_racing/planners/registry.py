@@ -80,9 +80,14 @@ def parse_policy(text: str) -> Policy:
     """
     if not isinstance(text, str):
         raise InputError(f"policy {text!r} must be text such as 'lattice:pace=0.8'")
+    name, _, _ = split_name(text)
+    return policy_of(get_planner(name), text)
+
+
+def policy_of(planner: Planner, text: str) -> Policy:
+    """Return the policy of a planner with the settings of a text (:func:`parse_policy`)."""
     name, separator, rest = split_name(text)
     rest = "".join(rest.split())
-    planner = get_planner(name)
     if not separator:
         return planner.policy(name=name)
     if "=" not in rest:
@@ -98,7 +103,7 @@ def parse_policy(text: str) -> Policy:
         if key not in planner.parameter_names:
             suggestion = choices(key, planner.parameter_names)
             raise UnknownNameError(
-                f"policy {text!r}: planner {name!r} has no parameter {key!r}; {suggestion}"
+                f"policy {text!r}: planner {planner.name!r} has no parameter {key!r}; {suggestion}"
             )
         if key in values:
             raise InputError(f"policy {text!r} sets parameter {key!r} twice")

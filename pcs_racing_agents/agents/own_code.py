@@ -14,9 +14,10 @@ from typing import Any
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.imported import drivers_from, is_driver
+from pcs_racing.planners.learned import is_planner_folder, load_planner
 from pcs_racing.planners.own_files import one_line, run_file
 from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing.planners.registry import parse_policy, planner_names
+from pcs_racing.planners.registry import parse_policy, planner_names, policy_of
 from pcs_racing.planners.shipped import split_name
 
 
@@ -86,7 +87,12 @@ def _is_module(name: str) -> bool:
 
 
 def parse_own_policy(text: str) -> Policy:
-    """Return the policy that a text names: as :func:`pcs_racing.parse_policy`, or user code."""
+    """Return the policy that a text names: as :func:`pcs_racing.parse_policy`, of a learned
+    planner in a folder, or user code.
+    """
+    place, _, _ = split_name(text)
+    if place not in planner_names() and is_planner_folder(place):
+        return policy_of(load_planner(place), text)
     if is_model(text):
         from pcs_racing_agents.agents.sb3_files import load_model
 

@@ -1,5 +1,7 @@
 """Callback of Stable-Baselines3 for a league: difficulty rises with success."""
 
+from pcs_racing.base.errors import say_once
+from pcs_racing.envs.infos import Result
 from pcs_racing_agents.learning.league import League
 
 try:
@@ -29,6 +31,11 @@ class LeagueCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
+        if self._ended and all(result == Result.CRASH for _, result in self._ended):
+            say_once(
+                "no race of the league counts: each ended in a crash, a no-contest under these"
+                " rules; make the environment with race='contest'"
+            )
         if self._ended:
             self.league = self.league.record(*zip(*self._ended, strict=True))
             self._ended = []

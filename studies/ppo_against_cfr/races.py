@@ -8,6 +8,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from pcs_racing.base.errors import InputError, say_once
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import planner_names
 from pcs_racing.race.config import load_race_config
@@ -76,7 +77,12 @@ def circuits(rules: str, small: bool, maps: Path | None) -> dict[str, tuple[Trac
     ``maps``: folder of the real circuits; by default ``$PCS_RACING_MAPS``.
     """
     folder = maps or Path(os.environ.get("PCS_RACING_MAPS", ""))
-    real = [str(folder / name) for name in REAL if (folder / name).is_dir()]
+    missing = [name for name in REAL if not (folder / name).is_dir()]
+    if maps is not None and missing:
+        raise InputError(f"{maps} lacks the circuits {', '.join(missing)}")
+    if missing:
+        say_once(f"without {', '.join(missing)}: give their folder as --maps")
+    real = [str(folder / name) for name in REAL if name not in missing]
     names = TRAINING[rules], (*HELD_OUT[rules], *real)
     return {
         kind: tuple(load_track(name) for name in own[: 1 if small else None])

@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from refusal import refused
 
 from studies.__main__ import main
 from studies.ppo_against_cfr import races
@@ -27,7 +28,8 @@ def test_a_planner_that_does_not_exist_yet_is_left_out(monkeypatch):
     assert not any("ppo-of-tomorrow" in pair for pair in races.pairs())
 
 
-def test_all_pairs_have_equal_races():
+def test_all_pairs_have_equal_races(tmp_path):
+    refused("lacks the circuits Austin", races.circuits, "contest", True, tmp_path)
     tracks = races.circuits("contest", small=True, maps=None)
     drawn = [pairing for _, pairing in races.make_pairings("contest", tracks, races.SMALL)]
     assert len(drawn) == 2 * len(races.pairs())

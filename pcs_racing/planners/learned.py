@@ -1,0 +1,36 @@
+"""Learned planners from folders, whatever their kind."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from pcs_racing.base.artifacts import MANIFEST
+from pcs_racing.base.errors import InputError
+from pcs_racing.base.files import MAX_YAML, read_limited
+from pcs_racing.planners.field.lidar_networks import LIDAR_FORMAT, load_lidar_planner
+from pcs_racing.planners.line_ppo import LINE_FORMAT, load_line_planner
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.trained import PLANNER_FORMAT, load_trained
+
+LOADERS = {
+    f"format: pcs-racing {PLANNER_FORMAT.noun}": load_trained,
+    f"format: pcs-racing {LIDAR_FORMAT.noun}": load_lidar_planner,
+    f"format: pcs-racing {LINE_FORMAT.noun}": load_line_planner,
+}
+
+
+def is_planner_folder(place: str | Path) -> bool:
+    """Return whether a place is a folder with a manifest."""
+    return (Path(place) / MANIFEST).is_file()
+
+
+def load_planner(folder: str | Path) -> Planner:
+    """Return the learned planner of a folder; its name is the folder."""
+    manifest = Path(folder) / MANIFEST
+    content = read_limited(manifest, MAX_YAML, "a manifest", InputError)
+    first = content.decode("utf-8", "replace").partition("\n")[0].strip()
+    if first not in LOADERS:
+        raise InputError(
+            f"{manifest} begins with {first[:80]!r}; a learned planner's begins with one of"
+            f" {', '.join(map(repr, LOADERS))}"
+        )
+    return replace(LOADERS[first](folder), name=str(folder))
