@@ -37,7 +37,7 @@ from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.field.lidar_networks import load_lidar_planner
-from pcs_racing.planners.line_ppo import load_line_planner
+from pcs_racing.planners.learned import load_planner
 from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.replay import read_replay, replay_page
@@ -321,7 +321,8 @@ KINDS = {
     ),
     "line planner": Kind(
         shipped("pcs_racing/data/planners", "line-ppo/manifest.yaml"),
-        lambda file: load_line_planner(file.parent),
+        lambda file: load_planner(file.parent),
+        "load_planner",
     ),
     "fit": Kind(
         shipped("pcs_racing_agents/data/fits", "default-early-paper-best-fixed.yaml"),
