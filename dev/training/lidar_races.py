@@ -6,14 +6,21 @@ scans, and asks a teacher with a map for its command in the same place. Threads 
 """
 
 from collections.abc import Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import pairwise
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
-from line_races import STEP, Circuit, begin_race, circuit, start_states
+from line_races import (
+    STEP,
+    Batch,
+    Circuit,
+    begin_race,
+    circuit,
+    count_race,
+    in_turn,
+    start_states,
+)
 from numpy.typing import NDArray
 
 from pcs_racing import load_track, parse_policy, run_races
@@ -92,7 +99,7 @@ class Options(NamedTuple):
     passing: float = 1.0  #: Reward of the way from `near` behind to `near` ahead.
     near: float = 2.0  #: m.
     win: float = 1.0  #: Reward of a win; a loss costs the same.
-    fault: float = 2.0  #: Cost of an own fault, beside the lost race.
+    fault: float = 2.0  #: Cost of an own fault, in addition to the lost race.
 
 
 @inner_kernel(forceinline=True)
@@ -231,17 +238,7 @@ def play(
             over = _reward(state, race, settings.end_tick, before[race], options, rewards[race])
             ended[race] = over
             if over:
-                lead = state.progress[race, 0] - state.progress[race, 1]
-                own, other = state.fault[race, 0] > 0, state.fault[race, 1] > 0
-                score = 0.5
-                if own != other:
-                    score = 0.0 if own else 1.0
-                elif not own and abs(lead) > 0.01:
-                    score = 1.0 if lead > 0.0 else 0.0
-                tally[0, 0] += 1.0
-                tally[0, 1] += score
-                tally[0, 2] += 1.0 if own else 0.0
-                tally[0, 3] += 1.0 if other else 0.0
+                count_race(state, race, tally[0])
                 begin_race(race, state, pool, thetas, span, theta, who, draws, key)
                 lessons[race] = 0.0
                 draw = np.float64(state.seed[race] >> np.uint64(40)) / 2.0**24
@@ -384,8 +381,8 @@ class Group:
             self.theta[:, 1] = self.thetas[self.who]
 
     def play(
-        self, actions: Any, seen: Any, rewards: Any, ended: Any, taught: Any, options: Options,
-        first: bool, teach: bool,
+        self, actions: Any, taught: Any, seen: Any, rewards: Any, ended: Any, *, options: Options,
+        first: bool = False, teach: bool = True,
     ) -> None:  # fmt: skip
         """Drive for 0.1 s; see `play`."""
         two = (self.races, self.learners)
@@ -405,52 +402,28 @@ def _share_of(kind: int, draw: float) -> float:
     return float(getattr(_share, "py_func", _share)(kind, draw))
 
 
-class Batch:
-    """Groups that are driven together; one of several batches drives while another decides."""
+class LidarBatch(Batch):
+    """Batch with commands of the network and of the teacher."""
 
     def __init__(
         self, groups: Sequence[Group], pool: ThreadPoolExecutor, threads: int, options: Options
     ) -> None:
-        self.groups, self.pool, self.threads, self.options = list(groups), pool, threads, options
-        edges = np.cumsum([0, *(group.cars for group in groups)])
-        self.slices = [slice(a, b) for a, b in pairwise(edges.tolist())]
-        self.cars = int(edges[-1])
+        super().__init__(groups, pool, threads, WIDE, options=options)
         self.kinds = np.concatenate([group.drivers_of_cars for group in groups])
-        self.seen = np.zeros((self.cars, WIDE), np.float32)
         self.actions = np.zeros((self.cars, ACTIONS), np.float32)
         self.taught = np.zeros((self.cars, ACTIONS), np.float32)
-        self.rewards = np.zeros(self.cars)
-        self.ended = np.zeros(self.cars, np.bool_)
-        self.work: list[Future[None]] = []
 
-    def play(self, *, first: bool = False, teach: bool = True) -> None:
-        """Begin to drive by ``actions`` for 0.1 s; the results are there after `wait`."""
-        # Threads take the next group from one iterator.
-        rest = iter(list(zip(self.groups, self.slices, strict=True)))
-
-        def some() -> None:
-            for group, part in rest:
-                group.play(
-                    self.actions[part], self.seen[part], self.rewards[part], self.ended[part],
-                    self.taught[part], self.options, first, teach,
-                )  # fmt: skip
-
-        self.work = [self.pool.submit(some) for _ in range(self.threads)]
-
-    def wait(self) -> None:
-        """Wait for all groups."""
-        for one in self.work:
-            one.result()
-        self.work = []
+    def price(self, fault: float) -> None:
+        """Change the cost of an own fault."""
+        self.given["options"] = self.given["options"]._replace(fault=fault)
 
 
 def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, teacher: Policy) -> list[Group]:
     """Return a group for each circuit, with ``cars`` cars, families in turn."""
-    families = [name for name, count in FAMILIES.items() for _ in range(count)]
-    order = np.random.default_rng(seed).permutation(len(families))
+    families = in_turn(FAMILIES, seed)
     return [
-        Group(one, families[order[k % len(order)]], cars, 1000 * seed + k, k, teacher)
-        for k, one in enumerate(circuits)
+        Group(one, family, cars, 1000 * seed + k, k, teacher)
+        for k, (one, family) in enumerate(zip(circuits, families, strict=False))
     ]
 
 
@@ -460,18 +433,8 @@ def compile_for(family: str, teacher: Policy) -> None:
     two = np.zeros((group.cars, ACTIONS), np.float32)
     seen, ended = np.zeros((group.cars, WIDE), np.float32), np.zeros(group.cars, np.bool_)
     for first in (True, False):
-        group.play(two, seen, np.zeros(group.cars), ended, two.copy(), Options(), first, True)
+        group.play(
+            two, two.copy(), seen, np.zeros(group.cars), ended, options=Options(), first=first
+        )
     rival = group.policies[0] if group.policies else "pure-pursuit"
     run_races(load_track("Pipkin"), BY_THETA.policy(), rival, "contest", seed=0, threads=1)
-
-
-def prepare(names: Sequence[str | int], workers: int, teacher: Policy) -> list[Circuit]:
-    """Return circuits by name or number; processes make them, and compile all other code."""
-    if workers <= 1:
-        return [circuit(name) for name in names]
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        compiling = [pool.submit(compile_for, family, teacher) for family in FAMILIES]
-        circuits = list(pool.map(circuit, names))
-        for one in compiling:
-            one.result()
-    return circuits

@@ -5,10 +5,10 @@ all races of a group for 0.1 s: it takes the chosen candidates, drives, rewards,
 again, and describes the next candidates. Threads share the groups.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import cycle, pairwise
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
@@ -123,6 +123,22 @@ class Options(NamedTuple):
     eager: float = PRICES[1]
     close: float = CLOSE
     contact: float = CONTACT
+
+
+@inner_kernel(forceinline=True)
+def count_race(state, race, row):
+    """Add an ended race to a row: races, score, own faults, faults of the other car."""
+    lead = state.progress[race, 0] - state.progress[race, 1]
+    own, other = state.fault[race, 0] > 0, state.fault[race, 1] > 0
+    score = 0.5
+    if own != other:
+        score = 0.0 if own else 1.0
+    elif not own and abs(lead) > 0.01:
+        score = 1.0 if lead > 0.0 else 0.0
+    row[0] += 1.0
+    row[1] += score
+    row[2] += 1.0 if own else 0.0
+    row[3] += 1.0 if other else 0.0
 
 
 @inner_kernel(forceinline=True)
@@ -263,18 +279,7 @@ def play(
             )
             ended[race] = over
             if over:
-                lead = state.progress[race, 0] - state.progress[race, 1]
-                own, other = state.fault[race, 0] > 0, state.fault[race, 1] > 0
-                score = 0.5
-                if own != other:
-                    score = 0.0 if own else 1.0
-                elif not own and abs(lead) > 0.01:
-                    score = 1.0 if lead > 0.0 else 0.0
-                row = tally[who[race]] if not frozen else tally[0]
-                row[0] += 1.0
-                row[1] += score
-                row[2] += 1.0 if own else 0.0
-                row[3] += 1.0 if other else 0.0
+                count_race(state, race, tally[who[race]] if not frozen else tally[0])
                 _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key)
     for race in range(races):
         for car in range(learners):
@@ -474,37 +479,35 @@ class League:
 
 
 class Batch:
-    """Groups that are driven together; one of several batches drives while another chooses."""
+    """Groups that are driven together; one of several batches drives while another chooses.
+
+    Each group gets the ``given`` arguments in each call.
+    """
 
     def __init__(
-        self,
-        groups: Sequence[Group],
-        pool: ThreadPoolExecutor,
-        threads: int,
-        options: Options,
-        lattice: NDArray[np.float64],
+        self, groups: Sequence[Any], pool: ThreadPoolExecutor, threads: int, wide: int, **given: Any
     ) -> None:
-        self.groups, self.pool, self.threads, self.options = list(groups), pool, threads, options
-        self.lattice = lattice
+        self.groups, self.pool, self.threads, self.given = list(groups), pool, threads, given
         edges = np.cumsum([0, *(group.cars for group in groups)])
         self.slices = [slice(a, b) for a, b in pairwise(edges.tolist())]
         self.cars = int(edges[-1])
-        self.seen = np.zeros((self.cars, WIDE), np.float32)
+        self.seen = np.zeros((self.cars, wide), np.float32)
         self.rewards = np.zeros(self.cars)
         self.ended = np.zeros(self.cars, np.bool_)
         self.work: list[Future[None]] = []
 
-    def play(self, choices: NDArray[np.int64]) -> None:
-        """Begin to drive for 0.1 s; the results are there after `wait`."""
-        # Threads take the next group, the slowest first, from one iterator.
+    def play(self, *arrays: NDArray[Any], **options: Any) -> None:
+        """Begin to drive for 0.1 s; the results are there after `wait`.
+
+        Each group gets its rows of the ``arrays``, which lead its arguments.
+        """
+        # Threads take the next group from one iterator.
         rest = iter(list(zip(self.groups, self.slices, strict=True)))
+        rows = (*arrays, self.seen, self.rewards, self.ended)
 
         def some() -> None:
             for group, part in rest:
-                group.play(
-                    choices[part], self.seen[part], self.rewards[part], self.ended[part],
-                    self.options, self.lattice,
-                )  # fmt: skip
+                group.play(*(array[part] for array in rows), **self.given, **options)
 
         self.work = [self.pool.submit(some) for _ in range(self.threads)]
 
@@ -515,20 +518,18 @@ class Batch:
         self.work = []
 
 
+def in_turn(families: Mapping[str, int], seed: int) -> Iterator[str]:
+    """Return families in a random order, each as often as its number says, again and again."""
+    names = [name for name, count in families.items() for _ in range(count)]
+    return cycle(names[k] for k in np.random.default_rng(seed).permutation(len(names)))
+
+
 def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, league: League) -> list[Group]:
     """Return a group for each circuit, with ``cars`` learning cars, families in turn."""
-    families = [name for name, count in FAMILIES.items() for _ in range(count)]
-    order = np.random.default_rng(seed).permutation(len(families))
+    families = in_turn(FAMILIES, seed)
     return [
-        Group(
-            one,
-            families[order[k % len(order)]],
-            RULES[k % len(RULES)],
-            cars,
-            1000 * seed + k,
-            league,
-        )
-        for k, one in enumerate(circuits)
+        Group(one, family, RULES[k % len(RULES)], cars, 1000 * seed + k, league)
+        for k, (one, family) in enumerate(zip(circuits, families, strict=False))
     ]
 
 
@@ -540,15 +541,20 @@ def compile_for(family: str) -> None:
     seen = np.zeros((cars, WIDE), np.float32)
     for choices in (np.full(cars, -1), np.zeros(cars, np.int64)):
         ended = np.zeros(cars, np.bool_)
-        group.play(choices, seen, np.zeros(cars), ended, Options(), lattice)
+        group.play(choices, seen, np.zeros(cars), ended, options=Options(), lattice=lattice)
 
 
-def prepare(names: Sequence[str | int], workers: int) -> list[Circuit]:
-    """Return circuits by name or number; processes make them, and compile all other code."""
+def prepare(
+    names: Sequence[str | int], workers: int, compile_one: Callable[..., None], *given: Any
+) -> list[Circuit]:
+    """Return circuits by name or number; processes make them, and compile all other code.
+
+    Code is compiled by a call for each tuple of arguments in ``given``.
+    """
     if workers <= 1:
         return [circuit(name) for name in names]
     with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
-        compiling = [pool.submit(compile_for, family) for family in FAMILIES]
+        compiling = [pool.submit(compile_one, *one) for one in given]
         circuits = list(pool.map(circuit, names))
         for one in compiling:
             one.result()

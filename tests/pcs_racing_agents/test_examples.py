@@ -156,46 +156,42 @@ def test_a_league_grows_with_a_training_that_goes_on_from_its_folder(tmp_path):
     assert (tmp_path / "out" / "league_ppo" / "league" / "self-0004.safetensors").is_file()
 
 
-def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
+def train_whole_and_in_parts(script, *size, rival, folder):
+    """Train twice for two updates, once with a stop; return both checkpoints."""
     torch = pytest.importorskip("torch")
-    file = EXAMPLES.parent / "dev" / "training" / "line_ppo.py"
-    size = ("--tracks", "Pipkin", "--random", 0, "--each", 1, "--cars", 8, "--steps", 8)
-    size += ("--rivals", "lattice", "--races", 2, "--minibatch", 16, "--device", "cpu")
-    run_python(file, *size, "--updates", 2, "--out", "whole", folder=tmp_path)
+    file = EXAMPLES.parent / "dev" / "training" / script
+    size += ("--tracks", "Pipkin", "--random", 0, "--cars", 8, "--steps", 8, "--rivals", rival)
+    size += ("--races", 2, "--minibatch", 16, "--device", "cpu")
+    run_python(file, *size, "--updates", 2, "--out", "whole", folder=folder)
     for updates in (1, 2):
-        out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=tmp_path)
-        assert re.search(r"^  eval [\d.-]+  lattice [\d.]+/[\d.]+$", out, re.M)
+        out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=folder)
+        assert re.search(rf"^  eval [\d.-]+  {rival[:9]} [\d.]+/[\d.]+$", out, re.M)
     whole, parts = (
-        torch.load(tmp_path / name / "checkpoint.pt", weights_only=True)
+        torch.load(folder / name / "checkpoint.pt", weights_only=True)
         for name in ("whole", "parts")
     )
-    assert whole["choices"] == 2 * 8 * 8
     for net in ("actor", "critic", "averaged"):
         assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
-    out = run_python(file, *size, "--updates", 2, "--seed", 7, "--out", "parts", folder=tmp_path)
+    out = run_python(file, *size, "--updates", 2, "--seed", 7, "--out", "parts", folder=folder)
     assert "races begin again: they were driven with another --seed" in out
+    return whole, parts
+
+
+def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
+    size = ("--each", 1)
+    whole, _ = train_whole_and_in_parts("line_ppo.py", *size, rival="lattice", folder=tmp_path)
+    assert whole["choices"] == 2 * 8 * 8
     fields, _ = read_line_planner(tmp_path / "whole" / "last")
     assert (fields["name"], fields["training"]["choices"]) == ("line-ppo", 128)
 
 
 def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
-    torch = pytest.importorskip("torch")
-    file = EXAMPLES.parent / "dev" / "training" / "lidar_ppo.py"
-    size = ("--tracks", "Pipkin", "--random", 0, "--checks", 0, "--cars", 8, "--steps", 8)
-    size += ("--rivals", "pure-pursuit", "--races", 2, "--minibatch", 16, "--device", "cpu")
     # The first update only imitates, the second one does both.
-    size += ("--warm", 3e-5, "--fade", 1e-3, "--teacher", "pure-pursuit")
-    run_python(file, *size, "--updates", 2, "--out", "whole", folder=tmp_path)
-    for updates in (1, 2):
-        out = run_python(file, *size, "--updates", updates, "--out", "parts", folder=tmp_path)
-        assert re.search(r"^  eval [\d.-]+  pure-purs [\d.]+/[\d.]+$", out, re.M)
-    whole, parts = (
-        torch.load(tmp_path / name / "checkpoint.pt", weights_only=True)
-        for name in ("whole", "parts")
+    size = ("--checks", 0, "--warm", 3e-5, "--fade", 1e-3, "--teacher", "pure-pursuit")
+    whole, parts = train_whole_and_in_parts(
+        "lidar_ppo.py", *size, rival="pure-pursuit", folder=tmp_path
     )
     assert whole["choices"] == parts["choices"] > 0
-    for net in ("actor", "critic", "averaged"):
-        assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
     assert read_lidar_planner(tmp_path / "whole" / "last")[:2] == ("lidar-ppo", "ppo")
 
 
