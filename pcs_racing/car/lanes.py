@@ -5,28 +5,42 @@ at compilation, so that loops over the lanes use vector instructions; a lane wit
 nothing extra. Each lane is bit-identical to :func:`pcs_racing.car.vehicle.step`.
 """
 
+import numpy as np
+
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.vehicle import Handling, handling, runge_kutta, step_to_target, target_inputs
+from pcs_racing.car.tyres import LINEAR
+from pcs_racing.car.vehicle import (
+    Handling,
+    handling,
+    runge_kutta,
+    step_to_target,
+    target_inputs,
+)
 
 LANES = 8
 
 VECTOR = 4
 """Number of lanes computed at a time: a loop over all lanes is too long for a race of two cars."""
 
-# Rows: the state, the target, and the handling.
+# Rows: the state, the target, the speed below which a car is stepped alone, and the handling.
 _STATE = 0
 _STEER = LANES * _vehicle.STATE_SIZE
 _SPEED = _STEER + LANES
-_HANDLING = _SPEED + LANES
+_ALONE_BELOW = _SPEED + LANES
+_HANDLING = _ALONE_BELOW + LANES
 LANES_SIZE = _HANDLING + LANES * len(Handling._fields)
 
 
 @kernel
-def load_car(lanes, lane, state, p):
-    """Put a car with a row of parameters into a lane."""
+def load_car(lanes, lane, state, p, dt):
+    """Put a car with a row of parameters into a lane, for steps of ``dt`` seconds."""
     for k in range(_vehicle.STATE_SIZE):
         lanes[_STATE + LANES * k + lane] = state[k]
+    linear = p[_vehicle.TYRES] == 0.0
+    lanes[_ALONE_BELOW + lane] = (
+        _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt if linear else np.inf
+    )
     car = handling(p)
     for k in range(len(car)):
         lanes[_HANDLING + LANES * k + lane] = car[k]
@@ -47,9 +61,12 @@ def set_target(lanes, lane, steer, speed):
 
 
 @inner_kernel(forceinline=True)
-def step_slow_car(lanes, lane, state, p, dt):
-    """Advance ``state`` alone and return True if the lane's car is too slow for `step_lanes`."""
-    if lanes[LANES * _vehicle.V + lane] >= _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt:
+def step_alone(lanes, lane, state, p, dt):
+    """Advance ``state`` alone and return True if the lane's car is not one for `step_lanes`.
+
+    Cars that are too slow, and cars with Pacejka tyres, are stepped alone.
+    """
+    if lanes[LANES * _vehicle.V + lane] >= lanes[_ALONE_BELOW + lane]:
         return False
     store_car(lanes, lane, state)
     step_to_target(state, lanes[_STEER + lane], lanes[_SPEED + lane], p, dt)
@@ -64,7 +81,8 @@ def step_lanes(lanes, cars, dt):
     ``VECTOR`` lanes are computed at a time. The lanes beyond the cars, up to the next multiple, are
     computed as well and may hold any numbers; numbers below 1e-307 would slow down the arithmetic.
 
-    Results are wrong for cars slow enough to roll without slip within the step (`step_slow_car`).
+    Results are wrong for cars slow enough to roll without slip within the step, and for cars with
+    Pacejka tyres (`step_alone`).
     """
     for first in range(0, cars, VECTOR):
         part = lanes[first:]
@@ -95,9 +113,9 @@ def step_lanes(lanes, cars, dt):
             rate, acceleration = target_inputs(
                 delta, v, part[_STEER + i], part[_SPEED + i], car, dt
             )
-            # No slow branch here: a branch would prevent vectorisation of the loop.
+            # No branch here: a branch would prevent vectorisation of the loop.
             x, y, delta, v, psi, psi_dot, beta = runge_kutta(
-                x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, dt, False
+                x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, LINEAR, dt, False
             )
             part[LANES * _vehicle.X + i] = x
             part[LANES * _vehicle.Y + i] = y

@@ -1,5 +1,7 @@
 """Single-track vehicle model of CommonRoad [1]_, and controllers from commands to its inputs.
 
+The tyres are linear, or follow Pacejka's formula (:mod:`pcs_racing.car.tyres`).
+
 A vehicle's state is a row of seven numbers: x, y (m), steering angle delta (rad), speed v (m/s),
 heading psi (rad), yaw rate psi_dot (rad/s) and slip angle beta (rad), all at the centre of gravity.
 Its inputs are the steering rate (rad/s) and the longitudinal acceleration (m/s^2).
@@ -25,11 +27,18 @@ from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, load_settings
+from pcs_racing.car.tyres import (
+    GRAVITY,
+    LINEAR,
+    Tyres,
+    pacejka_peak,
+    sliding_derivative,
+    substeps_of,
+)
 
 # Columns of a vehicle state; X and Y share their numbers with a line of the track.
 X, Y, DELTA, V, PSI, PSI_DOT, BETA = range(7)
 STATE_SIZE = 7
-GRAVITY = 9.81
 KINEMATIC_BELOW = 0.5  # m/s; the dynamic branch divides by the speed
 
 ControlMode = Literal["rates", "target"]
@@ -37,12 +46,18 @@ ControlMode = Literal["rates", "target"]
 COMMAND_PERIOD = 0.02  # s between two steering commands of a race
 MAX_DELAYED = 25  # commands
 
+# Ranges of the coefficients of Pacejka's formula
+_B = Interval(ge=0.1, le=100.0)
+_C = Interval(ge=0.1, le=4.0)
+_D = Interval(ge=0.01, le=3.0)
+_E = Interval(ge=-20.0, le=2.0)
+
 
 @dataclass(frozen=True)
 class VehicleParams(Settings):
     """Parameters of one car; the defaults are the 1:10 F1TENTH car.
 
-    The last two apply to races, with steering commands at 50 Hz. `simulate` ignores both.
+    Delay and noise of the steering apply to races, with commands at 50 Hz. `simulate` ignores both.
     """
 
     #: The names of the F1TENTH gym; its two bounds of the steering are one here.
@@ -110,6 +125,19 @@ class VehicleParams(Settings):
         "Standard deviation of the disturbance of every steering command, rad; None takes that of"
         " the race's rules.",
     ] = None
+    tyres: Annotated[
+        Literal["linear", "pacejka"],
+        "Lateral force of the tyres: linear in the slip angle (c_sf, c_sr), without a limit, or by"
+        " Pacejka's formula (b_f to e_r), with a peak of mu times d_f and d_r times the load.",
+    ] = "linear"
+    b_f: Annotated[float, _B, "Stiffness factor B of the front tyres."] = 6.6185
+    c_f: Annotated[float, _C, "Shape factor C of the front tyres."] = 1.6102
+    d_f: Annotated[float, _D, "Peak factor D of the front tyres."] = 0.652
+    e_f: Annotated[float, _E, "Curvature factor E of the front tyres."] = 0.7826
+    b_r: Annotated[float, _B, "Stiffness factor B of the rear tyres."] = 7.9507
+    c_r: Annotated[float, _C, "Shape factor C of the rear tyres."] = 3.692
+    d_r: Annotated[float, _D, "Peak factor D of the rear tyres."] = 0.6691
+    e_r: Annotated[float, _E, "Curvature factor E of the rear tyres."] = 0.5595
 
     @property
     def wheelbase(self) -> float:
@@ -117,31 +145,64 @@ class VehicleParams(Settings):
         return self.lf + self.lr
 
     def as_row(self) -> NDArray[np.float64]:
-        """Return the parameters as the row of numbers that compiled code reads, shape (18,)."""
+        """Return the parameters as the row of numbers that compiled code reads, shape (27,)."""
         return self._row.copy()
 
     @cached_property
     def _row(self) -> NDArray[np.float64]:
         noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
-        return np.array(
-            [*_physical(self), round(self.steer_delay / COMMAND_PERIOD), noise], dtype=np.float64
-        )
+        steer_delay = round(self.steer_delay / COMMAND_PERIOD)
+        steering = (*_physical(self), steer_delay, noise)
+        tyres = (self.tyres == "pacejka", *_pacejka(self))
+        return np.array([*steering, *tyres], dtype=np.float64)
 
 
 F1TENTH = VehicleParams()
+
+F1TENTH_PACEJKA = VehicleParams.known(tyres="pacejka")
+"""The F1TENTH car with the Pacejka tyres of gymkhana's ``f1tenth_stp``, identified by ForzaETH's
+On-Track-SysID.
+"""
+
+FORZAETH_NUC2 = VehicleParams.known(
+    tyres="pacejka",
+    mu=1.0,
+    lf=0.162,
+    lr=0.145,
+    h=0.014,
+    m=3.54,
+    inertia=0.05797,
+    b_f=4.798521,
+    c_f=2.164028,
+    d_f=0.650230,
+    e_f=0.373221,
+    b_r=20.0,
+    c_r=1.5,
+    d_r=0.618418,
+    e_r=0.0,
+)
+"""Car NUC2 of ForzaETH's race_stack (``NUC2_pacejka.yaml``), with the F1TENTH car's limits."""
+
+VEHICLES = {
+    "f1tenth": F1TENTH,
+    "f1tenth-pacejka": F1TENTH_PACEJKA,
+    "forzaeth-nuc2": FORZAETH_NUC2,
+}
+"""Shipped cars by name."""
 
 
 def load_vehicle(
     source: VehicleParams | Mapping[str, Any] | str | os.PathLike[str],
 ) -> VehicleParams:
-    """Return a car from parameters, a mapping of changes to F1TENTH, "f1tenth", or a YAML file.
+    """Return a car from parameters, a mapping of changes to F1TENTH, a name of :data:`VEHICLES`, or
+    a YAML file.
 
     Examples
     --------
     >>> load_vehicle({"mu": 0.8}).mu
     0.8
     """
-    return load_settings("vehicle", F1TENTH, source, {"f1tenth": F1TENTH})
+    return load_settings("vehicle", F1TENTH, source, VEHICLES)
 
 
 def load_vehicles(source: Any, cars: int = 2) -> tuple[VehicleParams, ...]:
@@ -175,10 +236,13 @@ def load_vehicles(source: Any, cars: int = 2) -> tuple[VehicleParams, ...]:
 ) = range(16)
 STEER_DELAY = 16  # in commands
 STEER_NOISE = 17  # rad; below 0: set by the race's rules
-PARAMS_SIZE = 18
+TYRES = 18  # 1: Pacejka
+B_F, C_F, D_F, E_F, B_R, C_R, D_R, E_R = range(19, 27)
+PARAMS_SIZE = 27
 RULES_NOISE = -1.0
 
 _physical = attrgetter(*(field.name for field in fields(VehicleParams)[:STEER_DELAY]))
+_pacejka = attrgetter(*(field.name for field in fields(VehicleParams)[B_F : E_R + 1]))
 
 
 class Handling(NamedTuple):
@@ -227,6 +291,53 @@ def handling(p):
 
 
 @inner_kernel(forceinline=True)
+def cornering_stiffness(p):
+    """Return lateral force per load, friction and slip angle of front and rear tyres, 1/rad."""
+    if p[TYRES] == 0.0:
+        return p[C_SF], p[C_SR]
+    return p[B_F] * p[C_F] * p[D_F], p[B_R] * p[C_R] * p[D_R]
+
+
+@inner_kernel
+def peak_acceleration(p, braking):
+    """Return the max lateral acceleration that both axles hold; infinity for linear tyres, m/s^2.
+
+    Under the longitudinal acceleration ``braking`` (below 0, m/s^2) the rear axle holds less.
+    """
+    if p[TYRES] == 0.0:
+        return np.inf
+    front = p[D_F] * GRAVITY * pacejka_peak(p[C_F], p[E_F])
+    rear = p[D_R] * (GRAVITY + braking * p[H] / p[LF]) * pacejka_peak(p[C_R], p[E_R])
+    return max(p[MU] * min(front, rear), 0.1)
+
+
+@inner_kernel
+def tyres_of(p):
+    """Compute :class:`pcs_racing.car.tyres.Tyres` from a row of parameters."""
+    if p[TYRES] == 0.0:
+        return LINEAR
+    front, rear = cornering_stiffness(p)
+    grip, lf, lr, mass_share = p[MU] / (p[LF] + p[LR]), p[LF], p[LR], p[M] / p[INERTIA]
+    # The sum of the model's eigenvalues times the speed, at small slip. A Runge-Kutta step is
+    # stable up to 2.78 divided by the larger one.
+    decay = lr * front + lf * rear + mass_share * lf * lr * (lf * front + lr * rear)
+    return Tyres(
+        1.0,
+        p[B_F],
+        p[C_F],
+        p[E_F],
+        p[B_R],
+        p[C_R],
+        p[E_R],
+        grip * p[D_F],
+        grip * p[D_R],
+        p[H],
+        mass_share,
+        0.5 * grip * GRAVITY * decay,
+    )
+
+
+@inner_kernel(forceinline=True)
 def _limited_rate(delta, rate, car):
     limit = car.steer_max
     least = -car.steer_rate_max if delta > -limit else 0.0
@@ -261,12 +372,14 @@ def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):
 
 
 @inner_kernel(forceinline=True)
-def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):
+def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, tyres, alone):
     """Return the right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
     rate = _limited_rate(delta, rate, car)
     a = _limited_acceleration(v, acceleration, car)
-    if slow and v < KINEMATIC_BELOW:
+    if alone and v < KINEMATIC_BELOW:
         return _kinematic_derivative(delta, v, psi, beta, rate, a, car.lr, car.lf + car.lr)
+    if alone and tyres.pacejka != 0.0:
+        return sliding_derivative(delta, v, psi, psi_dot, beta, rate, a, car.lf, car.lr, tyres)
     # Braking (a < 0) puts load on the front axle and takes it from the rear.
     front = car.front - car.front_shift * a
     rear = car.rear + car.rear_shift * a
@@ -287,15 +400,18 @@ def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, slow):
 
 
 @kernel(forceinline=True)
-def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow):
+def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, tyres, dt, alone):
     """Return a car's state after a classic Runge-Kutta step of ``dt`` s with constant inputs.
 
     Steering rate (rad/s) and longitudinal acceleration (m/s^2) are limited inside the derivative,
-    in all four stages. ``slow``: the speed may be below ``KINEMATIC_BELOW`` in a stage. Without
-    ``slow`` there is no branch, so that loops over many cars use vector instructions.
+    in all four stages. ``alone``: the speed may be below ``KINEMATIC_BELOW`` in a stage, and the
+    tyres may be Pacejka's. Without ``alone`` there is no branch, so that loops over many cars use
+    vector instructions.
     """
     h = 0.5 * dt
-    a0, a1, a2, a3, a4, a5, a6 = derivative(delta, v, psi, r, beta, rate, acceleration, car, slow)
+    a0, a1, a2, a3, a4, a5, a6 = derivative(
+        delta, v, psi, r, beta, rate, acceleration, car, tyres, alone
+    )
     b0, b1, b2, b3, b4, b5, b6 = derivative(
         delta + h * a2,
         v + h * a3,
@@ -305,7 +421,8 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
         rate,
         acceleration,
         car,
-        slow,
+        tyres,
+        alone,
     )
     c0, c1, c2, c3, c4, c5, c6 = derivative(
         delta + h * b2,
@@ -316,7 +433,8 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
         rate,
         acceleration,
         car,
-        slow,
+        tyres,
+        alone,
     )
     d0, d1, d2, d3, d4, d5, d6 = derivative(
         delta + dt * c2,
@@ -327,7 +445,8 @@ def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, dt, slow)
         rate,
         acceleration,
         car,
-        slow,
+        tyres,
+        alone,
     )
     w = dt / 6.0
     psi += w * (a4 + 2.0 * b4 + 2.0 * c4 + d4)
@@ -349,22 +468,42 @@ def step(state, rate, acceleration, p, dt):
 
     The inputs are constant within the step.
     """
-    state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = (
-        runge_kutta(
-            state[X],
-            state[Y],
-            state[DELTA],
-            state[V],
-            state[PSI],
-            state[PSI_DOT],
-            state[BETA],
-            rate,
-            acceleration,
-            handling(p),
-            dt,
-            True,
+    car, tyres, count = handling(p), tyres_of(p), 1
+    if tyres.pacejka != 0.0:
+        count = substeps_of(tyres, max(state[V], KINEMATIC_BELOW), dt)
+    for _ in range(count):
+        state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = (
+            runge_kutta(
+                state[X],
+                state[Y],
+                state[DELTA],
+                state[V],
+                state[PSI],
+                state[PSI_DOT],
+                state[BETA],
+                rate,
+                acceleration,
+                car,
+                tyres,
+                dt / count,
+                True,
+            )
         )
-    )
+    if tyres.pacejka != 0.0 and state[V] < KINEMATIC_BELOW:
+        _roll(state, car)
+
+
+@inner_kernel
+def _roll(state, car):
+    """Set yaw rate and slip angle of a slow car to those of rolling without slip.
+
+    A car that has spun moves on along its wheels.
+    """
+    sin_delta, cos_delta = sine_cosine(state[DELTA])
+    turn = sin_delta / cos_delta / (car.lf + car.lr)
+    state[BETA] = arctangent(turn * car.lr)
+    _, cos_beta = sine_cosine(state[BETA])
+    state[PSI_DOT] = state[V] * cos_beta * turn
 
 
 @inner_kernel(forceinline=True)

@@ -72,7 +72,7 @@ class Races(NamedTuple):
 
     state: RaceState
     theta: NDArray[np.float64]  #: shape (B, N, P): Policy parameters.
-    vehicles: NDArray[np.float64]  #: shape (B, N, 18): Parameter rows of the cars.
+    vehicles: NDArray[np.float64]  #: shape (B, N, 27): Parameter rows of the cars.
 
 
 class Limits(NamedTuple):

@@ -168,9 +168,9 @@ class EpisodeOptions(Settings):
     vehicle: Annotated[
         Any,
         Checked(_vehicles),
-        "Parameters of all cars, or a list with the parameters of each car: a dict or a YAML file"
-        " names the values that differ from F1TENTH's"
-        " (:class:`pcs_racing.car.vehicle.VehicleParams`), such as"
+        "Parameters of all cars, or a list with the parameters of each car: a shipped car's name"
+        ' ("f1tenth", "f1tenth-pacejka", "forzaeth-nuc2"), or a dict or a YAML file of the values'
+        " that differ from F1TENTH's (:class:`pcs_racing.car.vehicle.VehicleParams`), such as"
         ' ``{"mu": 0.8}``.',
     ] = F1TENTH
     randomize: Annotated[
@@ -232,7 +232,7 @@ class EpisodeRandomization:
         self.ranges = options.randomize or Randomization()
         self.episodes = episodes
         self.circuits = Circuits(options.track, episodes)
-        #: shape (episodes, cars, 18): Parameter rows of the cars of each episode.
+        #: shape (episodes, cars, 27): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # writable: one compiled type
         #: Values drawn for each episode, by name, each of shape (episodes,).
         self.drawn = {name: np.zeros(episodes) for name in self.ranges.names}

@@ -13,6 +13,7 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.collision import Rectangle, contact_fault, inside_wall, rectangles_overlap
 from pcs_racing.car.lidar_kernel import Beams, draw_rectangle, scan_into
+from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
     BETA,
     DELTA,
@@ -141,7 +142,16 @@ def write_rates(state, rate, acceleration, p, car, model, out):
     rate = min(max(rate, least), p[SV_MAX] if delta < p[S_MAX] else 0.0)
     if model == ST or (model == OLD_ST and abs(v) >= 0.5):
         out[0], out[1], out[2], out[3], out[4], out[5], out[6] = derivative(
-            delta, v, psi, state[PSI_DOT], state[BETA], rate, acceleration, car, model == ST
+            delta,
+            v,
+            psi,
+            state[PSI_DOT],
+            state[BETA],
+            rate,
+            acceleration,
+            car,
+            LINEAR,
+            model == ST,
         )
         return
     least = -car.a_max if v > car.v_min else 0.0

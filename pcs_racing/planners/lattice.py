@@ -45,6 +45,7 @@ from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import BRAKING as MAX_BRAKING
+from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
@@ -444,7 +445,7 @@ def _situation(track, theta, view, memory):
         view[_view.OWN_WIDTH],
         scale,
         # The car has the grip that the line needs at this pace, and more at slow paces.
-        GRIP * max(scale * scale, 1.0),
+        within_grip(view, GRIP * max(scale * scale, 1.0)),
         gap,
         opponent_d,
         view[_view.OPP_V],

@@ -20,7 +20,7 @@ from pcs_racing.planners.field.pure_pursuit import (
 )
 from pcs_racing.planners.lattice import GRIP, LOST
 from pcs_racing.planners.planner import Parameter
-from pcs_racing.planners.pursuit import BRAKING, steady_course
+from pcs_racing.planners.pursuit import BRAKING, steady_course, within_grip
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import angle_between, offset
@@ -284,7 +284,7 @@ def ease_onto(track, view, scale, cap, lane, path):
     ease = max(reach, view[_view.OWN_V] * np.sqrt(6.0 * abs(aside) / EASE_LATERAL))
     rise = ease * _stray(slope - (lane[1] - lane[0]) / step)
     # The car has the grip that the line needs at this scale, and more at slow scales.
-    grip = GRIP * max(scale * scale, 1.0)
+    grip = within_grip(view, GRIP * max(scale * scale, 1.0))
     braking = 2.0 * step * min(COMFORT * grip / GRIP, BRAKING)
     square = 1e9
     for i in range(LANE_POINTS):

@@ -70,6 +70,12 @@ def pursuit_steering(view, x, y, kappa, acceleration):
 
 
 @kernel(forceinline=True)
+def within_grip(view, acceleration):
+    """Return a lateral acceleration (m/s^2), limited to the usable grip of the own tyres."""
+    return min(acceleration, 1.0 / max(view[_view.GRIP_USE], 1e-9))
+
+
+@kernel(forceinline=True)
 def calm_speed(v, speed):
     """Return the target speed, limited to stable braking, and the acceleration that it commands.
 

@@ -28,10 +28,11 @@ VIEW: dict[str, str] = {
     "UNDERSTEER_GAIN": "how that grows with the longitudinal acceleration, rad s^4/m^2",
     "REAR_SLIP": "slip angle of the own rear tyres per lateral acceleration, rad s^2/m",
     "REAR_AXLE": "own distance from the centre of gravity to the rear axle, m",
+    "GRIP_USE": "share of the own tyres' usable grip per lateral acceleration, s^2/m; 0 if linear",
     "OPP_LENGTH": "opponent's length, m",
     "OPP_WIDTH": "opponent's width, m",
-    "SPEED_LOW": "speed scale that stands for pace 0 in this race",
-    "SPEED_HIGH": "speed scale that stands for pace 1 in this race",
+    "SPEED_LOW": "own speed scale at pace 0 in this race",
+    "SPEED_HIGH": "own speed scale at pace 1 in this race, within the grip of the own tyres",
 }
 """Elements of a planner's view by name, with meaning and unit; the order is the index."""
 
@@ -64,6 +65,7 @@ VIEW_SIZE = len(VIEW)
     UNDERSTEER_GAIN,
     REAR_SLIP,
     REAR_AXLE,
+    GRIP_USE,
     OPP_LENGTH,
     OPP_WIDTH,
     SPEED_LOW,

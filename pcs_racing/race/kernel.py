@@ -17,12 +17,14 @@ from pcs_racing.car.lanes import (
     LANES_SIZE,
     load_car,
     set_target,
+    step_alone,
     step_lanes,
-    step_slow_car,
     store_car,
 )
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
+from pcs_racing.planners.lattice import LATERAL_OF_PROFILE
+from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.contacts import END, settle_contacts
@@ -32,13 +34,16 @@ from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, Wal
 
 BLOCKING_REACH = 3.0  # m
 
+USED_GRIP = 0.65  # usable share of the peak lateral acceleration of a car that brakes
+
 FAR = 1e6  # m: distance of the dummy opponent in single-car races
 
-# Layout of the loop's scratch memory: the cars in their lanes; a flag for each slow car; steering
-# angle and progress of each car before a control period; the velocities of the cars of a race; the
-# remaining steps of each race; the view of each car; race and car of the last call of a planner.
-_SLOW = LANES_SIZE
-_STEERING_BEFORE = _SLOW + LANES
+# Layout of the loop's scratch memory: the cars in their lanes; a flag for each car stepped alone;
+# steering angle and progress of each car before a control period; the velocities of the cars of a
+# race; the remaining steps of each race; the view of each car; race and car of the last call of a
+# planner.
+_ALONE = LANES_SIZE
+_STEERING_BEFORE = _ALONE + LANES
 _PROGRESS_BEFORE = _STEERING_BEFORE + LANES
 _VELOCITIES = _PROGRESS_BEFORE + LANES
 _LEFT = _VELOCITIES + 2 * LANES
@@ -71,19 +76,22 @@ def _fill_fixed(own, settings, view):
     view[_view.WHEELBASE] = own[_vehicle.LF] + own[_vehicle.LR]
     view[_view.STEER_MAX] = own[_vehicle.STEER_MAX]
     grip = own[_vehicle.MU] * _vehicle.GRAVITY
-    view[_view.UNDERSTEER] = (1.0 / own[_vehicle.C_SF] - 1.0 / own[_vehicle.C_SR]) / grip
+    front, rear = _vehicle.cornering_stiffness(own)
+    view[_view.UNDERSTEER] = (1.0 / front - 1.0 / rear) / grip
     view[_view.UNDERSTEER_GAIN] = (
         own[_vehicle.H]
         / (grip * _vehicle.GRAVITY)
-        * (
-            1.0 / (own[_vehicle.C_SF] * own[_vehicle.LR])
-            + 1.0 / (own[_vehicle.C_SR] * own[_vehicle.LF])
-        )
+        * (1.0 / (front * own[_vehicle.LR]) + 1.0 / (rear * own[_vehicle.LF]))
     )
-    view[_view.REAR_SLIP] = 1.0 / (grip * own[_vehicle.C_SR])
+    view[_view.REAR_SLIP] = 1.0 / (grip * rear)
     view[_view.REAR_AXLE] = own[_vehicle.LR]
-    view[_view.SPEED_LOW] = settings.speed_low
-    view[_view.SPEED_HIGH] = settings.speed_high
+    # Infinite for linear tyres. Bends are braked into.
+    usable = USED_GRIP * _vehicle.peak_acceleration(own, -BRAKING)
+    view[_view.GRIP_USE] = 1.0 / usable
+    # A car whose tyres give less than the bends ask for at pace 1 drives all paces slower.
+    share = min(np.sqrt(usable / LATERAL_OF_PROFILE) / settings.speed_high, 1.0)
+    view[_view.SPEED_LOW] = share * settings.speed_low
+    view[_view.SPEED_HIGH] = share * settings.speed_high
 
 
 @inner_kernel(forceinline=True)
@@ -272,7 +280,7 @@ def _begin(state, vehicles, settings, ticks, race, place, number, work):
     for car in range(number):
         crashed |= state.crash[race, car] != 0
         lane = place + car
-        load_car(work, lane, state.cars[race, car], vehicles[race, car])
+        load_car(work, lane, state.cars[race, car], vehicles[race, car], DT)
         if state.tick[race] % CONTROL_EVERY != 0:  # stopped between two commands
             set_target(work, lane, state.command[race, car, 0], state.command[race, car, 1])
             work[_STEERING_BEFORE + lane] = state.cars[race, car, _vehicle.DELTA]
@@ -378,7 +386,7 @@ def _end_period(track, near, state, settings, race, place, number, params, work)
         before = work[_VIEWS + _view.VIEW_SIZE * place :]
         if settle_contacts(track, state, race, params, settings.contact, before):
             for car in range(number):
-                load_car(work, place + car, cars[race, car], params[car])
+                load_car(work, place + car, cars[race, car], params[car], DT)
         for car in range(number):
             if 0 < settings.most_faults <= state.fault[race, car]:
                 state.crash[race, car] = state.contact[race, car]
@@ -398,7 +406,7 @@ def advance_races(
     its group.
 
     ``theta``, shape (B, N, P), holds the policy parameters of each race, and ``vehicles``, shape
-    (B, N, 18), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
+    (B, N, 27), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
     plan and control in every race (:func:`pcs_racing.race.driving.pointers_of`). ``scratch`` has
     the maximum scratch size of the planners, and ``work`` has ``WORK_SIZE`` numbers. Their contents
     are undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised
@@ -443,12 +451,12 @@ def advance_races(
                         scratch,
                         work,
                     )
-                # Slow cars are stepped one by one; their lanes are computed as well, and
+                # Some cars are stepped one by one; their lanes are computed as well, and
                 # overwritten below.
                 for car in range(number):
                     lane = place + car
-                    slow = step_slow_car(work, lane, state.cars[race, car], vehicles[race, car], DT)
-                    work[_SLOW + lane] = 1.0 if slow else 0.0
+                    alone = step_alone(work, lane, state.cars[race, car], vehicles[race, car], DT)
+                    work[_ALONE + lane] = 1.0 if alone else 0.0
             step_lanes(work, number * (stop - start), DT)
             for race in range(start, stop):
                 if work[_LEFT + race - start] <= 0.0:
@@ -457,8 +465,8 @@ def advance_races(
                 params = vehicles[race]
                 place = number * (race - start)
                 for car in range(number):
-                    if work[_SLOW + place + car] != 0.0:
-                        load_car(work, place + car, state.cars[race, car], params[car])
+                    if work[_ALONE + place + car] != 0.0:
+                        load_car(work, place + car, state.cars[race, car], params[car], DT)
                     else:
                         store_car(work, place + car, state.cars[race, car])
                 tick = state.tick[race] + 1

@@ -34,6 +34,7 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.track import frenet as _frenet
 
 _PACE, _GAP, _P, _D = range(len(_line.TRAILING))
@@ -209,7 +210,8 @@ def _step(
 @inner_kernel
 def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
     """Simulate both cars with one sample each; write the own plan, return both payoffs (m)."""
-    table, grip = scratch[_TABLE:_LANE], 1.3 * _line.GRIP * max(scale * scale, 1.0)
+    grip = within_grip(view, 1.3 * _line.GRIP * max(scale * scale, 1.0))
+    table = scratch[_TABLE:_LANE]
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
     near = wide + 0.1

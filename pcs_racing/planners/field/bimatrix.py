@@ -25,6 +25,7 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
@@ -70,6 +71,7 @@ SCRATCH = _LANE + _line.LANE_SIZE
 def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, follow, scratch):
     """Write the trajectories of a car ``begin`` m ahead of the own car; it prefers ``home`` (m)."""
     s0, reach = view[_view.OWN_S], max(3.0, 1.2 * v)
+    grip = within_grip(view, GRIP * max(scale * scale, 1.0))
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     for move in range(MOVES):
         first, speed, aside, fits = (car * MOVES + move) * STEPS, v, 0.0, True
@@ -87,9 +89,7 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
             sample = track.line[line_index(track, s0 + along)]
             off = abs(across) > _line.ON_LINE
             wall = across > sample[_frenet.LEFT] - keep or -across > sample[_frenet.RIGHT] - keep
-            slips = abs(sample[_frenet.KAPPA] + bend) * speed * speed > GRIP * max(
-                scale * scale, 1.0
-            )
+            slips = abs(sample[_frenet.KAPPA] + bend) * speed * speed > grip
             fits = fits and not (off and (wall or (slips and k > 0)))
             scratch[_S + first + k], scratch[_D + first + k] = along, across
             aside += abs(across - home) / STEPS

@@ -26,6 +26,7 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 
@@ -165,7 +166,7 @@ def _possible(track, theta, view, duration, number, seen, scratch):
     side = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + theta[BUMPER_AIR]
     scale = _line.speed_scale(view, theta[0])
-    grip = 1.3 * _line.GRIP * max(scale * scale, 1.0)
+    grip = within_grip(view, 1.3 * _line.GRIP * max(scale * scale, 1.0))
     for k in range(1, CHECKS + 1):
         t = duration * k / CHECKS
         d = _at(c, t)

@@ -28,6 +28,7 @@ from pcs_racing.planners import line_following as _line
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.frenet import wrap_s
@@ -236,7 +237,7 @@ def plan(track, theta, view, memory, scratch, path):
     """Shift the plan, disturb it, and average the copies."""
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 0.1)
     scale = _line.speed_scale(view, theta[_PACE])
-    grip = GRIP * max(scale * scale, 1.0)
+    grip = within_grip(view, GRIP * max(scale * scale, 1.0))
     # Start at the last plan's present position; `ease_onto` removes the car's deviation from it.
     d0, e0, goes_on = _line.last_lane(track, view, memory[_KEPT:])
     if not goes_on:

@@ -12,13 +12,14 @@ from pcs_racing.car.lanes import (
     LANES_SIZE,
     load_car,
     set_target,
+    step_alone,
     step_lanes,
-    step_slow_car,
     store_car,
 )
 from pcs_racing.car.vehicle import (
     DELTA,
     F1TENTH,
+    PARAMS_SIZE,
     RULES_NOISE,
     STEER_DELAY,
     V,
@@ -245,12 +246,14 @@ def test_the_default_car_is_that_of_the_established_simulator():
         " steer_rate_max 3.2 v_switch 7.319 a_max 9.51 v_min -5.0 v_max 20.0 width 0.31 length 0.58"
     )
     words = published.split()
-    own = {"steer_delay": 0.0, "steer_noise": None}  # which that car has not
-    assert dataclasses.asdict(F1TENTH) == {
-        **dict(zip(words[::2], map(float, words[1::2]), strict=True)),
-        **own,
-    }
-    np.testing.assert_array_equal(F1TENTH.as_row(), [*map(float, words[1::2]), 0.0, RULES_NOISE])
+    actuators = {"steer_delay": 0.0, "steer_noise": None}  # which that car has not
+    own = dataclasses.asdict(F1TENTH)
+    assert own.pop("tyres") == "linear"
+    unused = [own.pop(name) for name in ("b_f", "c_f", "d_f", "e_f", "b_r", "c_r", "d_r", "e_r")]
+    assert own == {**dict(zip(words[::2], map(float, words[1::2]), strict=True)), **actuators}
+    row = [*map(float, words[1::2]), 0.0, RULES_NOISE, 0.0, *unused]
+    np.testing.assert_array_equal(F1TENTH.as_row(), row)
+    assert len(row) == PARAMS_SIZE
     assert F1TENTH.wheelbase == pytest.approx(0.3302)
 
 
@@ -272,19 +275,19 @@ TARGETS = np.stack([np.linspace(-0.5, 0.5, LANES), np.linspace(0.0, 12.0, LANES)
 
 @compiled
 def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-def]
-    """Drive the cars in their lanes, those that are too slow for them alone."""
+    """Drive the cars in their lanes, and alone where the lanes cannot."""
     for lane in range(states.shape[0]):
-        load_car(lanes, lane, states[lane], params[lane])
+        load_car(lanes, lane, states[lane], params[lane], 0.01)
         set_target(lanes, lane, targets[lane, 0], targets[lane, 1])
     slow = np.zeros(states.shape[0], np.bool_)
     taken = 0
     for _ in range(steps):
         for lane in range(states.shape[0]):
-            slow[lane] = step_slow_car(lanes, lane, states[lane], params[lane], 0.01)
+            slow[lane] = step_alone(lanes, lane, states[lane], params[lane], 0.01)
         step_lanes(lanes, states.shape[0], 0.01)
         for lane in range(states.shape[0]):
             if slow[lane]:
-                load_car(lanes, lane, states[lane], params[lane])
+                load_car(lanes, lane, states[lane], params[lane], 0.01)
                 taken += 1
             else:
                 store_car(lanes, lane, states[lane])
@@ -293,8 +296,14 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
 
 @pytest.mark.parametrize("cars", [1, 2, 5, LANES])
 def test_cars_in_lanes_drive_as_alone(cars):
+    tyres = ("linear", "linear", "pacejka")
     vehicles = [
-        dataclasses.replace(F1TENTH, mu=0.8 + 0.05 * k, m=3.0 + 0.3 * k) for k in range(cars)
+        VehicleParams(
+            mu=0.8 + 0.05 * k,
+            m=3.0 + 0.3 * k,
+            tyres=tyres[k % 3],
+        )
+        for k in range(cars)
     ]
     states = np.zeros((cars, 7))
     states[:, 3] = np.linspace(0.3, 7.0, cars)

@@ -67,7 +67,10 @@ USUAL = {
 
 VARIED = {
     "track": ["Pipkin", "Tarnfjord"],
-    "vehicle": [{"mu": 0.9}, {}],
+    "vehicle": [
+        {"mu": 0.9},
+        "forzaeth-nuc2",
+    ],
     "randomize": {
         "friction": [0.6, 1.2],
         "mass": [3.0, 4.5],

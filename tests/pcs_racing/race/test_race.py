@@ -12,7 +12,7 @@ from same_arrays import assert_same
 from pcs_racing import CONTEST, PAPER, InputError, load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.car.vehicle import BETA, VehicleParams, load_vehicle
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.race.driving import pad_parameters
@@ -154,6 +154,18 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
     for vehicles in ((late, prompt), (prompt, late)):
         assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 5
     assert dataclasses.replace(usual, most_delay=0.04).memory_size == usual.memory_size + 2
+
+
+def test_planners_drive_within_the_grip_of_their_tyres(oval):
+    """Without another setting, at the slowest and at the fastest pace."""
+    for name in ("f1tenth-pacejka", "forzaeth-nuc2"):
+        cars = (load_vehicle(name),) * 2
+        for pace in (0.0, 1.0):
+            result = run_races(
+                oval, [lattice(pace=pace)] * 6, lattice(pace=pace), SHORT, vehicles=cars
+            )
+            assert not result.crashed.any()
+            assert np.abs(result.state.cars[..., BETA]).max() < 0.2
 
 
 ROLLING = load_race_config("contest", start="rolling")

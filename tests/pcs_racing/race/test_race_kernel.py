@@ -11,9 +11,10 @@ from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 from pcs_racing import load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.ittc import minimum_ittc
-from pcs_racing.car.vehicle import F1TENTH, VehicleParams, simulate
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle, simulate
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW
+from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.positions import move_along
 from pcs_racing.race.races import RaceSetup, advance, start_races
 from pcs_racing.race.start_grid import Starts
@@ -212,6 +213,7 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
             ),
             "REAR_SLIP": 1.0 / (stiffness * body.c_sr),
             "REAR_AXLE": body.lr,
+            "GRIP_USE": 0.0,
             "OPP_LENGTH": rival.length,
             "OPP_WIDTH": rival.width,
             "SPEED_LOW": 0.8,
@@ -220,6 +222,26 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
         seen = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
         assert seen == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_view_has_the_stiffness_and_the_grip_of_pacejka_tyres(coarse_oval):
+    car = load_vehicle("f1tenth-pacejka")
+    setup, state, _ = placed(coarse_oval, [(10.0, 0.0), (12.0, 0.0)], vehicles=(car, SHORT))
+    fast = setup.settings._replace(speed_low=0.9, speed_high=1.2)
+    views = [np.zeros(len(VIEW)) for _ in range(2)]
+    rows = np.stack([car.as_row(), SHORT.as_row()])
+    for i, view in enumerate(views):
+        fill_view(coarse_oval.arrays, state, 0, i, rows, fast, view)
+    sliding, linear = (dict(zip(VIEW, view, strict=True)) for view in views)
+    front, rear = car.b_f * car.c_f * car.d_f, car.b_r * car.c_r * car.d_r
+    assert sliding["REAR_SLIP"] == pytest.approx(1.0 / (car.mu * 9.81 * rear))
+    assert sliding["UNDERSTEER"] == pytest.approx((1.0 / front - 1.0 / rear) / (car.mu * 9.81))
+    # The rear axle slides first, when the car brakes by 5.5 m/s^2; 0.65 of that may be used.
+    usable = 0.65 * car.mu * car.d_r * (9.81 - 5.5 * car.h / car.lf)
+    assert sliding["GRIP_USE"] == pytest.approx(1.0 / usable)
+    assert sliding["SPEED_HIGH"] == pytest.approx(np.sqrt(usable / 5.0))  # of the race line
+    assert sliding["SPEED_LOW"] == pytest.approx(0.75 * sliding["SPEED_HIGH"])
+    assert (linear["GRIP_USE"], linear["SPEED_LOW"], linear["SPEED_HIGH"]) == (0.0, 0.9, 1.2)
 
 
 def test_noise_is_the_sum_of_four_parts_and_a_command_is_due_after_its_delay():
