@@ -11,7 +11,9 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
+    Actuators,
     Handling,
+    actuators,
     handling,
     runge_kutta,
     step_to_target,
@@ -23,11 +25,14 @@ LANES = 8
 VECTOR = 4
 """Number of lanes computed at a time: a loop over all lanes is too long for a race of two cars."""
 
-# Rows: the state, the target, the speed below which a car is stepped alone, and the handling.
+# Rows: the state, the target, the actuators, the speed below which a car is stepped alone, and the
+# handling.
 _STATE = 0
 _STEER = LANES * _vehicle.STATE_SIZE
 _SPEED = _STEER + LANES
-_ALONE_BELOW = _SPEED + LANES
+_SHARE = _SPEED + LANES
+_GAIN = _SHARE + LANES
+_ALONE_BELOW = _GAIN + LANES
 _HANDLING = _ALONE_BELOW + LANES
 LANES_SIZE = _HANDLING + LANES * len(Handling._fields)
 
@@ -37,6 +42,7 @@ def load_car(lanes, lane, state, p, dt):
     """Put a car with a row of parameters into a lane, for steps of ``dt`` seconds."""
     for k in range(_vehicle.STATE_SIZE):
         lanes[_STATE + LANES * k + lane] = state[k]
+    lanes[_SHARE + lane], lanes[_GAIN + lane] = actuators(p, dt)
     linear = p[_vehicle.TYRES] == 0.0
     lanes[_ALONE_BELOW + lane] = (
         _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt if linear else np.inf
@@ -110,8 +116,9 @@ def step_lanes(lanes, cars, dt):
             psi = part[LANES * _vehicle.PSI + i]
             psi_dot = part[LANES * _vehicle.PSI_DOT + i]
             beta = part[LANES * _vehicle.BETA + i]
+            moves = Actuators(part[_SHARE + i], part[_GAIN + i])
             rate, acceleration = target_inputs(
-                delta, v, part[_STEER + i], part[_SPEED + i], car, dt
+                delta, v, part[_STEER + i], part[_SPEED + i], car, moves, dt
             )
             # No branch here: a branch would prevent vectorisation of the loop.
             x, y, delta, v, psi, psi_dot, beta = runge_kutta(

@@ -24,7 +24,7 @@ from annotated_types import Interval, MultipleOf
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
-from pcs_racing.base.elementary import arctangent, sine_cosine
+from pcs_racing.base.elementary import arctangent, exponential, sine_cosine
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Settings, load_settings
 from pcs_racing.car.tyres import (
@@ -57,7 +57,8 @@ _E = Interval(ge=-20.0, le=2.0)
 class VehicleParams(Settings):
     """Parameters of one car; the defaults are the 1:10 F1TENTH car.
 
-    Delay and noise of the steering apply to races, with commands at 50 Hz. `simulate` ignores both.
+    Delays and noise of the commands apply to races, with commands at 50 Hz. `simulate` ignores
+    them.
     """
 
     #: The names of the F1TENTH gym; its two bounds of the steering are one here.
@@ -138,6 +139,28 @@ class VehicleParams(Settings):
     c_r: Annotated[float, _C, "Shape factor C of the rear tyres."] = 3.692
     d_r: Annotated[float, _D, "Peak factor D of the rear tyres."] = 0.6691
     e_r: Annotated[float, _E, "Curvature factor E of the rear tyres."] = 0.5595
+    steer_lag: Annotated[
+        float,
+        Interval(ge=0.0, le=2.0),
+        "Time constant of the steering servo, s; its rate limit applies to the lagged motion.",
+    ] = 0.0
+    speed_delay: Annotated[
+        float,
+        Interval(ge=0.0, le=MAX_DELAYED * COMMAND_PERIOD),
+        MultipleOf(COMMAND_PERIOD),
+        "Time by which speed commands are late, s; until the first command the car keeps its"
+        " speed.",
+    ] = 0.0
+    speed_lag: Annotated[
+        float,
+        Interval(ge=0.05, le=5.0),
+        "Time constant with which the speed approaches its command, s.",
+    ] = 0.1
+    speed_noise: Annotated[
+        float,
+        Interval(ge=0.0, le=5.0),
+        "Standard deviation of the disturbance of every speed command, m/s; independent draws.",
+    ] = 0.0
 
     @property
     def wheelbase(self) -> float:
@@ -145,16 +168,18 @@ class VehicleParams(Settings):
         return self.lf + self.lr
 
     def as_row(self) -> NDArray[np.float64]:
-        """Return the parameters as the row of numbers that compiled code reads, shape (27,)."""
+        """Return the parameters as the row of numbers that compiled code reads, shape (31,)."""
         return self._row.copy()
 
     @cached_property
     def _row(self) -> NDArray[np.float64]:
         noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
         steer_delay = round(self.steer_delay / COMMAND_PERIOD)
+        speed_delay = round(self.speed_delay / COMMAND_PERIOD)
         steering = (*_physical(self), steer_delay, noise)
         tyres = (self.tyres == "pacejka", *_pacejka(self))
-        return np.array([*steering, *tyres], dtype=np.float64)
+        actuators = (self.steer_lag, speed_delay, self.speed_lag, self.speed_noise)
+        return np.array([*steering, *tyres, *actuators], dtype=np.float64)
 
 
 F1TENTH = VehicleParams()
@@ -181,7 +206,11 @@ FORZAETH_NUC2 = VehicleParams.known(
     d_r=0.618418,
     e_r=0.0,
 )
-"""Car NUC2 of ForzaETH's race_stack (``NUC2_pacejka.yaml``), with the F1TENTH car's limits."""
+"""Car NUC2 of ForzaETH's race_stack (``NUC2_pacejka.yaml``), with the F1TENTH car's limits.
+
+The published time constant of its steering is left out (``steer_lag``, 0.158 s): the planners do
+not know of it, and crash.
+"""
 
 VEHICLES = {
     "f1tenth": F1TENTH,
@@ -238,7 +267,8 @@ STEER_DELAY = 16  # in commands
 STEER_NOISE = 17  # rad; below 0: set by the race's rules
 TYRES = 18  # 1: Pacejka
 B_F, C_F, D_F, E_F, B_R, C_R, D_R, E_R = range(19, 27)
-PARAMS_SIZE = 27
+STEER_LAG, SPEED_DELAY, SPEED_LAG, SPEED_NOISE = range(27, 31)  # s; commands; s; m/s
+PARAMS_SIZE = 31
 RULES_NOISE = -1.0
 
 _physical = attrgetter(*(field.name for field in fields(VehicleParams)[:STEER_DELAY]))
@@ -506,17 +536,32 @@ def _roll(state, car):
     state[PSI_DOT] = state[V] * cos_beta * turn
 
 
+class Actuators(NamedTuple):
+    """Coefficients of the controllers of steering and speed, for one length of the step."""
+
+    share: float  #: Share of the missing steering angle that the servo moves in a step.
+    gain: float  #: Acceleration per missing speed, 1/s.
+
+
+@inner_kernel
+def actuators(p, dt):
+    """Compute :class:`Actuators` from a row of parameters."""
+    lag = p[STEER_LAG]
+    return Actuators(1.0 - exponential(-dt / lag) if lag > 0.0 else 1.0, 1.0 / p[SPEED_LAG])
+
+
 @inner_kernel(forceinline=True)
-def target_inputs(delta, v, steer, speed, car, dt):
+def target_inputs(delta, v, steer, speed, car, actuators, dt):
     """Return inputs that reach a target steering angle and speed without chatter or overshoot.
 
-    The steering moves at its full rate and arrives exactly; the speed error decays with a time
-    constant of 0.1 s, within the limits of the engine and the brakes.
+    The steering moves at its full rate and arrives exactly; with a lag it covers the same share of
+    the missing angle in every step of ``dt`` s, and no more than its full rate. The speed error
+    decays with its time constant, within the limits of the engine and the brakes.
     """
     steer = min(max(steer, -car.steer_max), car.steer_max)
-    rate = (steer - delta) / dt
+    rate = actuators.share * (steer - delta) / dt
     rate = min(max(rate, -car.steer_rate_max), car.steer_rate_max)
-    return rate, _limited_acceleration(v, 10.0 * (speed - v), car)
+    return rate, _limited_acceleration(v, actuators.gain * (speed - v), car)
 
 
 @inner_kernel
@@ -524,7 +569,9 @@ def step_to_target(state, steer, speed, p, dt):
     """Advance one vehicle in place by one step towards a target steering angle (rad) and speed
     (m/s).
     """
-    rate, acceleration = target_inputs(state[DELTA], state[V], steer, speed, handling(p), dt)
+    rate, acceleration = target_inputs(
+        state[DELTA], state[V], steer, speed, handling(p), actuators(p, dt), dt
+    )
     step(state, rate, acceleration, p, dt)
 
 
@@ -543,7 +590,7 @@ def _simulate(states, controls, mode, dt, params):
             second = controls[b, k, 1]
             if mode == 1:
                 first, second = target_inputs(
-                    state[DELTA], state[V], first, second, handling(p), dt
+                    state[DELTA], state[V], first, second, handling(p), actuators(p, dt), dt
                 )
             step(state, first, second, p, dt)
 
@@ -564,7 +611,7 @@ def simulate(
         x, y (m), delta (rad), v (m/s), psi (rad), psi_dot (rad/s), beta (rad).
     controls : array_like, shape (T, 2) or (B, T, 2)
         ``"rates"``: steering rate (rad/s) and acceleration (m/s^2). ``"target"``: steering angle
-        (rad), reached at full rate without overshoot, and speed (m/s).
+        (rad), reached at full rate without overshoot, and speed (m/s), both with the car's lags.
     control_mode : {"target", "rates"}
     dt : float
         Length of a step in s, in (0, 0.05].

@@ -19,7 +19,7 @@ from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to
 from pcs_racing.race.state import LAPS, MAX_CARS, RaceState
-from pcs_racing.race.steering import steering_noise
+from pcs_racing.race.steering import disturbed_speed, steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, TrackArrays, angle_between
 from pcs_racing.track.grid import cast
 
@@ -72,7 +72,7 @@ class Races(NamedTuple):
 
     state: RaceState
     theta: NDArray[np.float64]  #: shape (B, N, P): Policy parameters.
-    vehicles: NDArray[np.float64]  #: shape (B, N, 27): Parameter rows of the cars.
+    vehicles: NDArray[np.float64]  #: shape (B, N, 31): Parameter rows of the cars.
 
 
 class Limits(NamedTuple):
@@ -356,8 +356,11 @@ def set_commands(actions, limits, races, first, last):
                 1.0 + min(max(actions[race, car, 1], -1.0), 1.0)
             )
             if now:
-                command[1] = memory[1]
                 # Late commands follow the period of their queue.
+                if vehicles[race, car, _vehicle.SPEED_DELAY] == 0.0:
+                    command[1] = disturbed_speed(
+                        memory[1], vehicles[race, car], state.seed[race], car, state.tick[race]
+                    )
                 if vehicles[race, car, _vehicle.STEER_DELAY] == 0.0:
                     command[0] = memory[0] + state.disturbance[race, car]
 

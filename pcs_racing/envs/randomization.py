@@ -14,6 +14,7 @@ from pcs_racing.car.vehicle import (
     COMMAND_PERIOD,
     F1TENTH,
     MAX_DELAYED,
+    SPEED_DELAY,
     STEER_DELAY,
     VehicleParams,
     load_vehicle,
@@ -232,7 +233,7 @@ class EpisodeRandomization:
         self.ranges = options.randomize or Randomization()
         self.episodes = episodes
         self.circuits = Circuits(options.track, episodes)
-        #: shape (episodes, cars, 27): Parameter rows of the cars of each episode.
+        #: shape (episodes, cars, 31): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # writable: one compiled type
         #: Values drawn for each episode, by name, each of shape (episodes,).
         self.drawn = {name: np.zeros(episodes) for name in self.ranges.names}
@@ -340,6 +341,7 @@ class EpisodeRandomization:
         )
         circuits, vehicles, _, boxes = state
         check_within("the state's steering delays", vehicles[..., STEER_DELAY], 0, MAX_DELAYED)
+        check_within("the state's speed delays", vehicles[..., SPEED_DELAY], 0, MAX_DELAYED)
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):

@@ -13,7 +13,7 @@ from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.numba_parts import config as numba_config
 from pcs_racing.car.lanes import LANES
-from pcs_racing.car.vehicle import STEER_DELAY, VehicleParams
+from pcs_racing.car.vehicle import SPEED_DELAY, SPEED_NOISE, STEER_DELAY, VehicleParams
 from pcs_racing.planners.planner import Planner, Policy, held_command
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import VIEW_SIZE
@@ -21,6 +21,7 @@ from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions, Share
 from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, RaceConfig
 from pcs_racing.race.kernel import ASKED, WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.state import RaceState
+from pcs_racing.race.steering import disturbed_speed
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
 
@@ -227,10 +228,19 @@ def _ask_python_drivers(
                 continue
             given = planner.drive.commands(track, state, rows, car, cars, settings)
             state.memory[rows, car, :COMMAND_SLOTS] = given
-            # Between two commands of the loop the new command takes effect here; its steering only
-            # if the car has no steering delay.
+            # Between two commands of the loop the new command takes effect here, where it is not
+            # late.
             now = state.tick[rows] % CONTROL_EVERY != 0
-            state.command[rows[now], car, 1] = given[now, 1]
+            prompt = now & (cars[rows, car, SPEED_DELAY] == 0.0)
+            state.command[rows[prompt], car, 1] = given[prompt, 1]
+            for row in rows[prompt & (cars[rows, car, SPEED_NOISE] > 0.0)]:
+                state.command[row, car, 1] = disturbed_speed(
+                    state.memory[row, car, 1],
+                    cars[row, car],
+                    state.seed[row],
+                    car,
+                    state.tick[row],
+                )
             now &= cars[rows, car, STEER_DELAY] == 0.0
             state.command[rows[now], car, 0] = given[now, 0] + state.disturbance[rows[now], car]
             continue

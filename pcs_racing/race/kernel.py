@@ -29,7 +29,7 @@ from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.contacts import END, settle_contacts
 from pcs_racing.race.positions import collide, nearest_car, update_progress
-from pcs_racing.race.steering import delayed, steering_noise, steering_sd
+from pcs_racing.race.steering import delayed, disturbed_speed, steering_noise, steering_sd
 from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
 
 BLOCKING_REACH = 3.0  # m
@@ -300,6 +300,12 @@ def _send(state, vehicle, settings, noise_share, race, car, tick, command, memor
     delay = vehicle[_vehicle.STEER_DELAY]
     if delay > 0.0:
         command[0] = delayed(memory, delay, tick, command[0])
+    command[1] = disturbed_speed(command[1], vehicle, state.seed[race], car, tick)
+    late = vehicle[_vehicle.SPEED_DELAY]
+    if late > 0.0:
+        command[1] = delayed(memory, late, tick, command[1], delay)
+        if tick < late * CONTROL_EVERY:  # before the first command arrives
+            command[1] = state.cars[race, car, _vehicle.V]
 
 
 @inner_kernel(forceinline=True)
@@ -406,7 +412,7 @@ def advance_races(
     its group.
 
     ``theta``, shape (B, N, P), holds the policy parameters of each race, and ``vehicles``, shape
-    (B, N, 27), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
+    (B, N, 31), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
     plan and control in every race (:func:`pcs_racing.race.driving.pointers_of`). ``scratch`` has
     the maximum scratch size of the planners, and ``work`` has ``WORK_SIZE`` numbers. Their contents
     are undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised

@@ -63,8 +63,9 @@ class RaceSetup:
 
     @cached_property
     def memory_size(self) -> int:
-        """Size of each car's memory in the state: planner memory and queue of delayed commands."""
+        """Size of each car's memory in the state: planner memory and queues of delayed commands."""
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
+        delay += max(vehicle.speed_delay for vehicle in self.vehicles)
         command = COMMAND_SLOTS if self.steered else 0
         planners = self.planners + self.substitutes
         sizes = [command, *(planner.memory_total for planner in planners)]

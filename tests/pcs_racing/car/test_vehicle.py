@@ -246,12 +246,14 @@ def test_the_default_car_is_that_of_the_established_simulator():
         " steer_rate_max 3.2 v_switch 7.319 a_max 9.51 v_min -5.0 v_max 20.0 width 0.31 length 0.58"
     )
     words = published.split()
-    actuators = {"steer_delay": 0.0, "steer_noise": None}  # which that car has not
+    # That car has ideal actuators, apart from a time constant of its speed.
+    actuators = {"steer_delay": 0.0, "steer_noise": None, "steer_lag": 0.0, "speed_delay": 0.0}
+    actuators |= {"speed_lag": 0.1, "speed_noise": 0.0}
     own = dataclasses.asdict(F1TENTH)
     assert own.pop("tyres") == "linear"
     unused = [own.pop(name) for name in ("b_f", "c_f", "d_f", "e_f", "b_r", "c_r", "d_r", "e_r")]
     assert own == {**dict(zip(words[::2], map(float, words[1::2]), strict=True)), **actuators}
-    row = [*map(float, words[1::2]), 0.0, RULES_NOISE, 0.0, *unused]
+    row = [*map(float, words[1::2]), 0.0, RULES_NOISE, 0.0, *unused, 0.0, 0.0, 0.1, 0.0]
     np.testing.assert_array_equal(F1TENTH.as_row(), row)
     assert len(row) == PARAMS_SIZE
     assert F1TENTH.wheelbase == pytest.approx(0.3302)
@@ -268,6 +270,29 @@ def test_target_controls_close_a_tenth_of_the_speed_error_in_each_step_and_arriv
         np.testing.assert_allclose(
             simulate(y, [[steer, speed]])[1], expected, rtol=1e-9, atol=1e-12
         )
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.04])
+def test_a_lag_is_the_exact_answer_of_a_first_order_servo_within_its_rate(dt):
+    car = VehicleParams(steer_lag=0.1)
+    times = dt * np.arange(41)
+    small = simulate(at_speed(3.0), constant(0.02, 3.0, 40), params=car, dt=dt)[:, DELTA]
+    np.testing.assert_allclose(small, 0.02 * (1.0 - np.exp(-times / 0.1)), rtol=1e-12, atol=1e-15)
+    slow = dataclasses.replace(car, steer_rate_max=0.5)
+    far = simulate(at_speed(3.0), constant(0.3, 3.0, 40), params=slow, dt=dt)[:, DELTA]
+    reached = 0.0
+    for angle in far[1:]:
+        reached += min((1.0 - np.exp(-dt / 0.1)) * (0.3 - reached), 0.5 * dt)
+        assert angle == pytest.approx(reached, abs=1e-12)
+    assert far[1] == pytest.approx(0.5 * dt)
+
+
+def test_the_speed_approaches_its_command_with_its_time_constant():
+    for lag in (0.1, 0.25):
+        car = VehicleParams(speed_lag=lag)
+        speeds = simulate(at_speed(4.0), constant(0.0, 4.5, 30), params=car)[:, V]
+        expected = 4.5 - 0.5 * (1.0 - 0.01 / lag) ** np.arange(31)
+        np.testing.assert_allclose(speeds, expected, rtol=1e-12)
 
 
 TARGETS = np.stack([np.linspace(-0.5, 0.5, LANES), np.linspace(0.0, 12.0, LANES)], axis=1)
@@ -296,12 +321,14 @@ def _drive(lanes, states, params, targets, steps):  # type: ignore[no-untyped-de
 
 @pytest.mark.parametrize("cars", [1, 2, 5, LANES])
 def test_cars_in_lanes_drive_as_alone(cars):
-    tyres = ("linear", "linear", "pacejka")
+    tyres, lags = ("linear", "linear", "pacejka"), (0.0, 0.05)
     vehicles = [
         VehicleParams(
             mu=0.8 + 0.05 * k,
             m=3.0 + 0.3 * k,
             tyres=tyres[k % 3],
+            steer_lag=lags[k % 2],
+            speed_lag=0.1 + 0.02 * k,
         )
         for k in range(cars)
     ]
@@ -351,5 +378,6 @@ def test_bad_input_and_impossible_vehicles_are_refused():
         )
     assert VehicleParams(steer_delay=0.5, steer_noise=0.0).steer_delay == 0.5
     wrong = {"m": 0.0, "mu": -1.0, "lf": np.nan, "a_max": np.inf, "v_min": 1.0, "steer_delay": 0.52}
+    wrong |= {"steer_lag": -0.1, "speed_lag": 0.0, "speed_delay": 0.03, "speed_noise": np.nan}
     for parameter, value in wrong.items():
         refused(f"^{parameter} is", VehicleParams, **{parameter: value})

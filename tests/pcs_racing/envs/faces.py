@@ -68,7 +68,7 @@ USUAL = {
 VARIED = {
     "track": ["Pipkin", "Tarnfjord"],
     "vehicle": [
-        {"mu": 0.9},
+        {"mu": 0.9, "steer_lag": 0.05, "speed_delay": 0.04, "speed_lag": 0.2, "speed_noise": 0.2},
         "forzaeth-nuc2",
     ],
     "randomize": {

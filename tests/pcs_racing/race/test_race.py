@@ -154,6 +154,8 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
     for vehicles in ((late, prompt), (prompt, late)):
         assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 5
     assert dataclasses.replace(usual, most_delay=0.04).memory_size == usual.memory_size + 2
+    vehicles = (VehicleParams(steer_delay=0.1, speed_delay=0.06), prompt)
+    assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 8
 
 
 def test_planners_drive_within_the_grip_of_their_tyres(oval):
