@@ -47,7 +47,7 @@ def placed(track, places, speeds=None, planner=HOLD, vehicles=None, **rules):
         (planner,) * count,
         vehicles or (F1TENTH,) * count,
     )
-    state = empty_state(1, setup.memory_size, count)
+    state = empty_state(1, setup.memory_size, count, setup.config.laps)
     for car, (s, d, *turned) in enumerate(places):
         x, y, psi = track.to_cartesian([s, d])
         state.cars[0, car, [X, Y, V, PSI]] = x, y, speeds[car], psi + sum(turned)

@@ -38,7 +38,7 @@ def coordinates(result: RaceResult, config: RaceConfig) -> NDArray[np.float64]:
         state.progress - np.where(result.starts.side[:, None] == [0, 1], 0.0, -config.start_gap),
         state.sums,
         result.time,
-        config.duration,
+        config.seconds,
     )
     first = "aggressiveness" if config.aggressiveness == "lead" else config.aggressiveness
     return measure(segment, get_characteristics((first, "restraint")))[:, 0]

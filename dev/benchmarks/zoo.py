@@ -123,7 +123,7 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
         rules = game.setup.config
         spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))
-        return 1e6 * spent / (2 * len(policies) * rules.duration / 0.1), np.nan
+        return 1e6 * spent / (2 * len(policies) * rules.seconds / 0.1), np.nan
     state = game.reset(games=500, seed=0)
     state = game.step(state, np.tile([0, 2], (500, 1)))
     rows = game.observation(state).reshape(1000, -1)

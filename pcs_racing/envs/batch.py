@@ -23,7 +23,7 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
-from pcs_racing.race.state import CAR_CRASH, RaceState, empty_state
+from pcs_racing.race.state import CAR_CRASH, LAPS, RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
 
 Rows = NDArray[np.int64]
@@ -170,7 +170,7 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
 
     Progress is counted from the front car.
     """
-    state = empty_state(len(poses), setup.memory_size, len(setup.vehicles))
+    state = empty_state(len(poses), setup.memory_size, len(setup.vehicles), setup.config.laps)
     state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
     state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
     state.cars[:, :, _vehicle.V] = poses[..., 3]
@@ -246,6 +246,7 @@ def check_races(
         ("overtakes", 0, config.ticks),
     ):
         check_within(f"{name}.{part}", getattr(races, part), low, high)
+    check_within(f"{name}.laps", races.laps[..., LAPS], 0, config.ticks)
     check_within(f"{name}.frenet", races.frenet[..., 0], 0.0, lengths[:, None])
     # A car that moves by more than the grid in a step would be looked up outside of it.
     for column in (_vehicle.DELTA, _vehicle.V, _vehicle.PSI_DOT, _vehicle.BETA):

@@ -110,9 +110,10 @@ class DriveEnv(ScalarEnv):
     ## Episode End
 
     *Terminated* by a crash of any car, unless the rules' ``contact`` lets cars drive on, and when a
-    car has driven ``laps`` from the start line.
-    *Truncated* after the preset's duration (40 s). With a ``win_reward`` the episode is terminated
-    instead, because the race is decided then (use ``time_left`` in this case).
+    car has driven the ``laps``.
+    *Truncated* after the rules' duration (40 s; with ``laps`` 40 s a lap). With a ``win_reward``
+    the episode is terminated instead, because the race is decided then (use ``time_left`` in this
+    case).
 
     ## Information
 
@@ -132,7 +133,8 @@ class DriveEnv(ScalarEnv):
       differ in them.
 
     Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m,
-    rad and s, the own car first, shape (N, 3).
+    rad and s, the own car first, shape (N, 3); with ``laps`` also ``lap_times``, the time of each
+    lap in s, shape (laps,), NaN for a lap not driven.
 
     ``env.unwrapped.metadata["codes"]`` maps integer codes to labels. ``env.unwrapped.outcome()``
     returns the info with labels in place of codes.

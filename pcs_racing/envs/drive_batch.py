@@ -137,9 +137,8 @@ def drive_rules(
     """Return the rules of a batch of races; load planners, models and archives of opponents."""
     given = rivals_of(options.opponent, options.opponents)
     cars, track = players + len(given), randomization.circuits.track(0)
-    changes: dict[str, Any] = {"start_lines": options.start_lines}
-    if options.duration is not None:
-        changes["duration"] = options.duration
+    changes = {name: getattr(options, name) for name in ("start_lines", "duration", "laps")}
+    changes = {name: value for name, value in changes.items() if value is not None}
     config = load_race_config(options.race, **changes)
 
     def make_game() -> RaceGame:
@@ -200,7 +199,6 @@ def _reward_terms(options: DriveOptions) -> RewardTerms:
     return RewardTerms(
         weights=(float(weights[0]), float(weights[1]), float(weights[2])),
         decided=options.win_reward > 0.0,
-        laps=np.inf if options.laps is None else float(options.laps),
     )
 
 
@@ -582,9 +580,7 @@ class DriveBatch:
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
         # In most steps no race is over, and the winners are not needed.
-        over = state.crashed | (state.tick >= config.ticks)
-        if self.options.laps is not None:
-            over |= state.lap_count.max(axis=1) >= self.options.laps
+        over = state.over | (state.tick >= config.ticks)
         if not over.any():
             return result
         rows = np.flatnonzero(over)
@@ -603,8 +599,8 @@ class DriveBatch:
             any(self.state.crash[race].tolist())
             or self.state.tick.item(race) >= self.setup.config.ticks
         )
-        if self.options.laps is not None:
-            over = over or self.state.laps[race, :, LAPS].max() >= self.options.laps
+        if (laps := self.setup.config.laps) is not None:
+            over = over or self.state.laps[race, :, LAPS].max() >= laps
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
         cars = self.state.cars[race]

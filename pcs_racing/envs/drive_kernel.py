@@ -17,8 +17,8 @@ from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import KernelSettings, advance_races
-from pcs_racing.race.positions import gap_to
-from pcs_racing.race.state import LAPS, MAX_CARS, RaceState
+from pcs_racing.race.positions import gap_to, laps_driven
+from pcs_racing.race.state import MAX_CARS, RaceState
 from pcs_racing.race.steering import disturbed_speed, steering_noise
 from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, TrackArrays, angle_between
 from pcs_racing.track.grid import cast
@@ -84,11 +84,10 @@ class Limits(NamedTuple):
 
 
 class RewardTerms(NamedTuple):
-    """Terms of the reward, and the ends of a race that it depends on."""
+    """Terms of the reward, and the end of a race that it depends on."""
 
     weights: tuple[float, float, float]  #: As in :func:`pcs_racing.game.reward.step_reward`.
     decided: bool  #: Flag: the end of the time decides a race, and terminates it.
-    laps: float  #: Number of laps of a race; infinite if laps do not end it.
 
 
 class Orders(NamedTuple):
@@ -371,12 +370,11 @@ def _end_step(state, end_tick, terms, players, results, first, last):
     progress, crash, fault, before = state.progress, state.crash, state.fault, results.before
     number = progress.shape[1]
     for race in range(first, last):
-        crashed, finished = False, False
+        over = laps_driven(state.laps, race)
         for car in range(number):
-            crashed |= crash[race, car] != 0
-            finished |= state.laps[race, car, LAPS] >= terms.laps
+            over |= crash[race, car] != 0
         late = state.tick[race] >= end_tick
-        ended = crashed or finished or (late and terms.decided)
+        ended = over or (late and terms.decided)
         for car in range(players):
             own = progress[race, car] - before[race, car]
             opponents = 0.0

@@ -22,7 +22,7 @@ from pcs_racing.envs.drive_kernel import Limits, Sight
 from pcs_racing.envs.randomization import EpisodeArguments, EpisodeOptions
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import ObservationElement as Element
-from pcs_racing.race.config import DT, RaceConfig
+from pcs_racing.race.config import DT, MAX_LAPS, RaceConfig
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
 
@@ -137,12 +137,13 @@ class DriveOptions(EpisodeOptions):
     duration: Annotated[
         float | None,
         ANYTHING,
-        "Length of a race, s, a multiple of 0.1; by default the duration of the rules.",
+        "Length of a race, s, a multiple of 0.1 (with laps its max length); by default the duration"
+        " of the rules.",
     ] = None
     laps: Annotated[
         int | None,
-        Interval(ge=1, le=1000),
-        "Laps from the start line after which the first car ends a race; none by default.",
+        Interval(ge=1, le=MAX_LAPS),
+        "Laps after which the first car ends a race; by default the laps of the rules.",
     ] = None
     time_step: TimeStep = 0.1
     min_speed: Annotated[

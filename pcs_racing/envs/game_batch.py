@@ -566,7 +566,11 @@ class GameBatch:
 
     def _blank(self) -> Any:
         """Return an empty state of the games."""
-        return self.game.empty_state(empty_state(self.episodes, self.game.setup.memory_size))
+        return self.game.empty_state(
+            empty_state(
+                self.episodes, self.game.setup.memory_size, laps=self.game.setup.config.laps
+            )
+        )
 
     def close(self) -> None:
         """Stop building tracks."""

@@ -211,7 +211,7 @@ class MovingOpponents:
 
     def __init__(self, episodes: int, game: RaceGame) -> None:
         self.game = game
-        blank = empty_state(episodes, game.setup.memory_size)
+        blank = empty_state(episodes, game.setup.memory_size, laps=game.setup.config.laps)
         self._games = game.empty_state(blank)
         self._games.policy[:] = OUTSIDE
         self._before = blank.copy()  # state at the start of each game's current step

@@ -7,7 +7,8 @@
    (:attr:`RaceGame.table`), or stays. Both moves are made at the same time, and a step is driven
    with the new policies: :meth:`RaceGame.step`. The observations of the players are in
    :mod:`pcs_racing.game.observation`.
-3. **End.** The game is over after the last move (4) or a crash: :meth:`RaceGame.done`.
+3. **End.** The game is over after the last move (4), a crash or the last lap of rules with laps:
+   :meth:`RaceGame.done`.
 4. **Fault.** A car that runs into a wall is at fault; after a contact of two cars,
    :mod:`pcs_racing.car.collision` finds the car at fault: :meth:`RaceGame.fault`.
 5. **Winner.** The car ahead; after a crash no car, or the car that is not at fault:
@@ -386,8 +387,10 @@ class RaceGame:
     # End, fault, winner, reward
 
     def done(self, state: GameState) -> NDArray[np.bool_]:
-        """Return whether each game is over, shape (B,): all moves made and driven, or a crash."""
-        return (state.step >= self.config.moves) | state.race.crashed
+        """Return whether each game is over, shape (B,): all moves made and driven, or the race
+        ended before, by a crash or by its laps.
+        """
+        return (state.step >= self.config.moves) | state.race.over
 
     def fault(self, state: GameState) -> NDArray[np.bool_]:
         """Return whether each car is to blame for the crash that ended its game, shape (B, 2)."""
@@ -457,7 +460,7 @@ class RaceGame:
         lengths = (
             np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
         )
-        lengths[races.crashed] = 0
+        lengths[races.over] = 0
         different = np.unique(lengths[lengths > 0])
         if len(different) == 1:
             # Steps of a usual batch are equally long: no races are taken out and put back. Finished

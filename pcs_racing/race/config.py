@@ -52,6 +52,10 @@ def check_steps(name: str, value: Any, minimum: int = 2) -> tuple[float, ...]:
     return tuple(map(float, lengths))
 
 
+MAX_LAPS = 100
+MAX_SECONDS = 3600.0
+LAP_SECONDS = 40.0  # s: default length of a race, and of each lap of a race with laps
+
 CONTACTS = ("end", "stop", "restart")
 """What a contact does; each at the index that the kernel knows it by."""
 
@@ -64,8 +68,17 @@ class RaceConfig(Settings):
         Text, Checked(_printable), "Name of the rules in archives, trees, networks and results."
     ] = "paper"
     duration: Annotated[
-        float, Interval(ge=0.1, le=3600.0), MultipleOf(0.1), "Length of a race, s."
-    ] = 40.0
+        float | None,
+        Interval(ge=0.1, le=MAX_SECONDS),
+        MultipleOf(0.1),
+        "Length of a race, s; max length of a race with laps. None for 40 s, with laps 40 s a lap.",
+    ] = None
+    laps: Annotated[
+        int | None,
+        Interval(ge=1, le=MAX_LAPS),
+        "Laps after which the first car ends a race, counted at the start line of the front car;"
+        " None for a race by time.",
+    ] = None
     start: Annotated[
         Literal["side-by-side", "staggered", "rolling"],
         "Both cars on one line; one start_gap behind the other; or the same at the speed of the"
@@ -159,9 +172,16 @@ class RaceConfig(Settings):
             )
 
     @property
+    def seconds(self) -> float:
+        """Length of a race, s; max length of a race with laps."""
+        if self.duration is not None:
+            return self.duration
+        return min(LAP_SECONDS * (self.laps or 1), MAX_SECONDS)
+
+    @property
     def ticks(self) -> int:
-        """Length of the race in simulation steps of 0.01 s."""
-        return round(self.duration * 100.0)
+        """The same in simulation steps of 0.01 s."""
+        return round(self.seconds * 100.0)
 
 
 PAPER = RaceConfig()

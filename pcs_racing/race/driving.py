@@ -116,7 +116,7 @@ def drive(
     while ticks > 0:
         for run in runs:
             _ask_python_drivers(run, settings, shares, cars, state, theta)
-        going = state.tick[(state.tick < settings.end_tick) & ~state.crash.any(axis=1)]
+        going = state.tick[(state.tick < settings.end_tick) & ~state.over]
         due = min([int((hold - going % hold).min()) for hold in holds]) if len(going) else ticks
         _drive_compiled(runs, settings, shares, cars, state, theta, min(due, ticks), 1)
         ticks -= due
@@ -216,7 +216,7 @@ def _ask_python_drivers(
     track, first, last = run
     view, part = np.zeros(VIEW_SIZE), slice(first, last)
     going = np.zeros(state.races, np.bool_)
-    going[part] = (state.tick[part] < settings.end_tick) & ~state.crash[part].any(axis=1)
+    going[part] = (state.tick[part] < settings.end_tick) & ~state.over[part]
     driven = [(car, *one) for car, share in enumerate(shares) for one in share]
     for car, planner, own in driven:
         if planner is None or planner.drive is None:

@@ -28,7 +28,7 @@ from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.contacts import END, settle_contacts
-from pcs_racing.race.positions import collide, nearest_car, update_progress
+from pcs_racing.race.positions import collide, laps_driven, nearest_car, update_progress
 from pcs_racing.race.steering import delayed, disturbed_speed, steering_noise, steering_sd
 from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
 
@@ -276,9 +276,9 @@ def _measure_driving(
 @inner_kernel(forceinline=True)
 def _begin(state, vehicles, settings, ticks, race, place, number, work):
     """Load the cars of a race into the lanes from ``place`` on; return the steps to drive."""
-    crashed = False
+    over = laps_driven(state.laps, race)
     for car in range(number):
-        crashed |= state.crash[race, car] != 0
+        over |= state.crash[race, car] != 0
         lane = place + car
         load_car(work, lane, state.cars[race, car], vehicles[race, car], DT)
         if state.tick[race] % CONTROL_EVERY != 0:  # stopped between two commands
@@ -286,7 +286,7 @@ def _begin(state, vehicles, settings, ticks, race, place, number, work):
             work[_STEERING_BEFORE + lane] = state.cars[race, car, _vehicle.DELTA]
         at = _VIEWS + lane * _view.VIEW_SIZE
         _fill_fixed(vehicles[race, car], settings, work[at : at + _view.VIEW_SIZE])
-    return 0.0 if crashed else min(ticks, settings.end_tick - state.tick[race])
+    return 0.0 if over else min(ticks, settings.end_tick - state.tick[race])
 
 
 @inner_kernel(forceinline=True)
@@ -398,7 +398,7 @@ def _end_period(track, near, state, settings, race, place, number, params, work)
                 state.crash[race, car] = state.contact[race, car]
                 ended = True
     _count_overtakes(progress, state.leader, state.overtakes, state.ahead, race, params, number)
-    return ended
+    return ended or laps_driven(state.laps, race)
 
 
 @kernel
@@ -407,9 +407,9 @@ def advance_races(
 ):
     """Advance races ``first`` to ``last - 1`` of a batch by ``ticks`` steps each, in place.
 
-    A race that crashed or reached ``settings.end_tick`` stands still. Races are driven in groups
-    whose cars share the processor's vectors, eight cars at a time; no race depends on the others in
-    its group.
+    A race stands still after a crash, its last lap or ``settings.end_tick``. Races are driven in
+    groups whose cars share the processor's vectors, eight cars at a time; no race depends on the
+    others in its group.
 
     ``theta``, shape (B, N, P), holds the policy parameters of each race, and ``vehicles``, shape
     (B, N, 31), the parameter rows of its cars. ``drivers`` holds for each car the addresses of

@@ -15,10 +15,22 @@ def end_lap(laps, race, car, time):
     """Count a lap that ended at a time, and record its duration."""
     lap = time - laps[race, car, _state.ENDED_AT]
     best = laps[race, car, _state.BEST_LAP]
+    column = _state.LAP_COLUMNS + int(laps[race, car, _state.LAPS])
+    if column < laps.shape[2]:
+        laps[race, car, column] = lap
     laps[race, car, _state.LAPS] += 1.0
     laps[race, car, _state.ENDED_AT] = time
     laps[race, car, _state.LAP_TIME] = lap
     laps[race, car, _state.BEST_LAP] = lap if best == 0.0 else min(best, lap)
+
+
+@inner_kernel(forceinline=True)
+def laps_driven(laps, race):
+    """Return whether a car has driven all laps of a race with laps."""
+    wanted, driven = laps.shape[2] - _state.LAP_COLUMNS, False
+    for car in range(laps.shape[1]):
+        driven = driven or 0 < wanted <= laps[race, car, _state.LAPS]
+    return driven
 
 
 @kernel(forceinline=True)

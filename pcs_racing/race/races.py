@@ -256,6 +256,11 @@ class RaceResult:
         return _merit(self.state) == 2
 
     @property
+    def lap_times(self) -> NDArray[np.float64]:
+        """Times of the laps: see :attr:`pcs_racing.race.state.RaceState.lap_times`."""
+        return self.state.lap_times
+
+    @property
     def time(self) -> NDArray[np.float64]:
         """Duration of each race, s, shape (B,)."""
         return self.state.tick.astype(np.float64) * DT
@@ -269,10 +274,10 @@ def _merit(state: RaceState) -> NDArray[np.int64]:
 def finishing_order(state: RaceState) -> NDArray[np.intp]:
     """Return the cars in finishing order, shape (B, N).
 
-    Cars are ordered by progress. Crashed cars come behind all other cars, and the cars at fault
-    come last.
+    Cars are ordered by progress, in a race with laps first by the time of their last lap. Crashed
+    cars come behind all other cars, and the cars at fault come last.
     """
-    return np.lexsort((-state.progress, _merit(state)), axis=-1)
+    return np.lexsort((-state.progress, state.finish_time, _merit(state)), axis=-1)
 
 
 def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
@@ -284,6 +289,10 @@ def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
     merit = _merit(state)
     ahead = state.progress[:, :, None] - state.progress[:, None]
     better = np.where(np.abs(ahead) > TIE_WITHIN, np.sign(ahead), 0.0)
+    if config.laps is not None:
+        end, other = state.finish_time[:, :, None], state.finish_time[:, None]
+        sooner = (end < other) * 1.0 - (end > other)
+        better = np.where(np.isfinite(np.minimum(end, other)), sooner, better)
     # Two cars that are both at fault for the end of a race share the loss.
     better[(merit[:, :, None] == 2) & (merit[:, None] == 2)] = 0.0
     apart = merit[:, None] - merit[:, :, None]
@@ -296,8 +305,8 @@ def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
 def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
     """Return the winner of each race, -1 for a tie, a no-contest and a car alone, shape (B,).
 
-    The winner is the car that beats all other cars: the car ahead at the end or, after a crash
-    under the rule "fault-loses", the first car that is not at fault.
+    The winner is the car that beats all other cars: the car ahead at the end, the first car to end
+    the last lap or, after a crash under the rule "fault-loses", the first car that is not at fault.
     """
     scores = pair_scores(config, state)
     won = (scores == 1.0).sum(axis=2) == max(1, state.number - 1)
@@ -393,7 +402,9 @@ def run_field(
         parts.append((members, state))
     # Joined states need memories of equal size: planners with less memory leave the rest 0.
     widest = max((state.memory.shape[2] for _, state in parts), default=0)
-    joined = [_widen_memory(state, widest) for _, state in parts] or [empty_state(0, 0, len(cars))]
+    joined = [_widen_memory(state, widest) for _, state in parts] or [
+        empty_state(0, 0, len(cars), config.laps)
+    ]
     order = (
         np.argsort(np.concatenate([members for members, _ in parts]))
         if parts

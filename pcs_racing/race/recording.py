@@ -39,7 +39,14 @@ from pcs_racing.race.races import (
 )
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES, WALL_CRASH, RaceState
+from pcs_racing.race.state import (
+    ENDED_AT,
+    ITTC,
+    ITTC_SAMPLES,
+    LAPS,
+    WALL_CRASH,
+    RaceState,
+)
 from pcs_racing.track import frenet as _frenet
 from pcs_racing.track.track import Track
 
@@ -172,7 +179,7 @@ def _drive(
     ittc = None
     while True:
         tick = int(state.tick[0])
-        over = tick >= setup.config.ticks or bool(state.crashed[0])
+        over = tick >= setup.config.ticks or bool(state.over[0])
         if over or tick % FRAME_EVERY == 0:
             log.cars.append(state.cars[0].copy())
             log.progress.append(state.progress[0].copy())
@@ -186,10 +193,11 @@ def _drive(
             # Called before the step: after it the planner's memory already holds this plan.
             log.choices.append([_choices(setup, state, theta, car) for car in range(state.number)])
         # Sums and counts are cumulative: the contribution of this period is their difference.
-        sums, overtakes, faults = (
+        sums, overtakes, faults, laps = (
             state.sums[0].copy(),
             state.overtakes[0].copy(),
             state.fault[0].copy(),
+            state.lap_count[0],
         )
         advance(setup, state, theta, CONTROL_EVERY, threads=1)
         if plans:
@@ -201,6 +209,8 @@ def _drive(
             if first:  # frames before the first sample also show it
                 log.ittc[:] = [ittc] * len(log.ittc)
         log.events.extend(_happened(state, overtakes, faults))
+        if setup.config.laps is not None:
+            log.events.extend(_ended_laps(state, laps))
 
 
 def _choices(
@@ -278,6 +288,16 @@ def _happened(
     return events
 
 
+def _ended_laps(state: RaceState, laps_before: NDArray[np.int64]) -> list[ReplayEvent]:
+    """Return the laps that ended in the last control period, with their times."""
+    laps, times = state.laps[0], state.lap_time[0]
+    return [
+        ReplayEvent(float(laps[car, ENDED_AT]), car, "lap", f"lap {before + 1}: {times[car]:.2f} s")
+        for car, before in enumerate(laps_before.tolist())
+        if laps[car, LAPS] > before
+    ]
+
+
 def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
     """Return the outcome of a race in words."""
     winner, time = int(result.winner[0]), float(result.time[0])
@@ -288,10 +308,8 @@ def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
         guilty = " and ".join(names[car] for car in range(len(names)) if result.own_crash[0, car])
         what = "crash" if result.config.contact == "end" else "out"
         return f"{what} after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
+    finish = result.state.finish_time[0].min()
+    end = f"{time:.0f} s" if finish == np.inf else f"{result.config.laps} laps, {finish:.2f} s"
     if len(names) == 1:
-        return f"{progress[0]:.1f} m in {time:.0f} s"
-    return (
-        f"{prize} by {abs(lead):.1f} m after {time:.0f} s"
-        if winner >= 0
-        else f"a tie after {time:.0f} s"
-    )
+        return f"{progress[0]:.1f} m in {end}"
+    return f"{prize} by {abs(lead):.1f} m after {end}" if winner >= 0 else f"a tie after {end}"

@@ -70,7 +70,7 @@ def place_on_grid(
     if wrong.any():
         sides = "0 or 1" if places == 2 else f"from 0 to {places - 1}"
         raise InputError(f"start sides must be {sides}; found {starts.side[wrong][0]}")
-    state = empty_state(len(starts), memory_size, len(vehicles))
+    state = empty_state(len(starts), memory_size, len(vehicles), config.laps)
     # One row per race, one column per car.
     place = (starts.side[:, None] + np.arange(len(vehicles))) % places
     row, gap = place, config.start_gap

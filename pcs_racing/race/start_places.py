@@ -12,6 +12,7 @@ side.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -109,6 +110,7 @@ def _race(
 ) -> RaceState:
     """Drive a race from each start with the parameters of its policies, shape (races, 2, P)."""
     cars = (F1TENTH, F1TENTH)
+    config = replace(config, laps=None)  # the settings say how long a race is
     state = place_on_grid(
         track, config, spacing, settings.speed_low, cars, starts, REFERENCE.memory_total
     )

@@ -25,7 +25,7 @@ ITTC, ITTC_SAMPLES, STEERING, BLOCKING, LATERAL, TIME, PROFILE, TIME_BEHIND, PRO
 )
 
 # Columns of ``laps``: complete laps; end time of the last lap, s; duration of the last lap and of
-# the shortest lap, s.
+# the shortest lap, s. In a race with laps a column for the duration of each of its laps follows.
 LAPS, ENDED_AT, LAP_TIME, BEST_LAP = range(4)
 LAP_COLUMNS = 4
 
@@ -70,7 +70,8 @@ class RaceState(NamedTuple):
     #: shape (B,): Car that last led all other cars by more than a car's length (-1 for none yet).
     leader: NDArray[np.int8]
     overtakes: NDArray[np.int64]  #: shape (B, N): Number of overtakes of each car.
-    #: shape (B, N, 4): Numbers behind :attr:`lap_count`, :attr:`lap_time` and :attr:`best_lap`.
+    #: shape (B, N, 4 + L): Numbers behind :attr:`lap_count`, :attr:`lap_time`, :attr:`best_lap` and
+    #: :attr:`lap_times`. The first car to drive L laps ends the race; 0 for a race by time.
     laps: NDArray[np.float64]
     #: shape (B, N): Bits of each car: bit k is set if the last gap of more than a car's length to
     #: car k was a lead.
@@ -101,6 +102,22 @@ class RaceState(NamedTuple):
         return np.asarray(self.crash.any(axis=1))  # NO_CRASH is 0
 
     @property
+    def finish_time(self) -> NDArray[np.float64]:
+        """Time at which each car ended the last lap of the race, s, shape (B, N); infinite for a
+        car that did not, and in a race by time.
+        """
+        wanted = self.laps.shape[2] - LAP_COLUMNS
+        done = (self.laps[..., LAPS] >= wanted) & (wanted > 0)
+        return np.where(done, self.laps[..., ENDED_AT], np.inf)
+
+    @property
+    def over(self) -> NDArray[np.bool_]:
+        """True if the race ended before its time, by a crash or by its laps, shape (B,)."""
+        if self.laps.shape[2] == LAP_COLUMNS:
+            return self.crashed
+        return self.crashed | np.isfinite(self.finish_time).any(axis=1)
+
+    @property
     def lap_count(self) -> NDArray[np.int64]:
         """Number of complete laps of each car, shape (B, N).
 
@@ -122,6 +139,16 @@ class RaceState(NamedTuple):
         """Time of each car's shortest complete lap, s, shape (B, N); -1 if there is none."""
         return self._laps_or_none(BEST_LAP)
 
+    @property
+    def lap_times(self) -> NDArray[np.float64]:
+        """Time of each lap of a race with L laps, s, shape (B, N, L); NaN for a lap not driven.
+
+        The first lap begins with the race, the others at the start line.
+        """
+        times = self.laps[..., LAP_COLUMNS:]
+        driven = np.arange(times.shape[2]) < self.laps[..., LAPS, None]
+        return np.where(driven, times, np.nan)
+
     def _laps_or_none(self, column: int) -> NDArray[np.float64]:
         return np.where(self.laps[..., LAPS] > 0.0, self.laps[..., column], NO_LAP)
 
@@ -130,8 +157,11 @@ class RaceState(NamedTuple):
         return RaceState._make(array.copy() for array in self)
 
 
-def empty_state(races: int, memory_size: int, cars: int = 2) -> RaceState:
-    """Return the state of a batch of races with all numbers 0 and no leader."""
+def empty_state(races: int, memory_size: int, cars: int = 2, laps: int | None = None) -> RaceState:
+    """Return the state of a batch of races with all numbers 0 and no leader.
+
+    ``laps``: number of laps that ends a race, None for races by time.
+    """
     return RaceState(
         tick=np.zeros(races, np.int64),
         seed=np.zeros(races, np.uint64),
@@ -147,7 +177,7 @@ def empty_state(races: int, memory_size: int, cars: int = 2) -> RaceState:
         fault=np.zeros((races, cars), np.int8),
         leader=np.full(races, -1, np.int8),
         overtakes=np.zeros((races, cars), np.int64),
-        laps=np.zeros((races, cars, LAP_COLUMNS)),
+        laps=np.zeros((races, cars, LAP_COLUMNS + (laps or 0))),
         ahead=np.zeros((races, cars), np.uint8),
         contact=np.zeros((races, cars), np.int8),
     )

@@ -116,7 +116,7 @@ def draw_scenarios(
         config=rules,
         planner=planner,
         characteristics=tuple(characteristics),
-        segment_seconds=rules.duration if segment_seconds is None else segment_seconds,
+        segment_seconds=rules.seconds if segment_seconds is None else segment_seconds,
         opponents=opponents,
         rivals=tuple(rivals),
         track=np.repeat(np.arange(len(tracks)), len(line)),
@@ -193,7 +193,7 @@ def _drive(
     seconds = scenarios.segment_seconds
     totals = np.zeros((len(race), len(axes)))
     segments = np.zeros(len(race), np.int16)
-    for _ in range(round(scenarios.config.duration / seconds)):
+    for _ in range(round(scenarios.config.seconds / seconds)):
         # A segment is measured from the state before it and the state after it.
         before = state.copy()
         advance(setup, state, theta, round(seconds * 100.0), threads=threads)

@@ -112,7 +112,7 @@ def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
     unit, rest = divmod(rules.ticks, 10 * int(parts.sum()))
     if unit == 0 or rest:
         raise InputError(
-            f"duration is {rules.duration:g} s; a game of {config.moves} moves lasts a multiple of "
+            f"duration is {rules.seconds:g} s; a game of {config.moves} moves lasts a multiple of "
             f"{0.1 * int(parts.sum()):g} s"
         )
     lengths = [round(0.1 * int(part) * unit, 1) for part in parts]

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pcs_racing.race.config import RaceConfig
 from pcs_racing_agents.base.style import COLOURS, EDGE, INK, new_figure, picture, short, tidy
 from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.tournament.play import Tournament
@@ -104,6 +105,12 @@ def standings(tournament: Tournament) -> list[Standing]:
     return sorted(table, key=lambda standing: -standing.score)
 
 
+def race_length(config: RaceConfig) -> str:
+    """Return the length of a race as text."""
+    seconds = f"{config.seconds:g} s"
+    return seconds if config.laps is None else f"{config.laps} laps (at most {seconds})"
+
+
 def tournament_text(tournament: Tournament) -> str:
     """Return the standings and the payoff matrix as text."""
     table = standings(tournament)
@@ -112,7 +119,7 @@ def tournament_text(tournament: Tournament) -> str:
     passed = int(tournament.races.overtakes.any(axis=1).sum())
     plan = tournament.plan
     head = (
-        f"{races} races of {plan.config.duration:g} s, preset {plan.config.name}, on "
+        f"{races} races of {race_length(plan.config)}, preset {plan.config.name}, on "
         f"{', '.join(track.name for track in plan.tracks)}; seed {plan.seed}\n"
         f"{1.0 - crashes / races:.0%} finished, {passed / races:.0%} with an overtake\n"
         f"{closeness_text(tournament.races)}\n"

@@ -155,6 +155,12 @@ def build_tree(
 
 def check_game(game: RaceGame) -> None:
     """Check that trees of a game can be built."""
+    if game.config.race.laps is not None:
+        # A last step is combined from single drives, and so must not end with a lap of either car.
+        raise InputError(
+            f"laps is {game.config.race.laps}; a game tree needs races by time: take rules without"
+            " laps"
+        )
     for car, planner in enumerate(game.setup.planners):
         if planner.name != game.archive.planner:
             raise InputError(

@@ -149,11 +149,13 @@ def _act(space, k):
 
 def flat(value):
     """What an environment answers as something that compares, bit for bit."""
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
     if isinstance(value, dict):
         return {key: flat(item) for key, item in value.items()}
     if isinstance(value, tuple | list):
         return [flat(item) for item in value]
-    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+    return "nan" if value != value else value  # NaN does not equal itself
 
 
 def ends(answer):

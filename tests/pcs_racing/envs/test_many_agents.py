@@ -253,8 +253,10 @@ def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
 @pytest.mark.parametrize("laps", [1, 2])
 def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
     one, many = (kind(track=oval, opponent=None, laps=laps) for kind in (DriveEnv, DriveVectorEnv))
+    other = DriveEnv(track=oval, opponent=None, race=load_race_config("paper", laps=laps))
     seen, _ = one.reset(seed=1)
     many.reset(seed=1)
+    other.reset(seed=1)
     over, ends = False, []
     while not over:
         action = follow_the_line(seen)
@@ -262,10 +264,17 @@ def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
         assert not late
         *_, batch = many.step(action[None])
         assert all(batch[name][0] == info[name] for name in ("laps", "lap_time", "best_lap"))
+        np.testing.assert_array_equal(batch["lap_times"][0], info["lap_times"])
+        _, _, *same, told = other.step(action)
+        assert (same, told["time"]) == ([over, late], info["time"])
         if info["laps"] > len(ends):
             ends.append(info["time"])
+            other.set_state(one.get_state())
     assert one.outcome()["laps"] == info["laps"] == laps
     times = np.diff(ends, prepend=0.0)
     assert info["progress"] == pytest.approx(laps * oval.length, abs=1.0)
+    np.testing.assert_array_equal(told["lap_times"], info["lap_times"])
+    assert info["lap_times"] == pytest.approx(times, abs=0.1)
+    assert 0.0 <= info["time"] - info["lap_times"].sum() < 0.02
     assert info["lap_time"] == pytest.approx(times[-1], abs=0.1)
     assert info["best_lap"] == pytest.approx(times.min(), abs=0.1)

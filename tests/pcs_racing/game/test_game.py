@@ -6,7 +6,7 @@ import pytest
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, load_archive, load_track, make_game
+from pcs_racing import CONTEST, load_archive, load_race_config, load_track, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
@@ -170,6 +170,23 @@ def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game)
     assert_same(take_games(after, [0, 1]), take_games(mixed, [0, 1]))
     np.testing.assert_array_equal(after.step, [0, 0, 1])
     assert_same(take_games(after, [2]), game.step(take_games(state, [2]), np.full((1, 2), 2)))
+
+
+def test_a_game_by_laps_ends_in_the_step_of_the_last_lap(track):
+    game = make_game(track, race=load_race_config("paper", laps=1))
+    state = game.reset(games=8)
+    while not game.done(state).all():
+        state = game.step(state, np.zeros((8, 2), int))
+    race, whole = state.race, np.flatnonzero(~state.race.crashed)
+    assert len(whole)
+    finish = race.finish_time[whole].min(axis=1)
+    assert (np.abs(0.01 * race.tick[whole] - finish) < 0.02).all()
+    ends = np.array(game.config.ends)
+    assert state.step[whole].tolist() == np.searchsorted(ends, finish).tolist()
+    assert (state.step[whole] < game.config.moves).all()
+    first = race.finish_time[whole].argmin(axis=1)
+    assert game.winner(state)[whole].tolist() == first.tolist()
+    assert_same(game.step(state, np.zeros((8, 2), int)).race, race)
 
 
 def test_any_moment_can_be_kept_and_continued_and_a_step_driven_without_a_state(game):

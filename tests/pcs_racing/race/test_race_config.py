@@ -22,7 +22,8 @@ def test_the_presets():
     assert values.pop("start_lines") > 1
     assert values == {
         "name": "paper",
-        "duration": 40.0,
+        "duration": None,
+        "laps": None,
         "start": "side-by-side",
         "start_gap": 0.0,
         "start_spacing": 0.9,
@@ -40,6 +41,7 @@ def test_the_presets():
         "steps": (8.0,) * 5,
     }
     assert PAPER.ticks == CONTEST.ticks == 4000
+    assert (PAPER.seconds, load_race_config("paper", duration=6.5).seconds) == (40.0, 6.5)
     assert (CONTEST.start, CONTEST.start_gap, CONTEST.start_spacing) == ("staggered", 1.4, 0.45)
     assert (CONTEST.steering_noise, CONTEST.crash_rule, CONTEST.stay_move) == (
         0.02,
@@ -67,13 +69,15 @@ def test_the_presets():
         ("start_lines", 1, 1000, {}),
         ("most_faults", 0, 100, {}),
         ("heats", 1, 99, {}),
+        ("laps", 1, 100, {}),
     ],
 )
 def test_every_number_has_a_least_and_a_largest_value(key, low, high, more):
     step = 1 if isinstance(low, int) else 0.1 if key == "duration" else 1e-6
     for value in (low, high):
         assert getattr(RaceConfig(**{key: value}, **more), key) == value
-    for value in (low - step, high + step, float("nan"), True, "1", None):
+    optional = () if key in ("duration", "laps") else (None,)
+    for value in (low - step, high + step, float("nan"), True, "1", *optional):
         refused(key, RaceConfig, error=ConfigError, **{key: value}, **more)
 
 
@@ -96,6 +100,18 @@ def test_a_configuration_by_name_or_from_yaml_and_bad_files(tmp_path):
         file = tmp_path / "rules.yaml"
         file.write_text(text)
         refused(message, load_race_config, file, error=ConfigError)
+
+
+def test_laps_have_40_s_each_unless_the_rules_have_a_duration(tmp_path):
+    assert load_race_config("roboracer", laps=20).seconds == 800.0
+    assert load_race_config("roboracer", laps=100).seconds == 3600.0
+    assert load_race_config("roboracer", laps=20, duration=300.0).ticks == 30_000
+    file = tmp_path / "race.yaml"
+    file.write_text("preset: roboracer\nlaps: 20\n")
+    assert load_race_config(file) == load_race_config("roboracer", laps=20)
+    for laps in (0, -1, 1.5, 1000):
+        words = f"^laps is {laps}; it must be a whole number from 1 to 100$"
+        refused(words, RaceConfig, error=ConfigError, laps=laps)
 
 
 def test_impossible_values_and_speed_ranges_are_refused_by_name():

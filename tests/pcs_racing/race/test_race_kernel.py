@@ -394,7 +394,7 @@ def test_blocking_is_credited_to_the_car_ahead(coarse_oval, order, ahead, beside
 
 def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drives_none():
     """The first crossing is half way through 0.02 s, the second 20/21 of the way."""
-    state, length = empty_state(1, 0), 100.0
+    state, length = empty_state(1, 0, laps=3), 100.0
     moved = state.frenet, state.progress, state.laps
     # a metre before the end of the first lap
     state.frenet[0, 1, 0] = state.progress[0, 1] = -1.0 % length
@@ -413,6 +413,8 @@ def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drive
     first, second = 29.99, 70.02 - 0.02 / 21.0
     assert state.lap_time[0, 1] == pytest.approx(second - first)
     assert state.best_lap[0, 1] == pytest.approx(first)
+    expected = [[np.nan] * 3, [first, second - first, np.nan]]
+    np.testing.assert_allclose(state.lap_times[0], expected)
 
 
 def test_planners_are_asked_ten_and_fifty_times_a_second_before_the_cars_move(coarse_oval):

@@ -75,6 +75,8 @@ def test_the_table_counts_every_ending_once():
     assert b.score == pytest.approx((4 + 0.5) / 8)
     assert (a.overtakes, b.overtakes) == (3 / 8, 1 / 8)
     assert tournament_text(played(*rows)) == TEXT
+    by_laps = tournament_text(played(*rows, config=load_race_config("contest", laps=2)))
+    assert by_laps.startswith("8 races of 2 laps (at most 80 s), preset contest, on oval")
     matrix = played(*rows).summary.scores
     np.testing.assert_allclose(matrix, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, InputError, make_game
+from pcs_racing import CONTEST, InputError, load_race_config, make_game
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
@@ -197,6 +197,8 @@ def test_impossible_roots_and_games_without_a_tree_are_refused(paper, track):
         )
     outside = replace(paper, opponent_planner="pure-pursuit")
     refused(r"car 1 .*'pure-pursuit'", build_tree, outside, (2, 7), (20.0, 0))
+    by_laps = make_game(track, paper.archive, load_race_config("paper", laps=3))
+    refused("laps is 3; a game tree needs races by time", build_tree, by_laps, (2, 7), (20.0, 0))
     refused("move 2 ", build_tree(paper, (2, 7), (20.0, 0)).observations, 2)
 
 
