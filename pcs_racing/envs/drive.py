@@ -124,6 +124,7 @@ class DriveEnv(ScalarEnv):
       2 car);
     - ``fault``: 1 if the agent is to blame for a crash; the number of its faults if crashes do not
       end the race;
+    - ``cost``: 1.0 if the agent was at fault in the last step, else 0.0;
     - ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss,
       4 no-contest crash; for a single car 1 at the end, or 4);
     - ``opponent``: index of the episode's opponent (-1 if there is none);

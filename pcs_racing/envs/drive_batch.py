@@ -280,7 +280,7 @@ class DriveBatch:
         self.state, self.theta, _ = self.races
         self.drawn = np.zeros(races, np.int64)  #: Index of each race's opponent.
         self.weights = weights_of(opponents)  #: Weights of the opponents in the draw.
-        #: shape (races, cars): Faults already penalised, except a race-ending fault.
+        #: shape (races, cars): Faults before the last step, except a race-ending fault.
         self._paid = np.zeros((races, self.cars), np.int8)
         #: shape (races, cars): Planner of each car, None for an agent's car.
         self._planners = np.full((races, self.cars), None, np.object_)
@@ -566,7 +566,7 @@ class DriveBatch:
             **self.randomization.infos(),
         }
         return {
-            **race_infos(self.state, self.players),
+            **race_infos(self.state, self.players, self.state.fault > self._paid),
             **all_poses(self.state.cars, self.players),
             "result": self._outcomes().reshape(-1),
             **{name: np.repeat(values, self.players, axis=0) for name, values in of_races.items()},
@@ -594,7 +594,8 @@ class DriveBatch:
     def info(self, environment: int) -> dict[str, Any]:
         """Return the info of one player as plain numbers; faster than arrays of length one."""
         race, car = divmod(environment, self.players)
-        info = race_info(self.state, race, car)
+        blamed = self.state.fault.item(race, car) > self._paid.item(race, car)
+        info = race_info(self.state, race, car, blamed)
         over = (
             any(self.state.crash[race].tolist())
             or self.state.tick.item(race) >= self.setup.config.ticks
@@ -630,7 +631,9 @@ class DriveBatch:
         )
 
     def get_state(self) -> tuple[Any, ...]:
-        """Return copies of the races and of the opponents' indices, parameters, moves, weights."""
+        """Return copies of the races, of the opponents' indices, parameters, moves, weights, and of
+        the faults before the last step.
+        """
         moving = None if self._moving is None else self._moving.get_state()
         return (
             self.state.copy(),
@@ -639,6 +642,7 @@ class DriveBatch:
             moving,
             self.randomization.get_state(),
             self.weights.copy(),
+            self._paid.copy(),
         )
 
     def check_state(self, state: tuple[Any, ...]) -> list[Track]:
@@ -647,7 +651,7 @@ class DriveBatch:
         Return the track of each race, with its obstacles.
         """
         moving = None if self._moving is None else FREE
-        mine = self.state, self.drawn, self.theta, moving, FREE, self.weights
+        mine = self.state, self.drawn, self.theta, moving, FREE, self.weights, self._paid
         check_part("the state", state, mine)
         check_weights(state[5], self.weights)
         tracks = self.randomization.check_state(state[4])
@@ -661,7 +665,7 @@ class DriveBatch:
     def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(state)
-        races, drawn, theta, moving, randomization, weights = state
+        races, drawn, theta, moving, randomization, weights, paid = state
         self.randomization.set_state(randomization, tracks)
         for number, rows in self.randomization.groups(self._rows):
             self._set_inputs(rows, self.circuit(number).inputs)
@@ -669,6 +673,7 @@ class DriveBatch:
         for name, own in self.state._asdict().items():
             own[...] = getattr(races, name)
         self.drawn[:], self.theta[:], self.weights = drawn, theta, weights.copy()
+        self._paid[:] = paid
         for row in range(self.episodes):
             self._seat(row)
         if self._moving is not None:

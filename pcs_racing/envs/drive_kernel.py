@@ -114,7 +114,7 @@ class StepResults(NamedTuple):
     """Outputs of a step, and its inputs for the reward; players of a race have adjacent rows."""
 
     before: NDArray[np.float64]  #: shape (B, N): Progress before the step, m.
-    faults: NDArray[np.int8]  #: shape (B, N): Faults already penalised.
+    faults: NDArray[np.int8]  #: shape (B, N): Faults before the step, except a race-ending fault.
     reward: NDArray[np.float64]  #: shape (B * players,)
     terminated: NDArray[np.bool_]  #: shape (B * players,)
     truncated: NDArray[np.bool_]  #: shape (B * players,)

@@ -222,6 +222,8 @@ class GameBatch:
         self.drawn = np.zeros(self.episodes, np.int64)  # index of each game's opponent
         #: shape (episodes, 2): Last move of each car; -1 before the first move.
         self.moves = np.full((self.episodes, 2), NO_MOVE, np.int64)
+        #: shape (episodes, 2): True for a car at fault in the last step.
+        self.blamed = np.zeros((self.episodes, 2), np.bool_)
         self.memories: list[Any] = [None] * self.episodes
         self._rows = np.arange(self.episodes)
         # Key and start of the first game, for films; None after its first move.
@@ -298,7 +300,7 @@ class GameBatch:
                 conditions=self.randomization.conditions(rows[some]),
             )
             put_games(self.state, rows[some], fresh)
-        self.drawn[rows], self.moves[rows] = drawn, NO_MOVE
+        self.drawn[rows], self.moves[rows], self.blamed[rows] = drawn, NO_MOVE, False
         self._forget(rows)
         filmed = np.flatnonzero(rows == 0)
         if len(filmed):
@@ -306,6 +308,7 @@ class GameBatch:
         self.seen = self.game.observation(self.state)
 
     def _forget(self, rows: Rows) -> None:
+        """Forget the opponents' memories of the last games of some rows."""
         for row in rows:
             self.memories[row] = None
 
@@ -345,6 +348,7 @@ class GameBatch:
                 axis=1,
             )
         self.before, self.state = state, self._apply(state, moves)
+        self.blamed = self.state.race.fault > state.race.fault
         self._begun = None
         self.moves = moves
         self.seen = self.game.observation(self.state)
@@ -411,7 +415,7 @@ class GameBatch:
         moves = np.where(state.policy == OUTSIDE, NO_MOVE, self.moves)
         opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
-            **race_infos(state.race, players),
+            **race_infos(state.race, players, self.blamed),
             "result": self._results().reshape(-1),
             "opponent": np.repeat(opponents, players),
             "move": of_players(moves, players),
@@ -513,7 +517,7 @@ class GameBatch:
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of all variables: games, opponents, last moves, memories, random draws,
-        weights of the opponents.
+        weights of the opponents, faults of the last step.
         """
         value = self.value()
         kept = None if value is None else value.copy()
@@ -524,6 +528,7 @@ class GameBatch:
             copy.deepcopy(self.memories),
             self.randomization.get_state(),
             self.weights.copy(),
+            self.blamed.copy(),
         )
 
     def check_state(self, values: tuple[Any, ...]) -> list[Track]:
@@ -532,7 +537,7 @@ class GameBatch:
         Return the track of each episode, with its obstacles.
         """
         memories = [FREE] * self.episodes
-        mine = FREE, self.drawn, self.moves, memories, FREE, self.weights
+        mine = FREE, self.drawn, self.moves, memories, FREE, self.weights, self.blamed
         check_part("the state", values, mine)
         check_weights(values[5], self.weights)
         tracks = self.randomization.check_state(values[4])
@@ -550,10 +555,10 @@ class GameBatch:
     def set_state(self, values: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`, from this or an equal batch."""
         tracks = self.check_state(values)
-        value, drawn, moves, memories, randomization, weights = values
+        value, drawn, moves, memories, randomization, weights, blamed = values
         self.randomization.set_state(randomization, tracks)
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
-        self.weights = weights.copy()
+        self.weights, self.blamed = weights.copy(), blamed.copy()
         self._continue(None if value is None else value.copy())
 
     def _continue(self, state: Any) -> None:

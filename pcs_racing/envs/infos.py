@@ -9,6 +9,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `lead` | lead over the opponent, or over the first of several, m; 0 for a single car |
 | `crash`, `opponent_crash` | :class:`Crash` of the own car, and of any opponent (1) |
 | `fault` | 1 if the own car is to blame for the crash, else 0 (1) |
+| `cost` | 1.0 if the own car was at fault in the last step, else 0.0 |
 | `overtakes` | number of overtakes by the own car |
 | `result` | :class:`Result` of the episode |
 | `opponent` | index of the episode's opponent in the environment; -1 if there is none |
@@ -99,10 +100,12 @@ def max_of_others(values: NDArray[Any]) -> NDArray[Any]:
     return out
 
 
-def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
+def race_infos(
+    races: RaceState, players: int, blamed: NDArray[np.bool_]
+) -> dict[str, NDArray[Any]]:
     """Return the infos of the players' cars in all races of a batch, shape (B * players, ...).
 
-    The result is not included.
+    The result is not included. ``blamed``, shape (B, N): True for a car at fault in the last step.
     """
     progress, crash = races.progress, races.crash | races.contact
     others = max_of_others(crash) if races.number > 1 else np.zeros_like(crash)
@@ -118,6 +121,7 @@ def race_infos(races: RaceState, players: int) -> dict[str, NDArray[Any]]:
         "crash": crash[:, :players].flatten().astype(np.int64),
         "opponent_crash": others[:, :players].flatten().astype(np.int64),
         "fault": races.fault[:, :players].flatten().astype(np.int64),
+        "cost": blamed[:, :players].flatten().astype(np.float64),
         "overtakes": races.overtakes[:, :players].flatten(),
         "laps": count,
         "lap_time": last,
@@ -165,7 +169,7 @@ def race_results(
     return np.where(winner[:, None] < 0, unwon[:, None], won).astype(np.int64)
 
 
-def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
+def race_info(races: RaceState, race: int, car: int, blamed: bool) -> dict[str, Any]:
     """Return the infos of one car in one race as plain numbers, and lap times as an array.
 
     This is ten times faster than `race_infos` with arrays of length one.
@@ -183,6 +187,7 @@ def race_info(races: RaceState, race: int, car: int) -> dict[str, Any]:
         "crash": crashes[0],
         "opponent_crash": max(crashes[1:], default=0),
         "fault": races.fault.item(race, car),
+        "cost": float(blamed),
         "overtakes": races.overtakes.item(race, car),
         "laps": laps,
         "lap_time": races.laps.item(race, car, LAP_TIME) if laps else NO_LAP,

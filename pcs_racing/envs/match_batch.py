@@ -106,7 +106,7 @@ class MatchBatch(GameBatch):
         self.randomization.place_obstacles(rows, fresh.starts, generators, boxes)
         self.played = self.played or self._blank()
         put_matches(self.played, rows, fresh)
-        self.drawn[rows], self.moves[rows] = drawn, -1
+        self.drawn[rows], self.moves[rows], self.blamed[rows] = drawn, -1, False
         self._forget(rows)
         self.driven = []
         self._follow(self.played)
@@ -136,6 +136,9 @@ class MatchBatch(GameBatch):
             while (going := np.flatnonzero(played.racing)).size:
                 played = self._move(played, going, generators, None)
         self._follow(played)
+        # A new race begins without faults; in a match that is over none is driven.
+        kept = (before.racing | self.match.done(before))[:, None]
+        self.blamed = played.game.race.fault > np.where(kept, before.game.race.fault, 0)
         rewards = np.ascontiguousarray(
             self.match.reward(before, played)[:, : self.players]
         ).reshape(-1)

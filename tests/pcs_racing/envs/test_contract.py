@@ -474,6 +474,7 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
         "crash",
         "opponent_crash",
         "fault",
+        "cost",
         "overtakes",
         "result",
         "opponent",
@@ -493,6 +494,30 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
         "running",
         "none",
     )
+
+
+@pytest.mark.parametrize("kind", SINGLE)
+def test_a_step_with_an_own_fault_costs_one(kind):
+    """Also in a batch, and from a kept moment on; every race of a match begins without faults."""
+    rules = load_race_config("contest", contact="restart", steering_noise=0.15)
+    longer = {"duration": 30.0} if kind is DriveEnv else {"step_seconds": 6.0, "moves": 4}
+    one, other = (make(kind, race=rules, **longer) for _ in range(2))
+    many = make_many(kind, 2, race=rules, **longer)
+    _, info = one.reset(seed=3)
+    _, infos = many.reset(seed=3)
+    known, costs, over = info["fault"], [info["cost"]], False
+    while not over:
+        *_, over, late, info = one.step(act(one))
+        *_, infos = many.step([act(one)] * 2)
+        known = 0 if kind is MatchEnv else known
+        costs.append(info["cost"])
+        assert info["cost"] == infos["cost"][0] == float(info["fault"] > known)
+        other.set_state(one.get_state())
+        assert other.outcome()["cost"] == info["cost"]
+        known, over = info["fault"], over or late
+    assert costs[0] == 0.0
+    assert sum(costs) > 0.0
+    assert one.reset()[1]["cost"] == 0.0
 
 
 # Frames

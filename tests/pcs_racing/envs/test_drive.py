@@ -222,6 +222,7 @@ def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(
         assert (infos[guilty]["crash"], infos[other]["crash"]) == (Crash.WALL, Crash.NONE)
         assert infos[other]["opponent_crash"] == Crash.WALL
         assert (infos[guilty]["fault"], infos[other]["fault"]) == (1, 0)
+        assert (infos[guilty]["cost"], infos[other]["cost"]) == (1.0, 0.0)
         assert terminated == dict.fromkeys(AGENTS, True)
         assert truncated == dict.fromkeys(AGENTS, False)
 

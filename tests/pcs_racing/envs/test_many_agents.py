@@ -144,22 +144,24 @@ def test_a_win_is_paid_to_the_first_of_all(oval):
 
 @pytest.mark.parametrize("contact", ["stop", "restart"])
 def test_a_contact_need_not_end_an_episode(oval, contact):
-    """Every fault is paid for once, in its step; the infos count them."""
+    """Every fault is paid for once, in its step, and costs once; the infos count them."""
     rules = load_race_config("paper", contact=contact, duration=6.0)
     three = DriveHeadToHeadEnv(
         track=oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
     )
     three.reset(options={"poses": poses(oval, (3.0, 0.0, 5.0), (6.0, 0.0, 0.0), (20.0, 0.0, 0.0))})
-    paid, crashes = np.zeros(3), set()
+    paid, cost, crashes = np.zeros(3), np.zeros(3), set()
     for _ in range(20):
         answer = three.step({"car_0": [0.0, 0.25], "car_1": [0.0, -1.0], "car_2": [0.0, -1.0]})
         paid += list(answer[1].values())
+        cost += [info["cost"] for info in answer[4].values()]
         crashes.add(answer[4]["car_0"]["crash"])
         assert three.agents
     faults = [answer[4][agent]["fault"] for agent in three.agents]
     assert faults[0] >= 1
     assert faults[1:] == [0, 0]
     assert paid.tolist() == [-7.0 * faults[0], 0.0, 0.0]
+    assert cost.tolist() == faults
     assert crashes >= {Crash.CAR}
 
 
