@@ -40,9 +40,9 @@ from pcs_racing.race.races import (
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import (
-    ENDED_AT,
     ITTC,
     ITTC_SAMPLES,
+    LAP_COLUMNS,
     LAPS,
     WALL_CRASH,
     RaceState,
@@ -290,11 +290,13 @@ def _happened(
 
 def _ended_laps(state: RaceState, laps_before: NDArray[np.int64]) -> list[ReplayEvent]:
     """Return the laps that ended in the last control period, with their times."""
-    laps, times = state.laps[0], state.lap_time[0]
+    laps = state.laps[0]
+    ended = [car for car, before in enumerate(laps_before.tolist()) if laps[car, LAPS] > before]
     return [
-        ReplayEvent(float(laps[car, ENDED_AT]), car, "lap", f"lap {before + 1}: {times[car]:.2f} s")
-        for car, before in enumerate(laps_before.tolist())
-        if laps[car, LAPS] > before
+        ReplayEvent(time, car, "lap", f"ends lap {number:g} in {lap:.2f} s")
+        for car, (number, time, lap, _) in zip(
+            ended, laps[ended, :LAP_COLUMNS].tolist(), strict=True
+        )
     ]
 
 

@@ -167,6 +167,10 @@ class StudyConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.game.race.laps is not None and self.learning.trees > 0:
+            raise ConfigError(
+                f"laps is {self.game.race.laps}; game trees need races by time: set trees to 0"
+            )
         if self.synthesis is not None:
             load_archive_config(self.synthesis)
         elif self.archive not in list_archives() and not os.path.isdir(self.archive):

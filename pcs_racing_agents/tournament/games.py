@@ -199,6 +199,7 @@ def _columns(game: RaceGame, games: _SharedGames, ego: int) -> Arrays:
         "duration": np.asarray(race.tick * DT, np.float64),
         "path": narrow(games.path[ego]),
         "moves": narrow(games.moves[ego]),
+        "best_laps": race.best_lap,
         "noise": race.seed,
         "observations": game.observation(state),
     }

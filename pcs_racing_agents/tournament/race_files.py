@@ -236,6 +236,7 @@ def _parsed(lines: _Lines) -> RaceTable:
         variants=both("variant"),
         path=lines.paths("path"),
         moves=lines.steps("moves"),
+        best_laps=np.stack([lines.numbers(f"{car}_best_lap", -1.0, 1e6) for car in CARS], axis=1),
     )
 
 

@@ -55,6 +55,10 @@ class RaceRow(NamedTuple):
     #: ``ego_moves``, ``opponent_moves``: Moves of each step; empty for a planner.
     ego_moves: tuple[str, ...] = ()
     opponent_moves: tuple[str, ...] = ()
+    ego_best_lap: float = (
+        -1.0
+    )  #: ``ego_best_lap``, ``opponent_best_lap``: Shortest lap, s; -1 for none.
+    opponent_best_lap: float = -1.0
 
 
 class Categorical(NamedTuple):
@@ -108,6 +112,7 @@ class RaceTable:
     #: shape (N, 2, m + 1): Archive policy in each step; -1 for a planner and after a crash.
     path: NDArray[Any]
     moves: Categorical  #: shape (N, 2, m): Moves; no word for a planner and after a crash.
+    best_laps: Floats  #: shape (N, 2): Time of each car's shortest lap, s; -1 if there is none.
     #: shape (N, 2, D): Last observations of both cars, with the history of earlier observations;
     #: None if not recorded. Files do not contain them.
     observations: Any = None
@@ -223,11 +228,12 @@ class RaceTable:
             self.variants,
             self.path,
             self.moves.codes,
+            self.best_laps,
         )
         # Plain Python numbers, column by column, since numpy scalars would be slower.
         for row in zip(*(column[rows].tolist() for column in columns), strict=True):
             preset, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
-            overtakes, duration, variants, path, move_codes = row[11:]
+            overtakes, duration, variants, path, move_codes, best_laps = row[11:]
             paths = [tuple(policy for policy in steps if policy >= 0) for steps in path]
             lists = [tuple(moves[move] for move in steps if move >= 0) for steps in move_codes]
             yield RaceRow(
@@ -252,6 +258,8 @@ class RaceTable:
                 paths[1],
                 lists[0],
                 lists[1],
+                best_laps[0],
+                best_laps[1],
             )
 
 

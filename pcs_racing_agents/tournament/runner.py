@@ -161,6 +161,7 @@ def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTab
         variants=narrow(pairing.variants),
         path=columns["path"],
         moves=Categorical(move_names(pairing.game.archive, config.epsilon, True), columns["moves"]),
+        best_laps=columns["best_laps"],
         observations=columns.get("observations"),
     )
 

@@ -75,6 +75,7 @@ def _table(track, arm, rival, lead, crash, own, variants, line, side) -> RaceTab
         variants=variants,
         path=nothing,
         moves=Categorical((), nothing),
+        best_laps=np.full((count, 2), -1.0),
     )
 
 

@@ -110,7 +110,7 @@ def test_a_recording_has_the_laps_among_its_events(oval):
     assert sorted(event.car for event in laps) == [0] * count[0] + [1] * count[1]
     first, last = laps[0], laps[-1]
     time = result.lap_times[0, first.car, 0]
-    assert (first.time, first.text) == (pytest.approx(time), f"lap 1: {time:.2f} s")
+    assert (first.time, first.text) == (pytest.approx(time), f"ends lap 1 in {time:.2f} s")
     assert last.car == result.winner[0]
     assert replay.outcome.endswith(f"after 2 laps, {last.time:.2f} s")
     np.testing.assert_array_equal(replay.progress[-1], result.state.progress[0])

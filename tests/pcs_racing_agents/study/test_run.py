@@ -311,6 +311,7 @@ def test_impossible_studies_are_refused():
         ({"archive": "nowhere"}, "archive is 'nowhere'"),
         ({"game": {"race": {"lunch": 1}}}, "unknown race setting 'lunch'"),
         ({"learning": {"trees": 1}}, "3 trees"),
+        ({"game": {"race": {"laps": 2}}}, "laps is 2; game trees need races by time"),
         ({"learning": {"targets": ("fame",)}}, "fame"),
         ({"learning": {"ppo": "drive"}}, "ppo is 'drive'"),
         ({"learning": {"ppo": "nowhere"}}, "ppo settings 'nowhere' are unknown"),

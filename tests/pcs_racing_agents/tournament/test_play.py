@@ -86,6 +86,18 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
     )
 
 
+def test_races_by_laps_end_before_their_last_steps_and_have_best_laps(oval, archive):
+    rules = load_race_config("contest", laps=1, contact="restart", duration=20.0)
+    played = play_tournament(oval, MIXED[1:3], rules, archive=archive, races_per_pair=4)
+    for row in played.races:
+        laps = {"ego": row.ego_best_lap, "opponent": row.opponent_best_lap}
+        assert 0.0 <= row.duration - laps[row.winner] < 0.02
+        assert len(row.ego_path) < 7
+        replay = record_row(played, row, candidates=False).replay
+        assert replay.lead[-1] == row.lead
+        assert [event.kind for event in replay.events].count("lap") >= 1
+
+
 def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
     mixed, oval, archive, tmp_path
 ):

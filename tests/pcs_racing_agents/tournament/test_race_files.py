@@ -11,9 +11,10 @@ from pcs_racing_agents.tournament.races import RaceRow
 
 EXAMPLE = """\
 preset,ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,\
-ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves
-paper,a,"b, c",Oval,0,12.5000,0,7,-1.2346,opponent,none,none,0,1,40.0000,3,0,3; 5; 5,,pace +; stay,
-paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,none,car,both,2,0,3.1000,0,3,,3,,
+ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves,ego_best_lap,opponent_best_lap
+paper,a,"b, c",Oval,0,12.5000,0,7,-1.2346,opponent,none,none,0,1,40.0000,3,0,3; 5; 5,,\
+pace +; stay,,17.2500,-1.0000
+paper,"b, c",a,Oval,1,12.5000,1,7,0.0000,none,car,both,2,0,3.1000,0,3,,3,,,-1.0000,-1.0000
 """
 
 
@@ -25,7 +26,10 @@ def rows() -> list[dict[str, str]]:
         for k in range(12)
     ]
     lists = ("", "3; 5", "", "stay")
-    return [dict(zip(RaceRow._fields, (*map(str, row[:17]), *lists), strict=True)) for row in made]
+    return [
+        dict(zip(RaceRow._fields, (*map(str, row[:17]), *lists, *map(str, row[21:])), strict=True))
+        for row in made
+    ]
 
 
 def as_file(rows, path):
@@ -43,7 +47,7 @@ def test_a_race_is_one_line(tmp_path):
     moves = ((3, 5, 5), (), ("pace +", "stay"), ())
     races = race_table(
         [
-            RaceRow("paper", "a", "b, c", "Oval", 0, *lost, *moves),
+            RaceRow("paper", "a", "b, c", "Oval", 0, *lost, *moves, ego_best_lap=17.25),
             RaceRow("paper", "b, c", "a", "Oval", 1, *crashed, (), (3,)),
         ]
     )
@@ -62,7 +66,7 @@ def test_empty_lines_are_left_out_and_counted(tmp_path):
     path.write_text("\n".join([head, first, "", second.replace("both", "me")]))
     refused(r"line 4 \(race 1\), .*fault is 'me'", read_results, path)
     path.write_text("\n".join([head, first, "a,1.5"]))
-    refused(r"line 3 .*2 values, .*21", read_results, path)
+    refused(r"line 3 .*2 values, .*23", read_results, path)
     refused(
         r"the table, line 2 \(race 0\), .*fault is 'me'",
         race_table,

@@ -29,6 +29,8 @@ rows = st.builds(
     ego_overtakes=st.integers(0, 300),
     duration=st.integers(0, 400).map(lambda tenths: tenths / 10),
     opponent_variant=st.integers(0, 300),
+    ego_best_lap=st.sampled_from([-1.0, 7.25]),
+    opponent_best_lap=st.just(8.5),
     ego_path=st.lists(st.integers(0, 300), max_size=5).map(tuple),
     ego_variant=steps,
     opponent_overtakes=steps,
