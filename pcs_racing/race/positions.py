@@ -27,10 +27,12 @@ def end_lap(laps, race, car, time):
 @inner_kernel(forceinline=True)
 def laps_driven(laps, race):
     """Return whether a car has driven all laps of a race with laps."""
-    wanted, driven = laps.shape[2] - _state.LAP_COLUMNS, False
-    for car in range(laps.shape[1]):
-        driven = driven or 0 < wanted <= laps[race, car, _state.LAPS]
-    return driven
+    wanted = laps.shape[2] - _state.LAP_COLUMNS
+    if wanted > 0:
+        for car in range(laps.shape[1]):
+            if laps[race, car, _state.LAPS] >= wanted:
+                return True
+    return False
 
 
 @kernel(forceinline=True)
