@@ -1,6 +1,6 @@
 """The rules of one race on the track: start, noise, durations and what a crash costs."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -179,8 +179,15 @@ class RaceConfig(Settings):
         return min(LAP_SECONDS * (self.laps or 1), MAX_SECONDS)
 
     @property
+    def hashed_values(self) -> list[Any]:
+        """Values for a hash: races by time have the hash from before there were laps."""
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        values["duration"] = self.seconds
+        return [value for name, value in values.items() if name != "laps" or value is not None]
+
+    @property
     def ticks(self) -> int:
-        """The same in simulation steps of 0.01 s."""
+        """Length of a race in simulation steps of 0.01 s; max length with laps."""
         return round(self.seconds * 100.0)
 
 
