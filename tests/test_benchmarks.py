@@ -19,6 +19,7 @@ SMALL = {
     "bits": ("--parts vehicles", "vehicle, target"),
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
+    "imperfect_cars": ("--out out --races 2", "error: --races 2"),
     "learned": ("--out out --races 2", "error: --races 2"),
     "load": ("--envs 2 --steps 40 --step-seconds 0.2", "time of a unit: "),
     "pooled_studies": (

@@ -16,8 +16,10 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import spearmanr
 
-from pcs_racing import load_track, parse_policy, run_races
+from pcs_racing import load_track, run_races
+from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.race.config import load_race_config
+from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.statistics import clustered_mean
 
@@ -56,13 +58,23 @@ class Races:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self.maps, self.threads = folder, maps, threads
 
-    def on(self, track: str, ego: str, rival: str, rules: str, races: int) -> np.ndarray:
+    def on(
+        self,
+        track: str,
+        ego: str,
+        rival: str,
+        rules: str,
+        races: int,
+        vehicles: tuple[VehicleParams, ...] = (),
+    ) -> np.ndarray:
         """Return a row for each race: score, own crash, the rival's, overtakes, speed, line."""
         circuit = load_track(str(self.maps / track) if track in REAL else track)
-        policies, config = [parse_policy(text) for text in (ego, rival)], load_race_config(rules)
-        # Weights, rules or circuits that changed are other races.
-        mark = fingerprint(policies, config, circuit.content_hash, SEED)[:12]
-        file = self.folder / f"{ego} {rival} {rules} {track} {races} {mark}.npy"
+        policies = [parse_own_policy(text) for text in (ego, rival)]
+        config = load_race_config(rules)
+        # Weights, rules, cars or circuits that changed are other races.
+        mark = fingerprint(policies, config, circuit.content_hash, SEED, *vehicles)[:12]
+        pair = f"{ego} {rival}".replace("/", "-")
+        file = self.folder / f"{pair} {rules} {track} {races} {mark}.npy"
         if not file.exists():
             result = run_races(
                 circuit,
@@ -70,6 +82,7 @@ class Races:
                 policies[1],
                 config,
                 seed=SEED,
+                vehicles=vehicles,
                 threads=self.threads,
             )
             state = result.state
@@ -89,7 +102,8 @@ class Races:
         return [self.on(track, ego, rival, rules, races) for track in tracks]
 
 
-def _estimate(found: list[np.ndarray], column: int) -> str:
+def estimate(found: Sequence[np.ndarray], column: int) -> str:
+    """Return the mean of a column, with its interval."""
     labels = [f"{k} {line}" for k, rows in enumerate(found) for line in rows[:, LINE]]
     mean = clustered_mean(np.concatenate(found)[:, column], labels)
     return f"{mean.mean:.3f} [{max(mean.low, 0.0):.3f}, {min(mean.high, 1.0):.3f}]"
@@ -106,7 +120,7 @@ def pairs(kept: Races, races: int, egos: Sequence[str]) -> None:
                 for name, tracks in CIRCUITS.items():
                     found = kept.everywhere(tracks, ego, rival, rules, count)
                     own = [rows[:, OWN].mean() for rows in found]
-                    score = _estimate(found, WON)
+                    score = estimate(found, WON)
                     print(
                         f"| {rules} | {ego} | {rival} | {name} | {score} | {np.mean(own):.3f}"
                         f" | {max(own):.3f} | {count * len(tracks)} |",
@@ -158,6 +172,15 @@ def draw(curves: dict[str, tuple[np.ndarray, np.ndarray]], picture: Path) -> Non
     figure.savefig(picture, dpi=110)
 
 
+def maps_of(names: Sequence[str]) -> Path:
+    """Return the folder of real circuits, which has these names."""
+    maps = Path(os.environ.get("PCS_RACING_MAPS", "../shared/maps"))
+    missing = [name for name in names if not (maps / name).is_dir()]
+    if missing:
+        raise SystemExit(f"{maps} lacks {', '.join(missing)}; set PCS_RACING_MAPS to the circuits")
+    return maps
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -173,11 +196,7 @@ def main() -> None:
     if arguments.races < 8 or arguments.threads < 1:
         said = f"--races {arguments.races} must be at least 8"
         parser.error(f"{said}, --threads {arguments.threads} at least 1")
-    maps = Path(os.environ.get("PCS_RACING_MAPS", "../shared/maps"))
-    missing = [name for name in REAL if not (maps / name).is_dir()]
-    if missing:
-        raise SystemExit(f"{maps} lacks {', '.join(missing)}; set PCS_RACING_MAPS to the circuits")
-    kept = Races(arguments.out, maps, arguments.threads)
+    kept = Races(arguments.out, maps_of(REAL), arguments.threads)
     if "pairs" in arguments.only:
         pairs(kept, arguments.races, arguments.egos)
     if "styles" in arguments.only:
