@@ -111,12 +111,6 @@ def headlines() -> list[tuple[str, str]]:
             r" % \|"
         )
         found.append((row.replace("| 0.", "| ."), study))
-        if name in (
-            "cfr-argmax",
-            "lattice:early,pace=0.7,pace_behind=0.2",
-            "iterated-best-response",
-        ):
-            found.append((re.escape(f"{rating:+.0f} ["), readme))
     return found
 
 
