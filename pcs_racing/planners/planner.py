@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.calling import control_address, plan_address
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command, leave_path
@@ -99,6 +100,8 @@ class Planner:
         if not isinstance(values, Mapping):
             return tuple(values)
         self.indices(list(values))
+        for name, value in values.items():
+            check_number(f"parameter {name!r} of planner {self.name!r}", value)
         return tuple(values.get(parameter.name, parameter.default) for parameter in self.parameters)
 
     @property
@@ -183,9 +186,10 @@ class Planner:
             return Policy(
                 self, np.array(self.variants[parameters]), name or f"{self.name}:{parameters}"
             )
+        vector: Any = parameters  # checked by the policy
         if isinstance(parameters, Mapping):
-            parameters = self._vector(parameters)
-        return Policy(self, np.asarray(parameters, dtype=np.float64), name or self.name)
+            vector = self._vector(parameters)
+        return Policy(self, vector, name or self.name)
 
 
 def held_command() -> tuple[Any, Any]:
@@ -202,7 +206,12 @@ class Policy:
     name: str  #: Name in tables and replays.
 
     def __post_init__(self) -> None:
-        theta = np.array(self.parameters, dtype=np.float64)
+        try:
+            theta = np.array(self.parameters, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(
+                f"policy {self.name!r} has parameters {self.parameters!r:.80}; they must be numbers"
+            ) from None
         expected = len(self.planner.parameters)
         if theta.shape != (expected,):
             raise InputError(

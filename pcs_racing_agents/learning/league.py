@@ -24,6 +24,7 @@ from pcs_racing.base.artifacts import ManifestFormat
 from pcs_racing.base.checks import (
     check_choice,
     check_number,
+    check_path,
     check_text,
     check_whole,
     check_whole_array,
@@ -62,7 +63,8 @@ class Member:
     weight: float = 1.0  #: Weight in the draw in even races.
     races: float = 0.0  #: Number of races of the learner against it; older races count less.
     won: float = 0.0  #: Number of these races that the learner won; a tie counts half.
-    model: Sb3Policy | None = None  #: Frozen policy of a copy; None for a planner's policy.
+    #: Frozen policy of a copy; None for a planner's policy.
+    model: Sb3Policy | None = field(default=None, repr=False)
     arguments: Mapping[str, Any] = field(default_factory=dict)  #: Arguments of its environment.
 
     @cached_property
@@ -174,7 +176,16 @@ def save_league(folder: str | Path, league: League) -> Path:
     The weights of new copies are written first, then ``league.yaml`` is replaced, so the folder
     holds the former league or the new one at any time.
     """
-    folder = Path(folder)
+    folder = Path(check_path("the folder of the league", folder))
+    try:
+        return _save(folder, league)
+    except OSError as error:
+        raise InputError(
+            f"can't write a league into {folder}: {error.strerror} ({error.filename or folder})"
+        ) from None
+
+
+def _save(folder: Path, league: League) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     members = []
     for member in league.members:

@@ -85,6 +85,8 @@ def test_bad_parameters_are_refused():
         ([np.inf, 0.1], InputError, "parameter 'pace' is inf"),
         ([0.5, 0.5], InputError, r"parameter 'air' is 0.5"),
         ({"speed": 1.0}, UnknownNameError, "no parameter 'speed'"),
+        ({"pace": "high"}, InputError, "parameter 'pace' of planner 'example' is 'high'"),
+        (["high", 0.1], InputError, "they must be numbers"),
         ("timid", UnknownNameError, "no variant 'timid'"),
     ]:
         refused(message, PLANNER.policy, parameters, error=error)

@@ -58,6 +58,13 @@ def test_a_league_of_planners_is_an_opponent_and_comes_back_from_its_folder(tmp_
     assert [one.name for one in envs.batch.opponents] == list(ROOKIES)
 
 
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    league = make_league(ROOKIES)
+    refused("can't write a league into .*file: File exists", save_league, tmp_path / "file", league)
+    refused("the folder of the league is ''", save_league, "", league)
+
+
 def changed(tmp_path, **changes):
     """Folder of a league with other fields of its first member; None takes a field away."""
     folder = save_league(tmp_path / "league", make_league(ROOKIES))
