@@ -126,7 +126,8 @@ def lidar(folders: list[Path]) -> Digests:
     places = track.to_cartesian(np.column_stack([np.linspace(0.0, 110.0, 200), np.zeros(200)]))
     others = track.to_cartesian(np.column_stack([np.linspace(1.0, 111.0, 200), np.full(200, 0.2)]))
     yield "scans", Lidar(track).scan(places, others)
-    yield "scans with noise", Lidar(track, noise=0.02).scan(places, rng=np.random.default_rng(0))
+    noisy = Lidar(track, vehicle={"lidar_noise": 0.02})
+    yield "scans with noise", noisy.scan(places, rng=np.random.default_rng(0))
     times = [
         minimum_ittc(
             track.arrays, x, y, 4.0, 1.0, s, ox, oy, opsi, 0.29, 0.155, 2.0, 0.5, True, 10.0

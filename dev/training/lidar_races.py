@@ -40,6 +40,7 @@ from pcs_racing.planners.field.lidar_ppo import (
 )
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.pursuit import pursuit_arc
+from pcs_racing.planners.scanning import follow_scan
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST
@@ -77,7 +78,7 @@ EXTRA = 13 + 2 * BENDS + 2 * WIDTHS + len(FAMILIES)
 WIDE = SEEN + EXTRA
 ACTIONS = 2
 
-LEARNER = Planner(name="learner", parameters=(), memory_size=MEMORY)
+LEARNER = Planner(name="learner", parameters=(), control=follow_scan, memory_size=MEMORY)
 BY_THETA = Planner(
     name="lidar-ppo",
     parameters=(
@@ -85,6 +86,7 @@ BY_THETA = Planner(
         *(Parameter(f"number{k}", -1e3, 1e3, 0.0, "weight") for k in range(WEIGHTS)),
     ),
     plan=plan_by_theta,
+    control=follow_scan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
 )

@@ -13,7 +13,9 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Checked, Settings
+from pcs_racing.car.lidar_errors import EDGE
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle
 from pcs_racing.track.frenet import locate
 from pcs_racing.track.track import Track
 
@@ -73,7 +75,7 @@ FIELD_OF_VIEW, MAX_RANGE = Interval(ge=1e-6, le=2.0 * np.pi), Interval(ge=1e-3, 
 
 @dataclass(frozen=True, eq=False)
 class Lidar(Settings):
-    """Scanning lidar at the pose of a car, on one track."""
+    """Scanning lidar of a car, on one track."""
 
     track: Annotated[Track, Checked(_track), "The circuit."]
     beams: Annotated[
@@ -81,11 +83,12 @@ class Lidar(Settings):
     ] = 1080
     fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
     max_range: Annotated[float, MAX_RANGE, "Maximum range, m."] = 30.0
-    noise: Annotated[
-        float,
-        Interval(ge=0.0, le=1e6),
-        "Standard deviation of the noise that `scan` adds to ranges, m.",
-    ] = 0.0
+    vehicle: Annotated[
+        VehicleParams,
+        Checked(lambda _, value: load_vehicle(value)),
+        "Car that carries the lidar: `scan` mounts it, and changes the ranges, as its parameters"
+        ' ``lidar_x`` to ``lidar_step`` say, for instance ``{"lidar_noise": 0.02}``.',
+    ] = F1TENTH
 
     @cached_property
     def angles(self) -> NDArray[np.float64]:
@@ -119,13 +122,13 @@ class Lidar(Settings):
         Parameters
         ----------
         poses : array_like, shape (..., 3)
-            x, y (m) and psi (rad) of the lidar.
+            x, y (m) and psi (rad) of the car.
         opponents : array_like, shape (..., 3), optional
             Pose of one other car for each scan; broadcast to the shape of ``poses``.
         opponent_size : tuple of float
             Length and width of the other car, m.
         rng : numpy.random.Generator, optional
-            Source of the noise; required if ``noise`` is positive, else unused.
+            Source of noise and lost beams; required if the car's lidar has them, else unused.
 
         Returns
         -------
@@ -147,22 +150,54 @@ class Lidar(Settings):
         length, width = opponent_size
         check_number("the opponent's length", length, 1e-3, 1e3)
         check_number("the opponent's width", width, 1e-3, 1e3)
-        if self.noise > 0.0 and not isinstance(rng, np.random.Generator):
-            raise InputError(f"a lidar with noise needs rng, a numpy.random.Generator, got {rng!r}")
+        car = self.vehicle
+        if max(car.lidar_noise, car.lidar_lost) > 0.0 and not isinstance(rng, np.random.Generator):
+            raise InputError(
+                f"a lidar with noise or lost beams needs rng, a numpy.random.Generator, got {rng!r}"
+            )
         out = np.empty((at.size // 3, self.beams))
         # Writeable, although no code writes to it: numba compiles read-only arrays as a separate
         # type.
         _scan_all(
             self.track.arrays,
             self.kernel,
-            np.require(at.reshape(-1, 3), requirements=["C", "W"]),
+            np.require(self._mounted(at.reshape(-1, 3)), requirements=["C", "W"]),
             opponents is not None,
             np.require(others.reshape(-1, 3), requirements=["C", "W"]),
             0.5 * length,
             0.5 * width,
             out,
         )
-        if rng is not None and self.noise > 0.0:
-            out += rng.normal(0.0, self.noise, out.shape)
-            np.clip(out, 0.0, self.max_range, out=out)
-        return out.reshape(*at.shape[:-1], self.beams)
+        return self._reported(out, rng).reshape(*at.shape[:-1], self.beams)
+
+    def _mounted(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the poses of the lidar, from the poses (n, 3) of its car."""
+        car = self.vehicle
+        if (car.lidar_x, car.lidar_y, car.lidar_yaw) == (0.0, 0.0, 0.0):
+            return poses
+        sin, cos = sines_cosines(poses[:, 2])
+        moved = [
+            cos * car.lidar_x - sin * car.lidar_y,
+            sin * car.lidar_x + cos * car.lidar_y,
+            np.full(len(poses), car.lidar_yaw),
+        ]
+        return poses + np.stack(moved, axis=1)
+
+    def _reported(
+        self, ranges: NDArray[np.float64], rng: np.random.Generator | None
+    ) -> NDArray[np.float64]:
+        """Return the ranges that the lidar reports in place of exact ranges.
+
+        These are the errors of :mod:`pcs_racing.car.lidar_errors`, drawn from a generator.
+        """
+        car, most = self.vehicle, self.max_range
+        if car.lidar_bias != 0.0:
+            ranges = np.where(ranges < most, ranges + car.lidar_bias, ranges)
+        if rng is not None and car.lidar_noise > 0.0:
+            ranges = ranges + rng.normal(0.0, car.lidar_noise, ranges.shape)
+        if (step := car.lidar_step) > 0.0:
+            ranges = np.where(ranges < most, step * np.floor(ranges / step + 0.5), ranges)
+        gone = np.abs(self.angles) > 0.5 * car.lidar_fov + EDGE
+        if rng is not None and car.lidar_lost > 0.0:
+            gone = gone | (rng.random(ranges.shape) < car.lidar_lost)
+        return np.where(gone, most, np.clip(ranges, 0.0, most))

@@ -52,13 +52,18 @@ _C = Interval(ge=0.1, le=4.0)
 _D = Interval(ge=0.01, le=3.0)
 _E = Interval(ge=-20.0, le=2.0)
 
+# Ranges of the sensors
+_MOUNT = Interval(ge=-10.0, le=10.0)
+_ERROR = Interval(ge=0.0, le=10.0)
+_TURN = Interval(ge=0.0, le=1.0)
+
 
 @dataclass(frozen=True)
 class VehicleParams(Settings):
     """Parameters of one car; the defaults are the 1:10 F1TENTH car.
 
-    Delays and noise of the commands apply to races, with commands at 50 Hz. `simulate` ignores
-    them.
+    Delays and noise of the commands, and the sensors, apply to races, with commands at 50 Hz.
+    `simulate` ignores them.
     """
 
     #: The names of the F1TENTH gym; its two bounds of the steering are one here.
@@ -161,6 +166,76 @@ class VehicleParams(Settings):
         Interval(ge=0.0, le=5.0),
         "Standard deviation of the disturbance of every speed command, m/s; independent draws.",
     ] = 0.0
+    lidar_x: Annotated[
+        float,
+        _MOUNT,
+        "Position of the lidar, ahead of the centre of gravity, m; planners take it for 0.",
+    ] = 0.0
+    lidar_y: Annotated[float, _MOUNT, "Position of the lidar, to the left, m."] = 0.0
+    lidar_yaw: Annotated[
+        float,
+        Interval(ge=-np.pi, le=np.pi),
+        "Heading of the lidar minus the car's, rad; planners take it for 0.",
+    ] = 0.0
+    lidar_fov: Annotated[
+        float,
+        Interval(ge=0.0, le=2.0 * np.pi),
+        "Field of view of the lidar, centred on its heading, rad; beams outside it read the max"
+        " range.",
+    ] = 2.0 * np.pi
+    lidar_noise: Annotated[
+        float, Interval(ge=0.0, le=10.0), "Standard deviation of the noise of each range, m."
+    ] = 0.0
+    lidar_lost: Annotated[
+        float, Interval(ge=0.0, le=1.0), "Share of lost beams, which read the max range."
+    ] = 0.0
+    lidar_bias: Annotated[
+        float, Interval(ge=-10.0, le=10.0), "Error added to each range below the max range, m."
+    ] = 0.0
+    lidar_step: Annotated[
+        float, Interval(ge=0.0, le=10.0), "Step between two reported ranges, m; 0 for none."
+    ] = 0.0
+    pose_noise: Annotated[
+        float,
+        _ERROR,
+        "Standard deviation of the error of the own x and of the own y, m; drawn for each command.",
+    ] = 0.0
+    pose_drift: Annotated[
+        float,
+        _ERROR,
+        "Standard deviation of a slow error of the own x and y, m: between independent draws 4 s"
+        " apart it turns from one into the next.",
+    ] = 0.0
+    pose_bias: Annotated[
+        float,
+        _ERROR,
+        "Standard deviation of a constant error of the own x and y, m; drawn for each race.",
+    ] = 0.0
+    heading_noise: Annotated[
+        float, _TURN, "Standard deviation of the error of the own heading, rad; as pose_noise."
+    ] = 0.0
+    heading_drift: Annotated[
+        float, _TURN, "Standard deviation of a slow error of the own heading, rad; as pose_drift."
+    ] = 0.0
+    heading_bias: Annotated[
+        float,
+        _TURN,
+        "Standard deviation of a constant error of the own heading, rad; as pose_bias.",
+    ] = 0.0
+    opponent_delay: Annotated[
+        float,
+        Interval(ge=0.0, le=MAX_DELAYED * COMMAND_PERIOD),
+        MultipleOf(COMMAND_PERIOD),
+        "Time by which other cars are seen late, s; until then they are seen at their start.",
+    ] = 0.0
+    opponent_lost: Annotated[
+        float, Interval(ge=0.0, le=1.0), "Share of the time in which no other car is seen."
+    ] = 0.0
+    opponent_lost_time: Annotated[
+        float,
+        Interval(ge=COMMAND_PERIOD, le=60.0),
+        "Length of the intervals, each of which is lost with the chance opponent_lost, s.",
+    ] = 0.5
 
     @property
     def wheelbase(self) -> float:
@@ -168,7 +243,7 @@ class VehicleParams(Settings):
         return self.lf + self.lr
 
     def as_row(self) -> NDArray[np.float64]:
-        """Return the parameters as the row of numbers that compiled code reads, shape (31,)."""
+        """Return the parameters as the row of numbers that compiled code reads, shape (48,)."""
         return self._row.copy()
 
     @cached_property
@@ -176,10 +251,12 @@ class VehicleParams(Settings):
         noise = RULES_NOISE if self.steer_noise is None else self.steer_noise
         steer_delay = round(self.steer_delay / COMMAND_PERIOD)
         speed_delay = round(self.speed_delay / COMMAND_PERIOD)
+        opponent = round(self.opponent_delay / COMMAND_PERIOD), self.opponent_lost
         steering = (*_physical(self), steer_delay, noise)
         tyres = (self.tyres == "pacejka", *_pacejka(self))
         actuators = (self.steer_lag, speed_delay, self.speed_lag, self.speed_noise)
-        return np.array([*steering, *tyres, *actuators], dtype=np.float64)
+        sensors = (*_measured(self), *opponent, self.opponent_lost_time)
+        return np.array([*steering, *tyres, *actuators, *sensors], dtype=np.float64)
 
 
 F1TENTH = VehicleParams()
@@ -268,11 +345,31 @@ STEER_NOISE = 17  # rad; below 0: set by the race's rules
 TYRES = 18  # 1: Pacejka
 B_F, C_F, D_F, E_F, B_R, C_R, D_R, E_R = range(19, 27)
 STEER_LAG, SPEED_DELAY, SPEED_LAG, SPEED_NOISE = range(27, 31)  # s; commands; s; m/s
-PARAMS_SIZE = 31
+(
+    LIDAR_X,
+    LIDAR_Y,
+    LIDAR_YAW,
+    LIDAR_FOV,
+    LIDAR_NOISE,
+    LIDAR_LOST,
+    LIDAR_BIAS,
+    LIDAR_STEP,
+    POSE_NOISE,
+    POSE_DRIFT,
+    POSE_BIAS,
+    HEADING_NOISE,
+    HEADING_DRIFT,
+    HEADING_BIAS,
+    OPPONENT_DELAY,  # in commands
+    OPPONENT_LOST,
+    OPPONENT_LOST_TIME,
+) = range(31, 48)
+PARAMS_SIZE = 48
 RULES_NOISE = -1.0
 
 _physical = attrgetter(*(field.name for field in fields(VehicleParams)[:STEER_DELAY]))
 _pacejka = attrgetter(*(field.name for field in fields(VehicleParams)[B_F : E_R + 1]))
+_measured = attrgetter(*(field.name for field in fields(VehicleParams)[LIDAR_X : HEADING_BIAS + 1]))
 
 
 class Handling(NamedTuple):

@@ -78,6 +78,9 @@ class DriveEnv(ScalarEnv):
     | 40 | lead | m | -1000 | 1000 | own progress minus progress of the opponent |
     | 41 + i | beam # | m | 0 | 30 | range of a beam, counted counter-clockwise |
 
+    The numbers are measurements of the car: its parameters (`vehicle`) may give its localization
+    and its lidar errors, and let it see opponents late, or not for a while.
+
     The observation does not contain the position on the track, so a policy trained on one track can
     drive on another. Beams see all opponents. With several opponents the nine elements about the
     opponent ("opponent 2 gap" ...) are repeated for each opponent, the nearest along the track

@@ -14,7 +14,6 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.numba_parts import compiled_for
-from pcs_racing.car.lidar import WORK_SHAPE
 from pcs_racing.envs.batch import (
     FREE,
     BatchStep,
@@ -29,8 +28,6 @@ from pcs_racing.envs.batch import (
     start_option,
 )
 from pcs_racing.envs.drive_kernel import (
-    SEEN_SHAPE,
-    Buffers,
     Inputs,
     Limits,
     Orders,
@@ -38,6 +35,7 @@ from pcs_racing.envs.drive_kernel import (
     RewardTerms,
     Sight,
     StepResults,
+    make_buffers,
     observe_races,
     set_commands,
     step_races,
@@ -302,8 +300,10 @@ class DriveBatch:
         if self._in_python:
             self.threads = 1
         size = largest_scratch(planners)
-        shapes: list[Any] = [size, WORK_SIZE, len(self.elements), SEEN_SHAPE, WORK_SHAPE]
-        self._buffers = [Buffers(*map(np.zeros, shapes)) for _ in range(self.threads)]
+        self._buffers = [
+            make_buffers(size, WORK_SIZE, len(self.elements), self.cars)
+            for _ in range(self.threads)
+        ]
         self._pool = ThreadPoolExecutor(max(1, self.threads - 1))  # starts threads on demand
         self._compiled: Callable[..., None] | None = None
         with first_call(step_races, "the control-level environment", 20) as compiling:

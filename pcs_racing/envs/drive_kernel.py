@@ -13,14 +13,25 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.lidar_kernel import Beams, scan_car, scan_walls
+from pcs_racing.car.lidar_errors import ERRORS, NOISE, disturb_scan, lidar_place
+from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to, laps_driven
+from pcs_racing.race.sensing import opponent_lost, sense_cars, senses_exactly
 from pcs_racing.race.state import MAX_CARS, RaceState
-from pcs_racing.race.steering import disturbed_speed, steering_noise
-from pcs_racing.track.frenet import KAPPA, LEFT, PSI, RIGHT, SPEED, TrackArrays, angle_between
+from pcs_racing.race.steering import disturbed_speed
+from pcs_racing.track.frenet import (
+    KAPPA,
+    LEFT,
+    PSI,
+    RIGHT,
+    SPEED,
+    TrackArrays,
+    angle_between,
+    project,
+)
 from pcs_racing.track.grid import cast
 
 OWN_ELEMENTS = 8  # numbers about the own car
@@ -52,7 +63,8 @@ class Sight(NamedTuple):
     time_left: bool  #: Flag: the remaining share of the race is included.
     end_tick: int  #: Duration of a race in steps of 0.01 s.
     beams: Beams  #: Beams of the lidar; without beams there is no scan.
-    noise: NDArray[Any]  #: shape (B,): Standard deviation of the ranges in each race, m.
+    #: shape (B,): Standard deviation of the ranges in each race, m; 0 for that of the car's lidar.
+    noise: NDArray[Any]
     low: NDArray[Any]  #: shape (n,): Lower bounds of the elements; values are clipped.
     high: NDArray[Any]  #: shape (n,): Upper bounds of the elements.
     gain: NDArray[Any]  #: shape (n,): Factor; the output is ``gain * clipped value + shift``.
@@ -72,7 +84,7 @@ class Races(NamedTuple):
 
     state: RaceState
     theta: NDArray[np.float64]  #: shape (B, N, P): Policy parameters.
-    vehicles: NDArray[np.float64]  #: shape (B, N, 31): Parameter rows of the cars.
+    vehicles: NDArray[np.float64]  #: shape (B, N, 48): Parameter rows of the cars.
 
 
 class Limits(NamedTuple):
@@ -108,6 +120,17 @@ class Buffers(NamedTuple):
     row: NDArray[np.float64]  #: shape (n,): Observation of a car.
     seen: NDArray[np.float64]  #: shape `SEEN_SHAPE`: Velocities, gaps and order of the cars.
     scan: NDArray[np.float64]  #: shape ``WORK_SHAPE``: Scratch memory of the lidar.
+    cars: NDArray[np.float64]  #: shape (1, N, 7): Cars of a race as one of them measures them.
+    frenet: NDArray[np.float64]  #: shape (1, N, 2): Measured Frenet coordinates.
+    progress: NDArray[np.float64]  #: shape (1, N): Measured progress.
+    errors: NDArray[np.float64]  #: shape (``ERRORS``,): Errors of a lidar.
+
+
+def make_buffers(scratch: int, work: int, elements: int, cars: int) -> Buffers:
+    """Return scratch memory for races of so many cars, given the sizes of the other parts."""
+    shapes: list[Any] = [scratch, work, elements, SEEN_SHAPE, WORK_SHAPE]
+    shapes += [(1, cars, _vehicle.STATE_SIZE), (1, cars, 2), (1, cars), ERRORS]
+    return Buffers(*map(np.zeros, shapes))
 
 
 class StepResults(NamedTuple):
@@ -123,15 +146,18 @@ class StepResults(NamedTuple):
 
 @inner_kernel
 def _see_own(line, ds, cars, frenet, memory, race, car, row, k):
-    """Write the numbers about the own car from ``row[k]`` on; arguments are arrays, for speed."""
+    """Write the numbers about the own car from ``row[k]`` on; arguments are arrays, for speed.
+
+    ``memory`` begins with the command of the car.
+    """
     s = frenet[race, car, 0]
     here = min(int(s / ds), line.shape[0] - 1)
     row[k] = cars[race, car, _vehicle.V]
     row[k + 1] = cars[race, car, _vehicle.DELTA]
     row[k + 2] = cars[race, car, _vehicle.PSI_DOT]
     row[k + 3] = angle_between(cars[race, car, _vehicle.BETA], 0.0)
-    row[k + 4] = memory[race, car, 0]
-    row[k + 5] = memory[race, car, 1]
+    row[k + 4] = memory[0]
+    row[k + 5] = memory[1]
     row[k + 6] = frenet[race, car, 1]
     # Between two samples the heading follows from the curvature, which is constant there.
     heading = line[here, PSI] + (s - here * ds) * line[here, KAPPA]
@@ -176,6 +202,14 @@ def _see_opponent(cars, frenet, progress, race, car, other, sn, c, seen, row, k)
 
 
 @inner_kernel
+def _see_velocities(cars, race, seen):
+    for car in range(cars.shape[1]):
+        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
+        seen[_VX, car] = cars[race, car, _vehicle.V] * cosine
+        seen[_VY, car] = cars[race, car, _vehicle.V] * sine
+
+
+@inner_kernel
 def _in_sight(track, cars, race, car, other, reach):
     """Return whether the cars are at most ``reach`` m apart and no wall separates their centres."""
     x = cars[race, car, _vehicle.X]
@@ -208,51 +242,24 @@ def _sort_opponents(length, frenet, race, car, seen):
             count += 1
 
 
-@inner_kernel(forceinline=True)
-def _observe(inputs, races, race, car, buffers):
-    """Write the observation of a car, in the units of the elements."""
+@inner_kernel
+def _scan(inputs, races, race, car, buffers, out):
+    """Write the ranges that a car's lidar reports of the race as it is."""
     track, sight, state, vehicles = inputs.track, inputs.sight, races.state, races.vehicles
-    row, seen, work = buffers.row, buffers.seen, buffers.scan
-    cars, frenet = state.cars, state.frenet
-    number = cars.shape[1]
-    k = 0
-    if sight.own_state:
-        _see_own(track.line, track.ds, cars, frenet, state.memory, race, car, row, k)
-        k += OWN_ELEMENTS
-    if sight.own_pose:
-        row[k], row[k + 1] = cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y]
-        row[k + 2] = angle_between(cars[race, car, _vehicle.PSI], 0.0)
-        k += 3
-    _see_line(track.line, track.ds, frenet[race, car, 0], sight.ahead, row, k)
-    k += STRETCH_ELEMENTS * sight.ahead.shape[0]
-    if sight.opponent != NEVER:
-        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI])
-        _sort_opponents(track.length, frenet, race, car, seen)
-        for nth in range(sight.others):
-            hidden = nth >= number - 1
-            other = 0 if hidden else int(seen[_ORDER, nth])
-            if sight.opponent == IN_SIGHT and not hidden:
-                hidden = not _in_sight(track, cars, race, car, other, sight.beams.max_range)
-            if hidden:
-                row[k : k + OPPONENT_ELEMENTS] = 0.0
-            else:
-                _see_opponent(
-                    cars, frenet, state.progress, race, car, other, sine, cosine, seen, row, k
-                )
-            k += OPPONENT_ELEMENTS
-    if sight.time_left:
-        row[k] = 1.0 - state.tick[race] / sight.end_tick
-        k += 1
-    scan = row[k:]
-    if scan.shape[0] == 0:
-        return
-    x, y, psi = (
+    cars, own, work = state.cars, vehicles[race, car], buffers.scan
+    x, y, psi, s = (
         cars[race, car, _vehicle.X],
         cars[race, car, _vehicle.Y],
         cars[race, car, _vehicle.PSI],
+        state.frenet[race, car, 0],
     )
-    if scan_walls(track, sight.beams, x, y, psi, frenet[race, car, 0], work, scan):
-        for other in range(number):
+    ahead, left = own[_vehicle.LIDAR_X], own[_vehicle.LIDAR_Y]
+    if ahead != 0.0 or left != 0.0:
+        x, y = lidar_place(x, y, psi, ahead, left)
+        s, _ = project(track, x, y, s)
+    psi += own[_vehicle.LIDAR_YAW]
+    if scan_walls(track, sight.beams, x, y, psi, s, work, out):
+        for other in range(cars.shape[1]):
             if other != car:
                 scan_car(
                     sight.beams,
@@ -265,14 +272,78 @@ def _observe(inputs, races, race, car, buffers):
                     0.5 * vehicles[race, other, _vehicle.LENGTH],
                     0.5 * vehicles[race, other, _vehicle.WIDTH],
                     work,
-                    scan,
+                    out,
                 )
-        for i in range(scan.shape[0]):
-            scan[i] = 1.0 / scan[i]
+        for i in range(out.shape[0]):
+            out[i] = 1.0 / out[i]
+    errors = buffers.errors
+    for k in range(errors.shape[0]):
+        errors[k] = own[_vehicle.LIDAR_FOV + k]
     if sight.noise[race] > 0.0:
-        _noisy(
-            scan, state.seed[race], car, state.tick[race], sight.noise[race], sight.beams.max_range
+        errors[NOISE] = sight.noise[race]
+    # Each beam has its own count at each tick: no scan repeats the noise of another scan.
+    key, count = state.seed[race] ^ _LIDAR_KEY, state.tick[race] * out.shape[0]
+    disturb_scan(sight.beams, 0.0, errors, key, car, count, out)
+
+
+@inner_kernel(forceinline=True)
+def _observe(inputs, races, race, car, buffers):
+    """Write the observation of a car, in the units of the elements."""
+    track, sight, state, own = inputs.track, inputs.sight, races.state, races.vehicles[race, car]
+    row, seen, memory = buffers.row, buffers.seen, state.memory[race, car]
+    cars, frenet, progress, at = state.cars, state.frenet, state.progress, race
+    number, exact, lost = cars.shape[1], senses_exactly(own), False
+    if not exact:
+        cars, frenet, progress, at = buffers.cars, buffers.frenet, buffers.progress, 0
+        seed, tick = state.seed[race], state.tick[race]
+        sense_cars(
+            track.line,
+            track.ds,
+            track.length,
+            state.cars,
+            state.frenet,
+            state.progress,
+            race,
+            car,
+            own,
+            seed,
+            tick,
+            memory,
+            (cars, frenet, progress),
         )
+        _see_velocities(cars, 0, seen)
+        lost = opponent_lost(own, seed, car, tick)
+    k = 0
+    if sight.own_state:
+        _see_own(track.line, track.ds, cars, frenet, memory, at, car, row, k)
+        k += OWN_ELEMENTS
+    if sight.own_pose:
+        row[k], row[k + 1] = cars[at, car, _vehicle.X], cars[at, car, _vehicle.Y]
+        row[k + 2] = angle_between(cars[at, car, _vehicle.PSI], 0.0)
+        k += 3
+    _see_line(track.line, track.ds, frenet[at, car, 0], sight.ahead, row, k)
+    k += STRETCH_ELEMENTS * sight.ahead.shape[0]
+    if sight.opponent != NEVER:
+        sine, cosine = sine_cosine(cars[at, car, _vehicle.PSI])
+        _sort_opponents(track.length, frenet, at, car, seen)
+        for nth in range(sight.others):
+            hidden = lost or nth >= number - 1
+            other = 0 if hidden else int(seen[_ORDER, nth])
+            if sight.opponent == IN_SIGHT and not hidden:
+                reach = sight.beams.max_range
+                hidden = not _in_sight(track, state.cars, race, car, other, reach)
+            if hidden:
+                row[k : k + OPPONENT_ELEMENTS] = 0.0
+            else:
+                _see_opponent(cars, frenet, progress, at, car, other, sine, cosine, seen, row, k)
+            k += OPPONENT_ELEMENTS
+    if not exact:
+        _see_velocities(state.cars, race, seen)  # for the next car
+    if sight.time_left:
+        row[k] = 1.0 - state.tick[race] / sight.end_tick
+        k += 1
+    if row.shape[0] > k:
+        _scan(inputs, races, race, car, buffers, row[k:])
 
 
 @inner_kernel
@@ -288,24 +359,6 @@ def _write(row, sight, out):
     least, most, factor, offset = low[count - 1], high[count - 1], gain[count - 1], shift[count - 1]
     for k in range(np.uint64(first_beam), np.uint64(count)):
         out[k] = np.float32(min(max(row[k], least), most) * factor + offset)
-
-
-@inner_kernel
-def _noisy(scan, seed, car, tick, noise, most):
-    """Add noise to each range, a function of the race's seed, the car, the time and the beam."""
-    beams = scan.shape[0]
-    for k in range(beams):
-        # Each beam has its own counter at each tick: no scan repeats the noise of another scan.
-        draw = steering_noise(seed ^ _LIDAR_KEY, car, tick * beams + k)
-        scan[k] = min(max(scan[k] + noise * draw, 0.0), most)
-
-
-@inner_kernel
-def _see_velocities(cars, race, seen):
-    for car in range(cars.shape[1]):
-        sine, cosine = sine_cosine(cars[race, car, _vehicle.PSI] + cars[race, car, _vehicle.BETA])
-        seen[_VX, car] = cars[race, car, _vehicle.V] * cosine
-        seen[_VY, car] = cars[race, car, _vehicle.V] * sine
 
 
 @inner_kernel(forceinline=True)

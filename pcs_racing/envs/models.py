@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs.drive_kernel import SEEN_SHAPE, Buffers, Inputs, Races, Sight, observe_car
+from pcs_racing.envs.drive_kernel import Inputs, Races, Sight, make_buffers, observe_car
 from pcs_racing.envs.drive_options import (
     DriveOptions,
     drive_elements,
@@ -144,10 +143,10 @@ class ModelDriver:
         noise = np.full(state.races, float(self.options.lidar_noise))
         ahead = samples_ahead(self.options, track)
         sight = self._sight._replace(ahead=ahead, noise=noise, end_tick=settings.end_tick)
-        count, nothing = len(sight.low), np.empty(0)
+        count = len(sight.low)
         seen = np.empty((len(rows), count), np.float32)
-        scratch = np.empty(count), np.empty(SEEN_SHAPE), np.empty(WORK_SHAPE)
-        inputs, buffers = Inputs(track.arrays, settings, sight), Buffers(nothing, nothing, *scratch)
+        buffers = make_buffers(0, 0, count, state.number)
+        inputs = Inputs(track.arrays, settings, sight)
         races = Races(state, np.empty((0, 0, 0)), vehicles)
         observe_car(inputs, races, rows, car, buffers, seen)
         turn, low, top = self.options.limits

@@ -233,7 +233,7 @@ class EpisodeRandomization:
         self.ranges = options.randomize or Randomization()
         self.episodes = episodes
         self.circuits = Circuits(options.track, episodes)
-        #: shape (episodes, cars, 31): Parameter rows of the cars of each episode.
+        #: shape (episodes, cars, 48): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # writable: one compiled type
         #: Values drawn for each episode, by name, each of shape (episodes,).
         self.drawn = {name: np.zeros(episodes) for name in self.ranges.names}

@@ -33,6 +33,7 @@ from pcs_racing.planners.own_files import Run, one_line, run_file
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names, register_planner
 from pcs_racing.planners.ros_nodes import Node, ask_node
+from pcs_racing.planners.scanning import WORK, scan_beams
 from pcs_racing.track.track import Track
 
 METHODS = ("process_observation", "process_lidar", "plan")
@@ -114,16 +115,14 @@ class _Drivers:
 
 def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, float]:
     """Return a driver's steering angle and speed."""
-    opponent = view[[_view.OPP_X, _view.OPP_Y, _view.OPP_PSI]]
-    size = (float(view[_view.OPP_LENGTH]), float(view[_view.OPP_WIDTH]))
-    ranges = _lidar(track).scan(
-        view[[_view.OWN_X, _view.OWN_Y, _view.OWN_PSI]], opponent, opponent_size=size
-    )
+    lidar = _lidar(track)
+    ranges = np.empty(lidar.beams)
+    scan_beams(track.arrays, lidar.kernel, view, 0.0, np.empty(WORK), ranges)
     odometry = {name: float(view[index]) for name, index in ODOMETRY.items()} | {
         "linear_vel_y": 0.0
     }
     if isinstance(driver, Node):
-        x, y, theta = opponent.tolist()
+        x, y, theta = view[[_view.OPP_X, _view.OPP_Y, _view.OPP_PSI]].tolist()
         other = {
             "pose_x": x,
             "pose_y": y,

@@ -1,4 +1,8 @@
-"""Shared parts of lidar-only planners: the scan, its farthest beam, and the arc of a direction."""
+"""Shared parts of lidar-only planners: the scan, its farthest beam, and the arc of a direction.
+
+A lidar-only planner has no map. It lays its path from the pose of its odometry, which is exact for
+the tenth of a second until the next path, and `follow_scan` follows the path by it.
+"""
 
 from collections.abc import Iterable
 
@@ -8,9 +12,11 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
+from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.pursuit import steady_course
+from pcs_racing.planners.pursuit import follow_path, steady_course
 from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.track.frenet import project
 
 
 def sine_tables(angles: Iterable[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -36,27 +42,58 @@ SCAN_SIZE = WORK + BEAMS
 """Size of a scan in the scratch: the lidar's own working memory, and the ranges at the end."""
 
 
-@compiled
-def scan_beams(track, beams, view, heading, work, ranges):
-    """Scan from the own car with any beams, turned by ``heading`` (rad).
+@kernel(forceinline=True)
+def use_odometry(view):
+    """Replace the own pose of a view, from the localisation, by the exact pose."""
+    view[_view.OWN_X], view[_view.OWN_Y] = view[_view.TRUE_X], view[_view.TRUE_Y]
+    view[_view.OWN_PSI] = view[_view.TRUE_PSI]
+    view[_view.OWN_S], view[_view.OWN_D] = view[_view.TRUE_S], view[_view.TRUE_D]
 
-    ``work`` holds `WORK` numbers.
+
+@compiled
+def scan_beams(track, beams, view, turn, work, ranges):
+    """Scan from the lidar of the own car with any beams, turned by ``turn`` (rad) from its heading.
+
+    The scan has the errors of the car's lidar. ``work`` holds `WORK` numbers.
     """
-    x, y, s = view[_view.OWN_X], view[_view.OWN_Y], view[_view.OWN_S]
-    other = view[_view.OPP_X], view[_view.OPP_Y], view[_view.OPP_PSI]
-    half_length, half_width = 0.5 * view[_view.OPP_LENGTH], 0.5 * view[_view.OPP_WIDTH]
+    x, y, psi, s = (
+        view[_view.TRUE_X],
+        view[_view.TRUE_Y],
+        view[_view.TRUE_PSI],
+        view[_view.TRUE_S],
+    )
+    ahead, left = view[_view.LIDAR_X], view[_view.LIDAR_Y]
+    if ahead != 0.0 or left != 0.0:
+        x, y = lidar_place(x, y, psi, ahead, left)
+        s, _ = project(track, x, y, s)
+    other = view[_view.TRUE_OPP_X], view[_view.TRUE_OPP_Y], view[_view.TRUE_OPP_PSI]
+    half_length, half_width = 0.5 * view[_view.TRUE_OPP_LENGTH], 0.5 * view[_view.TRUE_OPP_WIDTH]
+    heading = psi + view[_view.LIDAR_YAW] + turn
     lanes = work.reshape(WORK_SHAPE)
     scan_into(track, beams, x, y, heading, s, True, *other, half_length, half_width, lanes, ranges)
+    key = np.uint64(view[_view.SCAN_KEY] * 2.0**53)
+    errors = view[_view.LIDAR_FOV : _view.LIDAR_STEP + 1]
+    disturb_scan(beams, turn, errors, key, 0, 0, ranges)
 
 
 @compiled
 def scan(track, view, scratch):
-    """Scan from the own car along its heading.
+    """Scan from the lidar of the own car along its heading, and use the odometry from now on.
 
     The ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``.
     """
+    use_odometry(view)
     beams = Beams(ANGLES[0], STEP, MAX_RANGE, COS, SIN)
-    scan_beams(track, beams, view, view[_view.OWN_PSI], scratch[:WORK], scratch[WORK:SCAN_SIZE])
+    scan_beams(track, beams, view, 0.0, scratch[:WORK], scratch[WORK:SCAN_SIZE])
+
+
+@kernel
+def follow_scan(track, theta, view, memory, scratch, path, command):
+    """Follow the path of a lidar-only planner: :func:`pcs_racing.planners.pursuit.follow_path` by
+    odometry.
+    """
+    use_odometry(view)
+    follow_path(track, theta, view, memory, scratch, path, command)
 
 
 @kernel(forceinline=True)

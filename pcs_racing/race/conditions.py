@@ -22,7 +22,7 @@ Share = list[tuple[Planner | None, NDArray[np.int64]]]
 class RaceConditions:
     """Cars, tracks and planners of the B races of a batch, if they differ between the races."""
 
-    #: shape (B, N, 31): Parameter rows of the cars
+    #: shape (B, N, 48): Parameter rows of the cars
     #: (:meth:`pcs_racing.car.vehicle.VehicleParams.as_row`); None for the cars of the setup.
     vehicles: NDArray[np.float64] | None = None
     #: Track of each race: the setup's track with obstacles on it; None for the setup's track.
@@ -40,7 +40,7 @@ class RaceConditions:
         )
 
     def rows(self, vehicles: Sequence[VehicleParams], races: int) -> NDArray[np.float64]:
-        """Return the cars' parameter rows in every race, (races, N, 31); by default the setup's."""
+        """Return the cars' parameter rows in every race, (races, N, 48); by default the setup's."""
         if self.vehicles is None:
             return vehicle_rows(vehicles, races)
         wanted = (races, len(vehicles), PARAMS_SIZE)
@@ -90,7 +90,7 @@ def runs_of(values: Sequence[object]) -> list[tuple[int, int]]:
 
 
 def vehicle_rows(vehicles: Sequence[VehicleParams], races: int) -> NDArray[np.float64]:
-    """Return the parameters of the cars in every race, shape (races, N, 31)."""
+    """Return the parameters of the cars in every race, shape (races, N, 48)."""
     # Writeable arrays, or the kernels would be compiled a second time for one race.
     rows = np.empty((races, len(vehicles), PARAMS_SIZE))
     for car, vehicle in enumerate(vehicles):

@@ -6,13 +6,13 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
 from pcs_racing.planners.view import (
-    OWN_D,
     OWN_LENGTH,
-    OWN_PSI,
-    OWN_S,
     OWN_WIDTH,
-    OWN_X,
-    OWN_Y,
+    TRUE_D,
+    TRUE_PSI,
+    TRUE_S,
+    TRUE_X,
+    TRUE_Y,
     VIEW_SIZE,
 )
 from pcs_racing.race import state as _state
@@ -32,8 +32,8 @@ def _overlapped(before, car, other):
     """Return whether two cars already overlapped before the control period."""
     a, b = before[VIEW_SIZE * car :], before[VIEW_SIZE * other :]
     return rectangles_overlap(
-        Rectangle(a[OWN_X], a[OWN_Y], a[OWN_PSI], 0.5 * a[OWN_LENGTH], 0.5 * a[OWN_WIDTH]),
-        Rectangle(b[OWN_X], b[OWN_Y], b[OWN_PSI], 0.5 * b[OWN_LENGTH], 0.5 * b[OWN_WIDTH]),
+        Rectangle(a[TRUE_X], a[TRUE_Y], a[TRUE_PSI], 0.5 * a[OWN_LENGTH], 0.5 * a[OWN_WIDTH]),
+        Rectangle(b[TRUE_X], b[TRUE_Y], b[TRUE_PSI], 0.5 * b[OWN_LENGTH], 0.5 * b[OWN_WIDTH]),
     )
 
 
@@ -60,12 +60,12 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):
     """Stop a car at its pose before the control period, or put it on the race line at s."""
     cars, view, d = state.cars, before[VIEW_SIZE * car :], 0.0
     if mode == STOP:
-        cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y] = view[OWN_X], view[OWN_Y]
-        cars[race, car, _vehicle.PSI] = view[OWN_PSI]
+        cars[race, car, _vehicle.X], cars[race, car, _vehicle.Y] = view[TRUE_X], view[TRUE_Y]
+        cars[race, car, _vehicle.PSI] = view[TRUE_PSI]
         cars[race, car, _vehicle.V] = cars[race, car, _vehicle.PSI_DOT] = cars[
             race, car, _vehicle.BETA
         ] = 0.0
-        s, d = view[OWN_S], view[OWN_D]
+        s, d = view[TRUE_S], view[TRUE_D]
     else:
         s = _stand_on_line(near, track.line, track.ds, cars, race, car, s, vehicles)
     move_along(

@@ -10,6 +10,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.ittc import rectangle_ittc, walls_ittc
 from pcs_racing.car.lanes import (
@@ -29,14 +30,21 @@ from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.contacts import END, settle_contacts
 from pcs_racing.race.positions import collide, laps_driven, nearest_car, update_progress
-from pcs_racing.race.steering import delayed, disturbed_speed, steering_noise, steering_sd
+from pcs_racing.race.sensing import (
+    blur_view,
+    opponent_lost,
+    remember_cars,
+    scan_key,
+    senses_exactly,
+)
+from pcs_racing.race.steering import delayed, disturbed_speed, steering_sd
 from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
 
 BLOCKING_REACH = 3.0  # m
 
 USED_GRIP = 0.65  # usable share of the peak lateral acceleration of a car that brakes
 
-FAR = 1e6  # m: distance of the dummy opponent in single-car races
+FAR = 1e6  # m: distance of the dummy opponent of a car that sees none
 
 # Layout of the loop's scratch memory: the cars in their lanes; a flag for each car stepped alone;
 # steering angle and progress of each car before a control period; the velocities of the cars of a
@@ -92,6 +100,8 @@ def _fill_fixed(own, settings, view):
     share = min(np.sqrt(usable / LATERAL_OF_PROFILE) / settings.speed_high, 1.0)
     view[_view.SPEED_LOW] = share * settings.speed_low
     view[_view.SPEED_HIGH] = share * settings.speed_high
+    for k in range(_view.SCAN_KEY - _view.LIDAR_X):
+        view[_view.LIDAR_X + k] = own[_vehicle.LIDAR_X + k]
 
 
 @inner_kernel(forceinline=True)
@@ -157,31 +167,75 @@ def _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles,
 
 @inner_kernel(forceinline=True)
 def _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles, view):
-    """Write the visible opponent into a view: the other of two cars, else the nearest car."""
+    """Write the visible opponent into a view: the other of two cars, else the nearest car.
+
+    Return its number, -1 for a car alone.
+    """
     if number == 1:
         _fill_nobody(length, vehicles[car], view)
-    else:
-        other = 1 - car if number == 2 else nearest_car(length, frenet, race, car)
-        _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles, view)
+        return -1
+    other = 1 - car if number == 2 else nearest_car(length, frenet, race, car)
+    _fill_opponent(line, ds, cars, frenet, progress, race, car, other, vehicles, view)
+    return other
+
+
+@inner_kernel(forceinline=True)
+def _keep_truth(view):
+    """Copy the exact poses of a view to the numbers for lidars."""
+    view[_view.TRUE_X] = view[_view.OWN_X]
+    view[_view.TRUE_Y] = view[_view.OWN_Y]
+    view[_view.TRUE_PSI] = view[_view.OWN_PSI]
+    view[_view.TRUE_S] = view[_view.OWN_S]
+    view[_view.TRUE_D] = view[_view.OWN_D]
+    view[_view.TRUE_OPP_X] = view[_view.OPP_X]
+    view[_view.TRUE_OPP_Y] = view[_view.OPP_Y]
+    view[_view.TRUE_OPP_PSI] = view[_view.OPP_PSI]
+    view[_view.TRUE_OPP_LENGTH] = view[_view.OPP_LENGTH]
+    view[_view.TRUE_OPP_WIDTH] = view[_view.OPP_WIDTH]
+
+
+@inner_kernel  # not inlined: most cars see exactly
+def _sense(line, ds, length, own, number, other, seed, car, tick, progress, memory, view):
+    """Change an exact view into what a car measures, with the errors of its sensors."""
+    blur_view(line, ds, length, own, number, other, seed, car, tick, progress, memory, view)
+    if opponent_lost(own, seed, car, tick):
+        _fill_nobody(length, own, view)
+
+
+@inner_kernel(forceinline=True)
+def _fill_changing(
+    line, ds, length, cars, frenet, progress, seed, tick, race, car, number, vehicles, memory, view
+):
+    """Write the changing numbers of a view."""
+    _fill_own(tick, cars, frenet, race, car, view)
+    other = _fill_other(line, ds, length, cars, frenet, progress, race, car, number, vehicles, view)
+    _keep_truth(view)
+    own = vehicles[car]
+    view[_view.SCAN_KEY] = scan_key(own, seed, car, tick)
+    if not senses_exactly(own):
+        _sense(
+            line, ds, length, own, number, other, seed, car, tick, progress[race, car], memory, view
+        )
 
 
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):
     """Write the view of ``car`` (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
-    cars, frenet, number = state.cars, state.frenet, state.cars.shape[1]
     _fill_fixed(vehicles[car], settings, view)
-    _fill_own(state.tick[race], cars, frenet, race, car, view)
-    _fill_other(
+    _fill_changing(
         track.line,
         track.ds,
         track.length,
-        cars,
-        frenet,
+        state.cars,
+        state.frenet,
         state.progress,
+        state.seed[race],
+        state.tick[race],
         race,
         car,
-        number,
+        state.cars.shape[1],
         vehicles,
+        state.memory[race, car],
         view,
     )
 
@@ -294,7 +348,7 @@ def _send(state, vehicle, settings, noise_share, race, car, tick, command, memor
     """Disturb a command when it is sent, and delay it until it reaches the car."""
     noise_sd = steering_sd(settings, vehicle)
     if noise_sd > 0.0:
-        draw = noise_sd * noise_share * steering_noise(state.seed[race], car, tick)
+        draw = noise_sd * noise_share * normal_noise(state.seed[race], car, tick)
         state.disturbance[race, car] = settings.noise_keep * state.disturbance[race, car] + draw
         command[0] += state.disturbance[race, car]
     delay = vehicle[_vehicle.STEER_DELAY]
@@ -335,18 +389,21 @@ def _command(
             state.command[race, car],
         )
         work[ASKED], work[ASKED + 1] = race, car
-        _fill_own(tick, cars, frenet, race, car, view)
-        _fill_other(
+        remember_cars(cars, frenet, state.progress, race, vehicles[race, car], tick, memory)
+        _fill_changing(
             track.line,
             track.ds,
             track.length,
             cars,
             frenet,
             state.progress,
+            state.seed[race],
+            tick,
             race,
             car,
             number,
             vehicles[race],
+            memory,
             view,
         )
         if tick % PLAN_EVERY == 0:
@@ -412,7 +469,7 @@ def advance_races(
     others in its group.
 
     ``theta``, shape (B, N, P), holds the policy parameters of each race, and ``vehicles``, shape
-    (B, N, 31), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
+    (B, N, 48), the parameter rows of its cars. ``drivers`` holds for each car the addresses of
     plan and control in every race (:func:`pcs_racing.race.driving.pointers_of`). ``scratch`` has
     the maximum scratch size of the planners, and ``work`` has ``WORK_SIZE`` numbers. Their contents
     are undefined after the call, except for ``work[ASKED:]``: race and car of a planner that raised

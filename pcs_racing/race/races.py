@@ -19,6 +19,7 @@ from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig, load_race_config
 from pcs_racing.race.driving import drive, kernel_settings, largest_theta, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
+from pcs_racing.race.sensing import history_size
 from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
 from pcs_racing.race.start_places import places_of, split_places
 from pcs_racing.race.state import MAX_CARS, NO_CRASH, RaceState, concatenate, empty_state, take
@@ -63,13 +64,16 @@ class RaceSetup:
 
     @cached_property
     def memory_size(self) -> int:
-        """Size of each car's memory in the state: planner memory and queues of delayed commands."""
+        """Size of each car's memory in the state: planner memory, history of cars that are seen
+        late, and queues of delayed commands.
+        """
         delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
         delay += max(vehicle.speed_delay for vehicle in self.vehicles)
         command = COMMAND_SLOTS if self.steered else 0
         planners = self.planners + self.substitutes
         sizes = [command, *(planner.memory_total for planner in planners)]
-        return max(sizes) + round(delay / COMMAND_PERIOD)
+        history = history_size(self.vehicles, len(self.vehicles))
+        return max(sizes) + history + round(delay / COMMAND_PERIOD)
 
     @cached_property
     def theta_size(self) -> int:

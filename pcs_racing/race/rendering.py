@@ -261,7 +261,7 @@ class Window:
 
 
 def half_sizes(vehicles: np.ndarray) -> np.ndarray:
-    """Return half length and half width, m, from cars' parameter rows, shape (..., 31)."""
+    """Return half length and half width, m, from cars' parameter rows, shape (..., 48)."""
     return 0.5 * np.asarray(vehicles)[..., [LENGTH, WIDTH]]
 
 

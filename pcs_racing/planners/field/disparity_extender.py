@@ -26,6 +26,7 @@ from pcs_racing.planners.scanning import (
     STEP,
     beam_at,
     farthest,
+    follow_scan,
     scan,
     steer_for,
 )
@@ -112,6 +113,7 @@ DISPARITY_EXTENDER = Planner(
     name="disparity-extender",
     parameters=PARAMETERS,
     plan=plan,
+    control=follow_scan,
     scratch_size=SCRATCH,
     variants=VARIANTS,
 )

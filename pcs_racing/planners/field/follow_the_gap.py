@@ -27,6 +27,7 @@ from pcs_racing.planners.scanning import (
     STEP,
     beam_at,
     farthest,
+    follow_scan,
     scan,
     steer_for,
 )
@@ -117,6 +118,11 @@ VARIANTS = {
     "nearest": {"longest": 4.0},
 }
 FOLLOW_THE_GAP = Planner(
-    name="follow-the-gap", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH, variants=VARIANTS
+    name="follow-the-gap",
+    parameters=PARAMETERS,
+    plan=plan,
+    control=follow_scan,
+    scratch_size=SCRATCH,
+    variants=VARIANTS,
 )
 """The course's version of follow the gap."""

@@ -19,7 +19,15 @@ from pcs_racing.base.elementary import arcsine, sine_cosine, tangent
 from pcs_racing.car.lidar import Beams
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import WORK, farthest, scan_beams, sine_tables, write_arc
+from pcs_racing.planners.scanning import (
+    WORK,
+    farthest,
+    follow_scan,
+    scan_beams,
+    sine_tables,
+    use_odometry,
+    write_arc,
+)
 
 BEAMS = 108
 FIELD_OF_VIEW = np.pi
@@ -118,11 +126,13 @@ def lean(ranges, side_air):
 @compiled
 def plan(track, theta, view, memory, scratch, path):
     """Scan, choose a direction and write the arc that turns into it."""
-    course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
+    use_odometry(view)
+    slip = view[_view.OWN_BETA]
+    course = view[_view.OWN_PSI] + slip
     ranges = scratch[WORK:_FREE]
     free = scratch[_FREE:SCRATCH]
     scan_beams(
-        track, Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN), view, course, scratch[:WORK], ranges
+        track, Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN), view, slip, scratch[:WORK], ranges
     )
     free_distances(ranges, theta[BUBBLE], free)
     angle, longest = widest_gap(free, theta[DEPTH])
@@ -137,5 +147,11 @@ def plan(track, theta, view, memory, scratch, path):
     write_arc(view, course, kappa, 1.5 * reach, max(speed, SLOWEST), path)
 
 
-GAP_FOLLOWER = Planner(name="gap-follower", parameters=PARAMETERS, plan=plan, scratch_size=SCRATCH)
+GAP_FOLLOWER = Planner(
+    name="gap-follower",
+    parameters=PARAMETERS,
+    plan=plan,
+    control=follow_scan,
+    scratch_size=SCRATCH,
+)
 """Planner that drives by its lidar alone."""

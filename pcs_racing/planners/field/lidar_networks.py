@@ -19,7 +19,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners.field import lidar_ppo as _ppo
 from pcs_racing.planners.field import residual as _residual
 from pcs_racing.planners.planner import Planner
-from pcs_racing.planners.scanning import BEAMS
+from pcs_racing.planners.scanning import BEAMS, follow_scan
 from pcs_racing.planners.trained import PLANNER_FORMAT
 
 KINDS, MAX_WEIGHT = ("weight", "bias"), 100.0
@@ -126,6 +126,7 @@ def load_lidar_planner(source: str | Path) -> Planner:
         name=name,
         parameters=module.PARAMETERS,
         plan=module.frozen_plan(flat.tobytes()),
+        control=follow_scan,
         memory_size=module.MEMORY,
         scratch_size=module.SCRATCH,
         variants=module.VARIANTS,

@@ -30,7 +30,7 @@ from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.pursuit import steady_course
-from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, write_arc
+from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, use_odometry, write_arc
 
 EDGES = np.concatenate([np.arange(0, 90, 6), np.arange(90, 180, 2), np.arange(180, 271, 6)])
 """First beam of each sector, from right to left, and the end of the last one."""
@@ -103,6 +103,7 @@ def max_curvature(v):
 @compiled
 def lay_command(view, share, memory, turn, push, path):
     """Write the path of a command: ``turn`` and ``push``, both from -1 to 1; remember it."""
+    use_odometry(view)
     memory[1], memory[2] = turn, push
     v = view[_view.OWN_V] / share
     kappa = turn * max_curvature(v)

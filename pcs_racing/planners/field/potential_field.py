@@ -23,7 +23,16 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent2, tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.scanning import BEAMS, COS, SCAN_SIZE, SIN, beam_at, scan, steer_for
+from pcs_racing.planners.scanning import (
+    BEAMS,
+    COS,
+    SCAN_SIZE,
+    SIN,
+    beam_at,
+    follow_scan,
+    scan,
+    steer_for,
+)
 
 PARAMETERS = (
     Parameter("power", 1.0, 6.0, 3.0, "power of the range with which free space pulls"),
@@ -85,6 +94,7 @@ POTENTIAL_FIELD = Planner(
     name="potential-field",
     parameters=PARAMETERS,
     plan=plan,
+    control=follow_scan,
     scratch_size=SCAN_SIZE,
     variants=VARIANTS,
 )

@@ -156,7 +156,7 @@ def test_many_poses_are_scanned_as_one_by_one_in_any_thread_and_in_little_memory
 
 
 def test_noise_comes_from_the_given_generator_alone(oval):
-    lidar = Lidar(oval, noise=0.02)
+    lidar = Lidar(oval, vehicle={"lidar_noise": 0.02})
     poses = poses_on(oval, 50)
     exact = Lidar(oval).scan(poses)
     noisy = lidar.scan(poses, rng=np.random.default_rng(3))
@@ -175,13 +175,13 @@ WRONG = {
     "beams": (0, 100_001, 10.5, True),
     "fov": (0.0, 6.3, np.nan, "wide"),
     "max_range": (0.0, np.inf),
-    "noise": (-0.1,),
 }
 
 
 def test_impossible_lidars_and_poses_are_refused(oval):
     for name, value in [(name, value) for name, values in WRONG.items() for value in values]:
         refused(name, Lidar, **{"track": oval} | {name: value})
+    refused("lidar_noise is -0.1", Lidar, oval, vehicle={"lidar_noise": -0.1})
     for poses, opponents, message in [
         ([1.0, 2.0], None, "poses must"),
         (1.0, None, "poses must"),

@@ -246,14 +246,32 @@ def test_the_default_car_is_that_of_the_established_simulator():
         " steer_rate_max 3.2 v_switch 7.319 a_max 9.51 v_min -5.0 v_max 20.0 width 0.31 length 0.58"
     )
     words = published.split()
-    # That car has ideal actuators, apart from a time constant of its speed.
+    # That car has ideal actuators, apart from a time constant of its speed, and ideal sensors.
     actuators = {"steer_delay": 0.0, "steer_noise": None, "steer_lag": 0.0, "speed_delay": 0.0}
     actuators |= {"speed_lag": 0.1, "speed_noise": 0.0}
+    ideal = {"lidar_fov": 2.0 * np.pi, "opponent_lost_time": 0.5}  # where 0 is no ideal
+    names = [field.name for field in dataclasses.fields(F1TENTH)]
+    sensors = {name: ideal.get(name, 0.0) for name in names[names.index("lidar_x") :]}
     own = dataclasses.asdict(F1TENTH)
     assert own.pop("tyres") == "linear"
     unused = [own.pop(name) for name in ("b_f", "c_f", "d_f", "e_f", "b_r", "c_r", "d_r", "e_r")]
-    assert own == {**dict(zip(words[::2], map(float, words[1::2]), strict=True)), **actuators}
-    row = [*map(float, words[1::2]), 0.0, RULES_NOISE, 0.0, *unused, 0.0, 0.0, 0.1, 0.0]
+    assert own == {
+        **dict(zip(words[::2], map(float, words[1::2]), strict=True)),
+        **actuators,
+        **sensors,
+    }
+    row = [
+        *map(float, words[1::2]),
+        0.0,
+        RULES_NOISE,
+        0.0,
+        *unused,
+        0.0,
+        0.0,
+        0.1,
+        0.0,
+        *sensors.values(),
+    ]
     np.testing.assert_array_equal(F1TENTH.as_row(), row)
     assert len(row) == PARAMS_SIZE
     assert F1TENTH.wheelbase == pytest.approx(0.3302)

@@ -68,7 +68,9 @@ USUAL = {
 VARIED = {
     "track": ["Pipkin", "Tarnfjord"],
     "vehicle": [
-        {"mu": 0.9, "steer_lag": 0.05, "speed_delay": 0.04, "speed_lag": 0.2, "speed_noise": 0.2},
+        {"mu": 0.9, "steer_lag": 0.05, "speed_delay": 0.04, "speed_lag": 0.2, "speed_noise": 0.2}
+        | {"lidar_x": 0.2, "lidar_noise": 0.02, "lidar_lost": 0.1, "opponent_delay": 0.06}
+        | {"pose_noise": 0.02, "heading_drift": 0.01, "opponent_lost": 0.3},
         "forzaeth-nuc2",
     ],
     "randomize": {

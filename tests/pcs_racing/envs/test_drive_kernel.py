@@ -7,13 +7,13 @@ import pytest
 from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V
 
 from pcs_racing import load_race_config
+from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.infos import Crash
 from pcs_racing.race.positions import place_cars
-from pcs_racing.race.steering import steering_noise
 
 TOP = 8.0
 AHEAD = (0.0, 1.5, 30.0, 49.0)
@@ -228,7 +228,7 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
     assert abs(np.corrcoef(draws[:, :-1].ravel(), draws[:, 1:].ravel())[0, 1]) < 0.12
     assert abs(np.corrcoef(draws[:-1].ravel(), draws[1:].ravel())[0, 1]) < 0.12
     races = noisy.batch.state
-    steering = [steering_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
+    steering = [normal_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
     # other numbers than those of the steering
     assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5
     assert np.ptp(draws, axis=0).min() > 0.05

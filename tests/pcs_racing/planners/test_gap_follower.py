@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from pcs_racing import load_track
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners.field import gap_follower as gaps
-from pcs_racing.planners.view import OWN_BETA, OWN_PSI, PATH_POINTS
+from pcs_racing.planners.view import OWN_BETA, PATH_POINTS, TRUE_PSI
 from pcs_racing.track.maps import list_tracks
 
 ANGLES = np.linspace(-0.5 * gaps.FIELD_OF_VIEW, 0.5 * gaps.FIELD_OF_VIEW, gaps.BEAMS)
@@ -86,7 +86,7 @@ def test_it_sees_what_the_lidar_sees(oval, view_at):
     opponent = oval.to_cartesian([4.5, -0.3])
     expected = lidar.scan([x, y, psi + 0.1], opponents=opponent)
     np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
-    view[OWN_PSI] -= 0.05  # of a car that slides, what lies along its course
+    view[TRUE_PSI] -= 0.05  # of a car that slides, what lies along its course
     view[OWN_BETA] += 0.05
     np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
 

@@ -169,7 +169,7 @@ def test_scores_winners_and_orders_are_those_of_their_definitions(cars, rule):
 
 def test_conditions_of_single_races_are_taken_in_order_and_tracks_in_runs(oval):
     other, cars = replace(oval, name="other"), (VehicleParams(), VehicleParams(length=0.5))
-    rows = np.arange(4 * 2 * 31.0).reshape(4, 2, 31)
+    rows = np.arange(4 * 2 * 48.0).reshape(4, 2, 48)
     given = RaceConditions(rows, (oval, oval, other, oval))
     assert [(track.name, *ends) for track, *ends in given.runs(other, 4)] == [
         ("oval", 0, 2),
@@ -184,7 +184,7 @@ def test_conditions_of_single_races_are_taken_in_order_and_tracks_in_runs(oval):
         assert nothing.runs(oval, 3) == [(oval, 0, 3)]
         np.testing.assert_array_equal(nothing.rows(cars, 3), [[car.as_row() for car in cars]] * 3)
     assert RaceConditions(None, ()).runs(oval, 0) == []
-    refused(r"\(4, 2, 31\); for 3 races they must have \(3, 2, 31\)", given.rows, cars, 3)
+    refused(r"\(4, 2, 48\); for 3 races they must have \(3, 2, 48\)", given.rows, cars, 3)
     refused("4 tracks for 3 races", given.runs, oval, 3)
 
 

@@ -10,6 +10,7 @@ from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 
 from pcs_racing import load_race_config
 from pcs_racing.base.compilation import compiled
+from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle, simulate
 from pcs_racing.planners.planner import Parameter, Planner
@@ -19,7 +20,7 @@ from pcs_racing.race.positions import move_along
 from pcs_racing.race.races import RaceSetup, advance, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
-from pcs_racing.race.steering import delayed, steering_noise
+from pcs_racing.race.steering import delayed
 from pcs_racing.track.frenet import SPEED
 
 COLUMN = {name: k for k, name in enumerate(SUMS)}
@@ -75,7 +76,7 @@ class Account:
             [change_lanes(setup.track, theta[0, car], views[car], None) for car in range(2)]
         )
         keep = np.exp(-PERIOD / rules.noise_time)
-        draws = np.array([steering_noise(state.seed[0], car, tick) for car in range(2)])
+        draws = np.array([normal_noise(state.seed[0], car, tick) for car in range(2)])
         self.disturbance = (
             keep * self.disturbance + rules.steering_noise * np.sqrt(1.0 - keep**2) * draws
         )
@@ -218,10 +219,15 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
             "OPP_WIDTH": rival.width,
             "SPEED_LOW": 0.8,
             "SPEED_HIGH": 1.0,
+            "LIDAR_FOV": 2.0 * np.pi,
         }
+        of_poses = [name for name in VIEW if name.startswith("TRUE_")]
+        expected |= {name: expected[name.removeprefix("TRUE_")] for name in of_poses}
         seen = dict(zip(VIEW, view_of(setup, state, 0, car), strict=True))
         assert seen.pop("OPP_D_DOT") == pytest.approx((later - other_d) / 1e-4, abs=0.15)
-        assert seen == pytest.approx(expected, abs=1e-6)
+        perfect = dict.fromkeys(set(seen) - set(expected), 0.0)  # the rest of the lidar
+        assert len(perfect) == 8
+        assert seen == pytest.approx(expected | perfect, abs=1e-6)
 
 
 def test_a_view_has_the_stiffness_and_the_grip_of_pacejka_tyres(coarse_oval):
@@ -258,7 +264,7 @@ def test_noise_is_the_sum_of_four_parts_and_a_command_is_due_after_its_delay():
         parts = [(key >> shift) % 65536 / 65535 for shift in (0, 16, 32, 48)]
         # four uniform numbers have the variance 4 / 12
         expected = (sum(parts) - 2.0) * np.sqrt(3.0)
-        assert steering_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
+        assert normal_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
     # The queue stands at the end of the driver's memory; what is before belongs to the driver.
     memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
     assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car.vehicle import V, VehicleParams
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.models import model_policy
-from pcs_racing.race.steering import disturbed_speed, steering_noise
+from pcs_racing.race.steering import disturbed_speed
 
 TOP = 8.0  # m/s, of the actions
 
@@ -69,7 +70,7 @@ def test_the_noise_of_the_speed_is_drawn_for_each_command_and_car(oval):
     drawn = [disturbed_speed(4.0, row, seed, car, tick) for car in (0, 1) for tick in range(4)]
     assert drawn[0::2] == drawn[1::2]
     assert len(set(drawn)) == 4
-    assert drawn[0] != 4.0 + 0.3 * steering_noise(seed, 0, 0)
+    assert drawn[0] != 4.0 + 0.3 * normal_noise(seed, 0, 0)
     assert disturbed_speed(4.0, VehicleParams().as_row(), seed, 0, 0) == 4.0
 
 
