@@ -155,14 +155,13 @@ def drive_rules(
     game = make_game() if moving else None
     # Agents of the game of moves drive with the planner of its archive.
     planners = [[one.planner or game.archive.family() for one in several] for several in rivals]  # type: ignore[union-attr]
-    # The memory of late commands has the size of the longest delay, for all episodes.
-    delay = randomization.ranges.most_delay
     setup = RaceSetup(
         track,
         config,
         tuple(several[0] for several in planners),
         randomization.cars,
-        delay,
+        # The queue of delayed commands has the size of the max delays, for all episodes.
+        randomization.ranges.max_delays,
         steered=players,
         substitutes=tuple(one for several in planners for one in several[1:]),
     )
@@ -172,9 +171,7 @@ def drive_rules(
             f"{randomization.episodes * players} environments observe {len(elements)} numbers each;"
             f" take fewer environments or beams: {MAX_NUMBERS} numbers are the limit"
         )
-    noise = randomization.drawn.get("lidar_noise")
-    if noise is None:
-        noise = np.full(randomization.episodes, float(options.lidar_noise))
+    noise = np.full(randomization.episodes, float(options.lidar_noise))
     sight = make_sight(options, cars, players, track)._replace(end_tick=config.ticks, noise=noise)
     turn = max(car.steer_max for car in setup.vehicles[:players])
     return DriveRules(
@@ -561,15 +558,13 @@ class DriveBatch:
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""
-        of_races = {
-            "opponent": self.drawn if self.opponents else np.full(self.episodes, -1),
-            **self.randomization.infos(),
-        }
+        opponents = self.drawn if self.opponents else np.full(self.episodes, -1)
         return {
             **race_infos(self.state, self.players, self.state.fault > self._paid),
             **all_poses(self.state.cars, self.players),
             "result": self._outcomes().reshape(-1),
-            **{name: np.repeat(values, self.players, axis=0) for name, values in of_races.items()},
+            "opponent": np.repeat(opponents, self.players),
+            **self.randomization.infos(self.players),
         }
 
     def _outcomes(self) -> NDArray[np.int64]:
@@ -610,7 +605,7 @@ class DriveBatch:
             if car == 0
             else np.concatenate([cars[car : car + 1], np.delete(cars, car, axis=0)])
         )
-        return info | self.randomization.info(race)
+        return info | self.randomization.info(race, car)
 
     def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
         """Draw the current state of a race."""

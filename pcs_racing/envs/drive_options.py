@@ -209,12 +209,6 @@ class DriveOptions(EpisodeOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if (
-            self.randomize is not None
-            and self.randomize.lidar_noise is not None
-            and self.beams == 0
-        ):
-            raise ConfigError("randomize holds lidar_noise, but beams is 0: there is no lidar")
         if self.opponents is not None and str(self.opponent) not in ("None", DriveOptions.opponent):
             raise ConfigError(
                 f"opponent is {self.opponent!r}, and opponents were given, too; give one of the two"

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import ConfigError, InputError
+from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING
 from pcs_racing.envs.batch import (
     FREE,
@@ -190,10 +190,6 @@ class GameBatch:
             )
         self.episodes, self.players = int(episodes), players
         self.randomization = EpisodeRandomization(self.episodes, options)
-        if "lidar_noise" in self.randomization.drawn:
-            raise ConfigError(
-                "randomize holds lidar_noise; the cars of this environment have no lidar"
-            )
         self._archive = load_archive(options.archive)
         self._rules = load_game_config(options.race)
         #: Game and opponents on a track, by the track's number.
@@ -247,7 +243,7 @@ class GameBatch:
             self._rules,
             threads=self._threads,
             vehicles=self.randomization.cars,
-            most_delay=self.randomization.ranges.most_delay,
+            max_delays=self.randomization.ranges.max_delays,
         )
         opponents = [] if opponent is None else parse_opponents(opponent, game)
         # Parsing the opponents needs a game, and then determines the game's planner.
@@ -422,10 +418,7 @@ class GameBatch:
             "opponent_move": of_players(moves[:, ::-1], players),
             "policy": of_players(state.policy, players),
             "action_mask": of_players(self.game.action_mask(state), players).astype(np.int8),
-            **{
-                name: np.repeat(values, players)
-                for name, values in self.randomization.infos().items()
-            },
+            **self.randomization.infos(players),
         }
 
     def info(self, environment: int) -> dict[str, Any]:

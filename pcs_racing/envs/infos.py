@@ -25,12 +25,13 @@ Every environment uses the same names, and every value is a number or an array o
 | `velocities` | speed (m/s), yaw rate (rad/s) and slip angle (rad), shape (N, 3) (2) |
 | `track` | number of the episode's track, if there are several |
 | `obstacles` | number of obstacles on the track, if they are drawn |
-| `friction`, `mass` | value drawn for the episode, if any |
-| `steering_delay`, `steering_noise`, `lidar_noise` | value drawn for the episode, if any |
+| `mu`, `m`, ... | values drawn for the cars (:mod:`pcs_racing.envs.draws`), by field (3) |
 | `action_mask` | 1 for each valid move (int8) |
 
 (1) If contacts do not end a race, the code of a crash lasts as long as the contact, and ``fault``
-is the number of faults so far. (2) Only at the control level.
+is the number of faults so far. (2) Only at the control level. (3) One number for a
+draw of all cars; else the values of all cars, the own car first, shape (N,). ``tyres`` is 0 for
+linear and 1 for Pacejka; ``steer_noise`` is -1 for the noise of the rules.
 """
 
 from collections.abc import Iterable, Mapping
@@ -144,12 +145,24 @@ def all_poses(cars: NDArray[np.float64], players: int) -> dict[str, NDArray[np.f
     }
 
 
+def own_first(values: NDArray[Any], players: int) -> NDArray[Any]:
+    """Return the values of all cars, shape (B, N), for each player, own car first.
+
+    The result has the shape (B * players, N).
+    """
+    number = values.shape[1]
+    return values[:, _own_first(number, players)].reshape(-1, number)
+
+
+def _own_first(number: int, players: int) -> NDArray[np.int64]:
+    return np.array(
+        [[player, *(car for car in range(number) if car != player)] for player in range(players)]
+    )
+
+
 @cache
 def _pose_columns(number: int, size: int, players: int) -> dict[str, NDArray[np.int64]]:
-    order = [
-        [player, *(car for car in range(number) if car != player)] for player in range(players)
-    ]
-    first = size * np.array(order)[..., None]
+    first = size * _own_first(number, players)[..., None]
     return {"poses": first + _POSE, "velocities": first + _MOTION}
 
 

@@ -1,132 +1,37 @@
 """Domain randomization of the episodes of a batch: track, obstacles, cars, sensors."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, fields
 from typing import Annotated, Any, Self, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import ANYTHING, Checked, Settings, load_settings, number_range
+from pcs_racing.base.settings import ANYTHING, Checked, Settings
 from pcs_racing.car.vehicle import (
-    COMMAND_PERIOD,
     F1TENTH,
-    MAX_DELAYED,
     SPEED_DELAY,
     STEER_DELAY,
-    VehicleParams,
     load_vehicle,
     load_vehicles,
 )
 from pcs_racing.envs.batch import FREE, Generators, Reward, Rows, check_part, check_within
 from pcs_racing.envs.circuits import Circuits
+from pcs_racing.envs.draws import (
+    Randomization,
+    as_number,
+    labels,
+    load_randomization,
+    with_values,
+)
+from pcs_racing.envs.infos import own_first
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
 from pcs_racing.race.driving import AS_THE_SETUP
+from pcs_racing.race.races import queue_size
 from pcs_racing.track.obstacles import BOX, with_obstacles
 from pcs_racing.track.track import Track
-
-
-@dataclass(frozen=True)
-class Randomization(Settings):
-    """Ranges of the uniform draws of each episode, for all cars; None keeps the value."""
-
-    friction: Annotated[
-        tuple[float, float] | None, number_range(0.05, 5.0), "Friction coefficient."
-    ] = None
-    mass: Annotated[
-        tuple[float, float] | None,
-        number_range(0.1, 1000.0),
-        "Mass, kg; the yaw inertia changes in the same proportion.",
-    ] = None
-    steering_delay: Annotated[
-        tuple[float, float] | None,
-        number_range(0.0, MAX_DELAYED * COMMAND_PERIOD),
-        "Time by which steering commands are late, s; of its multiples of 0.02 s each is as"
-        " likely.",
-    ] = None
-    steering_noise: Annotated[
-        tuple[float, float] | None,
-        number_range(0.0, 0.4),
-        "Standard deviation of the disturbance of every steering command, in place of the value of"
-        " the rules, rad.",
-    ] = None
-    lidar_noise: Annotated[
-        tuple[float, float] | None,
-        number_range(0.0, 10.0),
-        "Standard deviation of the lidar's ranges, m; only where there is a lidar.",
-    ] = None
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the drawn values, in the order of the draws."""
-        return tuple(field.name for field in fields(self) if getattr(self, field.name) is not None)
-
-    @property
-    def most_delay(self) -> float:
-        """Max steering delay, s."""
-        return 0.0 if self.steering_delay is None else self._delays[-1] * COMMAND_PERIOD
-
-    @property
-    def _delays(self) -> NDArray[np.int64]:
-        low, high = self.steering_delay or (0.0, 0.0)
-        # Multiples of 0.02 s are rarely exact in floating point; 1e-9 is a tolerance.
-        first, last = np.ceil(low / COMMAND_PERIOD - 1e-9), np.floor(high / COMMAND_PERIOD + 1e-9)
-        return np.arange(int(first), int(last) + 1)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.steering_delay is not None and len(self._delays) == 0:
-            raise ConfigError(
-                f"steering_delay is {self.steering_delay!r}; there is no multiple of"
-                f" {COMMAND_PERIOD:g} s in between"
-            )
-
-    def draw(self, generator: np.random.Generator) -> dict[str, float]:
-        """Draw the values of an episode, by name."""
-        drawn = {}
-        for name in self.names:
-            if name == "steering_delay":
-                delays = self._delays
-                drawn[name] = float(
-                    round(int(delays[generator.integers(len(delays))]) * COMMAND_PERIOD, 2)
-                )
-            else:
-                low, high = getattr(self, name)
-                drawn[name] = float(low + (high - low) * generator.random())
-        return drawn
-
-    @staticmethod
-    def apply(vehicle: VehicleParams, drawn: Mapping[str, float]) -> VehicleParams:
-        """Return a car with drawn values."""
-        changes: dict[str, Any] = {}
-        if "friction" in drawn:
-            changes["mu"] = drawn["friction"]
-        if "mass" in drawn:
-            changes |= {
-                "m": drawn["mass"],
-                "inertia": vehicle.inertia * (drawn["mass"] / vehicle.m),
-            }
-        if "steering_delay" in drawn:
-            changes["steer_delay"] = drawn["steering_delay"]
-        if "steering_noise" in drawn:
-            changes["steer_noise"] = drawn["steering_noise"]
-        return replace(vehicle, **changes)
-
-
-def load_randomization(
-    source: Randomization | Mapping[str, Any] | str | Path | None,
-) -> Randomization:
-    """Return ranges from a `Randomization`, a mapping or a YAML file; without ranges for None.
-
-    Examples
-    --------
-    >>> load_randomization({"friction": [0.8, 1.1]}).names
-    ('friction',)
-    """
-    return load_settings("randomization", Randomization(), source)
 
 
 def _vehicles(_: str, value: Any) -> Any:
@@ -177,10 +82,9 @@ class EpisodeOptions(Settings):
     randomize: Annotated[
         Randomization | None,
         Checked(lambda _, value: load_randomization(value)),
-        "Ranges from which each episode draws friction, mass, steering delay, steering noise and,"
-        " where there is one, noise of the lidar"
-        " (:class:`pcs_racing.envs.randomization.Randomization`): a dict or a YAML file, such as"
-        ' ``{"friction": [0.7, 1.1]}``.',
+        "Ranges or distributions from which each episode draws fields of the cars, for all cars or"
+        " for each (:mod:`pcs_racing.envs.draws`): a dict or a YAML file, such as"
+        ' ``{"mu": [0.7, 1.1], "each": {"steer_lag": [0.0, 0.1]}}``.',
     ] = None
     obstacles: Annotated[
         Obstacles | None,
@@ -231,12 +135,18 @@ class EpisodeRandomization:
     def __init__(self, episodes: int, options: EpisodeOptions, *, cars: int = 2) -> None:
         self.cars = load_vehicles(options.vehicle, cars)  #: Cars without random draws.
         self.ranges = options.randomize or Randomization()
+        self.ranges.check_cars(cars)
+        self._queue = queue_size((*self.cars, self.ranges.max_delays))
         self.episodes = episodes
         self.circuits = Circuits(options.track, episodes)
         #: shape (episodes, cars, 48): Parameter rows of the cars of each episode.
         self.vehicles = vehicle_rows(self.cars, episodes)  # writable: one compiled type
-        #: Values drawn for each episode, by name, each of shape (episodes,).
-        self.drawn = {name: np.zeros(episodes) for name in self.ranges.names}
+        #: Values drawn for each episode, by name, each of shape (episodes,), or (episodes, cars)
+        #: if drawn per car.
+        self.drawn = {
+            name: np.zeros((episodes, cars) if name in self.ranges.own else episodes)
+            for name in self.ranges.names
+        }
         self.obstacles = options.obstacles
         #: Obstacles of each episode, shape (K, 5) (:data:`pcs_racing.track.obstacles.BOX`).
         self.boxes = [np.empty((0, len(BOX)))] * episodes
@@ -246,7 +156,9 @@ class EpisodeRandomization:
     @property
     def codes(self) -> dict[str, Mapping[int, str]]:
         """Labels of the infos with codes."""
-        return {"track": self.circuits.codes} if self.circuits.several else {}
+        tracks = {"track": self.circuits.codes} if self.circuits.several else {}
+        named = {name: labels(name) for name in self.drawn}
+        return tracks | {name: known for name, known in named.items() if known}
 
     def track(self, episode: int) -> Track:
         """Return the track of an episode, with its obstacles."""
@@ -289,11 +201,15 @@ class EpisodeRandomization:
         if not self.drawn:
             return
         for row, generator in zip(rows, generators, strict=True):
-            values = self.ranges.draw(generator)
-            for name, value in values.items():
-                self.drawn[name][row] = value
-            for car, vehicle in enumerate(self.cars):
-                self.vehicles[row, car] = self.ranges.apply(vehicle, values).as_row()
+            values = self.ranges.draw(generator, len(self.cars))
+            cars = list(map(with_values, self.cars, values))
+            self.vehicles[row] = [car.as_row() for car in cars]
+            for name, own in self.drawn.items():
+                own[row] = (
+                    [as_number(name, getattr(car, name)) for car in cars]
+                    if own.ndim == 2
+                    else as_number(name, values[0][name])
+                )
 
     def conditions(self, rows: NDArray[np.int64]) -> RaceConditions:
         """Return the cars and tracks of some episodes, for a batch of these episodes alone."""
@@ -315,16 +231,30 @@ class EpisodeRandomization:
         numbers = self.circuits.number[rows]
         return [(int(number), np.flatnonzero(numbers == number)) for number in np.unique(numbers)]
 
-    def infos(self) -> dict[str, NDArray[Any]]:
-        """Return the values drawn for each episode, as numbers."""
-        infos = {"track": self.circuits.number.copy()} if self.circuits.several else {}
+    def infos(self, players: int) -> dict[str, NDArray[Any]]:
+        """Return the values drawn for each episode, for each of its players, as numbers.
+
+        They have the shape (episodes * players,), or (episodes * players, cars) if drawn per car.
+        """
+        infos = {"track": self.circuits.number} if self.circuits.several else {}
         if self.obstacles is not None:
             infos["obstacles"] = np.array([len(boxes) for boxes in self.boxes])
-        return {**infos, **{name: values.copy() for name, values in self.drawn.items()}}
+        return {
+            name: own_first(values, players) if values.ndim == 2 else np.repeat(values, players)
+            for name, values in {**infos, **self.drawn}.items()
+        }
 
-    def info(self, episode: int) -> dict[str, Any]:
-        """Return the values drawn for one episode, as numbers."""
-        return {name: values[episode].item() for name, values in self.infos().items()}
+    def info(self, episode: int, car: int) -> dict[str, Any]:
+        """Return the values drawn for one episode, for the player of a car."""
+        infos: dict[str, Any] = {}
+        if self.circuits.several:
+            infos["track"] = self.circuits.number.item(episode)
+        if self.obstacles is not None:
+            infos["obstacles"] = len(self.boxes[episode])
+        for name, values in self.drawn.items():
+            own = values[episode : episode + 1]
+            infos[name] = own_first(own, car + 1)[car] if own.ndim == 2 else own.item()
+        return infos
 
     def get_state(self) -> tuple[Any, ...]:
         """Return copies of all variables."""
@@ -340,8 +270,10 @@ class EpisodeRandomization:
             "the state's randomization", state, (*self.get_state()[:3], [FREE] * self.episodes)
         )
         circuits, vehicles, _, boxes = state
-        check_within("the state's steering delays", vehicles[..., STEER_DELAY], 0, MAX_DELAYED)
-        check_within("the state's speed delays", vehicles[..., SPEED_DELAY], 0, MAX_DELAYED)
+        steering, speed = vehicles[..., STEER_DELAY], vehicles[..., SPEED_DELAY]
+        check_within("the state's steering delays", steering, 0, self._queue)
+        check_within("the state's speed delays", speed, 0, self._queue)
+        check_within("the state's delays of both commands", steering + speed, 0, self._queue)
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):

@@ -23,7 +23,7 @@ def make_game(
     threads: int | None = None,
     ego_planner: Planner | str | None = None,
     vehicles: tuple[VehicleParams, ...] = (F1TENTH, F1TENTH),
-    most_delay: float = 0.0,
+    max_delays: VehicleParams = F1TENTH,
     **settings: Any,
 ) -> RaceGame:
     """Make a game from names or objects.
@@ -34,4 +34,4 @@ def make_game(
     """
     rules = load_game_config(race, **settings)
     planners = opponent_planner, threads, ego_planner
-    return RaceGame(as_track(track), load_archive(archive), rules, *planners, vehicles, most_delay)
+    return RaceGame(as_track(track), load_archive(archive), rules, *planners, vehicles, max_delays)

@@ -86,8 +86,8 @@ class RaceGame:
     #: Planner of car 0, as ``opponent_planner`` (``reset(egos=...)``).
     ego_planner: Planner | str | None = None
     vehicles: tuple[VehicleParams, ...] = (F1TENTH, F1TENTH)  #: Vehicles of car 0 and car 1.
-    #: Max ``steer_delay`` of a car in a game with cars of its own (``conditions``), s.
-    most_delay: float = 0.0
+    #: Car with the max of each delay of the cars in games with their own cars (``conditions``).
+    max_delays: VehicleParams = F1TENTH
 
     def __post_init__(self) -> None:
         if (
@@ -121,7 +121,7 @@ class RaceGame:
             for planner in (self.ego_planner, self.opponent_planner)
         )
         return RaceSetup(
-            self.track, self.config.race_rules, (first, second), self.vehicles, self.most_delay
+            self.track, self.config.race_rules, (first, second), self.vehicles, self.max_delays
         )
 
     @cached_property

@@ -10,7 +10,14 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.car.vehicle import COMMAND_PERIOD, F1TENTH, VehicleParams
+from pcs_racing.car.vehicle import (
+    COMMAND_PERIOD,
+    F1TENTH,
+    OPPONENT_DELAY,
+    SPEED_DELAY,
+    STEER_DELAY,
+    VehicleParams,
+)
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.registry import parse_policy
@@ -39,8 +46,9 @@ class RaceSetup:
     config: RaceConfig
     planners: tuple[Planner, ...]  #: Planner of each car that is not steered, in order.
     vehicles: tuple[VehicleParams, ...] = ()  #: Vehicle of each car; F1TENTH's if empty.
-    #: Maximum ``steer_delay`` of a car in races with their own cars (:class:`RaceConditions`), s.
-    most_delay: float = 0.0
+    #: Car with the max of each delay of the cars in races with their own cars
+    #: (:class:`RaceConditions`).
+    max_delays: VehicleParams = F1TENTH
     #: Number of cars that are steered from outside, the first ones: their memory begins with the
     #: command, a steering angle (rad) and a speed (m/s).
     steered: int = 0
@@ -67,13 +75,11 @@ class RaceSetup:
         """Size of each car's memory in the state: planner memory, history of cars that are seen
         late, and queues of delayed commands.
         """
-        delay = max(self.most_delay, *(vehicle.steer_delay for vehicle in self.vehicles))
-        delay += max(vehicle.speed_delay for vehicle in self.vehicles)
         command = COMMAND_SLOTS if self.steered else 0
         planners = self.planners + self.substitutes
         sizes = [command, *(planner.memory_total for planner in planners)]
-        history = history_size(self.vehicles, len(self.vehicles))
-        return max(sizes) + history + round(delay / COMMAND_PERIOD)
+        late = (*self.vehicles, self.max_delays)
+        return max(sizes) + history_size(late, len(self.vehicles)) + queue_size(late)
 
     @cached_property
     def theta_size(self) -> int:
@@ -99,6 +105,12 @@ class RaceSetup:
     def settings(self) -> KernelSettings:
         """Numbers that the compiled loop needs."""
         return kernel_settings(self.config, self.speed_range)
+
+
+def queue_size(vehicles: Sequence[VehicleParams]) -> int:
+    """Return the size of the queues of delayed commands in the memory of any of the cars."""
+    steering = max(vehicle.steer_delay for vehicle in vehicles)
+    return round((steering + max(vehicle.speed_delay for vehicle in vehicles)) / COMMAND_PERIOD)
 
 
 def start_lines(
@@ -177,6 +189,7 @@ def start_races(
     state = place_on_grid(
         track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size, conditions
     )
+    _check_delays(setup, conditions)
     state.seed[:] = seeds
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
@@ -186,6 +199,27 @@ def start_races(
             f" {spacing:g} m"
         )
     return state
+
+
+def _check_delays(setup: RaceSetup, conditions: RaceConditions) -> None:
+    """Refuse cars whose delayed commands have no room in the memory of the setup's races."""
+    if conditions.vehicles is None:
+        return
+    late = conditions.vehicles[..., STEER_DELAY] + conditions.vehicles[..., SPEED_DELAY]
+    room = queue_size((*setup.vehicles, setup.max_delays))
+    seen_late = conditions.vehicles[..., OPPONENT_DELAY].max() * COMMAND_PERIOD
+    max_delay = max(car.opponent_delay for car in (*setup.vehicles, setup.max_delays))
+    if seen_late > max_delay + 1e-9:
+        raise InputError(
+            f"a car sees others {seen_late:g} s late; the setup has room for {max_delay:g} s: give"
+            " it a car with this delay as max_delays"
+        )
+    if (late > room).any():
+        race, car = np.argwhere(late > room)[0]
+        raise InputError(
+            f"race {race}: {late[race, car]:g} commands of car {car} are delayed; the setup has"
+            f" room for {room}: give it a car with these delays as max_delays"
+        )
 
 
 def advance(

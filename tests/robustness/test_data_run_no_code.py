@@ -31,8 +31,8 @@ from pcs_racing import (
 )
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle
+from pcs_racing.envs.draws import load_randomization
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
-from pcs_racing.envs.randomization import Randomization, load_randomization
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
@@ -350,7 +350,9 @@ KINDS = {
     "game": config(load_game_config, RaceConfig()),
     "vehicle": config(load_vehicle, F1TENTH),
     "obstacles": config(load_obstacles, Obstacles()),
-    "randomization": config(load_randomization, Randomization()),
+    "randomization": config(
+        load_randomization, {"mu": [0.7, 1.1], "each": {"m": {"normal": [3.7, 0.2]}}}
+    ),
     "synthesis": config(load_archive_config, None, stage_scenarios),
     "PPO of moves": config(load_ppo_settings, {"level": "duel", **plain_settings(LEVELS["duel"])}),
     "PPO of steering": config(

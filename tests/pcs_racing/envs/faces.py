@@ -74,10 +74,12 @@ VARIED = {
         "forzaeth-nuc2",
     ],
     "randomize": {
-        "friction": [0.6, 1.2],
-        "mass": [3.0, 4.5],
-        "steering_delay": [0.0, 0.1],
-        "steering_noise": 0.01,
+        "mu": [0.6, 1.2],
+        "m": [3.0, 4.5],
+        "steer_delay": [0.0, 0.1],
+        "steer_noise": 0.01,
+        "each": {"steer_lag": {"normal": [0.02, 0.02]}, "tyres": {"choice": ["linear", "pacejka"]}},
+        "car_1": {"speed_delay": {"choice": [0.0, 0.04, 0.1]}},
     },
     "obstacles": {"count": [0, 2], "passage": 0.8},
 }

@@ -51,6 +51,7 @@ from pcs_racing.envs import (
     match,
     register_environments,
 )
+from pcs_racing.envs.draws import PARAMETERS
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
@@ -464,7 +465,8 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
     outcome = env.outcome()
     if kind in PAIRS:
         assert info["car_0"].keys() == info["car_1"].keys()
-        assert info["car_0"]["friction"] == info["car_1"]["friction"]
+        assert info["car_0"]["mu"] == info["car_1"]["mu"]
+        assert (info["car_0"]["steer_lag"] == info["car_1"]["steer_lag"][::-1]).all()
         assert info["car_1"]["opponent"] == -1
         info, outcome = info["car_1"], outcome["car_1"]
     shared = {
@@ -480,15 +482,19 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
         "opponent",
         "laps",
     }
-    assert shared | {"track", "obstacles", "friction"} <= set(info) <= table
+    assert (
+        shared | {"track", "obstacles", "mu", "steer_lag"} <= set(info) <= table | set(PARAMETERS)
+    )
     for name, value in info.items():
         assert np.asarray(value).dtype.kind in "if", name
     codes = env.metadata["codes"]
     expected = {NO_CRASH: "none", WALL_CRASH: "wall", CAR_CRASH: "car"}
     assert codes["crash"] == {0: "none", 1: "wall", 2: "car"} == expected
     assert (Crash.NONE, Crash.WALL, Crash.CAR) == (0, 1, 2)
-    assert set(outcome) == set(info) - {"action_mask", "poses", "velocities"}
-    assert all(isinstance(outcome[name], str) and outcome[name] for name in codes)
+    arrays = {name for name, value in info.items() if isinstance(value, np.ndarray)}
+    assert {"steer_lag", "speed_delay"} <= arrays
+    assert set(outcome) == set(info) - arrays
+    assert all(isinstance(outcome[name], str) and outcome[name] for name in set(codes) - arrays)
     assert (info["result"], outcome["result"], outcome["crash"]) == (
         Result.RUNNING,
         "running",

@@ -211,7 +211,7 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
     env = DuelEnv(
         render_mode="rgb_array_list",
         opponent="lane-switcher:3",
-        randomize={"friction": [0.6, 1.0]},
+        randomize={"mu": [0.6, 1.0]},
         **SHORT,
     )
     for options in (None, {"start": (10.0, 1)}):

@@ -1,6 +1,4 @@
-"""Episodes that differ: circuits, cars, ranges from which friction and others are drawn, and
-obstacles.
-"""
+"""Episodes that differ: circuits, cars, values drawn for the cars, and obstacles."""
 
 import dataclasses
 import threading
@@ -13,16 +11,14 @@ from refusal import refused
 
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.car.lidar import Lidar
-from pcs_racing.car.vehicle import VehicleParams
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
+from pcs_racing.car.vehicle import MU, SPEED_DELAY, VehicleParams
+from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.match import MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import (
     EpisodeOptions,
     EpisodeRandomization,
-    Randomization,
-    load_randomization,
 )
 from pcs_racing.race import random_circuits
 from pcs_racing.race.config import PRESETS
@@ -30,10 +26,10 @@ from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, rand
 from pcs_racing.track.obstacles import BOX
 
 RANGES = {
-    "friction": [0.6, 1.2],
-    "mass": [3.0, 4.5],
-    "steering_delay": [0.0, 0.1],
-    "steering_noise": [0.0, 0.02],
+    "mu": [0.6, 1.2],
+    "m": [3.0, 4.5],
+    "steer_delay": [0.0, 0.1],
+    "steer_noise": [0.0, 0.02],
 }
 DRIVE = {"beams": 9, "duration": 1.0, "start_lines": 6, "time_step": 0.1}
 DUEL = {"step_seconds": 0.4, "moves": 2, "opponent": "random-moves"}
@@ -75,7 +71,7 @@ def test_one_episode_may_differ_without_the_others(kind, usual, oval, wide):
     envs = kind(4, autoreset_mode="DISABLED", **usual, **varied)
     _, before = envs.reset(seed=1)
     _, after = envs.reset(options={"reset_mask": np.array([False, True, False, True])})
-    for name in ("friction", "mass"):
+    for name in ("mu", "m"):
         assert (after[name][[0, 2]] == before[name][[0, 2]]).all()
         assert (after[name][[1, 3]] != before[name][[1, 3]]).all()
     for i, count in enumerate(after["obstacles"]):
@@ -181,15 +177,42 @@ def test_what_is_drawn_is_what_is_driven():
         values = {name: batch.drawn[name][row] for name in RANGES}
         cars = [
             VehicleParams(
-                mu=values["friction"],
-                m=values["mass"],
-                inertia=0.04712 * values["mass"] / 3.74,
-                steer_delay=values["steering_delay"],
-                steer_noise=values["steering_noise"],
+                mu=values["mu"],
+                m=values["m"],
+                inertia=0.04712 * values["m"] / 3.74,
+                steer_delay=values["steer_delay"],
+                steer_noise=values["steer_noise"],
             ).as_row()
         ] * 2
         np.testing.assert_allclose(batch.vehicles[row], cars, rtol=1e-12)
-        assert values["steering_delay"] in (0.0, 0.02, 0.04, 0.06, 0.08, 0.1)
+
+
+def test_each_car_drives_with_its_own_draws(oval):
+    """The infos have the own car first, and the value of a car without a draw."""
+    drawn = {"each": {"mu": [0.6, 1.2]}, "car_1": {"speed_delay": {"choice": [0.08]}}}
+    env = DriveHeadToHeadEnv(track=oval, start_lines=2, duration=1.0, randomize=drawn)
+    _, infos = env.reset(seed=3)
+    rows = env.batch.randomization.vehicles[0]
+    assert rows[0, MU] != rows[1, MU]
+    for car in range(2):
+        info = infos[f"car_{car}"]
+        assert info["mu"].tolist() == rows[[car, 1 - car], MU].tolist()
+        assert info["speed_delay"].tolist() == [[0.0, 0.08], [0.08, 0.0]][car]
+    assert rows[:, SPEED_DELAY].tolist() == [0.0, 4.0]
+    moved = []
+    for _ in range(6):
+        env.step({agent: np.array([0.0, 1.0], np.float32) for agent in env.possible_agents})
+        moved.append((env.batch.state.command[0, :, 1] > 7.9).tolist())
+    assert moved == [[True, False]] * 4 + [[True, True]] * 2
+
+
+def test_drawn_tyres_are_a_number_with_a_label(oval):
+    env = DriveEnv(
+        track=oval, opponent=None, start_lines=2, randomize={"tyres": {"choice": ["pacejka"]}}
+    )
+    _, info = env.reset(seed=0)
+    assert (info["tyres"], env.outcome()["tyres"]) == (1.0, "pacejka")
+    assert env.metadata["codes"]["tyres"] == {0: "linear", 1: "pacejka"}
 
 
 def test_the_noise_of_the_lidar_is_drawn_for_each_episode(oval):
@@ -266,8 +289,3 @@ def test_a_car_never_starts_in_an_obstacle(oval):
 def test_impossible_random_circuits_are_refused(changes):
     with pytest.raises(ConfigError):
         RandomCircuits(**changes)
-
-
-def test_a_single_number_is_a_range_and_settings_are_taken_as_they_are():
-    assert load_randomization({"friction": 0.8}) == Randomization(friction=(0.8, 0.8))
-    assert load_randomization(Randomization(mass=(3.0, 4.0))).names == ("mass",)

@@ -9,6 +9,7 @@ from refusal import refused
 
 from pcs_racing import InputError
 from pcs_racing.base.errors import UnknownArgumentError
+from pcs_racing.car.vehicle import STEER_DELAY
 from pcs_racing.envs.batch import check_within
 from pcs_racing.envs.drive import (
     DriveEnv,
@@ -85,7 +86,6 @@ PLAIN = [
         (GAMES, {"archive": "nothing"}, "unknown archive 'nothing'"),
         (GAMES, {"race": "rally"}, "race settings 'rally' are unknown"),
         (GAMES, {"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
-        (GAMES, {"randomize": {"lidar_noise": 0.1}}, "no lidar"),
         (MATCHES, {"discount": 0.9}, "unexpected keyword argument 'discount'"),
         ((MatchEnv,), {"rases": 3}, "did you mean 'races'"),
         (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
@@ -95,16 +95,16 @@ PLAIN = [
             "nothing is observed",
         ),
         (STEERING, {"duration": 0.05}, "duration"),
-        (STEERING, {"randomize": {"lidar_noise": 0.1}, "beams": 0}, "there is no lidar"),
         ((DriveVectorEnv,), {"num_envs": 100_000, "beams": 10_000}, "100000 environments"),
         (ALL, {"vehicle": {"weight": 3.0}}, "weight"),
         (ALL, {"vehicle": {"mu": -1.0}}, "mu is -1.0"),
         (ALL, {"vehicle": [{}, {}, {}]}, "lists 3 cars"),
         (ALL, {"vehicle": 3.0}, "vehicle"),
         (ALL, {"vehicle": {"steer_delay": 0.03}}, "multiple of 0.02"),
-        (ALL, {"randomize": {"friction": [1.0, 0.5]}}, "friction is [1.0, 0.5]"),
+        (ALL, {"randomize": {"mu": [1.0, 0.5]}}, "mu is [1.0, 0.5]"),
         (ALL, {"randomize": {"grip": [0.5, 1.0]}}, "grip"),
-        (ALL, {"randomize": {"steering_delay": [0.03, 0.035]}}, "no multiple"),
+        (ALL, {"randomize": {"car_2": {"mu": 1.0}}}, "for car_2; the cars are car_0, car_1"),
+        ((DriveEnv,), {"randomize": {"car_1": {"mu": 1.0}}, "opponent": None}, "the only car is"),
         (ALL, {"randomize": 0.5}, "randomization"),
         (ALL, {"obstacles": {"count": [3, 1]}}, "count of obstacles is [3, 1]"),
         (ALL, {"obstacles": 200}, "count of obstacles is 200"),
@@ -237,6 +237,13 @@ def changed(index, value):
     return change
 
 
+def late(vehicles):
+    """Vehicles of a state, whose steering commands come a control period later."""
+    vehicles = vehicles.copy()
+    vehicles[..., STEER_DELAY] += 1.0
+    return vehicles
+
+
 def begin(kind, **arguments):
     return begun(make(kind, **arguments), seed=0).get_state()
 
@@ -287,6 +294,11 @@ def begin(kind, **arguments):
             (DriveEnv,),
             changed(4, lambda drawn: (drawn[0], np.zeros(3), *drawn[2:])),
             r"randomization.1 is float64 of shape \(3,\)",
+        ),
+        (
+            ALL,
+            changed(4, lambda drawn: (drawn[0], late(drawn[1]), *drawn[2:])),
+            "steering delays holds 1.0; it must be from 0 to 0",
         ),
         (
             (DriveEnv,),

@@ -81,7 +81,7 @@ CASES = [
         DriveEnv,
         {"opponent": "lattice", "duration": 0.5, "track": ["Pipkin", "Tarnfjord"], "obstacles": 2},
     ),
-    ("drive", DriveEnv, {"opponent": None, "laps": 1, "randomize": {"friction": [0.6, 1.2]}}),
+    ("drive", DriveEnv, {"opponent": None, "laps": 1, "randomize": {"each": {"mu": [0.6, 1.2]}}}),
     ("duel", DuelEnv, SHORT),
     ("match", MatchEnv, MATCH),
 ]

@@ -15,6 +15,7 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import BETA, VehicleParams, load_vehicle
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.race.conditions import RaceConditions, vehicle_rows
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import (
     RaceSetup,
@@ -153,7 +154,13 @@ def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(ova
     usual = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
     for vehicles in ((late, prompt), (prompt, late)):
         assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 5
-    assert dataclasses.replace(usual, most_delay=0.04).memory_size == usual.memory_size + 2
+    later = dataclasses.replace(usual, max_delays=VehicleParams(steer_delay=0.04, speed_delay=0.1))
+    assert later.memory_size == usual.memory_size + 7
+    starts, rows = draw_starts(oval, SHORT, 1, 0), vehicle_rows((prompt, late), 1)
+    refused(
+        "race 0: 5 commands of car 1 are delayed; the setup has room for 0",
+        start_races, usual, starts, np.zeros(1, np.uint64), RaceConditions(rows),
+    )  # fmt: skip
     vehicles = (VehicleParams(steer_delay=0.1, speed_delay=0.06), prompt)
     assert dataclasses.replace(usual, vehicles=vehicles).memory_size == usual.memory_size + 8
 
