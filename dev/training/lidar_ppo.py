@@ -8,6 +8,8 @@ rules ``contest``, on shipped and random circuits; the opponent is the network i
 its speed or at full speed, a frozen self, or another planner. Every minute the network without
 exploration races other planners, on the shipped circuits and on random ones that it does not learn
 on, and the weights with the best score are saved. The same command goes on after a stop.
+``--randomize cars.yaml`` draws the cars of each race (`pcs_racing.envs.draws`), not those of the
+evaluations.
 """
 
 import argparse
@@ -303,7 +305,7 @@ class Run:
             passing=arguments.passing,
         )
         cars = max(2, arguments.cars // len(circuits))
-        self.groups = make_groups(circuits, cars, arguments.seed, teacher)
+        self.groups = make_groups(circuits, cars, arguments.seed, teacher, arguments.randomize)
         pool, count = ThreadPoolExecutor(arguments.threads), arguments.batches
         self.batches = [
             LidarBatch(self.groups[k::count], pool, arguments.threads, options)

@@ -18,6 +18,7 @@ from line_races import (
     begin_race,
     circuit,
     count_race,
+    drawn_pairs,
     in_turn,
     start_states,
 )
@@ -25,6 +26,7 @@ from numpy.typing import NDArray
 
 from pcs_racing import load_track, parse_policy, run_races
 from pcs_racing.base.compilation import compiled, inner_kernel
+from pcs_racing.envs.draws import Randomization
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.planners.field.lidar_ppo import (
@@ -207,9 +209,9 @@ def _share(kind, draw):
 
 @compiled
 def play(
-    track, state, pool, thetas, span, theta, who, draws, key, vehicles, drivers, settings, options,
-    family, slow, kinds, shares, teacher, lesson, lessons, ways, taught, actions, seen, rewards,
-    ended, tally, size, first,
+    track, state, pool, thetas, span, theta, who, draws, key, drawn, vehicles, drivers, settings,
+    options, family, slow, kinds, shares, teacher, lesson, lessons, ways, taught, actions, seen,
+    rewards, ended, tally, size, first,
 ):  # fmt: skip
     """Take the commands, drive for 0.1 s, reward, start ended races again, scan, and teach.
 
@@ -241,7 +243,7 @@ def play(
             ended[race] = over
             if over:
                 count_race(state, race, tally[0])
-                begin_race(race, state, pool, thetas, span, theta, who, draws, key)
+                begin_race(race, state, pool, thetas, span, theta, who, draws, key, drawn, vehicles)
                 lessons[race] = 0.0
                 draw = np.float64(state.seed[race] >> np.uint64(40)) / 2.0**24
                 shares[race, 1] = _share(kinds[race], draw)
@@ -298,8 +300,9 @@ class Group:
     """Races on one circuit against one family of opponents."""
 
     def __init__(
-        self, circuit: Circuit, family: str, cars: int, seed: int, number: int, teacher: Policy
-    ) -> None:
+        self, circuit: Circuit, family: str, cars: int, seed: int, number: int, teacher: Policy,
+        ranges: Randomization,
+    ) -> None:  # fmt: skip
         self.family, self.number, track = family, list(FAMILIES).index(family), circuit.track
         self.name, self.teacher = track.name, teacher
         self.policies = policies = [] if family == "self" else opponents(family)
@@ -310,9 +313,9 @@ class Group:
         self.learners = 2 if family == "self" else 1
         self.races = max(1, cars // self.learners)
         planners = (LEARNER, other)
-        contest = RaceSetup(track, CONTEST, planners)
-        rest = replace(REST, speed_range=contest.speed_range)
-        setup = RaceSetup(track, rest, planners) if number % REST_EVERY == 0 else contest
+        setup = RaceSetup(track, CONTEST, planners, max_delays=ranges.max_delays)
+        if number % REST_EVERY == 0:
+            setup = replace(setup, config=replace(REST, speed_range=setup.speed_range))
         self.slow = SLOWDOWN[number % len(SLOWDOWN)] if family in OF_LINES else 1.0
         self.track = track.arrays
         self.settings = setup.settings._replace(
@@ -323,6 +326,7 @@ class Group:
         # The teacher is as fast as in a race at full speed; its settings are in its view.
         self.drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
+        self.drawn = drawn_pairs(ranges, seed)
         self.size = max(SCRATCH, largest_scratch((other, teacher.planner)), EXTRA)
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
@@ -350,7 +354,7 @@ class Group:
         self.lesson = teacher.parameters.copy() if len(teacher.parameters) else np.zeros(1)
         for race in range(self.races):
             begin_race(race, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
-                       self.draws, self.key)  # fmt: skip
+                       self.draws, self.key, self.drawn, self.vehicles)  # fmt: skip
         # Races end at different times, so that a batch holds all parts of a race.
         self.state.tick[:] = STEP * rng.integers(self.settings.end_tick // STEP, size=self.races)
 
@@ -373,7 +377,8 @@ class Group:
 
     def saved(self) -> list[NDArray[Any]]:
         """Return all that changes while races go on, for a checkpoint."""
-        return [*self.state, self.who, self.draws, self.shares, self.lessons, self.ways]
+        own = self.who, self.draws, self.shares, self.lessons, self.ways, self.vehicles
+        return [*self.state, *own]
 
     def restore(self, saved: Sequence[NDArray[Any]]) -> None:
         """Go on from a checkpoint."""
@@ -391,9 +396,9 @@ class Group:
         lessons = self.lessons if teach else self.lessons[:, :, :0].copy()
         play(
             self.track, self.state, self.pool, self.thetas, self.span, self.theta, self.who,
-            self.draws, self.key, self.vehicles, self.drivers, self.settings, options, self.number,
-            self.slow, self.kinds, self.shares, self.teacher_at, self.lesson, lessons, self.ways,
-            taught.reshape(*two, ACTIONS), actions.reshape(*two, ACTIONS),
+            self.draws, self.key, self.drawn, self.vehicles, self.drivers, self.settings, options,
+            self.number, self.slow, self.kinds, self.shares, self.teacher_at, self.lesson, lessons,
+            self.ways, taught.reshape(*two, ACTIONS), actions.reshape(*two, ACTIONS),
             seen.reshape(*two, WIDE), rewards.reshape(two), self.ended, self.tally, self.size,
             first,
         )  # fmt: skip
@@ -420,18 +425,20 @@ class LidarBatch(Batch):
         self.given["options"] = self.given["options"]._replace(fault=fault)
 
 
-def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, teacher: Policy) -> list[Group]:
+def make_groups(
+    circuits: Sequence[Circuit], cars: int, seed: int, teacher: Policy, ranges: Randomization
+) -> list[Group]:
     """Return a group for each circuit, with ``cars`` cars, families in turn."""
     families = in_turn(FAMILIES, seed)
     return [
-        Group(one, family, cars, 1000 * seed + k, k, teacher)
+        Group(one, family, cars, 1000 * seed + k, k, teacher, ranges)
         for k, (one, family) in enumerate(zip(circuits, families, strict=False))
     ]
 
 
 def compile_for(family: str, teacher: Policy) -> None:
     """Compile, for all later processes, the code of the races against a family."""
-    group = Group(circuit("Pipkin"), family, 2, 0, 1, teacher)
+    group = Group(circuit("Pipkin"), family, 2, 0, 1, teacher, Randomization())
     two = np.zeros((group.cars, ACTIONS), np.float32)
     seen, ended = np.zeros((group.cars, WIDE), np.float32), np.zeros(group.cars, np.bool_)
     for first in (True, False):

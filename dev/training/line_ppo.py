@@ -7,6 +7,8 @@ shipped and random circuits; the opponent is the network itself, a frozen self, 
 Half of the cars have the default style, the others a random one. Every minute the network with the
 default style, and without exploration, races the lattice and other planners, and the weights with
 the best score are saved. The same command goes on after a stop.
+``--randomize cars.yaml`` draws the cars of each race (`pcs_racing.envs.draws`), not those of the
+evaluations.
 """
 
 import argparse
@@ -287,7 +289,7 @@ class Run:
             self._restore(saved)
         cars = max(2, arguments.cars // len(circuits))
         options = Options(fault=arguments.fault)
-        groups = make_groups(circuits, cars, arguments.seed, self.league)
+        groups = make_groups(circuits, cars, arguments.seed, self.league, arguments.randomize)
         self._restore_races(groups)
         pool, self.groups = ThreadPoolExecutor(arguments.threads), groups
         given = {"options": options, "lattice": lattice.parameters.copy()}

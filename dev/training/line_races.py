@@ -18,6 +18,8 @@ from numpy.typing import NDArray
 from pcs_racing import load_track, parse_policy
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.seeds import GOLDEN, scramble_one
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.envs.draws import Randomization, draw_vehicles
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SIGHT, SPEEDS
 from pcs_racing.planners.line_ppo import (
@@ -83,6 +85,8 @@ PRICES, CLOSE, CONTACT = (0.25, 1.5), 0.9, 0.03
 DEFAULT_STYLE = 0.5  # share of the cars that race by the default style
 FAST, FASTEST = 0.9, 1.6  # half of the drawn paces are between; the others below `FASTEST`
 STARTS = 48  # start states of a group
+PAIRS = 64  # drawn pairs of cars of a group
+PAIRS_KEY = np.uint64(0xD6E8FEB86659FD93)  # makes the draw of the cars another sequence
 LENGTHS = ((60.0, 120.0), (60.0, 120.0), (120.0, 200.0), (180.0, 320.0))  # m, of random circuits
 WIDTHS = (2.2, 2.0, 3.0)  # m
 
@@ -199,10 +203,10 @@ def _draw_style(bits, out):
 
 
 @compiled
-def begin_race(race, state, pool, thetas, span, theta, who, draws, key):
-    """Start a race again: draw a start, a noise and an opponent by the race's own counter.
+def begin_race(race, state, pool, thetas, span, theta, who, draws, key, drawn, vehicles):
+    """Start a race again: draw a start, a noise, cars and an opponent by the race's own counter.
 
-    The random bits of the draw are returned.
+    ``drawn`` (N, 2, .) holds pairs of cars to draw from. The random bits of the draw are returned.
     """
     draws[race] += np.uint64(1)
     bits = scramble_one(key + draws[race] * GOLDEN)
@@ -228,13 +232,17 @@ def begin_race(race, state, pool, thetas, span, theta, who, draws, key):
     who[race] = one
     if theta.shape[2] == thetas.shape[1]:
         theta[race, 1] = thetas[one]
+    pair = scramble_one(bits ^ PAIRS_KEY) % np.uint64(len(drawn))
+    vehicles[race] = drawn[np.int64(pair)]
     return bits
 
 
 @compiled
-def _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key):
+def _begin(
+    race, state, pool, thetas, span, frozen, theta, styles, who, draws, key, drawn, vehicles
+):  # fmt: skip
     """Start a race again, with drawn styles."""
-    bits = begin_race(race, state, pool, thetas, span, theta, who, draws, key)
+    bits = begin_race(race, state, pool, thetas, span, theta, who, draws, key, drawn, vehicles)
     for car in range(styles.shape[1]):
         _draw_style(bits + np.uint64(car + 1), styles[race, car])
     if frozen:
@@ -243,8 +251,8 @@ def _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, k
 
 @compiled
 def play(
-    track, state, pool, thetas, span, frozen, theta, styles, who, draws, key, vehicles, drivers,
-    settings, lattice, options, family, laid, choices, seen, rewards, ended, tally,
+    track, state, pool, thetas, span, frozen, theta, styles, who, draws, key, drawn, vehicles,
+    drivers, settings, lattice, options, family, laid, choices, seen, rewards, ended, tally,
 ):  # fmt: skip
     """Take the choices, drive for 0.1 s, reward, start ended races again, and describe.
 
@@ -280,7 +288,10 @@ def play(
             ended[race] = over
             if over:
                 count_race(state, race, tally[who[race]] if not frozen else tally[0])
-                _begin(race, state, pool, thetas, span, frozen, theta, styles, who, draws, key)
+                _begin(
+                    race, state, pool, thetas, span, frozen, theta, styles, who, draws, key, drawn,
+                    vehicles,
+                )  # fmt: skip
     for race in range(races):
         for car in range(learners):
             fill_view(track, state, race, car, vehicles[race], settings, view)
@@ -366,7 +377,7 @@ class Group:
 
     def __init__(
         self, circuit: Circuit, family: str, rules: RaceConfig, cars: int, seed: int,
-        league: "League",
+        league: "League", ranges: Randomization,
     ) -> None:  # fmt: skip
         self.family, self.number = family, list(FAMILIES).index(family)
         self.league, track = league, circuit.track
@@ -385,10 +396,11 @@ class Group:
                 row[: len(policy.parameters)] = policy.parameters
         self.learners = 2 if family == "self" else 1
         self.races = max(1, cars // self.learners)
-        setup = RaceSetup(track, rules, (LEARNER, other))
+        setup = RaceSetup(track, rules, (LEARNER, other), max_delays=ranges.max_delays)
         self.track, self.settings = track.arrays, setup.settings._replace(ittc_horizon=0.0)
         self.drivers = pointers_of(AS_THE_SETUP.shares(setup.planners, self.races), self.races)
         self.vehicles = vehicle_rows(setup.vehicles, self.races)
+        self.drawn = drawn_pairs(ranges, seed)
         rng = np.random.default_rng(seed)
         self.key = np.uint64(rng.integers(2**63))
         self.pool = start_states(setup, circuit.lines, rng)
@@ -402,7 +414,8 @@ class Group:
         self.laid = np.zeros((self.races, self.learners, LAID))
         for race in range(self.races):
             _begin(race, self.state, self.pool, self.thetas, self.span, self.family == "frozen",
-                   self.theta, self.styles, self.who, self.draws, self.key)  # fmt: skip
+                   self.theta, self.styles, self.who, self.draws, self.key, self.drawn,
+                   self.vehicles)  # fmt: skip
         # Races end at different times, so that a batch holds all parts of a race.
         self.state.tick[:] = STEP * rng.integers(self.settings.end_tick // STEP, size=self.races)
 
@@ -418,7 +431,7 @@ class Group:
 
     def saved(self) -> list[NDArray[Any]]:
         """Return all that changes while races go on, for a checkpoint."""
-        return [*self.state, self.who, self.draws, self.theta, self.styles]
+        return [*self.state, self.who, self.draws, self.theta, self.styles, self.vehicles]
 
     def restore(self, saved: Sequence[NDArray[Any]]) -> None:
         """Go on from a checkpoint."""
@@ -432,11 +445,23 @@ class Group:
         two = (self.races, self.learners)
         play(
             self.track, self.state, self.pool, self.thetas, self.span, self.family == "frozen",
-            self.theta, self.styles, self.who, self.draws, self.key, self.vehicles, self.drivers,
-            self.settings, lattice, options, self.number, self.laid, choices.reshape(two),
-            seen.reshape(*two, WIDE), rewards.reshape(two), self.ended, self.tally,
+            self.theta, self.styles, self.who, self.draws, self.key, self.drawn, self.vehicles,
+            self.drivers, self.settings, lattice, options, self.number, self.laid,
+            choices.reshape(two), seen.reshape(*two, WIDE), rewards.reshape(two), self.ended,
+            self.tally,
         )  # fmt: skip
         ended.reshape(two)[:] = self.ended[:, None]
+
+
+def drawn_pairs(ranges: Randomization, seed: int) -> NDArray[np.float64]:
+    """Return the pairs of cars that the races of a group draw from, shape (PAIRS, 2, .).
+
+    Without ranges there is one pair.
+    """
+    rng, cars = np.random.default_rng([seed, 1]), (F1TENTH, F1TENTH)
+    count = PAIRS if ranges.names else 1
+    drawn = [vehicle_rows(draw_vehicles(ranges, cars, rng), 1) for _ in range(count)]
+    return np.concatenate(drawn)
 
 
 def start_states(
@@ -524,11 +549,13 @@ def in_turn(families: Mapping[str, int], seed: int) -> Iterator[str]:
     return cycle(names[k] for k in np.random.default_rng(seed).permutation(len(names)))
 
 
-def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, league: League) -> list[Group]:
+def make_groups(
+    circuits: Sequence[Circuit], cars: int, seed: int, league: League, ranges: Randomization
+) -> list[Group]:
     """Return a group for each circuit, with ``cars`` learning cars, families in turn."""
     families = in_turn(FAMILIES, seed)
     return [
-        Group(one, family, RULES[k % len(RULES)], cars, 1000 * seed + k, league)
+        Group(one, family, RULES[k % len(RULES)], cars, 1000 * seed + k, league, ranges)
         for k, (one, family) in enumerate(zip(circuits, families, strict=False))
     ]
 
@@ -536,7 +563,7 @@ def make_groups(circuits: Sequence[Circuit], cars: int, seed: int, league: Leagu
 def compile_for(family: str) -> None:
     """Compile, for all later processes, the code of the races against a family."""
     league = League(np.zeros(NUMBERS))
-    group = Group(circuit("Pipkin"), family, CONTEST, 2, 0, league)
+    group = Group(circuit("Pipkin"), family, CONTEST, 2, 0, league, Randomization())
     cars, lattice = group.cars, LATTICE.policy().parameters.copy()
     seen = np.zeros((cars, WIDE), np.float32)
     for choices in (np.full(cars, -1), np.zeros(cars, np.int64)):

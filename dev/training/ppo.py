@@ -2,6 +2,7 @@
 
 import argparse
 import csv
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -250,6 +251,7 @@ def add_arguments(
     add("--cars", type=int, default=1024, help="cars of networks, shared by the circuits")
     known = [name for name in list_tracks() if name not in HELD_OUT]
     add("--tracks", nargs="*", default=known, help="shipped circuits")
+    add("--randomize", help="YAML file of draws of the cars in training (pcs_racing.envs.draws)")
     add("--rivals", nargs="*", default=rivals, help="planners of the evaluation")
     add("--random", type=int, default=24, help="random circuits")
     add("--each", type=int, default=each, help="groups on each shipped circuit")
@@ -276,4 +278,5 @@ def about(arguments: argparse.Namespace, choices: int, updates: int) -> dict[str
     """Return the description of a training, for a manifest."""
     names = ("cars", "random", "each", "steps", "seed")
     given = {name: getattr(arguments, name) for name in names}
-    return given | {"choices": choices, "updates": updates}
+    drawn = json.dumps(arguments.randomize.plain())
+    return given | {"randomize": drawn, "choices": choices, "updates": updates}

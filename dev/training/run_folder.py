@@ -9,9 +9,10 @@ import torch
 from filelock import FileLock, Timeout
 
 from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing.envs.draws import load_randomization
 
 OF_THE_RACES = ("seed", "tracks", "cars", "random", "each", "batches")
-"""Arguments that determine the races; with others, races begin again."""
+"""Arguments that, with the draws of the cars, determine the races; others begin races again."""
 MAY_BE_ZERO = {
     *("seed", "random", "checks", "updates", "spare", "every", "entropy"),
     *("warm", "fade", "bold", "progress", "gain", "win", "passing"),
@@ -30,6 +31,8 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
     if arguments.device.startswith("cuda") and not torch.cuda.is_available():
         parser.error(f"--device is {arguments.device!r}, but torch finds no such device")
     try:
+        arguments.randomize = load_randomization(arguments.randomize)
+        arguments.randomize.check_cars(2)
         for name in arguments.tracks:
             load_track(name)
         for name in arguments.rivals:
@@ -45,6 +48,7 @@ class RunFolder:
     def __init__(self, arguments: argparse.Namespace, say: Callable[[str], None]) -> None:
         self.path: Path = arguments.out
         self.settings = {name: getattr(arguments, name) for name in OF_THE_RACES}
+        self.settings["randomize"] = arguments.randomize.plain()
         self.say = say
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -76,7 +80,7 @@ class RunFolder:
             self.say(f"races begin again: {file.name} is missing or damaged")
             return None
         before = saved["settings"]
-        changed = [f"--{name}" for name in OF_THE_RACES if before[name] != self.settings[name]]
+        changed = [f"--{name}" for name in self.settings if before.get(name) != self.settings[name]]
         if changed:
             self.say(f"races begin again: they were driven with another {', '.join(changed)}")
             return None

@@ -1,14 +1,18 @@
 import importlib
+import json
 import re
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from repository import REPOSITORY, run_python
 from warm_start import call_python
 
 from pcs_racing import load_race_config, load_track, run_races
+from pcs_racing.car.vehicle import F1TENTH, MU, STEER_DELAY
+from pcs_racing.envs.draws import load_randomization
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_networks import read_lidar_planner
 from pcs_racing.planners.line_ppo import read_line_planner
@@ -172,17 +176,46 @@ def train_whole_and_in_parts(script, *size, rival, folder):
     )
     for net in ("actor", "critic", "averaged"):
         assert all(torch.equal(whole[net][key], parts[net][key]) for key in whole[net])
-    out = run_python(file, *size, "--updates", 2, "--seed", 7, "--out", "parts", folder=folder)
-    assert "races begin again: they were driven with another --seed" in out
+    changed = ("--seed", 7, "--randomize", folder / "others.yaml")
+    (folder / "others.yaml").write_text("m: 4.0\n")
+    out = run_python(file, *size, "--updates", 2, *changed, "--out", "parts", folder=folder)
+    assert "races begin again: they were driven with another --seed, --randomize" in out
     return whole, parts
 
 
 def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
-    size = ("--each", 1)
+    cars = tmp_path / "cars.yaml"
+    cars.write_text("mu: [0.8, 1.1]\neach: {steer_delay: [0.0, 0.06]}\n")
+    size = ("--each", 1, "--randomize", cars)
     whole, _ = train_whole_and_in_parts("line_ppo.py", *size, rival="lattice", folder=tmp_path)
     assert whole["choices"] == 2 * 8 * 8
     fields, _ = read_line_planner(tmp_path / "whole" / "last")
     assert (fields["name"], fields["training"]["choices"]) == ("line-ppo", 128)
+    assert json.loads(fields["training"]["randomize"]) == yaml.safe_load(cars.read_text())
+
+
+def test_impossible_cars_of_a_training_are_refused_before_it_begins(tmp_path):
+    pytest.importorskip("torch")
+    (tmp_path / "cars.yaml").write_text("mu: [1.1, 0.7]\n")
+    file = EXAMPLES.parent / "dev" / "training" / "lidar_ppo.py"
+    arguments = ("--randomize", "cars.yaml", "--out", "out")
+    done = call_python(file, *arguments, cwd=tmp_path)
+    assert "cars.yaml: mu is [1.1, 0.7]; it must be [low, high]" in done.stderr
+    assert done.returncode == 2
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_cars_of_a_training_are_drawn_in_pairs(monkeypatch):
+    monkeypatch.syspath_prepend(str(EXAMPLES.parent / "dev" / "training"))
+    races = importlib.import_module("line_races")
+    ranges = load_randomization({"mu": [0.8, 1.1], "each": {"steer_delay": [0.0, 0.06]}})
+    pairs = races.drawn_pairs(ranges, 3)
+    assert pairs.shape[:2] == (races.PAIRS, 2)
+    assert (pairs[:, 0, MU] == pairs[:, 1, MU]).all()
+    assert len(set(pairs[:, 0, MU])) == races.PAIRS
+    assert (pairs[:, 0, STEER_DELAY] != pairs[:, 1, STEER_DELAY]).any()
+    plain = races.drawn_pairs(load_randomization(None), 3)
+    np.testing.assert_array_equal(plain[0], [F1TENTH.as_row()] * 2)
 
 
 def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
