@@ -17,6 +17,7 @@ from .match import MatchEnv as MatchEnv
 from .match import MatchVectorEnv as MatchVectorEnv
 from .match import SelfPlayMatchVectorEnv as SelfPlayMatchVectorEnv
 from .obstacles import Obstacles as Obstacles
+from .on_car import PolicyOnCar as PolicyOnCar
 from .registration import GYMNASIUM_IDS as GYMNASIUM_IDS
 from .registration import PETTINGZOO_IDS as PETTINGZOO_IDS
 from .registration import register_environments as register_environments
@@ -38,6 +39,7 @@ __all__ = [
     "MatchEnv",
     "MatchVectorEnv",
     "Obstacles",
+    "PolicyOnCar",
     "RandomCircuits",
     "RecordRaces",
     "Result",

@@ -1,0 +1,128 @@
+"""Policies on measurements of the cars, outside races: on a real car, or in another simulator."""
+
+from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pcs_racing.base.checks import check_array, check_number
+from pcs_racing.base.compilation import first_call, kernel
+from pcs_racing.base.errors import InputError
+from pcs_racing.car.vehicle import F1TENTH, STATE_SIZE, VehicleParams, X, Y, load_vehicle
+from pcs_racing.planners.calling import call_control, call_plan
+from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.registry import parse_policy
+from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
+from pcs_racing.race.config import CONTROL_EVERY, DT, PLAN_EVERY, RaceConfig, load_race_config
+from pcs_racing.race.kernel import fill_view
+from pcs_racing.race.races import RaceSetup
+from pcs_racing.race.state import empty_state
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
+
+
+@kernel
+def _ask(plan, control, due, track, theta, view, memory, scratch, path, command):
+    if due:
+        call_plan(plan, (track, theta, view, memory, scratch, path))
+    call_control(control, (track, theta, view, memory, scratch, path, command))
+
+
+class PolicyOnCar:
+    """Policy that is asked with measured states of the cars.
+
+    A state is a row of seven numbers: x, y (m), steering angle (rad), speed (m/s), heading (rad),
+    yaw rate (rad/s) and slip angle (rad), at the centre of gravity and in the frame of the map. As
+    in races, the policy plans ten times a second, and each call follows the plan. Planners with a
+    lidar scan the map here; a file of :func:`pcs_racing_agents.agents.export_onnx` takes measured
+    ranges.
+
+    Parameters
+    ----------
+    policy : Policy or str
+        Policy of a compiled planner.
+    track : Track, str or path
+        Track, name of a shipped track, or map folder.
+    rules : RaceConfig, str or path
+        Rules with the speed range of the policies.
+    vehicle : VehicleParams, mapping, str or path
+        Vehicle of both cars (:func:`pcs_racing.car.vehicle.load_vehicle`).
+
+    Attributes
+    ----------
+    path : ndarray, shape (12, 4)
+        Path of the last plan: x, y (m), speed (m/s) and curvature (1/m).
+    memory : ndarray
+        Memory of the planner.
+
+    Examples
+    --------
+    >>> on_car = PolicyOnCar("line-ppo", "Brackwater")
+    >>> x, y, heading = on_car.track.to_cartesian([0.0, 0.0])
+    >>> steering, speed = on_car.command(0.0, [x, y, 0.0, 3.0, heading, 0.0, 0.0])
+    >>> speed > 3.0
+    True
+    """
+
+    def __init__(
+        self,
+        policy: Policy | str,
+        track: Track | str | PathLike[str],
+        *,
+        rules: RaceConfig | str | Path = "paper",
+        vehicle: VehicleParams | Mapping[str, Any] | str | PathLike[str] = F1TENTH,
+    ) -> None:
+        policy = parse_policy(policy) if isinstance(policy, str) else policy
+        planner = policy.planner
+        if planner.drive is not None:
+            raise InputError(
+                f"policy {policy.name!r} is no compiled planner; export_onnx takes a model"
+            )
+        self.policy, self.track = policy, track if isinstance(track, Track) else load_track(track)
+        cars = (load_vehicle(vehicle),) * 2
+        self._setup = RaceSetup(self.track, load_race_config(rules), (planner, planner), cars)
+        self._vehicles = np.stack([car.as_row() for car in cars])
+        self._states = {count: empty_state(1, 0, count) for count in (1, 2)}
+        sizes = (planner.memory_size, planner.scratch_size, VIEW_SIZE, 2)
+        self.memory, self._scratch, self._view, self._command = map(np.zeros, sizes)
+        self.path, self._planned = np.zeros((PATH_POINTS, PATH_COLUMNS)), -1
+        self._theta = policy.parameters.copy()  # writeable, as the compiled functions ask
+        with first_call(_ask, "the policy", 10):
+            self._code = planner.pointers()
+
+    def command(
+        self, time: float, car: ArrayLike, opponent: ArrayLike | None = None
+    ) -> tuple[float, float]:
+        """Return the steering angle (rad) and the speed (m/s) to command now.
+
+        Parameters
+        ----------
+        time : float
+            Time since the start, s; 0 or above, and not below the time of the last call.
+        car : array_like, shape (7,)
+            State of the own car.
+        opponent : array_like, shape (7,), optional
+            State of the opponent; without it there is no opponent near.
+        """
+        tick = CONTROL_EVERY * round(check_number("time", time, 0.0) / (CONTROL_EVERY * DT))
+        rows = [check_array("car", car, (STATE_SIZE,))]
+        if opponent is not None:
+            rows.append(check_array("opponent", opponent, (STATE_SIZE,)))
+        self._look(tick, np.stack(rows))
+        due, self._planned = tick // PLAN_EVERY != self._planned, tick // PLAN_EVERY
+        own = self._theta, self._view, self.memory, self._scratch, self.path, self._command
+        _ask(*self._code, due, self.track.arrays, *own)
+        steering, speed = self._command.tolist()
+        return steering, speed
+
+    def _look(self, tick: int, cars: NDArray[np.float64]) -> None:
+        """Fill the view of the own car; the opponent's gap is the shorter way along the track."""
+        track, state = self.track, self._states[len(cars)]
+        places = track.to_frenet(cars[:, [X, Y]])
+        half = 0.5 * track.length
+        gaps = (places[:, 0] - places[0, 0] + half) % track.length - half
+        state.tick[0], state.cars[0], state.frenet[0], state.progress[0] = tick, cars, places, gaps
+        fill_view(track.arrays, state, 0, 0, self._vehicles, self._setup.settings, self._view)

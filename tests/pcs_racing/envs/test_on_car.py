@@ -1,0 +1,53 @@
+"""A policy that is asked with measured states commands what it commands in a race."""
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from pcs_racing import load_race_config, load_track, parse_policy
+from pcs_racing.envs import PolicyOnCar
+from pcs_racing.envs.models import model_policy
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+
+TRACK = "Pipkin"
+
+
+@pytest.mark.parametrize("name", ["line-ppo:risk=0.5", "ppo-drive"])
+def test_the_commands_are_those_of_a_race(name):
+    track, config = load_track(TRACK), load_race_config("paper", steering_noise=0.0)
+    policies = [parse_policy(name), parse_policy("pure-pursuit")]
+    setup = RaceSetup(track, config, tuple(one.planner for one in policies))
+    state = start_races(setup, draw_starts(track, config, 1, 0), np.zeros(1, np.uint64))
+    theta = pad_parameters(policies, setup.theta_size)[None]
+    on_car = PolicyOnCar(policies[0], track)
+    for tick in range(0, 300, 2):
+        command = on_car.command(0.01 * tick, *state.cars[0])
+        advance(setup, state, theta, 2)
+        np.testing.assert_allclose(command, state.command[0, 0], rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(on_car.path, state.path[0, 0], rtol=0.0, atol=1e-9)
+
+
+def test_an_opponent_may_be_lost_and_calls_may_come_late():
+    on_car = PolicyOnCar("lattice", TRACK)
+    x, y, heading = on_car.track.to_cartesian([1.0, 0.0])
+    own = [x, y, 0.0, 4.0, heading, 0.0, 0.0]
+    x, y, heading = on_car.track.to_cartesian([2.0, 0.0])
+    ahead = [x, y, 0.0, 1.0, heading, 0.0, 0.0]
+    paths = []
+    for time, opponent in ((0.0, None), (0.05, ahead), (0.1301, ahead), (0.5, None)):
+        assert np.isfinite(on_car.command(time, own, opponent)).all()
+        paths.append(on_car.path[:, 2].copy())
+    np.testing.assert_array_equal(paths[0], paths[1])  # the next plan is due at 0.1 s
+    assert paths[2].mean() < paths[1].mean()  # behind a slow car
+    assert paths[2].mean() < paths[3].mean()  # the opponent is lost
+
+
+def test_bad_input_is_refused():
+    on_car = PolicyOnCar("pure-pursuit", TRACK)
+    refused("car", on_car.command, 0.0, [0.0] * 6)
+    refused("opponent", on_car.command, 0.0, [0.0] * 7, [np.nan] * 7)
+    refused("time is -1", on_car.command, -1.0, [0.0] * 7)
+    model = model_policy(lambda seen: 0.0 * seen[:, :2], name="straight")
+    refused("'straight' is no compiled planner", PolicyOnCar, model, TRACK)
+    refused("unknown", PolicyOnCar, "latice", TRACK)
