@@ -22,7 +22,7 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas"
-    " pygame sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy".split()
+    " pygame sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy onnx".split()
 )
 find = PathFinder.find_spec
 
@@ -111,6 +111,7 @@ NEEDS = {
         ),
         "cluster",
     ),
+    "a network as a file": ('main(["export", "ppo-drive", "--out", "ppo-drive.onnx"])', "onnx"),
     "a window": ("gym.make('pcs_racing/Duel-v1', render_mode='human').reset(seed=1)", "window"),
 }
 

@@ -23,14 +23,18 @@ def is_planner_folder(place: str | Path) -> bool:
     return (Path(place) / MANIFEST).is_file()
 
 
+def folder_format(folder: str | Path) -> str:
+    """Return the first line of a folder's manifest, which names the format of the folder."""
+    content = read_limited(Path(folder) / MANIFEST, MAX_YAML, "a manifest", InputError)
+    return content.decode("utf-8", "replace").partition("\n")[0].strip()
+
+
 def load_planner(folder: str | Path) -> Planner:
     """Return the learned planner of a folder; its name is the folder."""
-    manifest = Path(folder) / MANIFEST
-    content = read_limited(manifest, MAX_YAML, "a manifest", InputError)
-    first = content.decode("utf-8", "replace").partition("\n")[0].strip()
+    first = folder_format(folder)
     if first not in LOADERS:
         raise InputError(
-            f"{manifest} begins with {first[:80]!r}; a learned planner's begins with one of"
-            f" {', '.join(map(repr, LOADERS))}"
+            f"{Path(folder) / MANIFEST} begins with {first[:80]!r}; a learned planner's begins with"
+            f" one of {', '.join(map(repr, LOADERS))}"
         )
     return replace(LOADERS[first](folder), name=str(folder))

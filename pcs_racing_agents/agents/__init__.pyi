@@ -8,6 +8,7 @@ from .fits import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
 from .game_spec import GameSpec as GameSpec
 from .game_spec import make_game_spec as make_game_spec
+from .onnx_export import export_onnx as export_onnx
 from .sb3_files import load_model as load_model
 from .sb3_files import save_model as save_model
 from .zoo import Entry as Entry
@@ -25,6 +26,7 @@ __all__ = [
     "Strategy",
     "TorchPolicy",
     "as_agent",
+    "export_onnx",
     "load_model",
     "make",
     "make_game_spec",

@@ -1,5 +1,6 @@
-"""``pcs-racing agents`` and ``policies``: list agents, and planners with their parameters."""
+"""``pcs-racing agents``, ``policies`` and ``export``: agents, planners, and their networks."""
 
+from pathlib import Path
 from typing import Annotated
 
 from pcs_racing.base.errors import UnknownNameError, choices
@@ -8,7 +9,7 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import ArchiveName, RulesName, archive_for
+from pcs_racing_agents.cli.options import ArchiveName, RulesName, archive_for, output_file
 
 _CONSTANT = "makes the same move again and again"
 
@@ -61,6 +62,25 @@ def run_policies(
 
         drivers_from(planner)
     print("\n\n".join(_describe(get_planner(name)) for name in names))
+
+
+@command(
+    "export",
+    "pcs-racing export lidar-ppo --out lidar-ppo.onnx",
+    "pcs-racing export model.zip --out model.onnx",
+)
+def run_export(
+    network: Annotated[
+        str,
+        Option("model.zip, the folder or name of a learned planner or of an agent's network"),
+    ],
+    *,
+    out: Annotated[Path, Option("file to write (.onnx)", "FILE")],
+) -> None:
+    """Write the network of a policy, planner or agent as an ONNX file."""
+    from pcs_racing_agents.agents.onnx_export import export_onnx
+
+    print(f"written: {export_onnx(network, output_file(out, '.onnx'))}")
 
 
 def _describe(planner: Planner) -> str:

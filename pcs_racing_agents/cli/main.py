@@ -36,6 +36,7 @@ FILES = {
         "list all agents, or describe one of them: options, training, strength, cost, hash",
     ),
     "policies": ("agents", "list planners with the bounds and meanings of their parameters"),
+    "export": ("agents", "write the network of a policy, planner or agent as an ONNX file"),
     "tune": (
         "tune",
         "tune the parameters of a planner by races, and check them on circuits held out",

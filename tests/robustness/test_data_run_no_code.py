@@ -42,7 +42,7 @@ from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.replay import read_replay, replay_page
 from pcs_racing.track.maps import read_map
-from pcs_racing_agents.agents import make, parse_agent
+from pcs_racing_agents.agents import export_onnx, make, parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy
 from pcs_racing_agents.benchmark.card import (
@@ -322,7 +322,11 @@ KINDS = {
     "line planner": Kind(
         shipped("pcs_racing/data/planners", "line-ppo/manifest.yaml"),
         lambda file: load_planner(file.parent),
-        "load_planner",
+        "folder_format",
+    ),
+    "exported planner": Kind(
+        shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
+        lambda file: export_onnx(file.parent, file.parent / "network.onnx"),
     ),
     "fit": Kind(
         shipped("pcs_racing_agents/data/fits", "default-early-paper-best-fixed.yaml"),

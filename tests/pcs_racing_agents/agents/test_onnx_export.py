@@ -1,0 +1,261 @@
+"""A network in an ONNX file computes what it computes here, in programs without our packages."""
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from refusal import refused
+
+from pcs_racing import load_track
+from pcs_racing.base.compilation import compiled
+from pcs_racing.base.dense import dense_forward
+from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.envs import DriveEnv, DuelEnv, PolicyOnCar
+from pcs_racing.planners import Lidar
+from pcs_racing.planners.field import residual
+from pcs_racing.planners.field.lidar_networks import read_lidar_planner
+from pcs_racing.planners.lattice import GOALS, SPEEDS
+from pcs_racing.planners.line_ppo import (
+    FIRST,
+    LATTICE_SIZE,
+    LAYERS,
+    SHARPNESS,
+    TOTAL,
+    choose,
+    read_line_planner,
+)
+from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
+from pcs_racing.planners.trained import read_trained
+from pcs_racing_agents.agents import export_onnx, load_model, save_model
+from pcs_racing_agents.agents.sb3_files import load_sb3_policy
+from pcs_racing_agents.base.onnx_graph import METADATA
+from pcs_racing_agents.cli.main import main
+from pcs_racing_agents.networks import list_networks, load_network
+
+pytest.importorskip("onnx")
+runtime = pytest.importorskip("onnxruntime")
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def opened(model, folder) -> SimpleNamespace:
+    """Export a model, and return a function of its inputs with its shapes and its description."""
+    session = runtime.InferenceSession(export_onnx(model, folder / "network.onnx"))
+    names = [one.name for one in session.get_outputs()]
+
+    def outputs(**inputs):
+        rows = {name: np.asarray(values, np.float32) for name, values in inputs.items()}
+        return dict(zip(names, session.run(None, rows), strict=True))
+
+    about = json.loads(session.get_modelmeta().custom_metadata_map[METADATA])
+    described = about["inputs"].keys() | about.get("state", {}).keys()
+    assert described == {one.name for one in session.get_inputs()}
+    shapes = {one.name: one.shape[1:] for one in session.get_inputs()}
+    return SimpleNamespace(outputs=outputs, about=about, shapes=shapes)
+
+
+def close(found, expected) -> None:
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-5)
+
+
+def forward(flat, sizes, rows) -> np.ndarray:
+    """Outputs of one of our networks with a tanh after each layer."""
+    results = []
+    for row in rows.astype(np.float64):
+        x, y = np.zeros((2, max(sizes)))
+        x[: len(row)] = row
+        dense_forward(np.asarray(flat, np.float64), np.array(sizes), x, y, True)
+        results.append((y if len(sizes) % 2 == 0 else x)[: sizes[-1]].copy())
+    return np.array(results)
+
+
+def test_a_trained_planner(tmp_path, rng):
+    network, rows = opened("ppo-drive", tmp_path), rng.normal(size=(50, 16))
+    layers, fields = read_trained("ppo-drive")
+    turn, speed = forward(layers.flat(), layers.sizes, rows).T
+    found = network.outputs(observation=rows)["command"]
+    close(found, np.stack([F1TENTH.steer_max * turn, 4.0 * (1.0 + speed)], axis=1))
+    assert [one["name"] for one in network.about["inputs"]["observation"]] == fields["inputs"]
+    assert network.about["period"] == 0.04
+    assert [one["unit"] for one in network.about["outputs"]["command"]] == ["rad", "m/s"]
+
+
+def test_a_correction(tmp_path, rng):
+    network, rows = opened("residual", tmp_path), rng.normal(size=(50, residual.SEEN))
+    _, _, flat = read_lidar_planner("residual")
+    own = forward(flat, (residual.SEEN, 64, 64, 2), rows)
+    close(
+        network.outputs(observation=rows)["correction"], own * [residual.STEERING, residual.SPEED]
+    )
+
+
+def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng):
+    """The file holds the planner from the scan to the first command of its arc, and its memory."""
+    track, network = load_track("Brackwater"), opened("lidar-ppo", tmp_path)
+    on_car = PolicyOnCar("lidar-ppo", track)
+    lidar = Lidar(track, beams=BEAMS, fov=FIELD_OF_VIEW, max_range=MAX_RANGE)
+    memory = np.zeros((1, *network.shapes["memory"]))
+    for k in range(30):
+        s = rng.uniform(0.0, track.length)
+        x, y, heading = track.to_cartesian([s, rng.uniform(-0.3, 0.3)])
+        own = [x, y, rng.uniform(-0.4, 0.4), rng.uniform(0.0, 7.0), heading, rng.normal(), 0.0]
+        x, y, heading = track.to_cartesian([(s + rng.uniform(1.0, 3.0)) % track.length, 0.0])
+        ranges = lidar.scan(np.take(own, [0, 1, 4]), [x, y, heading])
+        found = network.outputs(ranges=[ranges], own=[np.take(own, [3, 5, 2])], memory=memory)
+        steering, speed = on_car.command(0.1 * k, own, [x, y, 0.0, 2.0, heading, 0.0, 0.0])
+        close(found["next_memory"][0], on_car.memory)
+        assert found["command"][0, 1] == pytest.approx(speed, abs=1e-5)
+        # The arc of the plan has twelve points, with straight lines between them.
+        assert found["command"][0, 0] == pytest.approx(steering, abs=3e-3)
+        memory = found["next_memory"]
+    assert network.about["state"] == {"memory": "next_memory"}
+
+
+@compiled
+def _choose(flat, scratch):
+    return choose(flat, scratch)
+
+
+def test_line_ppo_chooses_the_same_candidate(tmp_path, rng):
+    network, (_, numbers) = opened("line-ppo", tmp_path), read_line_planner()
+    inputs = {name: rng.normal(size=(50, *shape)) for name, shape in network.shapes.items()}
+    above = np.abs(inputs["candidates"][:, -1])
+    inputs["candidates"][:, -1] = np.where(rng.uniform(size=above.shape) < 0.2, -1.0, above)
+    inputs = {name: values.astype(np.float32) for name, values in inputs.items()}
+    found = network.outputs(**inputs)
+    chosen, scratch = [], np.zeros(TOTAL)
+    for row in range(50):
+        features = np.concatenate([values[row].ravel() for values in inputs.values()])
+        scratch[FIRST : FIRST + len(features)] = features
+        chosen.append(_choose(numbers[LATTICE_SIZE:], scratch))
+    np.testing.assert_array_equal(found["candidate"], chosen)
+    assert len(set(chosen)) > 10
+    # Scores in float64, of all features of each candidate
+    flat, own = numbers[LATTICE_SIZE:], {}
+    for layer, (above, below) in LAYERS.items():
+        own[layer] = flat[:above], flat[above : above * (below + 1)].reshape(below, above)
+        flat = flat[above * (below + 1) :]
+    situation, moves, speeds, candidates = (one.astype(np.float64) for one in inputs.values())
+    each = np.concatenate(
+        [np.tile(moves, (1, 1, SPEEDS)), np.repeat(speeds, GOALS, axis=2), candidates], axis=1
+    ).swapaxes(1, 2)
+    inner = np.tanh(situation @ own["context"][1] + own["context"][0])
+    hidden, weights = (inner @ own[one][1] + own[one][0] for one in ("situation", "weights"))
+    units = hidden[:, None] + each @ own["candidate"][1] + own["candidate"][0]
+    scores = np.maximum(units, 0.0) @ own["score"][1][:, 0] + (each @ weights[:, :, None])[..., 0]
+    scores -= SHARPNESS * each[..., -1]
+    rejected = each[..., -1] < 0.0
+    assert (found["scores"][rejected] < -1e20).all()
+    # Scores are differences of numbers up to the max score, in float32.
+    error = np.abs(found["scores"] - scores)[~rejected].max()
+    assert error < 1e-5 * np.abs(scores).max()
+
+
+@pytest.mark.parametrize("name", [list_networks()[0], list_networks()[-1]])
+def test_the_values_of_an_agents_moves(tmp_path, rng, name):
+    own = load_network(name)
+    network = opened(own, tmp_path)
+    rows = own.mean + own.scale * rng.normal(size=(50, len(own.elements))).astype(np.float32)
+    found = network.outputs(observation=rows)
+    close(found["values"], own(rows))
+    np.testing.assert_array_equal(found["move"], own.choose(rows))
+    assert [one["name"] for one in network.about["inputs"]["observation"]] == [*own.elements]
+    assert [one["name"] for one in network.about["outputs"]["values"]] == [*own.moves]
+
+
+# Models of Stable-Baselines3
+
+
+@pytest.fixture(scope="module")
+def sb3():
+    return pytest.importorskip("stable_baselines3")
+
+
+def drawn(elements, rng) -> np.ndarray:
+    """Draw observations within the bounds of their elements."""
+    low, high = np.array([(one["low"], one["high"]) for one in elements]).T
+    return rng.uniform(low, high, (50, len(low))).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [
+        ("PPO", {"normalize": True, "beams": 9}),
+        ("SAC", {"normalized": False, "see_opponent": "never"}),
+    ],
+)
+def test_a_control_policy(tmp_path, rng, sb3, kind, arguments):
+    env = DriveEnv(track="Pipkin", opponent=None, time_step=0.02, top_speed=6.0, **arguments)
+    more = {"buffer_size": 9} if kind == "SAC" else {}
+    model = getattr(sb3, kind)("MlpPolicy", env, seed=1, device="cpu", **more)
+    network = opened(model, tmp_path)
+    elements = network.about["inputs"]["observation"]
+    rows = drawn(elements, rng)
+    low, high = np.array([(one["low"], one["high"]) for one in elements]).T
+    seen = 2.0 * (rows - low) / (high - low) - 1.0 if "normalize" in arguments else rows
+    command = model.predict(seen.astype(np.float32), deterministic=True)[0]
+    if kind == "PPO":
+        command = np.array([F1TENTH.steer_max, 3.0]) * command + [0.0, 3.0]
+    close(network.outputs(observation=rows)["command"], command)
+    assert network.about["period"] == 0.02
+    again = opened(save_model(tmp_path / "model", model), tmp_path)
+    assert again.about["inputs"] == network.about["inputs"]
+    close(again.outputs(observation=rows)["command"], command)
+
+
+def test_the_scale_of_a_training_is_part_of_the_file(tmp_path, rng, sb3):
+    vec = sb3.common.vec_env
+    env = DriveEnv(track="Pipkin", opponent=None)
+    scaled = vec.VecNormalize(vec.DummyVecEnv([lambda: env]), clip_obs=1.5)
+    model = sb3.PPO("MlpPolicy", scaled, n_steps=4, batch_size=4, seed=1, device="cpu")
+    network = opened(model, tmp_path)
+    rows = drawn(network.about["inputs"]["observation"], rng)
+    scaled.obs_rms.update(rows[:30])
+    action = model.predict(scaled.normalize_obs(rows), deterministic=True)[0]
+    command = np.array([F1TENTH.steer_max, 4.0]) * action + [0.0, 4.0]
+    for trained in (model, load_model(save_model(tmp_path / "model", model))):
+        close(opened(trained, tmp_path).outputs(observation=rows)["command"], command)
+
+
+def test_a_policy_of_moves(tmp_path, rng, sb3):
+    env = DuelEnv(track="Pipkin", step_seconds=0.5, moves=2)
+    model = sb3.PPO("MlpPolicy", env, seed=1, device="cpu")
+    network = opened(model, tmp_path)
+    assert [one["name"] for one in network.about["inputs"]["observation"]] == [
+        one.name for one in env.elements
+    ]
+    rows = rng.normal(size=(50, *env.observation_space.shape)).astype(np.float32)
+    moves = model.predict(rows, deterministic=True)[0]
+    np.testing.assert_array_equal(network.outputs(observation=rows)["move"], moves)
+    model.save(tmp_path / "moves.zip")
+    again = opened(tmp_path / "moves.zip", tmp_path)
+    np.testing.assert_array_equal(again.outputs(observation=rows)["move"], moves)
+    assert load_sb3_policy(tmp_path / "moves.zip").moves
+
+
+# The command, and what is refused
+
+
+def test_the_command_writes_a_file_and_refuses_early(tmp_path, capsys):
+    file = tmp_path / "residual.onnx"
+    assert main(["export", "residual", "--out", str(file)]) == 0
+    assert capsys.readouterr().out == f"written: {file}\n"
+    for words, said in {
+        f"export residual --out {tmp_path / 'file.zip'}": "its name must end in .onnx",
+        f"export line-pp --out {file}": "there is no network 'line-pp'; did you mean 'line-ppo'?",
+        f"export lattice --out {file}": "there is no network 'lattice'",
+        f"export {tmp_path / 'model.zip'} --out {file}": "model.zip",
+    }.items():
+        assert main(words.split()) == 2
+        assert said in capsys.readouterr().err
+    assert [one.name for one in tmp_path.iterdir()] == ["residual.onnx"]
+
+
+def test_what_has_no_network_is_refused(tmp_path):
+    refused("a float has no actor of fully connected layers", export_onnx, 1.0, tmp_path / "a.onnx")
+    (tmp_path / "manifest.yaml").write_text("format: pcs-racing archive\n", encoding="utf-8")
+    refused("begins with 'format: pcs-racing archive'", export_onnx, tmp_path, tmp_path / "a.onnx")
