@@ -55,6 +55,8 @@ class PolicyOnCar:
     ----------
     path : ndarray, shape (12, 4)
         Path of the last plan: x, y (m), speed (m/s) and curvature (1/m).
+    view : ndarray
+        Last view of the planner (:data:`pcs_racing.planners.VIEW`).
     memory : ndarray
         Memory of the planner.
 
@@ -87,7 +89,7 @@ class PolicyOnCar:
         self._vehicles = np.stack([car.as_row() for car in cars])
         self._states = {count: empty_state(1, 0, count) for count in (1, 2)}
         sizes = (planner.memory_size, planner.scratch_size, VIEW_SIZE, 2)
-        self.memory, self._scratch, self._view, self._command = map(np.zeros, sizes)
+        self.memory, self._scratch, self.view, self._command = map(np.zeros, sizes)
         self.path, self._planned = np.zeros((PATH_POINTS, PATH_COLUMNS)), -1
         self._theta = policy.parameters.copy()  # writeable, as the compiled functions ask
         with first_call(_ask, "the policy", 10):
@@ -113,7 +115,7 @@ class PolicyOnCar:
             rows.append(check_array("opponent", opponent, (STATE_SIZE,)))
         self._look(tick, np.stack(rows))
         due, self._planned = tick // PLAN_EVERY != self._planned, tick // PLAN_EVERY
-        own = self._theta, self._view, self.memory, self._scratch, self.path, self._command
+        own = self._theta, self.view, self.memory, self._scratch, self.path, self._command
         _ask(*self._code, due, self.track.arrays, *own)
         steering, speed = self._command.tolist()
         return steering, speed
@@ -125,4 +127,4 @@ class PolicyOnCar:
         half = 0.5 * track.length
         gaps = (places[:, 0] - places[0, 0] + half) % track.length - half
         state.tick[0], state.cars[0], state.frenet[0], state.progress[0] = tick, cars, places, gaps
-        fill_view(track.arrays, state, 0, 0, self._vehicles, self._setup.settings, self._view)
+        fill_view(track.arrays, state, 0, 0, self._vehicles, self._setup.settings, self.view)

@@ -31,7 +31,18 @@ from pcs_racing.race.config import DT, PLAN_EVERY
 from pcs_racing_agents.base.onnx_graph import Exported, OnnxGraph, described
 
 COMMAND = [{"name": "steering angle", "unit": "rad"}, {"name": "speed", "unit": "m/s"}]
-CAR = {"wheelbase": F1TENTH.lf + F1TENTH.lr, "max steering angle": F1TENTH.steer_max}
+_GRIP = F1TENTH.mu * GRAVITY
+CAR = {
+    "wheelbase": F1TENTH.lf + F1TENTH.lr,
+    "rear_axle": F1TENTH.lr,
+    "steer_max": F1TENTH.steer_max,
+    "rear_slip": 1.0 / (_GRIP * F1TENTH.c_sr),
+    "understeer": (1.0 / F1TENTH.c_sf - 1.0 / F1TENTH.c_sr) / _GRIP,
+    "understeer_gain": F1TENTH.h
+    / (_GRIP * GRAVITY)
+    * (1.0 / (F1TENTH.c_sf * F1TENTH.lr) + 1.0 / (F1TENTH.c_sr * F1TENTH.lf)),
+}
+"""Car of the commands, as in a planner's view: m, rad, rad s^2/m and rad s^4/m^2."""
 PERIOD = PLAN_EVERY * DT
 REJECTED = -1e30  # score of a rejected candidate
 
@@ -102,10 +113,12 @@ def _lidar_ppo(graph: OnnxGraph, flat: NDArray[np.float64]) -> Any:
     graph.add("Concat", *kept, name=graph.end("outputs", "next_memory", lidar_ppo.MEMORY), axis=1)
     _pursue(graph, graph.slice(own, 0, 1), graph.slice(x, 0, 1), graph.slice(x, 1, 2))
     angle = 0.5 * FIELD_OF_VIEW
-    beams = {"unit": "m", "beams": BEAMS, "angle_min": -angle, "angle_max": angle}
+    beams: dict[str, Any] = {"unit": "m", "beams": BEAMS, "angle_min": -angle, "angle_max": angle}
+    beams["max_range"] = MAX_RANGE
     names = {"speed": "m/s", "yaw rate": "rad/s", "steering angle": "rad"}
     inputs = {"ranges": beams, "own": [{"name": k, "unit": v} for k, v in names.items()]}
-    return inputs, {"command": COMMAND}, {"state": {"memory": "next_memory"}, "vehicle": CAR}
+    outputs = {"arc": [{"name": "curvature", "unit": "1/m"}, COMMAND[1]], "command": COMMAND}
+    return inputs, outputs, {"state": {"memory": "next_memory"}, "vehicle": CAR}
 
 
 def _pursue(graph: OnnxGraph, v: str, turn: str, push: str) -> None:
@@ -115,15 +128,13 @@ def _pursue(graph: OnnxGraph, v: str, turn: str, push: str) -> None:
     kappa = graph.add("Div", graph.add("Mul", turn, lidar_ppo.MAX_KAPPA), tight)
     speed = graph.add("Add", v, graph.add("Mul", push, lidar_ppo.PUSH))
     speed = graph.add("Max", speed, lidar_ppo.SLOWEST)
+    graph.add("Concat", kappa, speed, name=graph.end("outputs", "arc", 2), axis=1)
     speed = graph.add("Max", speed, graph.add("Sub", v, 0.1 * BRAKING))
     harder = graph.add("Min", graph.add("Mul", graph.add("Sub", speed, v), 10.0), 9.5)
-    car, grip = F1TENTH, F1TENTH.mu * GRAVITY
-    understeer = (1.0 / car.c_sf - 1.0 / car.c_sr) / grip
-    gain = car.h / (grip * GRAVITY) * (1.0 / (car.c_sf * car.lr) + 1.0 / (car.c_sr * car.lf))
-    more = graph.add("Add", graph.add("Mul", harder, gain), understeer)
+    more = graph.add("Add", graph.add("Mul", harder, CAR["understeer_gain"]), CAR["understeer"])
     more = graph.add("Mul", graph.add("Mul", more, kappa), graph.add("Mul", v, v))
-    steering = graph.add("Add", graph.add("Atan", graph.add("Mul", kappa, car.lf + car.lr)), more)
-    steering = graph.add("Clip", steering, -car.steer_max, car.steer_max)
+    steering = graph.add("Add", graph.add("Atan", graph.add("Mul", kappa, CAR["wheelbase"])), more)
+    steering = graph.add("Clip", steering, -CAR["steer_max"], CAR["steer_max"])
     graph.add("Concat", steering, speed, name=graph.end("outputs", "command", 2), axis=1)
 
 

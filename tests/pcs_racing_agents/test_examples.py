@@ -2,7 +2,6 @@ import importlib
 import json
 import re
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -301,34 +300,3 @@ def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):
         EXAMPLES / "record_dataset.py", *arguments, "--name", "again/lattice-v0", folder=tmp_path
     )
     assert again.partition(": ")[2] == out.partition(": ")[2]
-
-
-def test_the_ros_bridge_drives_by_commands_and_publishes_what_the_gym_does(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXAMPLES / "ros2_bridge"))
-    logic = importlib.import_module("logic")
-    bridge = logic.Bridge("Pipkin", opponent=None, beams=9)
-    bridge.put(*load_track("Pipkin").to_cartesian([0.0, 0.0]))
-    for _ in range(25):
-        bridge.command(0, 0.0, 2.0)
-        bridge.command(1, np.nan, 9.0)  # left out
-        messages = {message.topic: message for message in bridge.step()}
-    assert set(messages) == {"/scan", "/opp_scan", "/ego_racecar/odom", "/opp_racecar/odom", "/tf"}
-    assert {message.time for message in messages.values()} == {500_000_000}
-    speeds = [
-        messages[f"/{car}_racecar/odom"].fields["twist"]["twist"]["linear"]["x"]
-        for car in ("ego", "opp")
-    ]
-    assert 1.5 < speeds[0] < 2.1
-    assert abs(speeds[1]) < 0.1
-    assert len(messages["/scan"].fields["ranges"]) == 9
-    frames = SimpleNamespace(transforms=None)
-
-    def new():
-        parts = SimpleNamespace(translation=SimpleNamespace(), rotation=SimpleNamespace())
-        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace()), transform=parts)
-
-    logic.fill(frames, messages["/tf"].fields, {"transforms": new})
-    assert [frame.child_frame_id for frame in frames.transforms][:2] == [
-        "ego_racecar/base_link",
-        "ego_racecar/laser",
-    ]

@@ -12,7 +12,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.dense import dense_forward
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs import DriveEnv, DuelEnv, PolicyOnCar
-from pcs_racing.planners import Lidar
+from pcs_racing.planners import PATH_KAPPA, PATH_SPEED, VIEW, Lidar
 from pcs_racing.planners.field import residual
 from pcs_racing.planners.field.lidar_networks import read_lidar_planner
 from pcs_racing.planners.lattice import GOALS, SPEEDS
@@ -108,11 +108,16 @@ def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng):
         found = network.outputs(ranges=[ranges], own=[np.take(own, [3, 5, 2])], memory=memory)
         steering, speed = on_car.command(0.1 * k, own, [x, y, 0.0, 2.0, heading, 0.0, 0.0])
         close(found["next_memory"][0], on_car.memory)
+        close(found["arc"][0], on_car.path[0, [PATH_KAPPA, PATH_SPEED]])
         assert found["command"][0, 1] == pytest.approx(speed, abs=1e-5)
         # The arc of the plan has twelve points, with straight lines between them.
         assert found["command"][0, 0] == pytest.approx(steering, abs=3e-3)
         memory = found["next_memory"]
     assert network.about["state"] == {"memory": "next_memory"}
+    view = on_car.view
+    for name, value in network.about["vehicle"].items():
+        number = list(VIEW).index("WHEELBASE" if name == "wheelbase" else name.upper())
+        assert value == pytest.approx(view[number], rel=1e-12), name
 
 
 @compiled

@@ -1,7 +1,6 @@
-"""What the bridge does with a race, without ROS: commands go in, messages come out."""
+"""Work of the simulator node, without ROS: commands go in, messages come out."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -15,13 +14,13 @@ STILL = np.zeros(2, np.float32)
 
 
 @dataclass
-class Bridge:
-    """A race that goes on step by step with the last command of each car."""
+class Simulation:
+    """Race that goes on step by step with the last command of each car."""
 
     track: str = "Brackwater"
-    #: Who drives the second car; None: commands of ``/opp_drive``.
+    #: Planner or agent of the second car; None: commands of ``/opp_drive``.
     opponent: str | None = "lattice"
-    race: str = "paper"
+    rules: str = "paper"
     seed: int = 0
     beams: int = 1080
     #: Steering (rad) and speed (m/s).
@@ -31,10 +30,11 @@ class Bridge:
     def __post_init__(self) -> None:
         self.env = DriveHeadToHeadEnv(
             track=self.track,
-            race=self.race,
+            race=self.rules,
             opponent=self.opponent,
             time_step=TIME_STEP,
             normalized=False,
+            top_speed=20.0,
             duration=3600.0,
         )
         self.circuit = load_track(self.track)
@@ -42,7 +42,7 @@ class Bridge:
         self.info = self.env.reset(seed=self.seed)[1]
 
     def command(self, car: int, steering: float, speed: float) -> None:
-        """Keep a command until the next one; what is not finite is left out."""
+        """Keep a command until the next one; a command that is not finite is ignored."""
         if np.isfinite([steering, speed]).all():
             limits = self.env.action_space(f"car_{car}")
             self.commands[f"car_{car}"] = np.clip(
@@ -50,9 +50,7 @@ class Bridge:
             ).astype(np.float32)
 
     def step(self) -> list[watch.RosMessage]:
-        """Drive a step and return what is published after it; after the end of a race the next one
-        begins.
-        """
+        """Drive a step and return the messages after it; a race follows the last one."""
         if not self.env.agents:
             self.info, self.commands = self.env.reset()[1], {}
         actions = {agent: self.commands.get(agent, STILL) for agent in self.env.agents}
@@ -61,7 +59,7 @@ class Bridge:
         return self.messages()
 
     def put(self, x: float, y: float, heading: float) -> None:
-        """Put the ego at a place, at rest; the other car stays where it is. Refused in a wall."""
+        """Put the ego at a place, at rest; the other car stays. A place in a wall is refused."""
         poses = np.array(self.info["car_0"]["poses"], float)
         poses[0] = x, y, heading
         self.info, self.commands = self.env.reset(options={"poses": poses})[1], {}
@@ -81,19 +79,3 @@ class Bridge:
     def map(self) -> watch.RosMessage:
         """Return the circuit."""
         return watch.map_message(self.circuit)
-
-
-def fill(message: Any, fields: dict[str, Any], kinds: dict[str, Any]) -> Any:
-    """Set the fields of a message of ROS from a mapping.
-
-    ``kinds`` holds the class of the items of each field that is a list of messages:
-    ``{"transforms": TransformStamped}``.
-    """
-    for name, value in fields.items():
-        if isinstance(value, dict):
-            fill(getattr(message, name), value, kinds)
-        elif name in kinds:
-            setattr(message, name, [fill(kinds[name](), item, kinds) for item in value])
-        else:
-            setattr(message, name, value)
-    return message

@@ -1,0 +1,63 @@
+"""Messages of ROS 2 as numbers, and mappings of fields as messages."""
+
+import math
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+
+def message_class(kind: str) -> type:
+    """Return the class of a type of message, like "sensor_msgs/msg/LaserScan"."""
+    package, _, name = kind.split("/")
+    return getattr(import_module(f"{package}.msg"), name)
+
+
+def fill(message: Any, fields: dict[str, Any], kinds: dict[str, Any]) -> Any:
+    """Set the fields of a message from a mapping.
+
+    ``kinds`` holds the class of the items of each field that is a list of messages:
+    ``{"transforms": TransformStamped}``.
+    """
+    for name, value in fields.items():
+        if isinstance(value, dict):
+            fill(getattr(message, name), value, kinds)
+        elif name in kinds:
+            setattr(message, name, [fill(kinds[name](), item, kinds) for item in value])
+        else:
+            setattr(message, name, value)
+    return message
+
+
+def heading_of(orientation: Any) -> float:
+    """Return the heading (rad) of a quaternion of a car on flat ground."""
+    return 2.0 * math.atan2(orientation.z, orientation.w)
+
+
+def state_of(odometry: Any, steering: float, to_centre: float) -> np.ndarray:
+    """Return the state of a car from its odometry, shape (7,).
+
+    x, y (m), steering angle (rad), speed (m/s), heading (rad), yaw rate (rad/s) and slip angle
+    (rad) of the centre of gravity, ``to_centre`` (m) ahead of the frame of the odometry.
+    """
+    at, twist = odometry.pose.pose, odometry.twist.twist
+    heading, yaw_rate = heading_of(at.orientation), twist.angular.z
+    x = at.position.x + to_centre * math.cos(heading)
+    y = at.position.y + to_centre * math.sin(heading)
+    forward, aside = twist.linear.x, twist.linear.y + to_centre * yaw_rate
+    speed = math.copysign(math.hypot(forward, aside), forward)
+    slip = math.atan2(aside, forward) if forward > 0.5 else 0.0
+    return np.array([x, y, steering, speed, heading, yaw_rate, slip])
+
+
+def ranges_at(scan: Any, angles: np.ndarray, max_range: float) -> np.ndarray:
+    """Return the ranges (m) of the beams nearest to some angles (rad) from the heading.
+
+    A beam without a valid range, or out of the field of view, has the max range.
+    """
+    ranges = np.asarray(scan.ranges, float)
+    beams = np.rint((angles - scan.angle_min) / scan.angle_increment).astype(int)
+    inside = (beams >= 0) & (beams < len(ranges))
+    found = np.where(inside, ranges[np.where(inside, beams, 0)], np.nan)
+    valid = (found >= scan.range_min) & (found <= max_range)
+    return np.where(valid, found, max_range)

@@ -1,0 +1,59 @@
+"""Run a file of ``pcs-racing export`` with numpy and onnxruntime alone.
+
+    python onnx_policy.py lidar-ppo.onnx --hz 100
+
+prints the inputs and the outputs of the file, and the delay of a decision on this computer.
+"""
+
+import argparse
+import json
+import time
+
+import numpy as np
+import onnxruntime
+
+
+class OnnxPolicy:
+    """Network of a file, with the state from decision to decision, if the network has one."""
+
+    def __init__(self, file: str) -> None:
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1  # a small network gains nothing from threads
+        self.session = onnxruntime.InferenceSession(file, options, ["CPUExecutionProvider"])
+        #: Description: name, period (s), inputs and outputs with their units, state.
+        self.about = json.loads(self.session.get_modelmeta().custom_metadata_map["pcs_racing"])
+        self.shapes = {one.name: (1, *one.shape[1:]) for one in self.session.get_inputs()}
+        self.kept = self.about.get("state", {})
+        self.state = {name: np.zeros(self.shapes[name], np.float32) for name in self.kept}
+
+    def decide(self, **inputs: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the outputs by name for one observation, and keep the state."""
+        rows = {k: np.asarray(v, np.float32).reshape(self.shapes[k]) for k, v in inputs.items()}
+        names = [one.name for one in self.session.get_outputs()]
+        outputs = dict(zip(names, self.session.run(names, {**rows, **self.state}), strict=True))
+        self.state = {name: outputs.pop(source) for name, source in self.kept.items()}
+        return {name: values[0] for name, values in outputs.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="run a file of pcs-racing export")
+    parser.add_argument("file")
+    parser.add_argument("--hz", type=float, default=50.0, help="decisions a second")
+    parser.add_argument("--seconds", type=float, default=2.0)
+    arguments = parser.parse_args()
+    policy = OnnxPolicy(arguments.file)
+    print(json.dumps({key: policy.about[key] for key in ("name", "period", "outputs")}))
+    rng, delays, begin = np.random.default_rng(0), [], time.perf_counter()
+    for k in range(round(arguments.hz * arguments.seconds)):
+        time.sleep(max(0.0, begin + k / arguments.hz - time.perf_counter()))
+        measured = {name: rng.random(policy.shapes[name]) for name in policy.about["inputs"]}
+        asked = time.perf_counter()  # above: your sensors in place of random numbers
+        outputs = policy.decide(**measured)
+        delays.append(1e3 * (time.perf_counter() - asked))
+    print({name: values.tolist() for name, values in outputs.items()})
+    median, late = np.percentile(delays, [50, 99])
+    print(f"{len(delays)} decisions: {median:.3f} ms (median), {late:.3f} ms (99 %)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,242 @@
+"""The package of ROS 2: its logic without ROS, its files, and a runner without our packages."""
+
+import ast
+import importlib
+import shutil
+import subprocess
+import sys
+import zipfile
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+import yaml
+from repository import REPOSITORY
+from warm_start import call_python
+
+from pcs_racing import load_track
+from pcs_racing.envs import PolicyOnCar
+from pcs_racing_agents.agents import export_onnx
+
+PACKAGE = REPOSITORY / "examples" / "ros2_bridge"
+NAME = "pcs_racing_ros"
+
+
+@pytest.fixture
+def ros(monkeypatch):
+    """The package of the bridge, as ROS imports it."""
+    monkeypatch.syspath_prepend(str(PACKAGE))
+    yield lambda name: importlib.import_module(f"{NAME}.{name}")
+    for name in [name for name in sys.modules if name.partition(".")[0] == NAME]:
+        del sys.modules[name]
+
+
+def message(fields, **more):
+    """Return a message with some fields; the field of a mapping is a message, too."""
+    parts = {k: message(v) if isinstance(v, dict) else v for k, v in fields.items()}
+    return SimpleNamespace(**{**more, **parts})
+
+
+@pytest.fixture(scope="module")
+def lidar_ppo(tmp_path_factory):
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    return export_onnx("lidar-ppo", tmp_path_factory.mktemp("exported") / "lidar-ppo.onnx")
+
+
+def test_the_simulator_drives_by_commands_and_publishes_what_the_gym_does(ros):
+    race = ros("simulation").Simulation("Pipkin", opponent=None, beams=9)
+    race.put(*load_track("Pipkin").to_cartesian([0.0, 0.0]))
+    for _ in range(25):
+        race.command(0, 0.0, 2.0)
+        race.command(1, np.nan, 9.0)  # left out
+        messages = {message.topic: message for message in race.step()}
+    assert set(messages) == {"/scan", "/opp_scan", "/ego_racecar/odom", "/opp_racecar/odom", "/tf"}
+    assert {message.time for message in messages.values()} == {500_000_000}
+    speeds = [
+        messages[f"/{car}_racecar/odom"].fields["twist"]["twist"]["linear"]["x"]
+        for car in ("ego", "opp")
+    ]
+    assert 1.5 < speeds[0] < 2.1
+    assert abs(speeds[1]) < 0.1
+    assert len(messages["/scan"].fields["ranges"]) == 9
+    frames = SimpleNamespace(transforms=None)
+
+    def new():
+        parts = SimpleNamespace(translation=SimpleNamespace(), rotation=SimpleNamespace())
+        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace()), transform=parts)
+
+    ros("messages").fill(frames, messages["/tf"].fields, {"transforms": new})
+    assert [frame.child_frame_id for frame in frames.transforms][:2] == [
+        "ego_racecar/base_link",
+        "ego_racecar/laser",
+    ]
+
+
+@pytest.mark.parametrize("policy", ["line-ppo", "lidar-ppo"])
+def test_a_policy_drives_by_messages_as_in_races(ros, lidar_ppo, policy):
+    """The simulator's messages go to the planner node's logic, and its commands come back."""
+    race = ros("simulation").Simulation("Brackwater", opponent="lattice:pace=0", seed=1, beams=271)
+    planning = ros("planning").Planning(str(lidar_ppo) if policy == "lidar-ppo" else policy)
+    on_car = PolicyOnCar(policy, "Brackwater")
+    kinds = {"/scan": "scan", "/ego_racecar/odom": "odometry", "/opp_racecar/odom": "opponent"}
+    began = race.info["car_0"]["progress"]
+    for k in range(400):
+        for one in race.step():
+            if one.topic in kinds:
+                planning.hear(kinds[one.topic], message(one.fields, range_min=0.0), 1e-9 * one.time)
+        command = planning.command(1e-9 * one.time)
+        race.command(0, *command)
+        car, opponent = (
+            ros("messages").state_of(planning.heard[kind][1], steering, 0.0)
+            for kind, steering in (("odometry", planning.steering), ("opponent", 0.0))
+        )
+        expected = on_car.command(0.02 * k, car, opponent)
+        assert (np.abs(np.subtract(command, expected)) < [0.01, 0.1]).all()  # rad, m/s
+        assert race.env.agents  # no crash ended the race
+    assert race.info["car_0"]["progress"] - began > 55.0  # m in 8 s
+
+
+def odometry(x=1.0, y=2.0, heading=0.0, vx=3.0, vy=0.0, yaw_rate=0.0):
+    quaternion = {"z": np.sin(0.5 * heading), "w": np.cos(0.5 * heading)}
+    pose = {"pose": {"position": {"x": x, "y": y}, "orientation": quaternion}}
+    twist = {"twist": {"linear": {"x": vx, "y": vy}, "angular": {"z": yaw_rate}}}
+    return message({"pose": pose, "twist": twist})
+
+
+def test_odometry_of_the_rear_axle_becomes_the_state_of_the_centre(ros):
+    heard = odometry(heading=0.5 * np.pi, vx=2.0, yaw_rate=1.0)
+    found = ros("messages").state_of(heard, 0.1, 0.17)
+    x, y, steering, speed, heading, yaw_rate, slip = found
+    np.testing.assert_allclose([x, y, steering, heading], [1.0, 2.17, 0.1, 0.5 * np.pi])
+    np.testing.assert_allclose([speed * np.cos(slip), speed * np.sin(slip)], [2.0, 0.17])
+    assert yaw_rate == 1.0
+
+
+def test_a_beam_without_a_range_sees_nothing(ros):
+    scan = SimpleNamespace(
+        angle_min=-1.0, angle_increment=0.5, range_min=0.1, ranges=[1.0, 2.0, 0.0, np.inf, np.nan]
+    )
+    angles = np.array([-1.5, -1.0, -0.4, 0.0, 0.5, 1.0])
+    found = ros("messages").ranges_at(scan, angles, 15.0)
+    np.testing.assert_array_equal(found, [15.0, 1.0, 2.0, 15.0, 15.0, 15.0])
+
+
+def test_without_fresh_messages_the_car_stops(ros):
+    planning = ros("planning").Planning("pure-pursuit", "Pipkin", speed_share=0.5)
+    x, y, heading = load_track("Pipkin").to_cartesian([0.0, 0.0])
+    assert planning.command(5.0) == (0.0, 0.0)
+    planning.hear("odometry", odometry(x, y, heading), 5.0)
+    _, slow = planning.command(5.02)
+    assert slow > 0.0
+    planning.hear("opponent", odometry(np.nan), 5.02)
+    assert planning.command(5.04) == (0.0, 0.0)
+    planning.hear("odometry", odometry(x, y, heading), 5.3)  # the opponent is lost by now
+    assert planning.command(5.32)[1] > 0.0
+    assert planning.command(5.6) == (0.0, 0.0)
+
+
+def test_a_file_of_another_policy_is_refused(ros, tmp_path):
+    pytest.importorskip("onnx")
+    pytest.importorskip("onnxruntime")
+    file = str(export_onnx("ppo-drive", tmp_path / "ppo-drive.onnx"))
+    with pytest.raises(ValueError, match="takes observation; the planner node runs"):
+        ros("planning").Planning(file)
+
+
+ALONE = """
+import runpy, sys
+
+class Blocked:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("pcs_racing", "pcs_racing_agents", "torch", "onnx"):
+            raise ImportError(f"{name} is blocked")
+
+sys.meta_path.insert(0, Blocked())
+runner, sys.argv = sys.argv[1], sys.argv[1:]
+runpy.run_path(runner, run_name="__main__")
+"""
+
+
+def test_the_runner_needs_numpy_and_onnxruntime_alone(lidar_ppo, tmp_path):
+    (tmp_path / "alone.py").write_text(ALONE, encoding="utf-8")
+    runner = PACKAGE / NAME / "onnx_policy.py"
+    arguments = (runner, lidar_ppo, "--hz", "100", "--seconds", "0.2")
+    done = call_python("alone.py", *map(str, arguments), cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "'command': [" in done.stdout
+    assert "20 decisions: " in done.stdout
+
+
+# The files of the package
+
+
+def test_the_package_installs_what_it_names(tmp_path):
+    """It builds without ROS, and package.xml, launch file and parameters fit its nodes."""
+    pytest.importorskip("setuptools")
+    source = shutil.copytree(PACKAGE, tmp_path / "source")
+    code = "from setuptools.build_meta import build_wheel; print(build_wheel('.'))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=source, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    (wheel,) = source.glob("*.whl")
+    with zipfile.ZipFile(wheel) as file:
+        installed = set(file.namelist())
+        (entries,) = (name for name in installed if name.endswith("entry_points.txt"))
+        lines = file.read(entries).decode().splitlines()
+    nodes = dict(line.split(" = ") for line in lines if " = " in line)
+    manifest = ElementTree.parse(PACKAGE / "package.xml").getroot()
+    assert (manifest.findtext("name"), manifest.findtext("export/build_type")) == (
+        NAME,
+        "ament_python",
+    )
+    assert wheel.name.startswith(f"{NAME}-{manifest.findtext('version')}-")
+    data = f"{NAME}-{manifest.findtext('version')}.data/data/share"
+    shared = {
+        f"{data}/ament_index/resource_index/packages/{NAME}",
+        *(f"{data}/{NAME}/{one}" for one in ("package.xml", "launch/race.launch.py")),
+        f"{data}/{NAME}/config/parameters.yaml",
+    }
+    assert shared <= installed
+    modules = {f"{NAME}/{path.name}" for path in (PACKAGE / NAME).glob("*.py")}
+    assert modules <= installed
+    assert nodes == {name: f"{NAME}.nodes:{name}" for name in ("planner", "simulator")}
+
+
+def imported(tree: ast.AST) -> set[str]:
+    """Return the first words of all modules that a file imports from elsewhere."""
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {one.name.partition(".")[0] for one in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
+            found.add(str(node.module).partition(".")[0])
+    return found
+
+
+def test_launch_file_and_dependencies_fit(ros):
+    launch = ast.parse((PACKAGE / "launch" / "race.launch.py").read_text(encoding="utf-8"))
+    calls = [node for node in ast.walk(launch) if isinstance(node, ast.Call)]
+    started = {
+        word.value.value
+        for call in calls
+        for word in call.keywords
+        if getattr(call.func, "id", "") == "Node" and word.arg == "executable"
+    }
+    assert started == {"simulator", "planner"}
+    assert [node.name for node in launch.body if isinstance(node, ast.FunctionDef)] == [
+        "generate_launch_description"
+    ]
+    named = {one.text for one in ElementTree.parse(PACKAGE / "package.xml").iter("exec_depend")}
+    files = [ast.parse(file.read_text("utf-8")) for file in (PACKAGE / NAME).glob("*.py")]
+    used = set().union(*map(imported, files)) - sys.stdlib_module_names
+    assert used - {"numpy", "onnxruntime", "pcs_racing", "pcs_racing_agents"} <= named
+    assert imported(launch) - {"pathlib", "ament_index_python"} <= named
+
+
+def test_the_parameters_are_those_of_the_nodes(ros):
+    nodes, text = ros("nodes"), (PACKAGE / "config" / "parameters.yaml").read_text("utf-8")
+    values = {name: one["ros__parameters"] for name, one in yaml.safe_load(text).items()}
+    assert values == {"simulator": nodes.SIMULATOR, "planner": nodes.PLANNER}
