@@ -171,8 +171,7 @@ def drive_rules(
             f"{randomization.episodes * players} environments observe {len(elements)} numbers each;"
             f" take fewer environments or beams: {MAX_NUMBERS} numbers are the limit"
         )
-    noise = np.full(randomization.episodes, float(options.lidar_noise))
-    sight = make_sight(options, cars, players, track)._replace(end_tick=config.ticks, noise=noise)
+    sight = make_sight(options, cars, players, track)._replace(end_tick=config.ticks)
     turn = max(car.steer_max for car in setup.vehicles[:players])
     return DriveRules(
         options=options,

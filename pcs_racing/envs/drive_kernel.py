@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.lidar_errors import ERRORS, NOISE, disturb_scan, lidar_place
+from pcs_racing.car.lidar_errors import ERRORS, disturb_scan, lidar_place
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_walls
 from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY
@@ -63,8 +63,6 @@ class Sight(NamedTuple):
     time_left: bool  #: Flag: the remaining share of the race is included.
     end_tick: int  #: Duration of a race in steps of 0.01 s.
     beams: Beams  #: Beams of the lidar; without beams there is no scan.
-    #: shape (B,): Standard deviation of the ranges in each race, m; 0 for that of the car's lidar.
-    noise: NDArray[Any]
     low: NDArray[Any]  #: shape (n,): Lower bounds of the elements; values are clipped.
     high: NDArray[Any]  #: shape (n,): Upper bounds of the elements.
     gain: NDArray[Any]  #: shape (n,): Factor; the output is ``gain * clipped value + shift``.
@@ -279,8 +277,6 @@ def _scan(inputs, races, race, car, buffers, out):
     errors = buffers.errors
     for k in range(errors.shape[0]):
         errors[k] = own[_vehicle.LIDAR_FOV + k]
-    if sight.noise[race] > 0.0:
-        errors[NOISE] = sight.noise[race]
     # Each beam has its own count at each tick: no scan repeats the noise of another scan.
     key, count = state.seed[race] ^ _LIDAR_KEY, state.tick[race] * out.shape[0]
     disturb_scan(sight.beams, 0.0, errors, key, car, count, out)

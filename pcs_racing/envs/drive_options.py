@@ -77,7 +77,6 @@ class DriveArguments(EpisodeArguments, total=False):
     beams: int
     fov: float
     max_range: float
-    lidar_noise: float
     look_ahead: Sequence[float]
     own_state: bool
     own_pose: bool
@@ -164,11 +163,6 @@ class DriveOptions(EpisodeOptions):
     beams: Annotated[int, Interval(ge=0, le=MAX_BEAMS), "Beams of the lidar; 0 for none."] = 0
     fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
     max_range: Annotated[float, MAX_RANGE, "Longest range that is reported, m."] = 30.0
-    lidar_noise: Annotated[
-        float,
-        Interval(ge=0.0, le=10.0),
-        "Standard deviation of the ranges, m; a function of the race's key, the time and the beam.",
-    ] = 0.0
     look_ahead: Annotated[
         tuple[Annotated[float, Interval(ge=0.0, le=1000.0)], ...],
         Len(0, 100),
@@ -374,8 +368,8 @@ def samples_ahead(options: DriveOptions, track: Track) -> NDArray[np.int64]:
 
 
 def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> Sight:
-    """What players observe in races of so many cars on a track; noise and the end of the race are
-    not known here.
+    """Return the observation of players in races of so many cars on a track, without the end of a
+    race.
     """
     elements = drive_elements(options, cars)
     low, high = (
@@ -397,7 +391,6 @@ def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> 
         time_left=options.time_left,
         end_tick=0,
         beams=beams,
-        noise=np.zeros(0),
         low=low,
         high=high,
         gain=gain,

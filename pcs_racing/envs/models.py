@@ -39,7 +39,6 @@ KEPT = (
     "beams",
     "fov",
     "max_range",
-    "lidar_noise",
     "look_ahead",
     "own_state",
     "own_pose",
@@ -140,9 +139,8 @@ class ModelDriver:
         """Return steering angles (rad) and speeds (m/s) for one car of the races ``rows``, shape
         (n, 2).
         """
-        noise = np.full(state.races, float(self.options.lidar_noise))
         ahead = samples_ahead(self.options, track)
-        sight = self._sight._replace(ahead=ahead, noise=noise, end_tick=settings.end_tick)
+        sight = self._sight._replace(ahead=ahead, end_tick=settings.end_tick)
         count = len(sight.low)
         seen = np.empty((len(rows), count), np.float32)
         buffers = make_buffers(0, 0, count, state.number)

@@ -46,7 +46,13 @@ def six_policies() -> PolicyArchive:
     return PolicyArchive("six", "lattice", planner.parameter_names, parameters, AXES, coordinates)
 
 
-DRIVE = {"race": "contest", "duration": 1.0, "time_step": 0.1, "beams": 3, "lidar_noise": 0.1}
+DRIVE = {
+    "race": "contest",
+    "duration": 1.0,
+    "time_step": 0.1,
+    "beams": 3,
+    "vehicle": {"lidar_noise": 0.1},
+}
 GAME = {"step_seconds": 0.5, "moves": 2, "race": "contest"}
 MATCH = {
     "archive": six_policies(),

@@ -268,7 +268,7 @@ def test_the_same_seed_is_the_same_episodes(kind):
 
 RACE = load_race_config("contest", duration=3.0)
 DRIVES = [
-    {"race": RACE, "duration": None, "beams": 12, "lidar_noise": 0.05},
+    {"race": RACE, "duration": None, "beams": 12, "vehicle": {"lidar_noise": 0.05}},
     {
         "race": RACE,
         "duration": None,

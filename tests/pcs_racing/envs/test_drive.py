@@ -139,7 +139,7 @@ def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
 def test_the_noise_of_the_two_lidars_differs(coarse_oval):
     noises = []
     for noise in (0.0, 0.2):
-        env = make(coarse_oval, beams=60, lidar_noise=noise)
+        env = make(coarse_oval, beams=60, vehicle={"lidar_noise": noise})
         observations, _ = env.reset(
             seed=1, options={"poses": poses(coarse_oval, (3.0, 0.0, 0.0), (8.0, 0.0, 0.0))}
         )

@@ -212,7 +212,7 @@ def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_
 
 def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval):
     quiet, noisy = (
-        begun(coarse_oval, None, beams=30, lidar_noise=noise, time_step=0.02)
+        begun(coarse_oval, None, beams=30, vehicle={"lidar_noise": noise}, time_step=0.02)
         for noise in (0.0, 0.05)
     )
     for env in (quiet, noisy):
@@ -235,7 +235,7 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
 
 
 def test_noisy_ranges_stay_within_the_lidars_reach(coarse_oval):
-    env = begun(coarse_oval, None, beams=30, lidar_noise=5.0, max_range=4.0)
+    env = begun(coarse_oval, None, beams=30, vehicle={"lidar_noise": 5.0}, max_range=4.0)
     scans = np.array([env.step(action(0.0, 0.0))[0][-30:] for _ in range(5)])
     assert scans.min() == 0.0
     assert scans.max() == 4.0
