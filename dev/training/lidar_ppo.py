@@ -8,8 +8,7 @@ rules ``contest``, on shipped and random circuits; the opponent is the network i
 its speed or at full speed, a frozen self, or another planner. Every minute the network without
 exploration races other planners, on the shipped circuits and on random ones that it does not learn
 on, and the weights with the best score are saved. The same command goes on after a stop.
-``--randomize cars.yaml`` draws the cars of each race (`pcs_racing.envs.draws`), not those of the
-evaluations.
+``--randomize cars.yaml`` draws the cars of all races (`pcs_racing.envs.draws`).
 """
 
 import argparse
@@ -369,7 +368,7 @@ class Run:
         a, layers = self.arguments, self.learner.layers()
         numbers = np.concatenate([[1.0], flat_weights(layers)])
         policy = BY_THETA.policy(numbers, "lidar-ppo")
-        rows = evaluate(policy, a.rivals, self.checked, a.races, a.threads)
+        rows = evaluate(policy, a.rivals, self.checked, a.races, a.threads, a.randomize)
         found, training = merit(rows), about(a, self.learner.choices, self.updates)
         self.log.curve(self.learner.choices, rows, found)
         folders = [self.folder / "last"]

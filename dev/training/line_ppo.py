@@ -7,8 +7,7 @@ shipped and random circuits; the opponent is the network itself, a frozen self, 
 Half of the cars have the default style, the others a random one. Every minute the network with the
 default style, and without exploration, races the lattice and other planners, and the weights with
 the best score are saved. The same command goes on after a stop.
-``--randomize cars.yaml`` draws the cars of each race (`pcs_racing.envs.draws`), not those of the
-evaluations.
+``--randomize cars.yaml`` draws the cars of all races (`pcs_racing.envs.draws`).
 """
 
 import argparse
@@ -343,7 +342,7 @@ class Run:
         a = self.arguments
         policy = FROZEN.policy(self.learner.numbers(), "line-ppo")
         tracks = [load_track(name) for name in self.shipped]
-        rows = evaluate(policy, a.rivals, tracks, a.races, a.threads)
+        rows = evaluate(policy, a.rivals, tracks, a.races, a.threads, a.randomize)
         found, training = merit(rows), about(a, self.choices, self.updates)
         self.log.curve(self.choices, rows, found)
         folders = [self.folder / "last"]

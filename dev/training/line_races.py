@@ -453,14 +453,11 @@ class Group:
         ended.reshape(two)[:] = self.ended[:, None]
 
 
-def drawn_pairs(ranges: Randomization, seed: int) -> NDArray[np.float64]:
-    """Return the pairs of cars that the races of a group draw from, shape (PAIRS, 2, .).
-
-    Without ranges there is one pair.
-    """
+def drawn_pairs(ranges: Randomization, seed: int, count: int = PAIRS) -> NDArray[np.float64]:
+    """Return drawn pairs of cars, shape (count, 2, .); without ranges one pair."""
     rng, cars = np.random.default_rng([seed, 1]), (F1TENTH, F1TENTH)
-    count = PAIRS if ranges.names else 1
-    drawn = [vehicle_rows(draw_vehicles(ranges, cars, rng), 1) for _ in range(count)]
+    numbers = range(count if ranges.names else 1)
+    drawn = [vehicle_rows(draw_vehicles(ranges, cars, rng), 1) for _ in numbers]
     return np.concatenate(drawn)
 
 

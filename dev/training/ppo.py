@@ -11,13 +11,21 @@ from typing import Any
 
 import numpy as np
 import torch
-from line_races import HELD_OUT
+from line_races import HELD_OUT, drawn_pairs
 from torch import Tensor, nn
 
-from pcs_racing import parse_policy, run_races
+from pcs_racing import parse_policy
+from pcs_racing.base.seeds import race_seeds
+from pcs_racing.envs.draws import Randomization
 from pcs_racing.planners.planner import Policy
+from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
+from pcs_racing.race.config import CONTEST
+from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, start_races
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
+
+SEED = 11  # of the evaluations
 
 
 @dataclass(frozen=True)
@@ -162,15 +170,36 @@ def standardised(gains: Tensor) -> Tensor:
     return (flat - flat.mean()) / (flat.std() + 1e-8)
 
 
+def race_on_drawn_cars(
+    track: Track, policies: Sequence[Policy], races: int, threads: int, ranges: Randomization
+) -> RaceResult:
+    """Race two policies under the rules ``contest``, with cars drawn for each race."""
+    planners = tuple(policy.planner for policy in policies)
+    setup = RaceSetup(track, CONTEST, planners, max_delays=ranges.max_delays)
+    cars = drawn_pairs(ranges, SEED, races)
+    conditions = RaceConditions(cars) if ranges.names else AS_THE_SETUP
+    starts = draw_starts(track, CONTEST, races, SEED)
+    state = start_races(setup, starts, race_seeds(SEED, races), conditions)
+    theta = [pad_parameters([policy] * races, setup.theta_size) for policy in policies]
+    ticks = CONTEST.ticks
+    advance(setup, state, np.stack(theta, 1), ticks, threads=threads, conditions=conditions)
+    return RaceResult(CONTEST, state, starts)
+
+
 def evaluate(
-    policy: Policy, rivals: Sequence[str], tracks: Sequence[Track], races: int, threads: int
+    policy: Policy,
+    rivals: Sequence[str],
+    tracks: Sequence[Track],
+    races: int,
+    threads: int,
+    ranges: Randomization,
 ) -> list[dict[str, Any]]:
-    """Race a policy against other planners; return a row for each."""
+    """Race a policy against other planners on drawn cars; return a row for each."""
     rows = []
     for name in rivals:
         rival, found = parse_policy(name), []
         for track in tracks:
-            result = run_races(track, [policy] * races, rival, "contest", seed=11, threads=threads)
+            result = race_on_drawn_cars(track, (policy, rival), races, threads, ranges)
             won = np.where(result.winner == -1, 0.5, result.winner == 0)
             found.append([won.mean(), *result.own_crash.mean(axis=0)])
         score, own, other = np.mean(found, axis=0)
@@ -251,7 +280,7 @@ def add_arguments(
     add("--cars", type=int, default=1024, help="cars of networks, shared by the circuits")
     known = [name for name in list_tracks() if name not in HELD_OUT]
     add("--tracks", nargs="*", default=known, help="shipped circuits")
-    add("--randomize", help="YAML file of draws of the cars in training (pcs_racing.envs.draws)")
+    add("--randomize", help="YAML file of draws of the cars (pcs_racing.envs.draws)")
     add("--rivals", nargs="*", default=rivals, help="planners of the evaluation")
     add("--random", type=int, default=24, help="random circuits")
     add("--each", type=int, default=each, help="groups on each shipped circuit")
