@@ -21,7 +21,7 @@ CARS = {
     "Pacejka tyres": {"tyres": "pacejka"},
     "steering lag .1 s": {"steer_lag": 0.1},
     "opponent 100 ms late": {"opponent_delay": 0.1},
-    "localisation noise .1 m": {"position_noise": 0.1},
+    "localisation noise .1 m": {"pose_noise": 0.1},
     "10 % of the beams lost": {"lidar_lost": 0.1},
 }
 """Changes of the own car."""
