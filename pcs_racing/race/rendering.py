@@ -21,6 +21,7 @@ from pcs_racing.race.painting import (
     Camera,
     paint_candidates,
     paint_car,
+    paint_holes,
     paint_names,
     paint_plan,
     paint_track,
@@ -30,6 +31,7 @@ from pcs_racing.race.replay import Replay
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.frenet import SPEED
 
+from pcs_racing.track.holes import hole_segments
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
@@ -100,6 +102,8 @@ class Renderer:
             self._walls = join_segments(walls)
             corners = np.vstack([self._line, *self._walls])
             self._low, self._high = corners.min(axis=0), corners.max(axis=0)
+            self._track = None if isinstance(scene, Replay) else scene.arrays
+            self._holes = [] if self._track is None else join_segments(hole_segments(self._track))
             self._ground: tuple[tuple[float, ...], Image.Image] | None = None
             self._shown = scene
         if half_sizes is not None:
@@ -217,7 +221,9 @@ class Renderer:
             )
             at = middle[0] / camera.scale, middle[1] / camera.scale
             region = Camera(*at, camera.scale, width + step_x, height + step_y)
-            self._ground = key, paint_track(region, self._walls, self._line, self._line_speed)
+            painted = paint_track(region, self._walls, self._line, self._line_speed)
+            paint_holes(painted, region, self._holes)
+            self._ground = key, painted
         if self.view == "track":
             return self._ground[1].copy()
         left, top = column - place[0] * step_x + step_x // 2, place[1] * step_y - row + step_y // 2

@@ -19,6 +19,7 @@ from pcs_racing.track.building.curves import sample_closed
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.grid import distance_to_walls
+from pcs_racing.track.holes import check_holes, with_holes
 from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 from pcs_racing.track.track import Track, build_track, calibration_from_values, calibration_values
 
@@ -127,9 +128,10 @@ def _build(files: MapFiles, contents: dict[str, bytes]) -> tuple[Track, str]:
             },
             folder=content.folder,
         )
+        holes = check_holes(content.info.get("holes", []), track.length, error=MapError)
     except MapError as error:
         raise MapError(f"{files.yaml}: {error}") from error
-    return track, note
+    return with_holes(track, holes), note
 
 
 def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:

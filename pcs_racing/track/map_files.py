@@ -19,6 +19,7 @@ from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, is_number
 from pcs_racing.base.errors import MapError, say
 from pcs_racing.track.building.causes import at_cell
+from pcs_racing.track.holes import check_holes
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
@@ -42,6 +43,7 @@ INFO_KEYS = {
     "width": "of the track in m, for the generator",
     "length_range": "shortest and longest length in m, for the generator",
     "resolution": "of the grid in m, for the generator",
+    "holes": "stretches of walls that beams pass: [left or right, first, last] in m along the line",
     "calibration": "for each race preset speed_range, start_spacing, start_places and left_share",
 }
 """Allowed keys of ``NAME_track.yaml``."""
@@ -108,6 +110,7 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
         raise MapError(
             f"{file}: unknown {', '.join(map(repr, unknown))}; the keys are {', '.join(INFO_KEYS)}"
         )
+    check_holes(values.get("holes", []), label=f"{file}: holes", error=MapError)
     calibration = values.get("calibration", {})
     if not isinstance(calibration, dict) or not all(isinstance(name, str) for name in calibration):
         raise MapError(
