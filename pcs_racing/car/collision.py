@@ -151,6 +151,16 @@ def hits_wall(near, s, body):
     return _wall_in_rectangle(near, int(s / near.seen_stretch) % near.seen_middle.shape[0], body)
 
 
+@inner_kernel
+def circle_overlaps(body, x, y, radius):
+    """Return whether a rectangle and a circle around (x, y) overlap."""
+    dx, dy = x - body.x, y - body.y
+    s, c = sine_cosine(body.psi)
+    u = max(abs(dx * c + dy * s) - body.half_length, 0.0)
+    v = max(abs(dy * c - dx * s) - body.half_width, 0.0)
+    return u * u + v * v < radius * radius
+
+
 @kernel
 def car_hits_wall(track, x, y, psi, half_length, half_width, s):
     """Return whether the rectangle of a car at arc length ``s`` (m) reaches into a wall.

@@ -18,6 +18,7 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car.collision import inside_wall
 from pcs_racing.track.frenet import wrap_s
 from pcs_racing.track.grid import cast
+from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, pose_at
 
 # Neighbouring beams lie on two sides of an edge if their ranges differ by this much, in m and as a
 # share of the nearer range.
@@ -245,6 +246,17 @@ def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, ou
 
 
 @inner_kernel
+def _draw_circle(beams, x, y, radius, cos, sin, work, out):
+    """Draw a circle around (x, y) from the lidar, as a polygon, into a buffer."""
+    px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
+    for k in range(_RECTANGLE):  # clockwise
+        s, c = sine_cosine(-2.0 * np.pi * k / (_RECTANGLE - 1))
+        px[k] = x + radius * c
+        py[k] = y + radius * s
+    _draw(beams, 0.0, 0.0, cos, sin, px, py, work, out)
+
+
+@inner_kernel
 def _follow(track, beams, x, y, cos, sin, k, reach):
     """Follow beam k through the cells of the grid; return its range in m, at most ``reach``."""
     c = cos * beams.cos[k] - sin * beams.sin[k]
@@ -353,6 +365,8 @@ def scan_walls(track, beams, x, y, psi, s, work, out):
     for k in range(out.shape[0]):
         out[k] = out[k] if out[k] > least else least
     _settle_edges(track, beams, x, y, cos, sin, out)
+    if track.corners_start.shape[0] > track.seen_middle.shape[0] + 1:
+        _pass_holes(track, beams, x, y, cos, sin, work, out)
     return True
 
 
@@ -365,8 +379,20 @@ def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
         sin, cos = sine_cosine(psi)
         draw_rectangle(beams, dx, dy, opsi, half_length, half_width, cos, sin, work, out)
 
-    if track.corners_start.shape[0] > track.seen_middle.shape[0] + 1:
-        _pass_holes(track, beams, x, y, cos, sin, work, out)
+
+@kernel
+def scan_moving(track, beams, x, y, psi, time, work, out):
+    """Add the moving obstacles at a time (s) to the inverse ranges of a scan."""
+    moving = track.moving
+    for k in range(moving.shape[0]):
+        ox, oy, opsi = pose_at(moving, track.line, track.ds, track.length, k, time)
+        half_length, half_width = moving[k, HALF_LENGTH], moving[k, HALF_WIDTH]
+        if half_width > 0.0:
+            scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
+        else:
+            sin, cos = sine_cosine(psi)
+            _draw_circle(beams, ox - x, oy - y, half_length, cos, sin, work, out)
+
 
 @kernel
 def scan_into(

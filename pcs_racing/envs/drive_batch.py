@@ -621,7 +621,11 @@ class DriveBatch:
         )
         renderer.show(self.randomization.track(race), half_sizes(self.races.vehicles[race]))
         return renderer.render(
-            cars, plans=plans if self.rules.rivals else None, names=names, text=text
+            cars,
+            plans=plans if self.rules.rivals else None,
+            names=names,
+            text=text,
+            time=info["time"],
         )
 
     def get_state(self) -> tuple[Any, ...]:

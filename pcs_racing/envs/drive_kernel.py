@@ -14,9 +14,9 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar_errors import ERRORS, disturb_scan, lidar_place
-from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_walls
+from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_moving, scan_walls
 from pcs_racing.game.reward import step_reward
-from pcs_racing.race.config import CONTROL_EVERY
+from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to, laps_driven
 from pcs_racing.race.sensing import opponent_lost, sense_cars, senses_exactly
@@ -272,6 +272,7 @@ def _scan(inputs, races, race, car, buffers, out):
                     work,
                     out,
                 )
+        scan_moving(track, sight.beams, x, y, psi, state.tick[race] * DT, work, out)
         for i in range(out.shape[0]):
             out[i] = 1.0 / out[i]
     errors = buffers.errors

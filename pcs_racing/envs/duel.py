@@ -112,7 +112,8 @@ class DuelEnv(OverGames, ScalarEnv):
 
     - ``policies``: two indices of the archive; -1 draws a policy;
     - ``start``: arc length of the line in m, and side (0 puts car 0 on the left or in front);
-    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
+    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5); with
+      speed (m/s) and sway (m) of moving ones (K, 7);
     - ``state``: a state returned by ``get_state()``.
 
     ## Episode End

@@ -501,7 +501,12 @@ class GameBatch:
         )
         shown = plans if len(plans) == 2 else None
         return renderer.render(
-            races.cars[episode], plans=shown, trails=trails, names=names, text=text
+            races.cars[episode],
+            plans=shown,
+            trails=trails,
+            names=names,
+            text=text,
+            time=races.tick[episode] * DT,
         )
 
     def value(self) -> Any:

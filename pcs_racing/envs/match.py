@@ -97,7 +97,8 @@ class MatchEnv(OverMatches, DuelEnv):
       that do not choose; -1 draws a policy;
     - ``start``: arc length of the line of all races in m, and side of the first race (0 puts car 0
       on the left or in front);
-    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
+    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5); with
+      speed (m/s) and sway (m) of moving ones (K, 7);
     - ``state``: a state returned by ``get_state()``.
 
     ## Episode End

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from annotated_types import Interval
@@ -13,13 +13,25 @@ from pcs_racing.base.checks import is_whole
 from pcs_racing.base.settings import OneOf, Settings, load_settings, number_range
 from pcs_racing.envs.batch import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
-from pcs_racing.track.obstacles import BOX
+from pcs_racing.track.moving import make_lanes
+from pcs_racing.track.obstacles import BOX, MOTION, obstacle_rows
 from pcs_racing.track.track import Track
 
 MAX_COUNT = 20
-SHAPES = ("box", "circle", "both")
+SHAPES = ("box", "circle", "both", "roboracer")
+ROBORACER_BOX = (0.35, 0.32)  # m: box of RoboRacer's test of obstacle avoidance
 TRIES = 50  # max number of places tried for an obstacle
 BEFORE_START, AFTER_START = 3.0, 8.0  # free distances before and after the start, m
+
+
+class _Placed(NamedTuple):
+    """An obstacle with its place in Frenet coordinates."""
+
+    row: list[float]  #: Numbers of :data:`pcs_racing.track.obstacles.BOX` and ``MOTION``.
+    s: float
+    d: float
+    reach: float  #: Half diagonal, m: at any heading, a box stays within it.
+    lanes: NDArray[np.float64]  #: shape (2, N): Lanes of a moving obstacle, else (2, 0).
 
 
 @dataclass(frozen=True)
@@ -39,7 +51,8 @@ class Obstacles(Settings):
     shape: Annotated[
         str,
         OneOf(SHAPES),
-        "What they are: boxes, circles (their diameter is drawn as a side is), or either.",
+        "What they are: boxes, circles (their diameter is drawn as a side is), either, or boxes of"
+        " .35 x .32 m as in RoboRacer's test, whatever the size.",
     ] = "box"
     passage: Annotated[
         float,
@@ -49,41 +62,101 @@ class Obstacles(Settings):
     apart: Annotated[
         float, Interval(ge=0.0, le=1000.0), "Distance between two of them along the race line, m."
     ] = 5.0
+    moving: Annotated[
+        tuple[int, int],
+        number_range(0, MAX_COUNT, " of obstacles", is_whole),
+        "How many of them move around the track: a number, or the smallest and the largest.",
+    ] = (0, 0)
+    speed: Annotated[
+        tuple[float, float],
+        number_range(0.0, 4.0, " of obstacles"),
+        "Speed of the moving ones of an episode along the race line, m/s.",
+    ] = (0.5, 1.5)
+    sway: Annotated[
+        tuple[float, float],
+        number_range(0.0, 2.0, " of obstacles"),
+        "Amplitude of the motion of a moving one across the race line, in a period of 4 s, m.",
+    ] = (0.0, 0.0)
 
     def draw(
         self, track: Track, starts: Sequence[float], generator: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Draw the obstacles of an episode, shape (K, 5); obstacles without room are left out.
+        """Draw the obstacles of an episode, shape (K, 7); obstacles without room are left out.
 
         ``starts`` are the arc lengths of the cars (m). The track is free from 3 m before to 8 m
-        after each of them.
+        after each of them. Moving obstacles come first. They have the same speed, and their lanes
+        leave a passage all around the track and keep clear of standing obstacles.
         """
-        line, length = track.arrays.line, track.length
-        boxes: list[list[float]] = []
-        places: list[float] = []
-        for _ in range(int(generator.integers(self.count[0], self.count[1] + 1))):
+        placed: list[_Placed] = []
+        count = int(generator.integers(self.count[0], self.count[1] + 1))
+        moving, speed = 0, 0.0
+        if self.moving[1] > 0:  # a seed draws the same standing obstacles as ever
+            moving = int(generator.integers(self.moving[0], self.moving[1] + 1))
+            speed = float(generator.uniform(*self.speed))
+        for nth in range(count):
             # An episode with fewer obstacles is better than an endless search on a narrow track.
             for _ in range(TRIES):
-                s, across, heading = generator.random(3) * (length, 1.0, np.pi)
-                sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
-                if self.shape == "circle" or (self.shape == "both" and generator.random() < 0.5):
-                    heading, sides[1] = 0.0, 0.0
-                sample = line[int(s / track.arrays.ds) % len(line)]
-                # At any heading, a box stays within half of its diagonal.
-                reach = 0.5 * float(np.hypot(*sides))
-                d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
-                free = max(sample[LEFT] - d, sample[RIGHT] + d) - reach
-                near = min((abs(_around(s - other, length)) for other in places), default=np.inf)
-                away = all(
-                    not -BEFORE_START <= _around(s - start, length) <= AFTER_START
-                    for start in starts
-                )
-                if free >= self.passage and near >= self.apart and away:
-                    x, y, along = track.to_cartesian([s, d])
-                    boxes.append([x, y, float(np.mod(along + heading, 2.0 * np.pi)), *sides])
-                    places.append(s)
+                one = self._try(track, speed, nth < moving, generator)
+                if self._fits(track, one, placed, starts):
+                    placed.append(one)
                     break
-        return np.array(boxes).reshape(-1, len(BOX))
+        return np.array([one.row for one in placed]).reshape(-1, len(BOX) + len(MOTION))
+
+    def _try(
+        self, track: Track, speed: float, moves: bool, generator: np.random.Generator
+    ) -> _Placed:
+        """Draw an obstacle anywhere on the track."""
+        line, ds = track.arrays.line, track.arrays.ds
+        s, across, heading = generator.random(3) * (track.length, 1.0, np.pi)
+        sides = self.size[0] + (self.size[1] - self.size[0]) * generator.random(2)
+        if self.shape == "roboracer":
+            sides = np.array(ROBORACER_BOX)
+        if self.shape == "circle" or (self.shape == "both" and generator.random() < 0.5):
+            heading, sides[1] = 0.0, 0.0
+        sample = line[int(s / ds) % len(line)]
+        reach = 0.5 * float(np.hypot(*sides))
+        d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
+        lanes, motion = np.empty((2, 0)), [0.0, 0.0]
+        if moves:
+            sway = float(generator.uniform(*self.sway) * generator.choice((-1.0, 1.0)))
+            lanes, motion = make_lanes(line, ds, d, sway, reach), [speed, sway]
+            # The place at the start is in the middle of the lanes, off the walls.
+            d = float(lanes[:, int(s / ds) % len(line)].mean())
+        x, y, along = track.to_cartesian([s, d])
+        row = [x, y, float(np.mod(along + heading, 2.0 * np.pi)), *sides, *motion]
+        return _Placed(row, s, d, reach, lanes)
+
+    def _fits(
+        self, track: Track, one: _Placed, placed: Sequence[_Placed], starts: Sequence[float]
+    ) -> bool:
+        """Return whether an obstacle leaves a passage, and room for cars and other obstacles."""
+        line, length = track.arrays.line, track.length
+        if one.lanes.size:
+            left, right = line[:, LEFT] - one.lanes.max(axis=0), line[:, RIGHT] + one.lanes.min(0)
+            free = float(np.maximum(left, right).min()) - one.reach
+        else:
+            sample = line[int(one.s / track.arrays.ds) % len(line)]
+            free = max(sample[LEFT] - one.d, sample[RIGHT] + one.d) - one.reach
+        near = min((abs(_around(one.s - other.s, length)) for other in placed), default=np.inf)
+        away = all(
+            not -BEFORE_START <= _around(one.s - start, length) <= AFTER_START for start in starts
+        )
+        return (
+            free >= self.passage
+            and near >= self.apart
+            and away
+            and not any(_meet(track, other, one) for other in placed)
+        )
+
+
+def _meet(track: Track, moving: _Placed, standing: _Placed) -> bool:
+    """Return whether a moving obstacle would touch a standing one on its way."""
+    if not moving.lanes.size or standing.lanes.size:
+        return False
+    gap, ds = moving.reach + standing.reach, track.arrays.ds
+    near = np.arange(int((standing.s - gap) // ds), int((standing.s + gap) // ds) + 2)
+    lanes = moving.lanes[:, near % moving.lanes.shape[1]]
+    return bool(((lanes.min(0) < standing.d + gap) & (lanes.max(0) > standing.d - gap)).any())
 
 
 def _around(s: float, length: float) -> float:
@@ -115,13 +188,19 @@ def obstacles_option(
 ) -> Sequence[NDArray[np.float64]] | None:
     """Read the option "obstacles" of a reset, for all episodes or for each.
 
-    It holds boxes (x, y, heading, length, width). A width of 0 means a circle
-    (:data:`pcs_racing.track.obstacles.BOX`).
+    It holds boxes (x, y, heading, length, width), with speed and sway if they move. A width of 0
+    means a circle (:data:`pcs_racing.track.obstacles.BOX`, ``MOTION``).
     """
     given = options.get("obstacles")
     if isinstance(given, list | tuple) and len(given) == 0:  # no second axis
-        return [np.empty((0, len(BOX)))] * episodes
-    shapes = ((None, len(BOX)), (episodes, None, len(BOX)))
-    meaning = f"boxes ({', '.join(BOX)}) of shape (K, {len(BOX)}) or ({episodes}, K, {len(BOX)})"
+        return [obstacle_rows([])] * episodes
+    few, all_ = len(BOX), len(BOX) + len(MOTION)
+    shapes = [(*lead, None, n) for n in (few, all_) for lead in ((), (episodes,))]
+    meaning = (
+        f"boxes ({', '.join(BOX)}), with {' and '.join(MOTION)} if they move, of shape (K, {few})"
+        f" or ({episodes}, K, {few}), {all_} with motion"
+    )
     boxes = read_numbers(options, "obstacles", shapes, meaning)
-    return None if boxes is None else list(np.broadcast_to(boxes, (episodes, *boxes.shape[-2:])))
+    if boxes is None:
+        return None
+    return [obstacle_rows(one) for one in np.broadcast_to(boxes, (episodes, *boxes.shape[-2:]))]

@@ -30,7 +30,7 @@ from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import queue_size
-from pcs_racing.track.obstacles import BOX, with_obstacles
+from pcs_racing.track.obstacles import BOX, MOTION, obstacle_rows, with_obstacles
 from pcs_racing.track.track import Track
 
 
@@ -89,9 +89,9 @@ class EpisodeOptions(Settings):
     obstacles: Annotated[
         Obstacles | None,
         Checked(lambda _, value: load_obstacles(value)),
-        "Boxes and circles that stand on the track, drawn for each episode: how many, or their"
-        " settings (:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file. The"
-        " lidar sees them, a car that touches one has crashed as into a wall, and the lattice"
+        "Boxes and circles that stand or move on the track, drawn for each episode: how many, or"
+        " their settings (:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file."
+        " The lidar sees them, a car that touches one has crashed as into a wall, and the lattice"
         " planner avoids most.",
     ] = None
     reward: Annotated[
@@ -148,8 +148,9 @@ class EpisodeRandomization:
             for name in self.ranges.names
         }
         self.obstacles = options.obstacles
-        #: Obstacles of each episode, shape (K, 5) (:data:`pcs_racing.track.obstacles.BOX`).
-        self.boxes = [np.empty((0, len(BOX)))] * episodes
+        #: Obstacles of each episode, shape (K, 7) (:data:`pcs_racing.track.obstacles.BOX` and
+        #: ``MOTION``).
+        self.boxes = [obstacle_rows([])] * episodes
         self._tracks: list[Track | None] = [None] * episodes  # tracks with obstacles
         self._blocked = False  # True from the first obstacle on
 
@@ -174,12 +175,12 @@ class EpisodeRandomization:
         """Put obstacles on the tracks of new episodes: given, or drawn away from the starts.
 
         ``starts``, shape (len(rows), cars), are the arc lengths of the cars at the start, m.
-        ``given`` are the boxes of each episode, each of shape (K, 5).
+        ``given`` are the boxes of each episode, each of shape (K, 7).
         """
         if given is None and self.obstacles is None and not self._blocked:
             return
         for i, row in enumerate(rows):
-            self._stand(row, np.empty((0, len(BOX))))  # remove the old obstacles
+            self._stand(row, obstacle_rows([]))  # remove the old obstacles
             if given is not None:
                 self._stand(row, given[i])
             elif self.obstacles is not None:
@@ -187,7 +188,7 @@ class EpisodeRandomization:
 
     def _stand(self, row: int, boxes: NDArray[np.float64]) -> None:
         """Put these obstacles, and no others, on an episode's track."""
-        self._tracks[row], self.boxes[row] = None, np.empty((0, len(BOX)))
+        self._tracks[row], self.boxes[row] = None, obstacle_rows([])
         if len(boxes):
             self._blocked = True
             self._tracks[row], self.boxes[row] = (
@@ -280,7 +281,7 @@ class EpisodeRandomization:
             check_part(
                 f"the state's obstacles of episode {row}",
                 own,
-                np.empty((len(own) if np.ndim(own) else 0, len(BOX))),
+                np.empty((len(own) if np.ndim(own) else 0, len(BOX) + len(MOTION))),
             )
         return [
             with_obstacles(track, own) if len(own) else track

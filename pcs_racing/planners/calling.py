@@ -35,6 +35,7 @@ _TRACK = types.NamedTuple(
         _MATRIX,  # corners
         types.Array(types.int32, 2, "C"),  # lookup
         types.float64,  # lookup_cell
+        _MATRIX,  # moving
     ),
     TrackArrays,
 )

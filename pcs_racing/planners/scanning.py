@@ -13,6 +13,7 @@ from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
 from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
+from pcs_racing.car.lidar_kernel import scan_moving
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.pursuit import follow_path, steady_course
 from pcs_racing.planners.view import PATH_POINTS
@@ -71,6 +72,12 @@ def scan_beams(track, beams, view, turn, work, ranges):
     heading = psi + view[_view.LIDAR_YAW] + turn
     lanes = work.reshape(WORK_SHAPE)
     scan_into(track, beams, x, y, heading, s, True, *other, half_length, half_width, lanes, ranges)
+    if track.moving.shape[0] > 0:
+        for k in range(ranges.shape[0]):
+            ranges[k] = 1.0 / ranges[k]
+        scan_moving(track, beams, x, y, heading, view[_view.TIME], lanes, ranges)
+        for k in range(ranges.shape[0]):
+            ranges[k] = 1.0 / ranges[k]
     key = np.uint64(view[_view.SCAN_KEY] * 2.0**53)
     errors = view[_view.LIDAR_FOV : _view.LIDAR_STEP + 1]
     disturb_scan(beams, turn, errors, key, 0, 0, ranges)

@@ -16,7 +16,7 @@ from pcs_racing.planners.view import (
     VIEW_SIZE,
 )
 from pcs_racing.race import state as _state
-from pcs_racing.race.positions import body, gap_to, move_along, overlap
+from pcs_racing.race.positions import body, gap_to, move_along, overlap, touch_moving
 from pcs_racing.track import frenet as _frenet
 
 END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
@@ -92,8 +92,12 @@ def settle_contacts(track, state, race, vehicles, mode, before):
     near = _frenet.WallArrays(*track[_frenet.WALLS_BEGIN : _frenet.WALLS_END])
     cars, frenet, fault, contact = state.cars, state.frenet, state.fault, state.contact
     moved, touched = False, 0
+    obstructed = touch_moving(
+        track.moving, track.line, track.ds, track.length, state.tick[race], cars, race, vehicles
+    )
     for car in range(cars.shape[1]):
-        if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
+        in_wall = hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car]))
+        if in_wall or obstructed >> car & 1:
             _note(fault, contact, race, car, _state.WALL_CRASH, True)
             _set_back(near, track, state, race, car, frenet[race, car, 0], vehicles, mode, before)
             moved, touched = True, touched | 1 << car

@@ -29,7 +29,13 @@ from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
 from pcs_racing.race.contacts import END, settle_contacts
-from pcs_racing.race.positions import collide, laps_driven, nearest_car, update_progress
+from pcs_racing.race.positions import (
+    collide,
+    laps_driven,
+    nearest_car,
+    touch_moving,
+    update_progress,
+)
 from pcs_racing.race.sensing import (
     blur_view,
     opponent_lost,
@@ -38,7 +44,16 @@ from pcs_racing.race.sensing import (
     senses_exactly,
 )
 from pcs_racing.race.steering import delayed, disturbed_speed, steering_sd
-from pcs_racing.track.frenet import COS, SIN, SPEED, WALLS_BEGIN, WALLS_END, WallArrays
+from pcs_racing.track.frenet import (
+    COS,
+    SIN,
+    SPEED,
+    WALLS_BEGIN,
+    WALLS_END,
+    WallArrays,
+    angle_between,
+)
+from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, lane_at, pose_at, velocity_at
 
 BLOCKING_REACH = 3.0  # m
 
@@ -218,6 +233,32 @@ def _fill_changing(
         )
 
 
+@inner_kernel
+def _fill_moving(moving, line, ds, length, view):
+    """Write the nearest moving obstacle as the opponent, if it is nearer along the track."""
+    time, nearest, ahead = view[_view.TIME], -1, view[_view.OPP_S] - view[_view.OWN_S]
+    gap = ahead - length * np.floor(ahead / length + 0.5)
+    for k in range(moving.shape[0]):
+        ahead = lane_at(moving, ds, length, line.shape[0], k, time)[0] - view[_view.OWN_S]
+        ahead -= length * np.floor(ahead / length + 0.5)
+        if abs(ahead) < abs(gap):
+            nearest, gap = k, ahead
+    if nearest < 0:
+        return
+    s, d, across = lane_at(moving, ds, length, line.shape[0], nearest, time)
+    x, y, psi = pose_at(moving, line, ds, length, nearest, time)
+    course, speed = velocity_at(moving, line, ds, length, nearest, time)
+    half_length, half_width = moving[nearest, HALF_LENGTH], moving[nearest, HALF_WIDTH]
+    view[_view.OPP_LENGTH] = 2.0 * half_length
+    view[_view.OPP_WIDTH] = 2.0 * (half_width if half_width > 0.0 else half_length)
+    view[_view.OPP_X], view[_view.OPP_Y] = x, y
+    view[_view.OPP_V], view[_view.OPP_PSI] = speed, psi
+    view[_view.OPP_BETA] = angle_between(course, psi)
+    view[_view.OPP_S], view[_view.OPP_D] = s, d
+    view[_view.OPP_D_DOT] = across
+    view[_view.GAP] = gap
+
+
 @kernel
 def fill_view(track, state, race, car, vehicles, settings, view):
     """Write the view of ``car`` (:data:`pcs_racing.planners.view.VIEW`) into ``view``."""
@@ -238,6 +279,8 @@ def fill_view(track, state, race, car, vehicles, settings, view):
         state.memory[race, car],
         view,
     )
+    if track.moving.shape[0] > 0:
+        _fill_moving(track.moving, track.line, track.ds, track.length, view)
 
 
 @inner_kernel(forceinline=True)
@@ -406,6 +449,8 @@ def _command(
             memory,
             view,
         )
+        if track.moving.shape[0] > 0:
+            _fill_moving(track.moving, track.line, track.ds, track.length, view)
         if tick % PLAN_EVERY == 0:
             call_plan(drivers[car][race, 0], (track, own, view, memory, scratch, path))
         call_control(drivers[car][race, 1], (track, own, view, memory, scratch, path, command))
@@ -444,7 +489,12 @@ def _end_period(track, near, state, settings, race, place, number, params, work)
     )
     ended = False
     if settings.contact == END:
-        ended = collide(near, cars, frenet, state.crash, state.fault, race, params, number)
+        touched = 0
+        if track.moving.shape[0] > 0:
+            touched = touch_moving(
+                track.moving, track.line, track.ds, track.length, tick, cars, race, params
+            )
+        ended = collide(near, cars, frenet, state.crash, state.fault, race, params, number, touched)
     else:
         before = work[_VIEWS + _view.VIEW_SIZE * place :]
         if settle_contacts(track, state, race, params, settings.contact, before):

@@ -156,6 +156,11 @@ def paint_candidates(
         pen.line(_flat(points), fill=colour, width=FINER)
 
 
+def paint_obstacle(pen: ImageDraw.ImageDraw, camera: Camera, corners: np.ndarray) -> None:
+    """Paint an obstacle, a polygon of corners (m)."""
+    pen.polygon(_flat(camera.pixels(corners)), fill=COLOURS["wall"])
+
+
 def paint_plan(pen: ImageDraw.ImageDraw, camera: Camera, colour: Colour, plan: np.ndarray) -> None:
     """Paint the path that a car follows."""
     points = camera.pixels(_known(plan))

@@ -4,10 +4,17 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.collision import Rectangle, contact_fault, hits_wall, rectangles_overlap
+from pcs_racing.car.collision import (
+    Rectangle,
+    circle_overlaps,
+    contact_fault,
+    hits_wall,
+    rectangles_overlap,
+)
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, locate
+from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, pose_at
 
 
 @kernel
@@ -131,10 +138,30 @@ def overlap(cars, race, one, other, vehicles):
     )
 
 
+@inner_kernel
+def touch_moving(moving, line, ds, length, tick, cars, race, vehicles):
+    """Return the cars of a race that touch a moving obstacle, one bit for each car."""
+    touched = 0
+    for k in range(moving.shape[0]):
+        x, y, psi = pose_at(moving, line, ds, length, k, tick * DT)
+        half_length, half_width = moving[k, HALF_LENGTH], moving[k, HALF_WIDTH]
+        for car in range(cars.shape[1]):
+            own = body(cars[race, car], vehicles[car])
+            if half_width > 0.0:
+                hit = rectangles_overlap(own, Rectangle(x, y, psi, half_length, half_width))
+            else:
+                hit = circle_overlaps(own, x, y, half_length)
+            if hit:
+                touched |= 1 << car
+    return touched
+
+
 @inner_kernel(forceinline=True)
-def collide(near, cars, frenet, crash, fault, race, vehicles, number):
-    """Latch crashes of ``number`` cars and their faults; return whether there is a crash."""
-    walls = 0
+def collide(near, cars, frenet, crash, fault, race, vehicles, number, walls):
+    """Latch crashes of ``number`` cars and their faults; return whether there is a crash.
+
+    ``walls`` has a bit for each car that touches a moving obstacle, which counts as a wall.
+    """
     for car in range(number):
         if hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car])):
             walls |= 1 << car
@@ -159,6 +186,24 @@ def place_cars(track, state, vehicles):
             )
             state.frenet[race, car, 0] = s
             state.frenet[race, car, 1] = d
+        touched = touch_moving(
+            track.moving,
+            track.line,
+            track.ds,
+            track.length,
+            state.tick[race],
+            state.cars,
+            race,
+            vehicles[race],
+        )
         collide(
-            near, state.cars, state.frenet, state.crash, state.fault, race, vehicles[race], number
+            near,
+            state.cars,
+            state.frenet,
+            state.crash,
+            state.fault,
+            race,
+            vehicles[race],
+            number,
+            touched,
         )

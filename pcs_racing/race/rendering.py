@@ -23,6 +23,7 @@ from pcs_racing.race.painting import (
     paint_car,
     paint_holes,
     paint_names,
+    paint_obstacle,
     paint_plan,
     paint_track,
     paint_trails,
@@ -30,8 +31,9 @@ from pcs_racing.race.painting import (
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.frenet import SPEED
-
 from pcs_racing.track.holes import hole_segments
+from pcs_racing.track.moving import moving_outlines
+
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
 
@@ -100,10 +102,10 @@ class Renderer:
         if scene is not self._shown:
             walls, self._line, self._line_speed, self._half_sizes = _scene(scene)
             self._walls = join_segments(walls)
-            corners = np.vstack([self._line, *self._walls])
-            self._low, self._high = corners.min(axis=0), corners.max(axis=0)
             self._track = None if isinstance(scene, Replay) else scene.arrays
             self._holes = [] if self._track is None else join_segments(hole_segments(self._track))
+            corners = np.vstack([self._line, *self._walls])
+            self._low, self._high = corners.min(axis=0), corners.max(axis=0)
             self._ground: tuple[tuple[float, ...], Image.Image] | None = None
             self._shown = scene
         if half_sizes is not None:
@@ -119,6 +121,7 @@ class Renderer:
         trails: np.ndarray | None = None,
         names: Sequence[str] = (),
         text: str = "",
+        time: float = 0.0,
     ) -> np.ndarray | None:
         """Draw one moment.
 
@@ -136,6 +139,8 @@ class Renderer:
             Label of each car, drawn next to it in its colour; cut after 24 characters.
         text : str
             Line of text in the corner.
+        time : float
+            Time of the race, s, for the moving obstacles of a track.
 
         Returns
         -------
@@ -161,6 +166,8 @@ class Renderer:
         if candidates is not None and costs is not None:
             for paths, prices in zip(candidates, costs, strict=True):
                 paint_candidates(pen, camera, np.asarray(paths), np.asarray(prices))
+        for corners in () if self._track is None else moving_outlines(self._track, time):
+            paint_obstacle(pen, camera, corners)
         for car, plan in enumerate(plans if plans is not None else ()):
             paint_plan(pen, camera, COLOURS[f"car{car}"], plan)
         # Car 0 comes last: where cars overlap, the watched car is on top.

@@ -53,6 +53,8 @@ class TrackArrays(NamedTuple):
     corners: np.ndarray
     lookup: np.ndarray  #: shape (h, w), int32: Line sample nearest to each coarse cell's centre.
     lookup_cell: float  #: Side of a cell of ``lookup`` in m (same origin as ``distance``).
+    #: shape (K, 5 + 2 N), float64: Moving obstacles (:mod:`pcs_racing.track.moving`).
+    moving: np.ndarray
 
 
 class WallArrays(NamedTuple):

@@ -38,7 +38,7 @@ def with_holes(track: Track, holes: Iterable[Any]) -> Track:
     """
     given, arrays = check_holes(holes, track.length), track.arrays
     stretches = len(arrays.seen_middle)
-    if arrays.corners_start[-1] < arrays.corners.shape[1]:
+    if arrays.corners_start[-1] < arrays.corners.shape[1] or len(arrays.moving):
         raise InputError("the track has obstacles; make holes before obstacles")
     if not given and len(arrays.corners_start) == stretches + 1:
         return track

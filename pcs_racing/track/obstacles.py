@@ -1,4 +1,4 @@
-"""Obstacles (boxes, circles) on a track: a copy with them in its distance field and walls."""
+"""Obstacles (boxes, circles) on a track: standing ones in walls and distance field, moving ones."""
 
 from dataclasses import replace
 
@@ -10,6 +10,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.building.walls import corners_along
+from pcs_racing.track.moving import make_lanes
 from pcs_racing.track.track import Track
 
 BOX = ("x", "y", "heading", "length", "width")
@@ -18,8 +19,16 @@ BOX = ("x", "y", "heading", "length", "width")
 A width of 0 means a circle: the length is its diameter.
 """
 
+MOTION = ("speed", "sway")
+"""Further numbers of a moving obstacle: speed along the race line in m/s, and amplitude of its
+motion across the line in m.
+
+It sways once in 4 s, first to the left, or to the right with a negative number.
+"""
+
 MAX_BOXES = 100
 MIN_SIDE, MAX_SIDE = 0.05, 10.0  # m: limits of box sides and diameters
+MAX_SPEED, MAX_SWAY = 20.0, 10.0  # m/s, m
 CORNERS = 16  # corners of a circle: the sides are at most 2 % of the radius inside it
 
 Floats = NDArray[np.float64]
@@ -32,21 +41,66 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     episode. Each of at most 100 boxes is a row of :data:`BOX`, with sides from 0.05 to 10 m. A
     circle is a polygon of 16 corners for walls and lidar. Without boxes the result is the track
     itself.
+
+    Rows may also hold the numbers of :data:`MOTION`. An obstacle with a speed or a sway is no wall:
+    it keeps its distance from the race line, or the distance of its half diagonal from the walls,
+    and moves through everything in its way. Cars touch it as they touch a wall, the lidars of a
+    race see it, and a planner sees the nearest along the track of moving obstacles and opponents.
+    It is left out of times to collision.
     """
-    given = check_array(
-        "obstacles", boxes if np.size(boxes) else np.empty((0, 5)), (None, len(BOX))
-    )
-    if len(given) > MAX_BOXES:
-        raise InputError(f"there are {len(given)} obstacles; {MAX_BOXES} are the limit")
-    fine = (given[:, 3:] >= MIN_SIDE) & (given[:, 3:] <= MAX_SIDE)
-    wrong = np.flatnonzero(~(fine[:, 0] & (fine[:, 1] | (given[:, 4] == 0.0))))
-    if len(wrong):
-        raise InputError(
-            f"obstacle {wrong[0]} measures {given[wrong[0], 3:].tolist()} m; its sides must be from"
-            f" {MIN_SIDE:g} to {MAX_SIDE:g} m, or its width 0 for a round one"
-        )
+    given = obstacle_rows(boxes)
     if len(given) == 0:
         return track
+    moves = given[:, len(BOX) :].any(axis=1)
+    standing = given[~moves, : len(BOX)]
+    if len(standing):
+        track = _with_walls(track, standing)
+    if not moves.any():
+        return track
+    moving = [one for one in (track.arrays.moving, _moving_rows(track, given[moves])) if len(one)]
+    return replace(track, arrays=track.arrays._replace(moving=np.concatenate(moving)))
+
+
+def obstacle_rows(boxes: ArrayLike) -> Floats:
+    """Return obstacles as rows of :data:`BOX` and :data:`MOTION`, shape (K, 7); refuse bad ones."""
+    whole = len(BOX) + len(MOTION)
+    shape = np.shape(boxes) if np.size(boxes) else (0, whole)
+    columns = whole if len(shape) == 2 and shape[1] == whole else len(BOX)
+    given = check_array("obstacles", boxes if np.size(boxes) else np.empty(shape), (None, columns))
+    given = np.concatenate([given, np.zeros((len(given), whole - columns))], axis=1)
+    if len(given) > MAX_BOXES:
+        raise InputError(f"there are {len(given)} obstacles; {MAX_BOXES} are the limit")
+    sides, motion = given[:, 3:5], np.abs(given[:, 5:])
+    fine = (sides >= MIN_SIDE) & (sides <= MAX_SIDE)
+    wrong = np.flatnonzero(~(fine[:, 0] & (fine[:, 1] | (sides[:, 1] == 0.0))))
+    if len(wrong):
+        raise InputError(
+            f"obstacle {wrong[0]} measures {sides[wrong[0]].tolist()} m; its sides must be from"
+            f" {MIN_SIDE:g} to {MAX_SIDE:g} m, or its width 0 for a round one"
+        )
+    wrong = np.flatnonzero((motion > (MAX_SPEED, MAX_SWAY)).any(axis=1))
+    if len(wrong):
+        raise InputError(
+            f"obstacle {wrong[0]} has speed and sway {given[wrong[0], 5:].tolist()}; they must be"
+            f" within {MAX_SPEED:g} m/s and {MAX_SWAY:g} m"
+        )
+    return given
+
+
+def _moving_rows(track: Track, given: Floats) -> Floats:
+    """Return moving obstacles in the form of `TrackArrays.moving`."""
+    frenet = track.to_frenet(given[:, :2])
+    turn = given[:, 2] - track.to_cartesian(frenet)[:, 2]
+    line, ds = track.arrays.line, track.arrays.ds
+    rows = []
+    for (*_, length, width, speed, sway), (s, d), angle in zip(given, frenet, turn, strict=True):
+        lanes = make_lanes(line, ds, d, sway, 0.5 * float(np.hypot(length, width)))
+        rows.append([s, speed, angle, 0.5 * length, 0.5 * width, *lanes.ravel()])
+    return np.array(rows)
+
+
+def _with_walls(track: Track, given: Floats) -> Track:
+    """Return a track with standing obstacles, rows of :data:`BOX`."""
     arrays = track.arrays
     sine, cosine = sines_cosines(given[:, 2])
     # An obstacle changes no cell nearer to a wall, so its reach is at most the widest place.

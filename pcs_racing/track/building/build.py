@@ -31,6 +31,7 @@ from pcs_racing.track.frenet import (
     Y,
 )
 from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid
+from pcs_racing.track.moving import LANES
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
@@ -214,6 +215,7 @@ def build_arrays(
         corners=corners,
         lookup=lookup_grid(drivable, x, y, block),
         lookup_cell=block * resolution,
+        moving=np.empty((0, LANES)),
     )
     return arrays, drivable
 

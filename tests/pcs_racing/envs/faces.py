@@ -87,7 +87,7 @@ VARIED = {
         "each": {"steer_lag": {"normal": [0.02, 0.02]}, "tyres": {"choice": ["linear", "pacejka"]}},
         "car_1": {"speed_delay": {"choice": [0.0, 0.04, 0.1]}},
     },
-    "obstacles": {"count": [0, 2], "passage": 0.8},
+    "obstacles": {"count": [0, 2], "passage": 0.8, "moving": [0, 1], "sway": [0.0, 0.3]},
 }
 """Arguments with which episodes differ in everything."""
 

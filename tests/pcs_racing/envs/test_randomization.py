@@ -23,7 +23,7 @@ from pcs_racing.envs.randomization import (
 from pcs_racing.race import random_circuits
 from pcs_racing.race.config import PRESETS
 from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
-from pcs_racing.track.obstacles import BOX
+from pcs_racing.track.obstacles import BOX, MOTION
 
 RANGES = {
     "mu": [0.6, 1.2],
@@ -232,12 +232,12 @@ def test_drawn_obstacles_leave_room_and_keep_away_from_the_start(oval):
     settings = Obstacles(count=(2, 2), apart=6.0, passage=1.0)
     for seed in range(20):
         boxes = settings.draw(oval, [5.0], np.random.default_rng(seed))
-        assert boxes.shape == (2, len(BOX))
+        assert boxes.shape == (2, len(BOX) + len(MOTION))
         frenet = oval.to_frenet(boxes[:, :2])
         between = np.abs(np.diff(frenet[:, 0]))[0]
         assert 5.99 < between < oval.length - 5.99
         assert not ((frenet[:, 0] > 2.01) & (frenet[:, 0] < 12.99)).any()
-        reach = 0.5 * np.hypot(*boxes[:, 3:].T)
+        reach = 0.5 * np.hypot(*boxes[:, 3:5].T)
         assert (1.1 + np.abs(frenet[:, 1]) - reach > 0.93).all()
 
 

@@ -1,0 +1,152 @@
+"""Moving obstacles: paths between the walls, and the same box for lidars, contacts and planners."""
+
+import numpy as np
+import pytest
+from placed_cars import PSI, V, X, placed, view_of
+from refusal import refused
+
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.envs.drive import DriveEnv
+from pcs_racing.envs.obstacles import Obstacles
+from pcs_racing.planners import view as seen
+from pcs_racing.race.races import advance
+from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.state import WALL_CRASH
+from pcs_racing.track.frenet import LEFT, RIGHT
+from pcs_racing.track.moving import moving_outlines, moving_poses
+from pcs_racing.track.obstacles import with_obstacles
+
+# On the lower straight of the oval, 6 m after the start of the line; 1 m/s, with a sway of .3 m.
+BOX = [0.0, -4.0, 0.2, 0.4, 0.3, 1.0, 0.3]
+CIRCLE = [0.0, -4.0, 0.0, 0.4, 0.0, 1.0, 0.0]
+
+
+@pytest.fixture(scope="module")
+def busy(oval):
+    return with_obstacles(oval, [BOX])
+
+
+def test_a_box_moves_along_the_line_and_sways_from_its_place(busy, oval):
+    s0, d0 = oval.to_frenet(BOX[:2])
+    for time in np.linspace(0.0, 45.0, 181):
+        ((x, y, heading),) = moving_poses(busy.arrays, time)
+        s, d = oval.to_frenet([x, y])
+        assert s == pytest.approx((s0 + time) % oval.length, abs=1e-4)
+        assert d == pytest.approx(d0 + 0.3 * np.sin(0.5 * np.pi * time), abs=0.02)
+        along = oval.to_cartesian([s, d])[2]
+        assert np.cos(heading - along - 0.2) == pytest.approx(1.0, abs=1e-4)
+    assert with_obstacles(oval, [[*BOX[:5], 0.0, 0.0]]).arrays.moving.shape[0] == 0
+
+
+@pytest.mark.parametrize("aside", [-1.0, 0.0, 0.9])
+def test_it_stays_off_the_walls(oval, aside):
+    box = [*oval.to_cartesian([3.0, aside])[:2], 0.0, 0.35, 0.32, 1.0, 0.8]
+    track = with_obstacles(oval, [box])
+    corners = [one for t in np.arange(0.0, 40.0, 0.1) for one in moving_outlines(track.arrays, t)]
+    assert oval.wall_distance(np.concatenate(corners)).min() > 0.0
+    s, d = oval.to_frenet(np.concatenate(corners)).T
+    assert np.ptp(d) > 0.9  # it sways as far as there is room
+    assert (d < np.interp(s, np.arange(len(oval.line)) * oval.arrays.ds, oval.line[:, LEFT])).all()
+
+
+def test_planners_see_the_nearest_in_place_of_the_opponent(busy, oval):
+    setup, state, _ = placed(busy, [(4.0, 0.0), (0.1, 0.0)], [2.0, 2.0])
+    step = 1e-3
+    for tick in (0, 150):
+        state.tick[0] = tick
+        now, later = (moving_poses(busy.arrays, tick * 0.01 + t)[0] for t in (0.0, step))
+        view = view_of(setup, state, 0, 0)
+        np.testing.assert_allclose(view[[seen.OPP_X, seen.OPP_Y, seen.OPP_PSI]], now)
+        rate = (later[:2] - now[:2]) / step
+        course = view[seen.OPP_PSI] + view[seen.OPP_BETA]
+        moved = view[seen.OPP_V] * np.array([np.cos(course), np.sin(course)])
+        np.testing.assert_allclose(moved, rate, atol=5e-3)
+        d_dot = (oval.to_frenet(later[:2]) - oval.to_frenet(now[:2]))[1] / step
+        assert view[seen.OPP_D_DOT] == pytest.approx(d_dot, abs=5e-3)
+        assert view[[seen.OPP_LENGTH, seen.OPP_WIDTH]].tolist() == [0.4, 0.3]
+        if tick == 0:
+            assert view[seen.GAP] == pytest.approx(2.0, abs=0.01)
+            behind = view_of(setup, state, 0, 1)  # for which car 0 is nearer
+            assert behind[seen.OPP_X] == state.cars[0, 0, X]
+
+
+@pytest.mark.parametrize("obstacle", [BOX, CIRCLE])
+def test_the_lidar_of_a_race_measures_it_where_it_is(oval, obstacle):
+    env = DriveEnv(track=oval, opponent=None, beams=181, look_ahead=(), see_opponent="never")
+    pose = [-3.0, -4.1, 0.1]
+    first, _ = env.reset(seed=0, options={"poses": [pose], "obstacles": [obstacle]})
+    later = env.step([0.0, -1.0])[0]
+    for time, observation in ((0.0, first), (0.1, later)):
+        (x, y, heading) = moving_poses(env.batch.track.arrays, time)[0]
+        still = with_obstacles(oval, [[x, y, heading, *obstacle[3:5]]])
+        own = env.batch.state.cars[0, 0, [0, 1, PSI]] if time else pose
+        expected = Lidar(still, 181).scan(own)
+        assert np.count_nonzero(np.abs(observation[-181:] - expected) > 0.03) <= 2
+        without = Lidar(oval, 181).scan(own)
+        assert np.count_nonzero(np.abs(observation[-181:] - without) > 0.03) >= 4
+
+
+@pytest.mark.parametrize("obstacle", [BOX, CIRCLE])
+def test_a_car_that_it_runs_into_has_crashed_as_into_a_wall(oval, obstacle):
+    track = with_obstacles(oval, [[*obstacle[:6], 0.0]])
+    setup, state, theta = placed(track, [(9.0, 0.0)])
+    advance(setup, state, theta, 400)
+    assert state.crash[0, 0] == WALL_CRASH
+    assert state.fault[0, 0] == 1
+    reach = 0.2 if obstacle is CIRCLE else 0.5 * (0.4 * np.cos(0.2) + 0.3 * np.sin(0.2))
+    assert state.tick[0] * 0.01 == pytest.approx(3.0 - 0.29 - reach, abs=0.03)
+
+
+@pytest.mark.parametrize("contact", ["stop", "restart"])
+def test_a_contact_is_one_fault_where_races_go_on(oval, contact):
+    track = with_obstacles(oval, [[*BOX[:6], 0.0]])
+    setup, state, theta = placed(track, [(9.0, 0.0), (20.0, 0.0)], contact=contact)
+    advance(setup, state, theta, 500)
+    assert state.fault[0].tolist() == [1, 0]
+    assert state.cars[0, 0, V] == 0.0
+
+
+def test_drawn_ones_keep_apart_and_leave_a_passage(oval):
+    settings = Obstacles(count=4, moving=2, apart=3.0, passage=0.8, sway=(0.0, 0.2), size=0.3)
+    found = 0
+    for seed in range(12):
+        boxes = settings.draw(oval, [5.0], np.random.default_rng(seed))
+        track = with_obstacles(oval, boxes)
+        moves = boxes[:, 5] > 0.0
+        found += np.count_nonzero(moves)
+        assert len(set(boxes[moves, 5])) <= 1  # equally fast
+        for time in np.arange(0.0, 40.0, 0.5):
+            now = moving_poses(track.arrays, time)
+            s, d = oval.to_frenet(now[:, :2]).T
+            line = oval.line[(s / oval.arrays.ds).astype(int) % len(oval.line)]
+            free = np.maximum(line[:, LEFT] - d, line[:, RIGHT] + d) - 0.5 * np.hypot(0.3, 0.3)
+            assert (free > 0.78).all()
+            every = np.concatenate([now[:, :2], boxes[~moves, :2]])
+            apart = np.hypot(*(every[:, None] - every).transpose(2, 0, 1))
+            assert (
+                apart[np.triu_indices(len(every), 1)].min(initial=9.0) > np.hypot(0.3, 0.3) - 0.01
+            )
+    assert found >= 16
+
+
+def test_without_moving_ones_a_seed_draws_as_before(oval):
+    some = Obstacles(count=3, shape="both").draw(oval, [0.0], np.random.default_rng(3))
+    other = Obstacles(count=3, shape="both", speed=2.0, sway=1.0)
+    np.testing.assert_array_equal(some, other.draw(oval, [0.0], np.random.default_rng(3)))
+    assert (some[:, 5:] == 0.0).all()
+    boxes = Obstacles(count=3, shape="roboracer").draw(oval, [0.0], np.random.default_rng(3))
+    assert (boxes[:, 3:5] == [0.35, 0.32]).all()
+
+
+def test_a_frame_shows_it_at_its_time(busy):
+    renderer, car = Renderer(busy, 200, 200, view="car_0"), np.zeros((1, 7))
+    car[0, 1] = -5.0
+    frames = [renderer.render(car, time=time) for time in (0.0, 0.0, 1.0)]
+    assert (frames[0] == frames[1]).all()
+    assert (frames[0] != frames[2]).any()
+
+
+def test_impossible_motions_are_refused(oval):
+    for motion in ([100.0, 0.0], [0.0, -50.0], [np.nan, 0.0]):
+        refused("obstacle", with_obstacles, oval, [[*BOX[:5], *motion]])
+    refused("obstacle", with_obstacles, oval, [BOX[:6]])
