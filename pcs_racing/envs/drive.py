@@ -104,7 +104,8 @@ class DriveEnv(ScalarEnv):
 
     ``reset(options=...)`` takes these options and refuses others:
 
-    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5);
+    - ``obstacles``: boxes (x, y, heading, length and width in m and rad), shape (K, 5); with
+      speed (m/s) and sway (m) of moving ones (K, 7);
     - ``start``: arc length of the line in m, and side (0 puts the agent on the left or in front);
     - ``poses``, in place of ``start``: (x, y, heading) or (x, y, heading, speed) of all cars, in m,
       rad and m/s;
@@ -138,7 +139,7 @@ class DriveEnv(ScalarEnv):
 
     Arrays: ``poses`` (x, y, heading) and ``velocities`` (speed, yaw rate, slip) of all cars in m,
     rad and s, the own car first, shape (N, 3); with ``laps`` also ``lap_times``, the time of each
-    lap in s, shape (laps,), NaN for a lap not driven.
+    lap in s, shape (laps,), -1 for a lap not driven.
 
     ``env.unwrapped.metadata["codes"]`` maps integer codes to labels. ``env.unwrapped.outcome()``
     returns the info with labels in place of codes.

@@ -20,7 +20,7 @@ Every environment uses the same names, and every value is a number or an array o
 | `policy` | index of the policy in the archive; -1 for a policy from outside |
 | `laps` | complete laps of the own car from the start line; the first begins with the race |
 | `lap_time`, `best_lap` | times of the last and the shortest of these laps, s; -1 without a lap |
-| `lap_times` | times of the L laps of rules with laps, s, shape (L,); NaN for a lap not driven |
+| `lap_times` | times of the L laps of rules with laps, s, shape (L,); -1 for a lap not driven |
 | `poses` | x, y (m) and heading (rad) of every car, the own car first, shape (N, 3) (2) |
 | `velocities` | speed (m/s), yaw rate (rad/s) and slip angle (rad), shape (N, 3) (2) |
 | `track` | number of the episode's track, if there are several |
@@ -127,7 +127,7 @@ def race_infos(
         "laps": count,
         "lap_time": last,
         "best_lap": best,
-        **({"lap_times": of_players(races.lap_times, players)} if by_laps else {}),
+        **({"lap_times": of_players(_lap_times(races), players)} if by_laps else {}),
     }
 
 
@@ -205,8 +205,13 @@ def race_info(races: RaceState, race: int, car: int, blamed: bool) -> dict[str, 
         "laps": laps,
         "lap_time": races.laps.item(race, car, LAP_TIME) if laps else NO_LAP,
         "best_lap": races.laps.item(race, car, BEST_LAP) if laps else NO_LAP,
-        **({"lap_times": races.lap_times[race, car]} if by_laps else {}),
+        **({"lap_times": _lap_times(races)[race, car]} if by_laps else {}),
     }
+
+
+def _lap_times(races: RaceState) -> NDArray[np.float64]:
+    """Return the time of each lap, shape (B, N, L); a NaN would make equal infos unequal."""
+    return np.nan_to_num(races.lap_times, nan=NO_LAP)
 
 
 class InfoRow(dict[str, Any]):
