@@ -29,6 +29,7 @@ SHORT = {
     "pcs_racing/Duel-v1": {"step_seconds": 0.4, "moves": 2},
     "pcs_racing/Match-v0": {"step_seconds": 0.4, "moves": 2},
     "pcs_racing/Drive-v1": {"duration": 0.5},
+    "pcs_racing/Avoidance-v0": {"duration": 0.5},
 }
 ONE = {
     "DelayObservation": {"delay": 1},

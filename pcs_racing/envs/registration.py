@@ -1,5 +1,7 @@
 """Ids of the environments, and their registration with Gymnasium and PettingZoo."""
 
+from typing import Any
+
 import gymnasium
 import pettingzoo
 
@@ -20,8 +22,23 @@ GYMNASIUM_IDS = {
         "pcs_racing.envs.drive:DriveEnv",
         "pcs_racing.envs.drive:DriveVectorEnv",
     ),
+    "pcs_racing/Avoidance-v0": (
+        "pcs_racing.envs.drive:DriveEnv",
+        "pcs_racing.envs.drive:DriveVectorEnv",
+    ),
 }
 """Entry points of each environment and its vector environment, by id."""
+
+ARGUMENTS: dict[str, dict[str, Any]] = {
+    "pcs_racing/Avoidance-v0": {
+        "opponent": None,
+        "laps": 3,
+        "beams": 108,
+        "see_opponent": "never",
+        "obstacles": {"count": 6, "moving": 2, "shape": "roboracer"},
+    },
+}
+"""Arguments of environments that are another environment with other defaults, by id."""
 
 
 def register_environments() -> None:
@@ -32,7 +49,12 @@ def register_environments() -> None:
     """
     for name, (single, vector) in GYMNASIUM_IDS.items():
         if name not in gymnasium.registry:
-            gymnasium.register(name, entry_point=single, vector_entry_point=vector)
+            gymnasium.register(
+                name,
+                entry_point=single,
+                vector_entry_point=vector,
+                kwargs=ARGUMENTS.get(name, {}),
+            )
     if not hasattr(pettingzoo, "register"):  # releases before 1.27 have no registry
         return
     for name, module in PETTINGZOO_IDS.items():

@@ -171,6 +171,14 @@ def drive(name: str) -> Values:
     return out
 
 
+def avoidance(name: str) -> Values:
+    """Two seconds on three tracks with obstacles that stand and move."""
+    episode, env = vector_episode(name, 5, actions(20, 3), beams=16)
+    boxes = np.concatenate(env.unwrapped.batch.randomization.boxes)
+    env.close()
+    return named("boxes", {**episode, "boxes": boxes})
+
+
 def duel(name: str) -> Values:
     """Three games at once, of short steps to their ends."""
     out: Values = {}
@@ -252,6 +260,7 @@ def drive_head_to_head(name: str) -> Values:
 
 _BY_NAME: dict[str, Callable[[str], Values]] = {
     "Drive": drive,
+    "Avoidance": avoidance,
     "Duel": duel,
     "Match": match,
     "head_to_head": head_to_head,
