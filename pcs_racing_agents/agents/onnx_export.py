@@ -1,6 +1,6 @@
 """ONNX files of policies, planners' networks and agents' networks, for programs without ours."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -30,7 +30,7 @@ from pcs_racing_agents.agents.sb3_files import (
     load_sb3_policy,
     plain_model,
 )
-from pcs_racing_agents.base.onnx_graph import Exported, OnnxGraph, described
+from pcs_racing_agents.base.onnx_graph import OnnxGraph, Value
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 
@@ -53,11 +53,10 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
     """
     if Path(path).suffix != ".onnx":
         raise InputError(f"can't write {path}: its name must end in .onnx")
-    graph, about = _exported(model)
-    return graph.write(Path(path), about)
+    return _exported(model).write(Path(path))
 
 
-def _exported(model: Any) -> Exported:
+def _exported(model: Any) -> OnnxGraph:
     if isinstance(model, RegretNetwork):
         return _regrets(model)
     if isinstance(model, Policy):
@@ -71,7 +70,7 @@ def _exported(model: Any) -> Exported:
         elements: Any = ()
         with suppress(AttributeError):  # a model without environment, or of another one
             (elements,) = model.get_env().get_attr("elements", [0])
-        return _moves(plain, [one._asdict() for one in elements])
+        return _moves(plain, elements)
     frozen, arguments = frozen_model(model, name)
     return _exported(model_policy(frozen, **arguments))
 
@@ -86,12 +85,12 @@ def _plain(model: Any, name: str) -> Sb3Policy:
     return plain
 
 
-def _model_file(file: Path) -> Exported:
+def _model_file(file: Path) -> OnnxGraph:
     plain = load_sb3_policy(file)
     return _moves(plain, []) if plain.moves else _exported(load_model(file))
 
 
-def _named(name: str) -> Exported:
+def _named(name: str) -> OnnxGraph:
     """Export the network of a folder, or a shipped network."""
     shipped = {one: place.shipped for place in FORMATS for one in place.shipped_names()}
     if name not in shipped and not is_planner_folder(name):
@@ -104,66 +103,56 @@ def _named(name: str) -> Exported:
     raise InputError(f"{folder} has no network: its manifest begins with {found[:80]!r}")
 
 
-# Models of Stable-Baselines3
+# Models of Stable-Baselines3, and networks of agents
 
 
-def _actor(graph: OnnxGraph, x: str, plain: Sb3Policy) -> str:
+def _actor(graph: OnnxGraph, x: Value, plain: Sb3Policy) -> Value:
     hidden = {"Tanh": "Tanh", "ReLU": "Relu"}[plain.activation]
-    last = "Tanh" if plain.squash else None
     x = x if plain.scale is None else graph.standardize(x, *plain.scale)
-    return graph.layers(x, plain.layers, hidden, last)
+    return graph.layers(x, plain.layers, hidden, "Tanh" if plain.squash else "Identity")
 
 
-def _control(driver: ModelDriver) -> Exported:
+def _control(driver: ModelDriver) -> OnnxGraph:
     """Export a model of `Drive`; the observation is clipped and scaled as in the environment."""
     plain, options = _plain(driver.model, driver.name), driver.options
     elements = drive_elements(options, driver.cars)
     low, high = np.array([(one.low, one.high) for one in elements]).T
-    graph = OnnxGraph()
-    x = graph.add("Max", graph.end("inputs", "observation", len(elements)), low)
-    x = graph.add("Min", x, high)
+    graph = OnnxGraph(driver.name, options.time_step)
+    about = [one._asdict() for one in elements]
+    x = graph.input("observation", len(elements), about=about).clip(low, high)
     if options.normalize:
-        gain = 2.0 / (high - low)
-        x = graph.add("Add", graph.add("Mul", x, gain), -1.0 - low * gain)
+        x = x * (2.0 / (high - low)) - (high + low) / (high - low)
     x = _actor(graph, x, plain)
     turn, slow, fast = options.limits
     unit, middle = np.array([turn, 0.5 * (fast - slow)]), np.array([0.0, 0.5 * (fast + slow)])
     if not (options.normalized or plain.squash):
-        x = graph.add("Div", graph.add("Sub", x, middle), unit)
-    x = graph.add("Mul", graph.add("Clip", x, -1.0, 1.0), unit)
-    graph.add("Add", x, middle, name=graph.end("outputs", "command", 2))
-    inputs = {"observation": [one._asdict() for one in elements]}
-    return graph, described(driver.name, options.time_step, inputs, {"command": COMMAND})
+        x = (x - middle) / unit
+    graph.output("command", x.clip(-1.0, 1.0) * unit + middle, 2, about=COMMAND)
+    return graph
 
 
-def _moves(plain: Sb3Policy, elements: Sequence[Mapping[str, Any]]) -> Exported:
-    graph = OnnxGraph()
-    sizes = plain.layers.sizes
-    raw = _actor(graph, graph.end("inputs", "observation", sizes[0]), plain)
-    return _values(graph, raw, "Identity", plain.name, elements, range(sizes[-1]))
+def _moves(plain: Sb3Policy, elements: Sequence[Any]) -> OnnxGraph:
+    graph = OnnxGraph(plain.name, None)
+    sizes, about = plain.layers.sizes, [one._asdict() for one in elements]
+    raw = _actor(graph, graph.input("observation", sizes[0], about=about), plain)
+    graph.output("values", raw, sizes[-1], about="logit of each move")
+    graph.choose("move", raw)
+    return graph
 
 
-def _values(
-    graph: OnnxGraph, raw: str, last: str, name: str, elements: Any, moves: Sequence[Any]
-) -> Exported:
-    """End a graph with the values of moves, and the move with the max value."""
-    graph.add(last, raw, name=graph.end("outputs", "values", len(moves)))
-    graph.choose(raw, "move")
-    outputs = {"values": [{"name": str(one)} for one in moves], "move": "index of the max value"}
-    return graph, described(name, None, {"observation": elements}, outputs)
-
-
-def _regrets(network: RegretNetwork) -> Exported:
-    graph = OnnxGraph()
-    x = graph.end("inputs", "observation", network.layers.sizes[0])
+def _regrets(network: RegretNetwork) -> OnnxGraph:
+    graph = OnnxGraph(network.name, None)
+    elements, moves = ([{"name": one} for one in part] for part in network.identity[:2])
+    x = graph.input("observation", len(elements), about=elements)
     x = graph.standardize(x, network.mean, network.scale, np.inf)
-    raw, elements = graph.layers(x, network.layers, "Relu"), network.identity.elements
-    last = "Relu" if network.clipped else "Identity"
-    named = [{"name": one} for one in elements]
-    return _values(graph, raw, last, network.name, named, network.moves)
+    raw = graph.layers(x, network.layers, "Relu")
+    values = graph.add("Relu", raw) if network.clipped else raw
+    graph.output("values", values, len(moves), about=moves)
+    graph.choose("move", raw)
+    return graph
 
 
-FORMATS: dict[ArtifactFormat, Callable[[Path], Exported]] = {
+FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxGraph]] = {
     PLANNER_FORMAT: trained_graph,
     LIDAR_FORMAT: lidar_graph,
     LINE_FORMAT: line_graph,

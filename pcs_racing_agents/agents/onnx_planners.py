@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
 from pcs_racing.planners.trained import read_trained
 from pcs_racing.race.config import DT, PLAN_EVERY
-from pcs_racing_agents.base.onnx_graph import Exported, OnnxGraph, described
+from pcs_racing_agents.base.onnx_graph import OnnxGraph, Value
 
 COMMAND = [{"name": "steering angle", "unit": "rad"}, {"name": "speed", "unit": "m/s"}]
 _GRIP = F1TENTH.mu * GRAVITY
@@ -49,128 +48,114 @@ REJECTED = -1e30  # score of a rejected candidate
 
 def _layers(flat: NDArray[np.float64], shapes: Sequence[tuple[int, int]]) -> DenseLayers:
     """Return layers of shapes (inputs, outputs) from the numbers of `DenseLayers.flat`."""
-    weights, biases = [], []
-    for below, above in shapes:
-        biases.append(flat[:above])
-        weights.append(flat[above : (below + 1) * above].reshape(below, above).T)
-        flat = flat[(below + 1) * above :]
-    return DenseLayers(tuple(weights), tuple(biases))
+    ends = np.cumsum([(below + 1) * above for below, above in shapes])[:-1]
+    parts = [
+        part.reshape(below + 1, above)
+        for part, (below, above) in zip(np.split(flat, ends), shapes, strict=True)
+    ]
+    return DenseLayers(tuple(part[1:].T for part in parts), tuple(part[0] for part in parts))
 
 
-def trained_graph(folder: Path) -> Exported:
+def trained_graph(folder: Path) -> OnnxGraph:
     """Return the network of a trained planner, from its inputs to the command."""
     network, fields = read_trained(folder)
-    graph = OnnxGraph()
-    x = graph.layers(graph.end("inputs", "observation", len(INPUTS)), network, "Tanh", "Tanh")
-    half = np.array([0.0, 0.5 * TOP_SPEED])
-    x = graph.add("Mul", x, np.array([F1TENTH.steer_max, 0.5 * TOP_SPEED]))
-    graph.add("Add", x, half, name=graph.end("outputs", "command", 2))
-    inputs = {"observation": [{"name": k, "meaning": v} for k, v in INPUTS.items()]}
-    outputs, period = {"command": COMMAND}, fields["hold"] * DT
-    return graph, described(fields["name"], period, inputs, outputs, vehicle=CAR)
+    graph = OnnxGraph(fields["name"], fields["hold"] * DT)
+    inputs = [{"name": name, "meaning": meaning} for name, meaning in INPUTS.items()]
+    x = graph.input("observation", len(inputs), about=inputs)
+    half = 0.5 * TOP_SPEED
+    x = graph.layers(x, network, "Tanh", "Tanh") * [F1TENTH.steer_max, half] + [0.0, half]
+    graph.output("command", x, 2, about=COMMAND)
+    graph.about["vehicle"] = CAR
+    return graph
 
 
-def lidar_graph(folder: Path) -> Exported:
-    """Return the network of a lidar planner: a command from ranges, or a correction."""
+def lidar_graph(folder: Path) -> OnnxGraph:
+    """Return the network of a lidar planner: an arc from ranges, or a correction."""
     name, network, flat = read_lidar_planner(folder)
-    export = {"ppo": _lidar_ppo, "residual": _residual}[network]
-    graph = OnnxGraph()
-    inputs, outputs, state = export(graph, flat)
-    return graph, described(name, PERIOD, inputs, outputs, **state)
+    graph = OnnxGraph(name, PERIOD)
+    (_add_lidar_ppo if network == "ppo" else _add_residual)(graph, flat)
+    return graph
 
 
-def _residual(graph: OnnxGraph, flat: NDArray[np.float64]) -> Any:
-    x = graph.end("inputs", "observation", residual.SEEN)
+def _add_residual(graph: OnnxGraph, flat: NDArray[np.float64]) -> None:
+    sector = f"2 sqrt(r / {MAX_RANGE:g}) - 1 of the min range r (m), from right to left"
+    own = ["speed / 8 m/s", "yaw rate / 4 rad/s", "steering angle / max"]
+    field = ["field's steering angle / max", "field's speed / 8 m/s"]
+    inputs = [{"name": one} for one in (*[sector] * residual.SECTORS, *own, *field)]
+    x = graph.input("observation", residual.SEEN, about=inputs)
     x = graph.layers(x, _layers(flat, residual.LAYERS), "Tanh", "Tanh")
-    limits = np.array([residual.STEERING, residual.SPEED])
-    graph.add("Mul", x, limits, name=graph.end("outputs", "correction", 2))
-    root = f"2 sqrt(r / {MAX_RANGE:g}) - 1 of the min range r (m), from right to left"
-    own = ["speed / 8 m/s", "yaw rate / 4 rad/s", "steering angle / max", "field's steering / max"]
-    names = [*([root] * residual.SECTORS), *own, "field's speed / 8 m/s"]
-    return {"observation": [{"name": one} for one in names]}, {"correction": COMMAND}, {}
+    graph.output("correction", x * [residual.STEERING, residual.SPEED], 2, about=COMMAND)
 
 
-def _lidar_ppo(graph: OnnxGraph, flat: NDArray[np.float64]) -> Any:
-    """Add the planner from the ranges to the command, as ``lidar_ppo.observe`` and the pursuit."""
-    ranges, own = graph.end("inputs", "ranges", BEAMS), graph.end("inputs", "own", 3)
-    memory = graph.end("inputs", "memory", lidar_ppo.MEMORY)
-    sectors, edges = lidar_ppo.SECTORS, lidar_ppo.EDGES
-    # A narrow sector names its last beam more than once.
-    widest = np.minimum(edges[:-1, None] + np.arange(np.diff(edges).max()), edges[1:, None] - 1)
-    near = graph.add("Gather", ranges, graph.constant(widest, np.int64), axis=1)
-    near = graph.add("Clip", graph.add("ReduceMin", near, axes=[2], keepdims=0), 0.0, MAX_RANGE)
-    now = graph.add("Sub", graph.add("Mul", graph.add("Sqrt", near), 2.0 * MAX_RANGE**-0.5), 1.0)
-    both = graph.add("Concat", now, now, axis=1)
-    begun = graph.add("Greater", graph.slice(memory, 0, 1), 0.0)
-    before = graph.add("Where", begun, graph.slice(memory, 3, lidar_ppo.MEMORY), both)
-    change = graph.add("Mul", graph.add("Sub", both, before), lidar_ppo.CHANGE)
-    unit = 1.0 / np.array([8.0, 4.0, F1TENTH.steer_max])
-    seen = [now, graph.add("Clip", change, -1.0, 1.0), graph.add("Mul", own, unit)]
-    x = graph.add("Concat", *seen, graph.slice(memory, 1, 3), axis=1)
-    x = graph.layers(x, _layers(flat, lidar_ppo.LAYERS), "Relu", "Tanh")
-    begun = graph.add("Add", graph.add("Mul", graph.slice(memory, 0, 1), 0.0), 1.0)
-    kept = [begun, x, now, graph.slice(before, 0, sectors)]
-    graph.add("Concat", *kept, name=graph.end("outputs", "next_memory", lidar_ppo.MEMORY), axis=1)
-    _pursue(graph, graph.slice(own, 0, 1), graph.slice(x, 0, 1), graph.slice(x, 1, 2))
-    angle = 0.5 * FIELD_OF_VIEW
-    beams: dict[str, Any] = {"unit": "m", "beams": BEAMS, "angle_min": -angle, "angle_max": angle}
-    beams["max_range"] = MAX_RANGE
+def _add_lidar_ppo(graph: OnnxGraph, flat: NDArray[np.float64]) -> None:
+    """Add the planner from ranges to an arc, as `lidar_ppo.plan_by`, and the arc's command."""
+    angle, size, sectors = 0.5 * FIELD_OF_VIEW, lidar_ppo.MEMORY, lidar_ppo.SECTORS
+    beams = {"beams": BEAMS, "angle_min": -angle, "angle_max": angle, "max_range": MAX_RANGE}
+    ranges = graph.input("ranges", BEAMS, about={"unit": "m", **beams})
     names = {"speed": "m/s", "yaw rate": "rad/s", "steering angle": "rad"}
-    inputs = {"ranges": beams, "own": [{"name": k, "unit": v} for k, v in names.items()]}
-    outputs = {"arc": [{"name": "curvature", "unit": "1/m"}, COMMAND[1]], "command": COMMAND}
-    return inputs, outputs, {"state": {"memory": "next_memory"}, "vehicle": CAR}
+    own = graph.input("own", 3, about=[{"name": k, "unit": v} for k, v in names.items()])
+    memory = graph.input("memory", size)
+    first, end = lidar_ppo.EDGES[:-1, None], lidar_ppo.EDGES[1:, None]
+    # A narrow sector names its last beam more than once.
+    number = graph.constant(np.minimum(first + np.arange((end - first).max()), end - 1), np.int64)
+    near = graph.add("ReduceMin", graph.add("Gather", ranges, number, axis=1), axes=[2], keepdims=0)
+    now = graph.add("Sqrt", near.clip(0.0, MAX_RANGE)) * (2.0 * MAX_RANGE**-0.5) - 1.0
+    both = graph.add("Concat", now, now, axis=1)
+    before = graph.add("Where", graph.add("Greater", memory[0:1], 0.0), memory[3:size], both)
+    change = ((both - before) * lidar_ppo.CHANGE).clip(-1.0, 1.0)
+    scaled = own / [8.0, 4.0, F1TENTH.steer_max]
+    x = graph.add("Concat", now, change, scaled, memory[1:3], axis=1)
+    x = graph.layers(x, _layers(flat, lidar_ppo.LAYERS), "Relu", "Tanh")
+    kept = memory[0:1] * 0.0 + 1.0, x, now, before[0:sectors]
+    graph.output("next_memory", graph.add("Concat", *kept, axis=1), size)
+    graph.about |= {"state": {"memory": "next_memory"}, "vehicle": CAR}
+    _add_command(graph, own[0:1], x[0:1], x[1:2])
 
 
-def _pursue(graph: OnnxGraph, v: str, turn: str, push: str) -> None:
-    """Add the command of the pursuit at the start of the arc that the planner lays."""
-    halved = graph.add("Div", v, lidar_ppo.HALVED)
-    tight = graph.add("Add", graph.add("Mul", halved, halved), 1.0)
-    kappa = graph.add("Div", graph.add("Mul", turn, lidar_ppo.MAX_KAPPA), tight)
-    speed = graph.add("Add", v, graph.add("Mul", push, lidar_ppo.PUSH))
-    speed = graph.add("Max", speed, lidar_ppo.SLOWEST)
-    graph.add("Concat", kappa, speed, name=graph.end("outputs", "arc", 2), axis=1)
-    speed = graph.add("Max", speed, graph.add("Sub", v, 0.1 * BRAKING))
-    harder = graph.add("Min", graph.add("Mul", graph.add("Sub", speed, v), 10.0), 9.5)
-    more = graph.add("Add", graph.add("Mul", harder, CAR["understeer_gain"]), CAR["understeer"])
-    more = graph.add("Mul", graph.add("Mul", more, kappa), graph.add("Mul", v, v))
-    steering = graph.add("Add", graph.add("Atan", graph.add("Mul", kappa, CAR["wheelbase"])), more)
-    steering = graph.add("Clip", steering, -CAR["steer_max"], CAR["steer_max"])
-    graph.add("Concat", steering, speed, name=graph.end("outputs", "command", 2), axis=1)
+def _add_command(graph: OnnxGraph, v: Value, turn: Value, push: Value) -> None:
+    """Add the arc of `lidar_ppo.lay_command`, and the command of the pursuit at its start."""
+    slower = v / lidar_ppo.HALVED
+    kappa = turn * lidar_ppo.MAX_KAPPA / (slower * slower + 1.0)
+    speed = graph.add("Max", v + push * lidar_ppo.PUSH, lidar_ppo.SLOWEST)
+    arc = [{"name": "curvature", "unit": "1/m"}, COMMAND[1]]
+    graph.output("arc", graph.add("Concat", kappa, speed, axis=1), 2, about=arc)
+    speed = graph.add("Max", speed, v - 0.1 * BRAKING)
+    harder = graph.add("Min", (speed - v) * 10.0, 9.5)
+    understeer = (harder * CAR["understeer_gain"] + CAR["understeer"]) * v * v * kappa
+    steering = graph.add("Atan", kappa * CAR["wheelbase"]) + understeer
+    steering = steering.clip(-CAR["steer_max"], CAR["steer_max"])
+    graph.output("command", graph.add("Concat", steering, speed, axis=1), 2, about=COMMAND)
 
 
-def line_graph(folder: Path) -> Exported:
+def line_graph(folder: Path) -> OnnxGraph:
     """Return the choice among the candidates, by features of `pcs_racing.planners.line_ppo`."""
     fields, numbers = read_line_planner(folder)
+    graph, number = OnnxGraph(fields["name"], PERIOD), np.arange(CANDIDATES)
+    # Not a chain of layers: each is unpacked by itself.
     flat, parts = numbers[LATTICE_SIZE:], {}
     for layer, (above, below) in LAYERS.items():
-        network = _layers(flat, [(below, above)])
-        parts[layer] = network.weights[0], network.biases[0]
-        flat = flat[(below + 1) * above :]
-    graph, number = OnnxGraph(), np.arange(CANDIDATES)
+        network = _layers(flat[: (below + 1) * above], [(below, above)])
+        parts[layer], flat = (network.weights[0], network.biases[0]), flat[(below + 1) * above :]
     sizes = {"situation": (CONTEXT,), "moves": (MOVE, GOALS), "speeds": (SPEED, SPEEDS)}
     sizes["candidates"] = (PAIR, CANDIDATES)
     situation, moves, speeds, own = (
-        graph.end("inputs", name, *shape) for name, shape in sizes.items()
+        graph.input(name, *shape, about=f"features of shape {shape}")
+        for name, shape in sizes.items()
     )
     inner = graph.add("Tanh", graph.dense(situation, *parts["context"]))
-    moves = graph.add("Gather", moves, graph.constant(number % GOALS, np.int64), axis=2)
-    speeds = graph.add("Gather", speeds, graph.constant(number // GOALS, np.int64), axis=2)
+    moves, speeds = (
+        graph.add("Gather", one, graph.constant(index, np.int64), axis=2)
+        for one, index in ((moves, number % GOALS), (speeds, number // GOALS))
+    )
     features = graph.add("Concat", moves, speeds, own, axis=1)
     weight, bias = parts["candidate"]
-    hidden = graph.add("Add", graph.dense(inner, *parts["situation"]), bias)
-    units = graph.add("Add", graph.add("MatMul", weight, features), graph.unsqueeze(hidden, 2))
-    score = graph.add("MatMul", parts["score"][0], graph.add("Relu", units))
-    linear = graph.unsqueeze(graph.dense(inner, *parts["weights"]), 1)
-    cost = graph.slice(own, PAIR - 1, PAIR)
-    score = graph.add("Add", score, graph.add("MatMul", linear, features))
-    score = graph.add("Sub", score, graph.add("Mul", cost, SHARPNESS))
-    score = graph.add("Where", graph.add("Less", cost, 0.0), REJECTED, score)
-    scores, chosen = (
-        graph.end("outputs", "scores", CANDIDATES),
-        graph.end("outputs", "candidate", kind=np.int64),
-    )
-    graph.add("Squeeze", score, graph.constant([1], np.int64), name=scores)
-    graph.add("ArgMax", scores, name=chosen, axis=1, keepdims=0)
-    inputs = {name: f"features of shape {shape}" for name, shape in sizes.items()}
-    outputs = {"scores": "score of each candidate", "candidate": "index of the max score"}
-    return graph, described(fields["name"], PERIOD, inputs, outputs)
+    hidden = (graph.dense(inner, *parts["situation"]) + bias).unsqueeze(2)
+    units = graph.add("Relu", graph.add("MatMul", weight, features) + hidden)
+    linear = graph.dense(inner, *parts["weights"]).unsqueeze(1)
+    score = graph.add("MatMul", parts["score"][0], units) + graph.add("MatMul", linear, features)
+    cost = own[PAIR - 1 : PAIR]
+    score = graph.add("Where", graph.add("Less", cost, 0.0), REJECTED, score - cost * SHARPNESS)
+    scores = graph.add("Squeeze", score, graph.constant([1], np.int64))
+    graph.output("scores", scores, CANDIDATES, about="score of each candidate")
+    graph.choose("candidate", scores)
+    return graph
