@@ -17,6 +17,7 @@ SMALL = {
     "beside_f1tenth_gym": ("--seconds 2 --races 2 --cars 2", "| here"),
     "check_headlines": ("", "stands: "),
     "bits": ("--parts vehicles", "vehicle, target"),
+    "decision_delay": ("--seconds 0.2", "| lidar-ppo.onnx | 100 |"),
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
     "imperfect_cars": ("--out out --races 2", "error: --races 2"),

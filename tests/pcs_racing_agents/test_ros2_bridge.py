@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 import yaml
 from repository import REPOSITORY
-from warm_start import call_python
 
 from pcs_racing import load_track
 from pcs_racing.envs import PolicyOnCar
+from pcs_racing.planners.ros_nodes import Node, ask_node, modules
 from pcs_racing_agents.agents import export_onnx
 
 PACKAGE = REPOSITORY / "examples" / "ros2_bridge"
@@ -145,6 +145,54 @@ def test_a_file_of_another_policy_is_refused(ros, tmp_path):
         ros("planning").Planning(file)
 
 
+@pytest.fixture
+def spun(monkeypatch) -> list[Node]:
+    """Nodes that spin, with replacements for ROS that record what is published, by topic."""
+    replaced = modules() or pytest.skip("ROS is installed")
+    frames = SimpleNamespace(TFMessage=replaced["geometry_msgs.msg"].TFMessage)
+    for name, module in {**replaced, "tf2_msgs": frames, "tf2_msgs.msg": frames}.items():
+        monkeypatch.setitem(sys.modules, name, module)
+
+    def create_publisher(node, kind, topic, *other):
+        node.published = getattr(node, "published", {})
+        return SimpleNamespace(publish=lambda message: node.published.update({topic: message}))
+
+    monkeypatch.setattr(Node, "create_publisher", create_publisher)
+    nodes: list[Node] = []
+    monkeypatch.setattr(replaced["rclpy"], "spin", nodes.append)
+    return nodes
+
+
+def odometry_at(s: float) -> dict[str, float]:
+    """Return the odometry of a car on the race line, as a replacement for ROS takes it."""
+    x, y, heading = load_track("Brackwater").to_cartesian([s, 0.0])
+    pose = {"pose_x": x, "pose_y": y, "pose_theta": heading}
+    return pose | {"linear_vel_x": 4.0, "linear_vel_y": 0.0, "angular_vel_z": 0.0}
+
+
+def test_the_planner_node_publishes_commands(ros, spun):
+    ros("nodes").planner()
+    (node,) = spun
+    for k in range(5):
+        ask_node(node, 0.02 * k, np.ones(9), odometry_at(0.0), odometry_at(2.0))
+    drive = node.published["/drive"].drive
+    assert drive.speed > 3.0
+    assert abs(drive.steering_angle) < 0.42
+
+
+def test_the_simulator_node_publishes_what_the_gym_does(ros, spun):
+    ros("nodes").simulator()
+    (node,) = spun
+    assert node.published["/map"].info.resolution > 0.0
+    for k in range(3):
+        ask_node(node, 0.02 * k, np.ones(9), odometry_at(5.0), {})  # which is /initialpose, too
+    topics = {"/map", "/scan", "/opp_scan", "/ego_racecar/odom", "/opp_racecar/odom", "/tf"}
+    assert node.published.keys() == topics
+    assert len(node.published["/scan"].ranges) == 1080
+    at = node.published["/ego_racecar/odom"].pose.pose.position
+    assert np.hypot(at.x - odometry_at(5.0)["pose_x"], at.y - odometry_at(5.0)["pose_y"]) < 0.1
+
+
 ALONE = """
 import runpy, sys
 
@@ -163,7 +211,8 @@ def test_the_runner_needs_numpy_and_onnxruntime_alone(lidar_ppo, tmp_path):
     (tmp_path / "alone.py").write_text(ALONE, encoding="utf-8")
     runner = PACKAGE / NAME / "onnx_policy.py"
     arguments = (runner, lidar_ppo, "--hz", "100", "--seconds", "0.2")
-    done = call_python("alone.py", *map(str, arguments), cwd=tmp_path)
+    command = [sys.executable, "alone.py", *map(str, arguments)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "'command': [" in done.stdout
     assert "20 decisions: " in done.stdout
