@@ -411,7 +411,7 @@ class Run:
         for one, values in zip(learner.old, saved["old"], strict=True):
             one.load_state_dict(values)
         learner.frozen, learner.choices = saved["frozen"], saved["choices"]
-        self.updates, self.best = saved["updates"], saved["best"]
+        self.updates, self.best = saved["updates"], self.run.best(saved)
         self.log.say(f"goes on after {learner.choices / 1e6:.1f} M choices")
 
 

@@ -377,7 +377,7 @@ class Run:
         self.league.numbers[: len(league)] = league
         self.league.count = len(league)
         self.updates, self.choices = saved["updates"], saved["choices"]
-        self.best = saved["best"]
+        self.best = self.run.best(saved)
         self.log.say(f"goes on after {self.choices / 1e6:.1f} M choices")
 
 

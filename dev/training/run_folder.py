@@ -69,6 +69,11 @@ class RunFolder:
         except Exception as error:  # whatever torch makes of a damaged file
             raise SystemExit(f"error: {file} is no checkpoint: {error}") from None
 
+    def best(self, saved: dict[str, Any]) -> float:
+        """Return the best merit of a checkpoint; merits on other cars do not count."""
+        same = saved.get("randomize", {}) == self.settings["randomize"]
+        return float(saved["best"]) if same else -1e9
+
     def races(self, updates: int) -> dict[str, Any] | None:
         """Return the races of the checkpoint; without equal settings there are none."""
         file = self._races(updates)
@@ -89,7 +94,10 @@ class RunFolder:
     def save(self, updates: int, races: dict[str, Any], checkpoint: dict[str, Any]) -> None:
         """Write races and checkpoint; a stop at any time leaves a pair that belongs together."""
         self._write(self._races(updates), {"settings": self.settings, **races})
-        self._write(self.path / "checkpoint.pt", {"updates": updates, **checkpoint})
+        self._write(
+            self.path / "checkpoint.pt",
+            {"updates": updates, "randomize": self.settings["randomize"], **checkpoint},
+        )
         for file in self.path.glob("races-*.pt"):
             if file != self._races(updates):
                 file.unlink()

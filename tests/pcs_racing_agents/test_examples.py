@@ -179,6 +179,8 @@ def train_whole_and_in_parts(script, *size, rival, folder):
     (folder / "others.yaml").write_text("m: 4.0\n")
     out = run_python(file, *size, "--updates", 2, *changed, "--out", "parts", folder=folder)
     assert "races begin again: they were driven with another --seed, --randomize" in out
+    again = torch.load(folder / "parts" / "checkpoint.pt", weights_only=True)
+    assert again["randomize"] == {"m": [4.0, 4.0]}
     return whole, parts
 
 
