@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import ANYTHING, Checked, Settings
 from pcs_racing.car.vehicle import (
+    COMMAND_PERIOD,
     F1TENTH,
+    OPPONENT_DELAY,
     SPEED_DELAY,
     STEER_DELAY,
     load_vehicle,
@@ -275,6 +277,9 @@ class EpisodeRandomization:
         check_within("the state's steering delays", steering, 0, self._queue)
         check_within("the state's speed delays", speed, 0, self._queue)
         check_within("the state's delays of both commands", steering + speed, 0, self._queue)
+        late = max(car.opponent_delay for car in (*self.cars, self.ranges.max_delays))
+        seen_late = vehicles[..., OPPONENT_DELAY]
+        check_within("the state's opponent delays", seen_late, 0, round(late / COMMAND_PERIOD))
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):
