@@ -8,6 +8,7 @@ from refusal import refused
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.obstacles import Obstacles
+from pcs_racing.planners import scanning
 from pcs_racing.planners import view as seen
 from pcs_racing.race.races import advance
 from pcs_racing.race.rendering import Renderer
@@ -84,6 +85,22 @@ def test_the_lidar_of_a_race_measures_it_where_it_is(oval, obstacle):
         assert np.count_nonzero(np.abs(observation[-181:] - expected) > 0.03) <= 2
         without = Lidar(oval, 181).scan(own)
         assert np.count_nonzero(np.abs(observation[-181:] - without) > 0.03) >= 4
+
+
+def test_lidar_planners_see_all_of_them(oval):
+    boxes = [BOX, [2.0, -3.4, 0.0, 0.3, 0.2, 0.5, 0.0], [4.0, -4.4, 0.0, 0.3, 0.0, 0.5, 0.0]]
+    setup, state, _ = placed(with_obstacles(oval, boxes), [(3.0, -0.5)])
+    state.tick[0] = 100
+    scratch = np.zeros(scanning.SCAN_SIZE)
+    scanning.scan(setup.track.arrays, view_of(setup, state, 0, 0), scratch)
+    poses = moving_poses(setup.track.arrays, 1.0)
+    still = with_obstacles(
+        oval, [[*pose, *box[3:5]] for pose, box in zip(poses, boxes, strict=True)]
+    )
+    lidar = Lidar(still, scanning.BEAMS, scanning.FIELD_OF_VIEW, scanning.MAX_RANGE)
+    expected = lidar.scan(state.cars[0, 0, [0, 1, PSI]])
+    wrong = np.abs(scratch[-scanning.BEAMS :] - expected) > 0.03
+    assert np.count_nonzero(wrong) <= 6  # two for each silhouette
 
 
 @pytest.mark.parametrize("obstacle", [BOX, CIRCLE])
