@@ -137,12 +137,22 @@ def test_without_fresh_messages_the_car_stops(ros):
     assert planning.command(5.6) == (0.0, 0.0)
 
 
-def test_a_file_of_another_policy_is_refused(ros, tmp_path):
-    pytest.importorskip("onnx")
-    pytest.importorskip("onnxruntime")
-    file = str(export_onnx("ppo-drive", tmp_path / "ppo-drive.onnx"))
-    with pytest.raises(ValueError, match="takes observation; the planner node runs"):
-        ros("planning").Planning(file)
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"policy": "ppo-drive.onnx"}, "takes observation; the planner node runs"),
+        ({"policy": "none.onnx"}, "there is no file none.onnx"),
+        ({"policy": "lidar-ppo"}, "lidar-ppo needs scans: pcs-racing export"),
+        ({"policy": "latice"}, "did you mean 'lattice'"),
+        ({"speed_share": 30.0}, "speed_share is 30.0; it must be above 0 and at most 1.5"),
+        ({"timeout": np.nan}, "timeout is nan"),
+    ],
+)
+def test_bad_parameters_are_refused(ros, lidar_ppo, tmp_path, monkeypatch, parameters, said):
+    monkeypatch.chdir(tmp_path)
+    export_onnx("ppo-drive", "ppo-drive.onnx")
+    with pytest.raises(ValueError, match=said):
+        ros("planning").Planning(**parameters)
 
 
 @pytest.fixture
@@ -202,20 +212,25 @@ class Blocked:
             raise ImportError(f"{name} is blocked")
 
 sys.meta_path.insert(0, Blocked())
-runner, sys.argv = sys.argv[1], sys.argv[1:]
-runpy.run_path(runner, run_name="__main__")
+package, file = sys.argv[1:]
+sys.path.insert(0, package)
+sys.argv = ["onnx_policy.py", file, "--hz", "100", "--seconds", "0.2"]
+runpy.run_path(f"{package}/pcs_racing_ros/onnx_policy.py", run_name="__main__")
+
+from pcs_racing_ros.planning import Planning
+
+print("planner node:", Planning(file).command(0.0))
 """
 
 
-def test_the_runner_needs_numpy_and_onnxruntime_alone(lidar_ppo, tmp_path):
+def test_runner_and_planner_node_run_a_file_without_our_packages(lidar_ppo, tmp_path):
     (tmp_path / "alone.py").write_text(ALONE, encoding="utf-8")
-    runner = PACKAGE / NAME / "onnx_policy.py"
-    arguments = (runner, lidar_ppo, "--hz", "100", "--seconds", "0.2")
-    command = [sys.executable, "alone.py", *map(str, arguments)]
+    command = [sys.executable, "alone.py", str(PACKAGE), str(lidar_ppo)]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert "'command': [" in done.stdout
-    assert "20 decisions: " in done.stdout
+    assert "2 decisions: " in done.stdout  # one in 0.1 s
+    assert "planner node: (0.0, 0.0)" in done.stdout
 
 
 # The files of the package

@@ -8,7 +8,8 @@ The simulator has the topics and frames of f1tenth_gym_ros: it publishes /scan, 
 (ackermann_msgs/AckermannDriveStamped), to /opp_drive if the parameter ``opponent`` is "topic", and
 to /initialpose, which puts the ego somewhere else. The planner listens to scans and odometry and
 publishes to /drive. The work of the nodes, without ROS, is in ``simulation.py`` and
-``planning.py``.
+``planning.py``. The Python of ROS needs pcs-racing (Python 3.11 or newer: ROS 2 Jazzy), or
+onnxruntime alone for the planner with an ONNX file (ROS 2 Humble, too).
 """
 
 from functools import partial
@@ -126,6 +127,8 @@ def planner() -> None:
     node = Node("planner")
     values = parameters_of(node, PLANNER)
     rate, out = values.pop("rate"), values.pop("drive_topic")
+    if not 1.0 <= rate <= 1000.0:
+        raise ValueError(f"rate is {rate}; it must be from 1 to 1000 commands a second")
     topics = {
         kind: (message, values.pop(f"{kind}_topic"))
         for kind, message in {"scan": LaserScan, "odometry": Odometry, "opponent": Odometry}.items()

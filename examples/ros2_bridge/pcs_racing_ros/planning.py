@@ -1,6 +1,7 @@
 """Work of the planner node, without ROS: messages go in, commands come out."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from .messages import ranges_at, state_of
 
 STOP = (0.0, 0.0)
+LIMITS = {"speed_share": 1.5, "steering_rate": 100.0, "timeout": 5.0}
 BRAKING = 0.55  # m/s: max reduction of the speed by a command
 
 
@@ -19,6 +21,8 @@ class MapPolicy:
     def __init__(self, policy: str, track: str, rules: str) -> None:
         from pcs_racing.envs import PolicyOnCar
 
+        if policy.partition(":")[0] == "lidar-ppo":  # it would scan the map
+            raise ValueError("lidar-ppo needs scans: pcs-racing export lidar-ppo writes its file")
         self.on_car = PolicyOnCar(policy, track, rules=rules)
 
     def command(
@@ -59,6 +63,8 @@ class ScanPolicy:
     def __init__(self, file: str) -> None:
         from .onnx_policy import OnnxPolicy
 
+        if not Path(file).is_file():
+            raise ValueError(f"there is no file {file}")
         self.network = OnnxPolicy(file)
         about = self.network.about
         if about["inputs"].keys() != {"ranges", "own"}:
@@ -100,6 +106,10 @@ class Planning:
     steering: float = field(init=False, default=0.0)  #: rad: estimated steering angle.
 
     def __post_init__(self) -> None:
+        for name, most in LIMITS.items():
+            value = getattr(self, name)
+            if not 0.0 < value <= most:  # NaN, too
+                raise ValueError(f"{name} is {value}; it must be above 0 and at most {most:g}")
         if self.policy.endswith(".onnx"):
             self.chosen: MapPolicy | ScanPolicy = ScanPolicy(self.policy)
         else:
