@@ -1,4 +1,4 @@
-"""Policies on measurements of the cars, outside races: on a real car, or in another simulator."""
+"""Policies with measured states of the cars: on a real car, or in another simulator."""
 
 from collections.abc import Mapping
 from os import PathLike
@@ -32,7 +32,7 @@ def _ask(plan, control, due, track, theta, view, memory, scratch, path, command)
 
 
 class PolicyOnCar:
-    """Policy that is asked with measured states of the cars.
+    """Policy with measured states of the cars as input, outside races.
 
     A state is a row of seven numbers: x, y (m), steering angle (rad), speed (m/s), heading (rad),
     yaw rate (rad/s) and slip angle (rad), at the centre of gravity and in the frame of the map. As

@@ -1,4 +1,4 @@
-"""A policy that is asked with measured states commands what it commands in a race."""
+"""With measured states as input, a policy gives the commands of a race."""
 
 import numpy as np
 import pytest

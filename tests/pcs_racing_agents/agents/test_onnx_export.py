@@ -1,4 +1,4 @@
-"""A network in an ONNX file computes what it computes here, in programs without our packages."""
+"""An ONNX file computes the outputs of our network, in programs without our packages."""
 
 import json
 from types import SimpleNamespace
