@@ -21,6 +21,7 @@ SMALL = {
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
     "imperfect_cars": ("--out out --races 2", "error: --races 2"),
+    "identification": ("--cars forzaeth-nuc2 --seeds 1 --seconds 8", "| forzaeth-nuc2 | 1 |"),
     "learned": ("--out out --races 2", "error: --races 2"),
     "load": ("--envs 2 --steps 40 --step-seconds 0.2", "time of a unit: "),
     "pooled_studies": (
