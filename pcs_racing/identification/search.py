@@ -139,7 +139,7 @@ def _uncertainty(windows: int, solved: Any, spread: Floats) -> tuple[Floats, Flo
 
 
 def settled(fit: Fit, prior: VehicleParams) -> Fit:
-    """Return a fit with the weights and the speeds that an earlier fit implies."""
+    """Return a fit with the standard deviations and speeds that an earlier fit implies."""
     return search(rescaled(fit.residuals, fit.car), fit.car, prior, fit.names)
 
 

@@ -34,6 +34,8 @@ MAX_WINDOWS = 240
 OFFSET = STATE_SIZE
 """Column of a window's steering offset (rad), behind its start state."""
 _SLOW = 2.0 * KINEMATIC_BELOW  # m/s; slower windows are left out
+_SPINNING = 12.0  # m/s^2: speed times yaw rate that a car without a spin hardly reaches
+_BOUND = 4.0  # max residual, in standard deviations
 _FREE = 1e3  # limits of actuators that follow the measured motion
 _MIN_SD = {
     **{"x": 0.003, "y": 0.003, "psi": 0.002, "v_x": 0.01, "v_y": 0.01},
@@ -91,7 +93,7 @@ def resampled(log: DrivingLog) -> DrivingLog:
 
 
 def make_windows(log: DrivingLog, car: VehicleParams, seconds: float = WINDOW) -> Windows:
-    """Cut a log into windows; parts below 1 m/s are left out."""
+    """Cut a log into windows; parts below 1 m/s and spins are left out."""
     log = resampled(log)
     period = float(log.t[-1] - log.t[0]) / (len(log.t) - 1)
     half = max(round(0.08 / period), 1)
@@ -109,6 +111,9 @@ def make_windows(log: DrivingLog, car: VehicleParams, seconds: float = WINDOW) -
     size = max(round(seconds / period), 3)
     rows = np.arange(len(v) // size * size).reshape(-1, size)
     rows = rows[along[rows].min(axis=1) > _SLOW]  # a car that slides backwards is left out, too
+    turning = np.abs(along * rate)[rows].max(axis=1, initial=0.0)
+    if len(rows):
+        rows = rows[turning < max(1.5 * float(np.quantile(turning, 0.8)), _SPINNING)]
     if len(rows) > MAX_WINDOWS:
         rows = rows[np.linspace(0, len(rows) - 1, MAX_WINDOWS).round().astype(int)]
     first = rows[:, 0]
@@ -233,12 +238,12 @@ class Residuals:
         self.controls = model.controls(windows)
         self.starts = windows.starts.copy()
         self.sd = {name: noise_of(windows, name) for name in channels}
-        self.weights = np.ones((len(windows.rows), len(channels), windows.rows.shape[1]))
+        self.bound = np.inf
 
     def like(self, *, windows: Windows | None = None, model: Model | None = None) -> "Residuals":
-        """Return residuals with the starts, standard deviations and weights of these."""
+        """Return residuals with the starts, standard deviations and bound of these."""
         made = Residuals(windows or self.windows, model or self.model, self.channels, self.free)
-        made.starts, made.sd, made.weights = self.starts.copy(), dict(self.sd), self.weights
+        made.starts, made.sd, made.bound = self.starts.copy(), dict(self.sd), self.bound
         return made
 
     def states(self, car: VehicleParams) -> Floats:
@@ -251,11 +256,12 @@ class Residuals:
         cars = [self.model.car(car, self.windows) for car in cars]
         states = simulate_windows(self.windows, self.controls, cars, starts)
         parts = []
-        for number, name in enumerate(self.channels):
+        for name in self.channels:
             wrong = outputs(states, name) - self.windows.measured[name][self.windows.rows]
             if name == "psi":
                 wrong = (wrong + np.pi) % (2.0 * np.pi) - np.pi
-            parts.append(self.weights[:, number] * wrong / self.sd[name])
+            size = wrong / self.sd[name]
+            parts.append(size / np.sqrt(1.0 + (size / self.bound) ** 2))
         around = (starts - self.windows.starts) / self.windows.start_sd
         return np.concatenate([*parts, around[:, :, self.free]], axis=2)
 
@@ -303,15 +309,14 @@ class Residuals:
 
 
 def rescaled(residuals: Residuals, car: VehicleParams) -> Residuals:
-    """Return residuals in the standard deviations that a fit has left; outliers weigh less."""
+    """Return residuals in the standard deviations that a fit has left; outliers are bounded."""
     made = residuals.like(windows=_with_slip(residuals.windows, residuals.states(car)))
-    made.weights = np.ones_like(residuals.weights)
-    rest = made.at(car)[:, : made.weights[0].size].reshape(made.weights.shape)
-    for number, name in enumerate(made.channels):
-        size = np.abs(rest[:, number])
-        spread = max(1.4826 * float(np.median(size)), 1e-9)
-        made.sd[name] = max(made.sd[name] * spread, _MIN_SD[name] / 3.0)
-        made.weights[:, number] = np.sqrt(np.minimum(1.0, 3.0 * spread / np.maximum(size, 1e-9)))
+    made.bound = np.inf
+    rest = made.at(car)[:, : len(made.channels) * residuals.windows.rows.shape[1]]
+    parts = np.split(np.abs(rest), len(made.channels), axis=1)
+    for name, size in zip(made.channels, parts, strict=True):
+        made.sd[name] = max(made.sd[name] * 1.4826 * float(np.median(size)), _MIN_SD[name] / 3.0)
+    made.bound = _BOUND
     return made
 
 
