@@ -47,20 +47,28 @@ from pcs_racing.track.track import Track
 PARAMETERS = (
     _line.PACE,
     Parameter(
-        "contouring", 0.01, 50.0, 5.0, "cost of a squared distance from the race line, 1/m^2"
+        "contouring", 0.01, 50.0, 0.5, "cost of a squared distance from the race line, 1/m^2"
     ),
     Parameter("lag", 1.0, 1000.0, 100.0, "cost of a squared lag error, 1/m^2"),
-    Parameter("progress", 0.1, 20.0, 2.0, "reward of progress along the race line, 1/m"),
+    Parameter("progress", 0.1, 20.0, 4.0, "reward of progress along the race line, 1/m"),
     Parameter("steering_rate", -4.0, 2.0, -1.0, "log10 cost of a squared steering rate, s^2/rad^2"),
     Parameter("jerk", -6.0, -1.0, -4.0, "log10 cost of a squared rate of acceleration, s^6/m^2"),
     Parameter("wall_margin", 0.0, 0.4, 0.15, "air to keep beside a wall, m"),
     Parameter("opponent_margin", 0.0, 0.5, 0.15, "air to keep beside the opponent, m"),
     Parameter(
         "trailing_gap",
-        0.8,
+        0.7,
         4.0,
-        1.2,
+        0.9,
         "distance between the cars' middles to keep behind the opponent, m",
+    ),
+    Parameter(
+        "attack",
+        0.0,
+        0.5,
+        0.2,
+        "share by which the speed may exceed the profile behind or beside the opponent, within the"
+        " grip",
     ),
 )
 (
@@ -73,6 +81,7 @@ PARAMETERS = (
     WALL_MARGIN,
     OPPONENT_MARGIN,
     TRAILING_GAP,
+    ATTACK,
 ) = range(len(PARAMETERS))
 
 STEPS, STEP = 24, 0.05  # stages of a plan, and their distance in s
@@ -80,7 +89,7 @@ PLAN_EVERY = 10  # simulation steps of 0.01 s between two plans
 SIGHT = 15.0  # m; an opponent farther ahead is ignored
 BODY = 0.2  # m before and behind the opponent that belong to its place
 SIDEWAYS = 3.0  # m/s, how fast a gap beside the opponent opens
-STICK = 0.3  # cost of another side of the opponent than that of the last plan
+STICK = 1.0  # cost of another side of the opponent than that of the last plan
 STEERING = 3.0  # rad/s
 LEARN = 0.15  # share by which the known steering error approaches the measured one in 0.02 s
 YAW_INERTIA = 0.5  # share of mass times the axles' distances from the centre of gravity
@@ -208,6 +217,18 @@ def _extend(track, view, scale, first, stages):
         _on_line(track, view, s, d, v, stages[k])
 
 
+@inner_kernel(forceinline=True)
+def _place_length(view):
+    """Return the distance (m) along the line of two cars' middles from which a car is clear."""
+    return 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BODY
+
+
+@inner_kernel(forceinline=True)
+def _in_sight(track, view):
+    """Return whether the opponent is beside the car, or ahead of it and near."""
+    return -_place_length(view) < gap_ahead(track, view) < SIGHT
+
+
 @inner_kernel
 def _measure(track, view, theta, scale, stages):
     """Write the race line, the free width, the speed limit and the opponent at each stage."""
@@ -216,11 +237,12 @@ def _measure(track, view, theta, scale, stages):
     free_v = stages[0, _V]
     here = track.line[line_index(track, wrap_s(track, view[_view.OPP_S]))]
     share = view[_view.OPP_V] / here[_frenet.SPEED]
+    fast = scale * (1.0 + theta[ATTACK]) if _in_sight(track, view) else scale
     for k in range(STEPS + 1):
         row = stages[k]
         if k > 0:
             opp_s += STEP * share * _top_speed(track, view, 1.0, opp_s)
-            free_v = min(free_v + STEP * ACCELERATION, _top_speed(track, view, scale, free_s))
+            free_v = min(free_v + STEP * ACCELERATION, _top_speed(track, view, fast, free_s))
             free_s += STEP * free_v
         line = track.line[line_index(track, view[_view.OWN_S] + row[_S])]
         row[_LX], row[_LY], course = to_cartesian(track, view[_view.OWN_S] + row[_S], 0.0)
@@ -228,13 +250,15 @@ def _measure(track, view, theta, scale, stages):
         row[_LK] = line[_frenet.KAPPA]
         row[_FREE_LEFT] = max(line[_frenet.LEFT] - keep, 0.02)
         row[_FREE_RIGHT] = max(line[_frenet.RIGHT] - keep, 0.02)
-        row[_MAX_V] = max(scale * line[_frenet.SPEED], stages[0, _V] - 0.95 * BRAKING * STEP * k)
+        # The last stage is at the profile: beyond it there may be a bend.
+        top = (fast if k < STEPS else scale) * line[_frenet.SPEED]
+        row[_MAX_V] = max(top, stages[0, _V] - 0.95 * BRAKING * STEP * k)
         row[_OPP_S], row[_FREE_S] = opp_s, free_s
 
 
 @kernel
 def prepare(track, theta, view, memory, stages):
-    """Write the stages to linearise around; return whether they continue the last plan."""
+    """Write the stages to linearise around; return if they continue the last plan."""
     scale = _line.speed_scale(view, theta[_PACE])
     car = stages[0]
     car[_X], car[_Y], car[_PSI] = view[_view.OWN_X], view[_view.OWN_Y], view[_view.OWN_PSI]
@@ -250,15 +274,12 @@ def prepare(track, theta, view, memory, stages):
 @kernel
 def may_pass(track, view, way):
     """Return whether a way past the opponent is to be considered."""
+    if way == FREE or not _in_sight(track, view):
+        return (way == FREE) != _in_sight(track, view)
     gap = gap_ahead(track, view)
-    bodies = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BODY
-    if not -bodies < gap < SIGHT:
-        return way == FREE
-    if way == FREE:
-        return False
     if way == BEHIND:
         return gap > 0.0
-    if gap < bodies and side_air(view) > 0.0:  # side by side
+    if gap < _place_length(view) and side_air(view) > 0.0:  # side by side
         return (view[_view.OWN_D] > view[_view.OPP_D]) == (way == LEFT)
     return True
 
@@ -406,7 +427,7 @@ def _beside(theta, view, way, gap, k, row):
         # A car that is too near falls back within the plan.
         wanted = min(wanted, gap + (wanted - gap) * k / STEPS)
         return row[_LC], row[_LS], row[_OPP_S] - wanted - row[_S]
-    place = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + BODY
+    place = _place_length(view)
     meets = row[_FREE_S] > row[_OPP_S] - place and row[_S] < row[_OPP_S] + place
     if way == FREE or not meets:
         return 0.0, 0.0, 1.0
@@ -643,7 +664,7 @@ def drive(
 
 
 VARIANTS = {
-    "close": {"opponent_margin": 0.05, "trailing_gap": 0.9},
+    "close": {"opponent_margin": 0.05, "trailing_gap": 0.75},
     "smooth": {"steering_rate": 0.0, "contouring": 1.0},
 }
 MPCC = Planner(
