@@ -39,12 +39,12 @@ CARS = 200
 SHARES = (0.5, 0.6, 0.7, 0.8, 0.9)
 
 
-def alone(track: Track, policy: Policy) -> tuple[float, float]:
+def alone(track: Track, policy: Policy, count: int = CARS) -> tuple[float, float]:
     """Return own crashes in 40 s, and mean speed, m/s, with the noise and speeds of `contest`."""
     low, high = calibration_of(track, CONTEST).speed_range
     # A driver without a map begins at a speed at which it can still brake.
     begins = 0.5 if policy.planner.name in LIDAR else low
-    cars = Alone(track, policy.planner, begins, CONTEST.steering_noise, CARS, policy.parameters)
+    cars = Alone(track, policy.planner, begins, CONTEST.steering_noise, count, policy.parameters)
     cars.settings = kernel_settings(CONTEST, (low, high))._replace(ittc_horizon=0.0)
     return cars.result()
 
@@ -53,7 +53,7 @@ def cost(policy: Policy) -> float:
     """Milliseconds of one core for 40 s of a race on Pipkin; races that end early count by what
     they drove.
     """
-    track, races = load_track("Pipkin"), 20
+    track, races = load_track("Pipkin"), 20 if policy.planner.drive is None else 1
     run_races(track, [policy], policy, CONTEST, seed=1, threads=1)
     times = []
     for repeat in range(3):
@@ -151,13 +151,17 @@ def main() -> None:
     parser.add_argument(
         "--only", nargs="+", choices=["alone", "cost", "pairs"], help="sections (default: all)"
     )
+    parser.add_argument("--cars", type=int, default=CARS, help="cars alone on a circuit, even")
     parser.add_argument("--races", type=int, default=50, help="races of a pair on a circuit")
     arguments = parser.parse_args()
     only = arguments.only or ["alone", "cost", "pairs"]
     tracks = circuits(arguments.maps, arguments.tracks)
     policies = [parse_policy(name) for name in arguments.drivers]
     if "alone" in only:
-        found = [(track, [alone(track, policy) for policy in policies]) for track in tracks]
+        found = [
+            (track, [alone(track, policy, arguments.cars) for policy in policies])
+            for track in tracks
+        ]
         for k, what in enumerate(("own crashes in 40 s alone", "mean speed, m/s")):
             show(
                 what,

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.compilation import first_call, inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import require
 from pcs_racing.planners import line_following as _line
@@ -132,7 +132,7 @@ class Model(NamedTuple):
     lr: float  #: Distance of the rear axle, m.
     front: float  #: Lateral acceleration per slip angle of the front tyres, m/s^2.
     rear: float  #: Lateral acceleration per slip angle of the rear tyres, m/s^2.
-    shift: float  #: Load that an acceleration of 1 m/s^2 shifts to the rear, as a length, s^2.
+    shift: float  #: Height of the centre of gravity divided by gravity, s^2.
 
 
 @inner_kernel(forceinline=True)
@@ -248,8 +248,8 @@ def _measure(track, view, theta, scale, stages):
         row[_LX], row[_LY], course = to_cartesian(track, view[_view.OWN_S] + row[_S], 0.0)
         row[_LS], row[_LC] = sine_cosine(course)
         row[_LK] = line[_frenet.KAPPA]
-        row[_FREE_LEFT] = max(line[_frenet.LEFT] - keep, 0.02)
-        row[_FREE_RIGHT] = max(line[_frenet.RIGHT] - keep, 0.02)
+        row[_FREE_LEFT] = line[_frenet.LEFT] - keep
+        row[_FREE_RIGHT] = line[_frenet.RIGHT] - keep
         # The last stage is at the profile: beyond it there may be a bend.
         top = (fast if k < STEPS else scale) * line[_frenet.SPEED]
         row[_MAX_V] = max(top, stages[0, _V] - 0.95 * BRAKING * STEP * k)
@@ -258,7 +258,7 @@ def _measure(track, view, theta, scale, stages):
 
 @kernel
 def prepare(track, theta, view, memory, stages):
-    """Write the stages to linearise around; return if they continue the last plan."""
+    """Write the stages to linearise around; return whether they continue the last plan."""
     scale = _line.speed_scale(view, theta[_PACE])
     car = stages[0]
     car[_X], car[_Y], car[_PSI] = view[_view.OWN_X], view[_view.OWN_Y], view[_view.OWN_PSI]
@@ -346,7 +346,7 @@ def _fill_cost(theta, stages, costs, q):
 
 @inner_kernel
 def _fill_motion(k, stages, rows, n, b):
-    """Write a step of the position and the heading: half of it by either stage's direction."""
+    """Write a step of position and heading, by the mean of both stages' directions."""
     before, row = stages[k - 1], stages[k]
     at, r, h = (k - 1) * SIZE, 5 * (k - 1), 0.5 * STEP
     length = h * (before[_V] + row[_V])
@@ -633,7 +633,9 @@ def _plan(
 ) -> bool:
     """Save a new plan in the memory; return whether it continues the last one."""
     stages = np.zeros((STEPS + 1, COLUMNS))
-    goes_on = prepare(track.arrays, theta, view, memory, stages)
+    with first_call(fill, "the planner mpcc", 10):
+        goes_on = prepare(track.arrays, theta, view, memory, stages)
+        _patterns()
     best = np.inf, np.zeros(VARIABLES), FREE
     for way in (FREE, LEFT, RIGHT, BEHIND):
         if may_pass(track.arrays, view, way):
