@@ -39,8 +39,8 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
     """Write the network of a policy, a planner or an agent as an ONNX file, and return its path.
 
     The command of a policy or planner is a steering angle (rad) and a speed (m/s); planners drive
-    the F1TENTH car. The file of ``line-ppo`` chooses a candidate of its lattice, ``residual`` corrects
-    its potential field, and an agent makes a move.
+    the F1TENTH car. The file of ``line-ppo`` chooses a candidate of its lattice, ``residual``
+    corrects its potential field, and an agent makes a move.
 
     Parameters
     ----------
