@@ -1,7 +1,4 @@
-"""What a car measures: its pose with errors, other cars late and lost; a lidar sees what is there.
-
-It also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time.
-"""
+"""What a car measures: its pose with errors, other cars late and lost; a lidar sees what is there."""
 
 import os
 import subprocess
