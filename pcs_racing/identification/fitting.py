@@ -305,6 +305,7 @@ def tyre_points(found: Identification) -> tuple[Floats, Floats]:
     aside = speed * (rate + np.gradient(found.states[..., BETA], windows.period, axis=1))
     yaw, shift = car.inertia * turning / car.m, ahead * car.h
     front = (aside * car.lr + yaw) / np.maximum(GRAVITY * car.lr - shift, 0.1)
+    front /= np.cos(found.states[..., DELTA])
     rear = (aside * car.lf - yaw) / np.maximum(GRAVITY * car.lf + shift, 0.1)
     slips = np.stack([slip.ravel() for slip in _slips(car, found.states)])
     return slips, np.stack([front.ravel(), rear.ravel()])

@@ -31,9 +31,9 @@ def _draw_course(axes: Any, found: Identification, name: str, label: str) -> Non
     count = min(max(int(_SHOWN / (windows.rows.shape[1] * windows.period)), 1), len(windows.rows))
     rows = windows.rows[:count]
     measured = windows.yaw_rate_raw if name == "psi_dot" else windows.measured.get(name, windows.v)
-    axes.plot(rows.ravel() * windows.period, measured[rows.ravel()], color=SOFT, lw=0.7)
     simulated = outputs(found.states[:count], name)
     for at, values in zip(rows, simulated, strict=True):  # windows: not a continuous line
+        axes.plot(at * windows.period, measured[at], color=SOFT, lw=0.7)
         axes.plot(at * windows.period, values, color=COLOURS[1], lw=1.3)
     axes.set_title(f"{label}: measured (grey), simulated")
     axes.set_xlabel("s")
@@ -45,12 +45,13 @@ def _draw_tyres(axes: Any, found: Identification, slip: Any, force: Any, axle: s
     axes.plot(slip[::every], force[::every], ".", ms=1.5, color=SOFT, alpha=0.5)
     reach = float(np.quantile(np.abs(slip), 0.995))
     angles = np.linspace(-reach, reach, 121)
-    for car, colour, dashes in ((found.start, COLOURS[0], "--"), (found.vehicle, COLOURS[1], "-")):
-        axes.plot(angles, _forces(car, angles, axle), dashes, color=colour, lw=1.4)
+    axes.plot(angles, _forces(found.start, angles, axle), "--", color=COLOURS[0], label="start")
+    axes.plot(angles, _forces(found.vehicle, angles, axle), color=COLOURS[1], label="found")
+    axes.legend(loc="upper left")
     axes.set_xlim(-reach, reach)
     axes.set_ylim(-1.5 * np.abs(force).mean() - 0.5, 1.5 * np.abs(force).mean() + 0.5)
     name = "front" if axle == "f" else "rear"
-    axes.set_title(f"{name} tyres, force per load: found (line), start (dashed)")
+    axes.set_title(f"{name} tyres: lateral force per load")
     axes.set_xlabel("slip angle, rad")
     tidy(axes)
 
