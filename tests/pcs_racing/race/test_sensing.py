@@ -1,4 +1,4 @@
-"""What a car measures: its pose with errors, other cars late and lost; a lidar sees what is there."""
+"""Measurements of a car: its pose with errors, other cars late and lost, and the scans of a lidar."""
 
 import os
 import subprocess
