@@ -1,4 +1,4 @@
-"""Measurements of a car: its pose with errors, other cars late and lost, and the scans of a lidar."""
+"""Measurements of a car: its pose with errors, other cars late and lost, scans as they are."""
 
 import os
 import subprocess
