@@ -33,8 +33,12 @@ HEAD = (
 )
 
 
-def drawn_car(seed: int = 0) -> VehicleParams:
-    """Return a car with drawn tyres and lags."""
+def drawn_car(seed: int = 2) -> VehicleParams:
+    """Return a car with drawn tyres and lags.
+
+    Seed 2 is the first whose test drive reaches .9 of the peak of both axles; the peaks of seeds 0
+    and 1 would keep the start car's values.
+    """
     rng = np.random.default_rng(seed)
 
     def draw(low: float, high: float) -> float:

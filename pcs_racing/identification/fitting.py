@@ -16,7 +16,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
-from pcs_racing.car.tyres import GRAVITY
+from pcs_racing.car.tyres import GRAVITY, pacejka_curve, pacejka_peak
 from pcs_racing.car.vehicle import BETA, DELTA, PSI, PSI_DOT, V, VehicleParams, X, Y
 from pcs_racing.identification.logs import DrivingLog, Floats
 from pcs_racing.identification.search import (
@@ -41,6 +41,7 @@ from pcs_racing.identification.windows import (
 _MIN_SECONDS = 5.0
 LINEAR = ("c_sf", "c_sr")
 PACEJKA = ("b_f", "c_f", "d_f", "e_f", "b_r", "c_r", "d_r", "e_r")
+_PEAK = 0.9  # share of a tyre's peak that a log must reach to show it
 _MIN_CHANGE = 0.1  # m/s of the speed command
 _MIN_TURNING = 1.0  # m/s^2 of lateral acceleration
 _BEYOND = 0.03  # rad by which commands must pass a reached angle to show the lock
@@ -206,7 +207,22 @@ def _lateral(windows: Windows, start: VehicleParams) -> Fit:
     fit = settled(fit, start)
     if windows.steer is not None:
         fit = settled(with_delay(fit, start, "steer_delay"), start)
-    return pruned(fit, start)
+    fit = pruned(fit, start)
+    for number, axle in enumerate("fr"):
+        peak = f"d_{axle}"
+        if peak in fit.names and _reached(fit, number, axle) < _PEAK:
+            names = [name for name in fit.names if name != peak]
+            kept = changed(fit.car, **{peak: getattr(start, peak)})
+            fit = pruned(search(fit.residuals, kept, start, names, 15), start)
+    return fit
+
+
+def _reached(fit: Fit, number: int, axle: str) -> float:
+    """Return the share of its peak that the force of an axle reaches in the log."""
+    slips = _slips(fit.car, fit.residuals.states(fit.car))[number]
+    b, c, e = (getattr(fit.car, f"{name}_{axle}") for name in "bce")
+    up_to = np.linspace(0.0, float(np.quantile(np.abs(slips), 0.98)), 50)
+    return max(float(pacejka_curve(slip, b, c, e)) for slip in up_to) / float(pacejka_peak(c, e))
 
 
 def _steering_guess(windows: Windows, start: VehicleParams) -> tuple[VehicleParams, bool]:
