@@ -7,7 +7,7 @@ from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.race.config import CONTROL_EVERY
 
-_SPEED_KEY = np.uint64(0x5851F42D4C957F2D)  # makes the noise of the speed another sequence
+_SPEED_KEY = np.uint64(0xDA942042E4DD58B5)  # makes the noise of the speed another sequence
 
 
 @inner_kernel(forceinline=True)
