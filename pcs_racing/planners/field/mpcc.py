@@ -47,13 +47,13 @@ from pcs_racing.track.track import Track
 PARAMETERS = (
     _line.PACE,
     Parameter(
-        "contouring", 0.01, 50.0, 0.5, "cost of a squared distance from the race line, 1/m^2"
+        "contouring", 0.01, 50.0, 2.0, "cost of a squared distance from the race line, 1/m^2"
     ),
     Parameter("lag", 1.0, 1000.0, 100.0, "cost of a squared lag error, 1/m^2"),
-    Parameter("progress", 0.1, 20.0, 4.0, "reward of progress along the race line, 1/m"),
+    Parameter("progress", 0.1, 50.0, 10.0, "reward of progress along the race line, 1/m"),
     Parameter("steering_rate", -4.0, 2.0, -1.0, "log10 cost of a squared steering rate, s^2/rad^2"),
     Parameter("jerk", -6.0, -1.0, -4.0, "log10 cost of a squared rate of acceleration, s^6/m^2"),
-    Parameter("wall_margin", 0.0, 0.4, 0.15, "air to keep beside a wall, m"),
+    Parameter("wall_margin", 0.0, 0.4, 0.2, "air to keep beside a wall, m"),
     Parameter("opponent_margin", 0.0, 0.5, 0.15, "air to keep beside the opponent, m"),
     Parameter(
         "trailing_gap",
