@@ -11,7 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_array, check_number
 from pcs_racing.base.compilation import first_call, kernel
 from pcs_racing.base.errors import InputError
-from pcs_racing.car.vehicle import F1TENTH, STATE_SIZE, VehicleParams, X, Y, load_vehicle
+from pcs_racing.car.vehicle import (
+    F1TENTH,
+    LIDAR_NOISE,
+    OPPONENT_LOST,
+    STATE_SIZE,
+    VehicleParams,
+    X,
+    Y,
+    load_vehicle,
+)
 from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
@@ -49,7 +58,8 @@ class PolicyOnCar:
     rules : RaceConfig, str or path
         Rules with the speed range of the policies.
     vehicle : VehicleParams, mapping, str or path
-        Vehicle of both cars (:func:`pcs_racing.car.vehicle.load_vehicle`).
+        Vehicle of both cars (:func:`pcs_racing.car.vehicle.load_vehicle`). The measured states have
+        the errors of the real sensors, so errors and delays of the vehicle's sensors are ignored.
 
     Attributes
     ----------
@@ -87,6 +97,7 @@ class PolicyOnCar:
         cars = (load_vehicle(vehicle),) * 2
         self._setup = RaceSetup(self.track, load_race_config(rules), (planner, planner), cars)
         self._vehicles = np.stack([car.as_row() for car in cars])
+        self._vehicles[:, LIDAR_NOISE : OPPONENT_LOST + 1] = 0.0  # all errors and delays of sensors
         self._states = {count: empty_state(1, 0, count) for count in (1, 2)}
         sizes = (planner.memory_size, planner.scratch_size, VIEW_SIZE, 2)
         self.memory, self._scratch, self.view, self._command = map(np.zeros, sizes)

@@ -43,6 +43,24 @@ def test_an_opponent_may_be_lost_and_calls_may_come_late():
     assert paths[2].mean() < paths[3].mean()  # the opponent is lost
 
 
+ERRORS = {"pose_noise": 0.3, "heading_bias": 0.2, "opponent_delay": 0.1, "opponent_lost": 1.0}
+LIDAR_ERRORS = {"lidar_lost": 0.5, "lidar_noise": 0.1, "lidar_bias": 0.5, "lidar_step": 0.5}
+
+
+@pytest.mark.parametrize(("name", "errors"), [("lattice", ERRORS), ("lidar-ppo", LIDAR_ERRORS)])
+def test_measured_states_are_not_disturbed_again(name, errors):
+    body = {"width": 0.25, "lidar_x": 0.2}
+    own, ahead = [
+        [x, y, 0.0, speed, heading, 0.0, 0.0]
+        for s, speed in ((1.0, 4.0), (2.0, 1.0))
+        for x, y, heading in [load_track(TRACK).to_cartesian([s, 0.0])]
+    ]
+    exact, other = (PolicyOnCar(name, TRACK, vehicle=one) for one in (body, body | errors))
+    for time in (0.0, 0.1, 0.5):
+        assert exact.command(time, own, ahead) == other.command(time, own, ahead)
+        np.testing.assert_array_equal(exact.view, other.view)
+
+
 def test_bad_input_is_refused():
     on_car = PolicyOnCar("pure-pursuit", TRACK)
     refused("car", on_car.command, 0.0, [0.0] * 6)
