@@ -101,10 +101,15 @@ class PolicyOnCar:
         self._states = {count: empty_state(1, 0, count) for count in (1, 2)}
         sizes = (planner.memory_size, planner.scratch_size, VIEW_SIZE, 2)
         self.memory, self._scratch, self.view, self._command = map(np.zeros, sizes)
-        self.path, self._planned = np.zeros((PATH_POINTS, PATH_COLUMNS)), -1
+        self.path = np.zeros((PATH_POINTS, PATH_COLUMNS))
+        self.reset()
         self._theta = policy.parameters.copy()  # writeable, as the compiled functions ask
         with first_call(_ask, "the policy", 10):
             self._code = planner.pointers()
+
+    def reset(self) -> None:
+        """Forget all calls: the next one may have any time, and plans."""
+        self.memory[:], self.path[:], self._planned, self._time = 0.0, 0.0, -1, 0.0
 
     def command(
         self, time: float, car: ArrayLike, opponent: ArrayLike | None = None
@@ -114,16 +119,19 @@ class PolicyOnCar:
         Parameters
         ----------
         time : float
-            Time since the start, s; 0 or above, and not below the time of the last call.
+            Time since the start, s; 0 or above, and not below the time of the last call. After
+            :meth:`reset` it may go back.
         car : array_like, shape (7,)
             State of the own car.
         opponent : array_like, shape (7,), optional
             State of the opponent; without it there is no opponent near.
         """
-        tick = CONTROL_EVERY * round(check_number("time", time, 0.0) / (CONTROL_EVERY * DT))
+        time = check_number("time", time, self._time)
+        tick = CONTROL_EVERY * round(time / (CONTROL_EVERY * DT))
         rows = [check_array("car", car, (STATE_SIZE,))]
         if opponent is not None:
             rows.append(check_array("opponent", opponent, (STATE_SIZE,)))
+        self._time = time
         self._look(tick, np.stack(rows))
         due, self._planned = tick // PLAN_EVERY != self._planned, tick // PLAN_EVERY
         own = self._theta, self.view, self.memory, self._scratch, self.path, self._command

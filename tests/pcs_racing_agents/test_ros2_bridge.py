@@ -137,6 +137,42 @@ def test_without_fresh_messages_the_car_stops(ros):
     assert planning.command(5.6) == (0.0, 0.0)
 
 
+def scan(ranges=(2.0,) * 271, angle_increment=4.7 / 270):
+    return SimpleNamespace(
+        angle_min=-2.35, angle_increment=angle_increment, range_min=0.1, ranges=ranges
+    )
+
+
+@pytest.mark.parametrize("policy", ["line-ppo", "lidar-ppo"])
+def test_the_car_stops_and_begins_again_when_the_clock_is_set_back(ros, lidar_ppo, policy):
+    planning = ros("planning").Planning(str(lidar_ppo) if policy == "lidar-ppo" else policy)
+    x, y, heading = load_track("Brackwater").to_cartesian([0.0, 0.0])
+    commands = []
+    for begin in (100.0, 50.0):
+        for kind, heard in (("odometry", odometry(x, y, heading)), ("scan", scan())):
+            planning.hear(kind, heard, begin + 0.01)
+        commands += [planning.command(begin + after) for after in (0.02, 0.04)]
+        for kind, heard in (("odometry", odometry(x, y, heading)), ("scan", scan())):
+            planning.hear(kind, heard, begin + 0.05)
+        commands.append(planning.command(begin + 0.06))
+    assert min(speed for _, speed in (*commands[:3], commands[5])) > 1.0
+    assert commands[3:5] == [(0.0, 0.0)] * 2
+    assert commands[5] == pytest.approx(commands[0], abs=0.02)  # rad, m/s; the servo moved
+    planning.hear("odometry", odometry(x, y, heading), 50.2)  # by a clock that was set back since
+    assert planning.command(50.1) == (0.0, 0.0)
+
+
+def test_the_steering_angle_follows_the_command_to_stop(ros):
+    planning = ros("planning").Planning("pure-pursuit", "Pipkin")
+    x, y, heading = load_track("Pipkin").to_cartesian([0.0, 0.5])
+    planning.hear("odometry", odometry(x, y, heading), 0.0)
+    assert abs(planning.command(0.0)[0]) > 0.05
+    assert planning.command(0.3) == (0.0, 0.0)  # until now the last command held
+    assert abs(planning.steering) > 0.05
+    planning.command(0.6)
+    assert planning.steering == 0.0
+
+
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [

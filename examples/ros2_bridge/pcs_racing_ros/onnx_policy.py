@@ -27,6 +27,10 @@ class OnnxPolicy:
         self.about = json.loads(metadata["pcs_racing"])
         self.shapes = {one.name: (1, *one.shape[1:]) for one in self.session.get_inputs()}
         self.kept = self.about.get("state", {})
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all decisions."""
         self.state = {name: np.zeros(self.shapes[name], np.float32) for name in self.kept}
 
     def decide(self, **inputs: np.ndarray) -> dict[str, np.ndarray]:

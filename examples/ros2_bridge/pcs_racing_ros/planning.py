@@ -24,6 +24,7 @@ class MapPolicy:
         if policy.partition(":")[0] == "lidar-ppo":  # it would scan the map
             raise ValueError("lidar-ppo needs scans: pcs-racing export lidar-ppo writes its file")
         self.on_car = PolicyOnCar(policy, track, rules=rules)
+        self.reset = self.on_car.reset
 
     def command(
         self, time: float, car: np.ndarray, opponent: np.ndarray | None, scan: Any
@@ -75,6 +76,11 @@ class ScanPolicy:
         beams, self.period = about["inputs"]["ranges"], about["period"]
         self.angles = np.linspace(beams["angle_min"], beams["angle_max"], beams["beams"])
         self.max_range, self.vehicle = beams["max_range"], about["vehicle"]
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all decisions: the next command begins an arc."""
+        self.network.reset()
         self.due, self.start, self.arc = 0.0, np.zeros(7), np.zeros(2)
 
     def command(
@@ -122,11 +128,22 @@ class Planning:
         self.heard[kind] = time, message
 
     def command(self, time: float) -> tuple[float, float]:
-        """Return the steering angle (rad) and the speed (m/s) to command at a time (s)."""
-        fresh = {kind: one for kind, (at, one) in self.heard.items() if time - at <= self.timeout}
+        """Return the steering angle (rad) and the speed (m/s) to command at a time (s).
+
+        If the clock was set back, the car stops and begins with new messages.
+        """
+        if time < max([self.last, *(at for at, _ in self.heard.values())]):
+            self.heard.clear()
+            self.chosen.reset()
+            self.begin, self.last = None, time
         reach = self.steering_rate * (time - self.last)
         self.steering += float(np.clip(self.wanted - self.steering, -reach, reach))
         self.last = time
+        self.wanted, speed = self._decide(time)
+        return self.wanted, self.speed_share * speed
+
+    def _decide(self, time: float) -> tuple[float, float]:
+        fresh = {kind: one for kind, (at, one) in self.heard.items() if time - at <= self.timeout}
         if any(kind not in fresh for kind in self.chosen.needs):
             return STOP
         self.begin = time if self.begin is None else self.begin
@@ -135,5 +152,4 @@ class Planning:
         other = None if opponent is None else state_of(opponent, 0.0, self.to_centre)
         if not np.isfinite(car).all() or (other is not None and not np.isfinite(other).all()):
             return STOP
-        self.wanted, speed = self.chosen.command(time - self.begin, car, other, fresh.get("scan"))
-        return self.wanted, self.speed_share * speed
+        return self.chosen.command(time - self.begin, car, other, fresh.get("scan"))

@@ -43,6 +43,19 @@ def test_an_opponent_may_be_lost_and_calls_may_come_late():
     assert paths[2].mean() < paths[3].mean()  # the opponent is lost
 
 
+def test_time_goes_back_with_a_reset_alone():
+    on_car, new = PolicyOnCar("lattice", TRACK), PolicyOnCar("lattice", TRACK)
+    x, y, heading = on_car.track.to_cartesian([1.0, 0.0])
+    car = [x, y, 0.0, 4.0, heading, 0.0, 0.0]
+    for time in (3.0, 3.02):
+        on_car.command(time, car, car)
+    refused("time is 3.0; it must be a number from 3.02", on_car.command, 3.0, car)
+    assert (on_car.memory != new.memory).any()
+    on_car.reset()
+    assert on_car.command(0.0, car) == new.command(0.0, car)
+    np.testing.assert_array_equal(on_car.memory, new.memory)
+
+
 ERRORS = {"pose_noise": 0.3, "heading_bias": 0.2, "opponent_delay": 0.1, "opponent_lost": 1.0}
 LIDAR_ERRORS = {"lidar_lost": 0.5, "lidar_noise": 0.1, "lidar_bias": 0.5, "lidar_step": 0.5}
 
