@@ -114,13 +114,42 @@ def test_odometry_of_the_rear_axle_becomes_the_state_of_the_centre(ros):
     assert yaw_rate == 1.0
 
 
-def test_a_beam_without_a_range_sees_nothing(ros):
-    scan = SimpleNamespace(
-        angle_min=-1.0, angle_increment=0.5, range_min=0.1, ranges=[1.0, 2.0, 0.0, np.inf, np.nan]
-    )
-    angles = np.array([-1.5, -1.0, -0.4, 0.0, 0.5, 1.0])
-    found = ros("messages").ranges_at(scan, angles, 15.0)
-    np.testing.assert_array_equal(found, [15.0, 1.0, 2.0, 15.0, 15.0, 15.0])
+def test_a_beam_without_a_range_sees_nothing_and_a_near_obstacle_is_near(ros):
+    ranges = [1.0, 2.0, 0.0, np.inf, np.nan, 20.0, -np.inf]
+    heard = SimpleNamespace(angle_min=-1.0, angle_increment=0.5, range_min=0.1, ranges=ranges)
+    angles = np.array([-1.5, -1.0, -0.4, 0.0, 0.5, 1.0, 1.5, 2.0])
+    found = ros("messages").ranges_at(heard, angles, 15.0)
+    np.testing.assert_array_equal(found, [15.0, 1.0, 2.0, 15.0, 15.0, 15.0, 15.0, 0.1])
+
+
+UNUSABLE = {
+    "empty": {"ranges": []},
+    "NaN": {"ranges": [np.nan] * 271},
+    "zeros": {"ranges": [0.0] * 271, "range_min": 0.0},
+    "too near": {"ranges": [-np.inf] * 271},
+    "a third": {"ranges": [2.0] * 90 + [np.nan] * 181},
+    "a narrow view": {"ranges": [2.0] * 90},
+    "no increment": {"angle_increment": 0.0},
+    "increment of NaN": {"angle_increment": np.nan},
+    "min range of NaN": {"range_min": np.nan},
+}
+
+
+@pytest.mark.parametrize("fields", UNUSABLE.values(), ids=UNUSABLE)
+def test_with_an_unusable_scan_the_car_stops(ros, lidar_ppo, fields):
+    planning = ros("planning").Planning(str(lidar_ppo))
+    commands = []
+    for time, more in (
+        (0.0, {}),
+        (0.1, fields),
+        (0.12, fields),
+        (0.14, {"ranges": [np.inf] * 271}),
+    ):
+        planning.hear("odometry", odometry(), time)
+        planning.hear("scan", scan(**more), time)
+        commands.append(planning.command(time))
+    assert commands[1:3] == [(0.0, 0.0)] * 2
+    assert min(commands[0][1], commands[3][1]) > 1.0
 
 
 def test_without_fresh_messages_the_car_stops(ros):
@@ -137,10 +166,9 @@ def test_without_fresh_messages_the_car_stops(ros):
     assert planning.command(5.6) == (0.0, 0.0)
 
 
-def scan(ranges=(2.0,) * 271, angle_increment=4.7 / 270):
-    return SimpleNamespace(
-        angle_min=-2.35, angle_increment=angle_increment, range_min=0.1, ranges=ranges
-    )
+def scan(**fields):
+    usual = {"angle_min": -2.35, "angle_increment": 4.7 / 270, "range_min": 0.1}
+    return SimpleNamespace(**{**usual, "ranges": [2.0] * 271, **fields})
 
 
 @pytest.mark.parametrize("policy", ["line-ppo", "lidar-ppo"])

@@ -50,14 +50,21 @@ def state_of(odometry: Any, steering: float, to_centre: float) -> np.ndarray:
     return np.array([x, y, steering, speed, heading, yaw_rate, slip])
 
 
-def ranges_at(scan: Any, angles: np.ndarray, max_range: float) -> np.ndarray:
+def ranges_at(scan: Any, angles: np.ndarray, max_range: float) -> np.ndarray | None:
     """Return the ranges (m) of the beams nearest to some angles (rad) from the heading.
 
-    A beam without a valid range, or out of the field of view, has the max range.
+    A beam without a valid range, or out of the field of view, has the max range; -inf, an obstacle
+    too near to measure, has the min range. Infinity, or a range beyond the max range, is open
+    space. Return None for an unusable scan: fewer than half of these beams see an obstacle or open
+    space.
     """
-    ranges = np.asarray(scan.ranges, float)
-    beams = np.rint((angles - scan.angle_min) / scan.angle_increment).astype(int)
-    inside = (beams >= 0) & (beams < len(ranges))
-    found = np.where(inside, ranges[np.where(inside, beams, 0)], np.nan)
-    valid = (found >= scan.range_min) & (found <= max_range)
-    return np.where(valid, found, max_range)
+    ranges = np.append(np.asarray(scan.ranges, float), np.nan)  # the last one: out of view
+    with np.errstate(all="ignore"):  # an increment of 0
+        beams = np.rint((angles - scan.angle_min) / np.float64(scan.angle_increment))
+    inside = (beams >= 0) & (beams < len(ranges) - 1)
+    found = ranges[np.where(inside, beams, -1).astype(int)]
+    valid = (found > 0.0) & (found >= scan.range_min)
+    if 2 * np.count_nonzero(valid) < len(angles):
+        return None
+    seen = np.where(valid, np.minimum(found, max_range), max_range)
+    return np.where(np.isneginf(found), scan.range_min, seen)

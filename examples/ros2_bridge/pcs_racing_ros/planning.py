@@ -86,9 +86,14 @@ class ScanPolicy:
     def command(
         self, time: float, car: np.ndarray, opponent: np.ndarray | None, scan: Any
     ) -> tuple[float, float]:
-        """Return steering angle (rad) and speed (m/s): of a new arc, or along the last one."""
+        """Return steering angle (rad) and speed (m/s): of a new arc, or along the last one.
+
+        An unusable scan stops the car, until there is a usable one.
+        """
         if time >= self.due - 1e-6:
             ranges = ranges_at(scan, self.angles, self.max_range)
+            if ranges is None:
+                return STOP
             outputs = self.network.decide(ranges=ranges, own=car[[3, 5, 2]])
             self.start, self.arc = car, outputs["arc"].astype(float)
             # Periods are counted from the last decision on time; a late one begins them anew.
