@@ -297,6 +297,43 @@ def test_runner_and_planner_node_run_a_file_without_our_packages(lidar_ppo, tmp_
     assert "planner node: (0.0, 0.0)" in done.stdout
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["none.onnx"], "there is no file none.onnx"),
+        (["junk.onnx"], "junk.onnx is no ONNX file"),
+        (["other.onnx"], "other.onnx was not written by pcs-racing export"),
+        (["garbled.onnx"], "garbled.onnx was not written by pcs-racing export"),
+        (["junk.onnx", "--hz", "0"], "argument --hz: 0 is not above 0"),
+        (["junk.onnx", "--hz", "fast"], "argument --hz: invalid positive value: 'fast'"),
+        (["junk.onnx", "--seconds", "nan"], "argument --seconds: nan is not above 0"),
+    ],
+)
+def test_the_runner_refuses_bad_input_by_a_line(
+    ros, lidar_ppo, tmp_path, monkeypatch, capsys, arguments, said
+):
+    onnx = pytest.importorskip("onnx")
+    model = onnx.load(lidar_ppo)
+    for name, about in (("other", {}), ("garbled", {"pcs_racing": "{"})):
+        onnx.helper.set_model_props(model, about)
+        onnx.save(model, tmp_path / f"{name}.onnx")
+    (tmp_path / "junk.onnx").write_text("junk", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["onnx_policy.py", *arguments])
+    with pytest.raises(SystemExit, match="2"):
+        ros("onnx_policy").main()
+    *usage, line = capsys.readouterr().err.splitlines()
+    assert said in line
+    assert all("Traceback" not in one for one in usage)
+
+
+def test_a_short_run_makes_a_decision(ros, lidar_ppo, monkeypatch, capsys):
+    arguments = [str(lidar_ppo), "--hz", "1", "--seconds", "0.1"]
+    monkeypatch.setattr(sys, "argv", ["onnx_policy.py", *arguments])
+    ros("onnx_policy").main()
+    assert "1 decisions: " in capsys.readouterr().out
+
+
 # The files of the package
 
 

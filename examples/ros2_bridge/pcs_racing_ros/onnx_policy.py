@@ -8,6 +8,7 @@ prints the inputs and the outputs of the file, and the delay of a decision on th
 import argparse
 import json
 import time
+from pathlib import Path
 
 import numpy as np
 import onnxruntime
@@ -19,12 +20,18 @@ class OnnxPolicy:
     def __init__(self, file: str) -> None:
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = 1  # a small network gains nothing from threads
-        self.session = onnxruntime.InferenceSession(file, options, ["CPUExecutionProvider"])
+        if not Path(file).is_file():
+            raise ValueError(f"there is no file {file}")
+        try:
+            self.session = onnxruntime.InferenceSession(file, options, ["CPUExecutionProvider"])
+        except Exception as error:  # the exceptions of onnxruntime have no other base
+            raise ValueError(f"{file} is no ONNX file: {' '.join(str(error).split())}") from error
         metadata = self.session.get_modelmeta().custom_metadata_map
-        if "pcs_racing" not in metadata:
-            raise ValueError(f"{file} was not written by pcs-racing export")
-        #: Description: name, period (s), inputs and outputs with their units, state.
-        self.about = json.loads(metadata["pcs_racing"])
+        try:
+            #: Description: name, period (s), inputs and outputs with their units, state.
+            self.about = json.loads(metadata["pcs_racing"])
+        except (KeyError, ValueError) as error:
+            raise ValueError(f"{file} was not written by pcs-racing export") from error
         self.shapes = {one.name: (1, *one.shape[1:]) for one in self.session.get_inputs()}
         self.kept = self.about.get("state", {})
         self.reset()
@@ -42,16 +49,26 @@ class OnnxPolicy:
         return {name: values[0] for name, values in outputs.items()}
 
 
+def positive(text: str) -> float:
+    """Return a number above 0 and at most 10000."""
+    if not 0.0 < float(text) <= 10000.0:  # NaN, too
+        raise argparse.ArgumentTypeError(f"{text} is not above 0 and at most 10000")
+    return float(text)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="run a file of pcs-racing export")
     parser.add_argument("file")
-    parser.add_argument("--hz", type=float, default=50.0, help="commands a second")
-    parser.add_argument("--seconds", type=float, default=2.0)
+    parser.add_argument("--hz", type=positive, default=50.0, help="commands a second")
+    parser.add_argument("--seconds", type=positive, default=2.0)
     arguments = parser.parse_args()
-    policy = OnnxPolicy(arguments.file)
+    try:
+        policy = OnnxPolicy(arguments.file)
+    except ValueError as error:
+        parser.exit(2, f"{parser.prog}: {error}\n")
     print(json.dumps({key: policy.about[key] for key in ("name", "period", "outputs")}))
     rng, delays, due, begin = np.random.default_rng(0), [], 0.0, time.perf_counter()
-    for k in range(round(arguments.hz * arguments.seconds)):
+    for k in range(max(1, round(arguments.hz * arguments.seconds))):
         time.sleep(max(0.0, begin + k / arguments.hz - time.perf_counter()))
         if k / arguments.hz >= due - 1e-9:  # between decisions the last outputs hold
             measured = {name: rng.random(policy.shapes[name]) for name in policy.about["inputs"]}

@@ -1,7 +1,6 @@
 """Work of the planner node, without ROS: messages go in, commands come out."""
 
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,8 +63,6 @@ class ScanPolicy:
     def __init__(self, file: str) -> None:
         from .onnx_policy import OnnxPolicy
 
-        if not Path(file).is_file():
-            raise ValueError(f"there is no file {file}")
         self.network = OnnxPolicy(file)
         about = self.network.about
         if about["inputs"].keys() != {"ranges", "own"}:
