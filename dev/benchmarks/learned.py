@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from pcs_racing import load_track, run_races
-from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.base.fingerprint import fingerprint
@@ -82,7 +82,7 @@ class Races:
                 policies[1],
                 config,
                 seed=SEED,
-                vehicles=vehicles,
+                vehicle=vehicles or F1TENTH,
                 threads=self.threads,
             )
             state = result.state

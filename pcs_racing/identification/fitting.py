@@ -126,7 +126,11 @@ def identify(log: DrivingLog, start: VehicleParams) -> Identification:
         fits.append(_longitudinal(lateral, start))
         car = fits[-1].car
         states = fits[-1].residuals.states(car)
-    values = {name: _rounded(value) for name, value in plain_settings(car).items()}
+    kept = plain_settings(start)
+    values = {
+        name: value if value == kept[name] else _rounded(value)
+        for name, value in plain_settings(car).items()
+    }
     vehicle = VehicleParams(**values)
     findings = _findings(fits, vehicle, start, windows, states)
     return Identification(vehicle, start, findings, windows, states)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,7 @@ from pcs_racing.car.vehicle import (
     SPEED_DELAY,
     STEER_DELAY,
     VehicleParams,
+    load_vehicles,
 )
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
@@ -359,7 +361,7 @@ def run_races(
     *,
     seed: int = 0,
     starts: Starts | None = None,
-    vehicles: tuple[VehicleParams, ...] = (),
+    vehicle: Any = F1TENTH,
     threads: int | None = None,
 ) -> RaceResult:
     """Run races between pairs of policies, from the start to the end.
@@ -375,6 +377,9 @@ def run_races(
         Root of the start lines and of the noise of every race.
     starts : Starts, optional
         Starts of the races; drawn from the seed by default (:func:`draw_starts`).
+    vehicle : VehicleParams, mapping, str, or sequence of these
+        Parameters of all cars, or of each car, car 0 first: a shipped car's name, the values that
+        differ from F1TENTH's, or a YAML file (:func:`pcs_racing.car.vehicle.load_vehicle`).
     threads : int, optional
         Number of threads that share the races; all cores by default. It does not change the result.
     """
@@ -389,7 +394,7 @@ def run_races(
         config,
         seed=seed,
         starts=starts,
-        vehicles=vehicles,
+        vehicle=vehicle,
         threads=threads,
     )
 
@@ -401,7 +406,7 @@ def run_field(
     *,
     seed: int = 0,
     starts: Starts | None = None,
-    vehicles: tuple[VehicleParams, ...] = (),
+    vehicle: Any = F1TENTH,
     threads: int | None = None,
 ) -> RaceResult:
     """Run races between 1 to 8 policies, from the start to the end.
@@ -410,6 +415,7 @@ def run_field(
     as in :func:`run_races`.
     """
     config = rules_on(track, config)
+    vehicles = load_vehicles(vehicle, len(drivers))
     policies = [_policies(one) for one in drivers]
     given = [len(one) for one in policies if not isinstance(one, Policy)]
     races = given[0] if given else 1 if starts is None else len(starts)

@@ -15,7 +15,7 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seed
-from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.car.vehicle import F1TENTH, load_vehicles
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
@@ -65,7 +65,7 @@ def record_race(
     *,
     seed: int = 0,
     index: int = 0,
-    vehicles: tuple[VehicleParams, ...] = (),
+    vehicle: Any = F1TENTH,
     candidates: bool = True,
 ) -> Replay:
     """Drive one race and record it for viewing.
@@ -79,6 +79,8 @@ def record_race(
         Seed and number of the race: race ``index`` (0 to :data:`LAST_INDEX`) of
         ``run_field(..., seed=seed)``, with the same start, the same noise and a bit-identical end.
         No earlier race is drawn.
+    vehicle
+        Parameters of the cars, as in :func:`run_races`.
     candidates : bool
         Whether to record the paths that each planner chose from (if it can report them).
 
@@ -91,6 +93,7 @@ def record_race(
     config = rules_on(track, config)
     given = [ego, opponent] if isinstance(opponent, Policy | str) else [ego, *opponent]
     drivers = list(map(policy_of, given))
+    vehicles = load_vehicles(vehicle, len(drivers))
     setup = RaceSetup(track, config, tuple(driver.planner for driver in drivers), vehicles)
     start = starts_of(track, config, [int(index)], seed, cars=len(drivers))
     theta = pad_parameters(drivers, setup.theta_size)[None]

@@ -13,6 +13,8 @@ from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import can_draw, output_file
 
+MAX_ERROR = 0.3  # of the yaw rate, above which a car does not explain its log
+
 
 @command(
     "identify",
@@ -49,7 +51,10 @@ def run(
     say(f"{logs[0].duration:.0f} s of driving; the search takes about as long")
     found = identify(logs[0], start)
     print("\n".join(aligned(found.rows())))
-    print(f"\nyaw rate of the log: {found.error('psi_dot'):.1%} RMS error, noise included")
+    error = found.error("psi_dot")
+    print(f"\nyaw rate of the log: {error:.1%} RMS error, noise included")
+    if error > MAX_ERROR:
+        say("warning: the found car does not explain the log; check its units, mass and geometry")
     if check is not None:
         print(f"yaw rate of {check}: {yaw_rate_error(found.vehicle, logs[1]):.1%} RMS error")
     print(f"car: {write_vehicle(found, target)}")

@@ -10,6 +10,7 @@ import numpy as np
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError, require
 from pcs_racing.base.seeds import race_seed
+from pcs_racing.car.vehicle import VehicleParams, load_vehicles
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import planner_names
 from pcs_racing.planners.shipped import split_name
@@ -47,6 +48,10 @@ def run(
         Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")
     ] = (OPPONENT,),
     rules: Rules,
+    vehicle: Annotated[
+        Sequence[str],
+        Option("car of all planners, or of each: a name (f1tenth-pacejka) or a YAML file", "CAR"),
+    ] = ("f1tenth",),
     index: Annotated[int, Option(f"race index for this seed, 0 to {LAST_INDEX}")] = 0,
     replay: Annotated[
         Path | None,
@@ -63,6 +68,7 @@ def run(
         raise InputError(
             f"--opponent names {len(opponent)} policies; a race has at most {MAX_CARS - 1} of them"
         )
+    cars = load_vehicles(vehicle[0] if len(vehicle) == 1 else vehicle, 1 + len(opponent))
     first, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
     target = output_file(replay, ".html", ".json") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None
@@ -77,11 +83,18 @@ def run(
     about = f"preset {config.name}, seed {rules.seed}, race {index}"
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
     recorded = record_race(
-        circuit, first, others, config, seed=rules.seed, index=index, candidates=target is not None
+        circuit,
+        first,
+        others,
+        config,
+        seed=rules.seed,
+        index=index,
+        vehicle=cars,
+        candidates=target is not None,
     )
     print(_story(recorded))
     if config.heats > 1 and len(others) == 1:
-        print(_series(circuit, first, others[0], config, rules.seed, index))
+        print(_series(circuit, first, others[0], config, cars, rules.seed, index))
     if target is None:
         print("to watch it: run the same command with --replay race.html")
     else:
@@ -112,11 +125,17 @@ def _policy(option: str, text: str) -> Policy:
 
 
 def _series(
-    track: Track, ego: Policy, opponent: Policy, config: RaceConfig, seed: int, index: int
+    track: Track,
+    ego: Policy,
+    opponent: Policy,
+    config: RaceConfig,
+    cars: tuple[VehicleParams, ...],
+    seed: int,
+    index: int,
 ) -> str:
     """Return the result of a race's series: the races counted as one in tables."""
     numbers = [index // config.heats * config.heats + heat for heat in range(config.heats)]
-    setup = RaceSetup(track, config, (ego.planner, opponent.planner))
+    setup = RaceSetup(track, config, (ego.planner, opponent.planner), cars)
     state = start_races(
         setup,
         starts_of(track, config, numbers, seed),

@@ -146,9 +146,12 @@ def test_the_same_driver_compiled_and_in_python_drives_the_same_race_at_fifty_he
 def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(oval):
     standing = load_race_config("paper", duration=2.0, start_speed=0.0)
     strong, weak = VehicleParams(), VehicleParams(a_max=1.5)
-    lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicles=(strong, weak)).lead
+    lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicle=(strong, weak)).lead
     assert (lead > 1.0).all()
-    lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicles=(weak, strong)).lead
+    named = ["f1tenth", {"a_max": 1.5}]
+    again = run_races(oval, [lattice()] * 4, lattice(), standing, vehicle=named).lead
+    np.testing.assert_array_equal(again, lead)
+    lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicle=(weak, strong)).lead
     assert (lead < -1.0).all()
     late, prompt = VehicleParams(steer_delay=0.1), VehicleParams()
     usual = RaceSetup(oval, SHORT, (LATTICE, LATTICE))
@@ -171,7 +174,7 @@ def test_planners_drive_within_the_grip_of_their_tyres(oval):
         cars = (load_vehicle(name),) * 2
         for pace in (0.0, 1.0):
             result = run_races(
-                oval, [lattice(pace=pace)] * 6, lattice(pace=pace), SHORT, vehicles=cars
+                oval, [lattice(pace=pace)] * 6, lattice(pace=pace), SHORT, vehicle=cars
             )
             assert not result.crashed.any()
             assert np.abs(result.state.cars[..., BETA]).max() < 0.2

@@ -78,7 +78,7 @@ def test_policies_may_change_on_the_way(oval):
 def test_what_a_replay_holds(oval):
     ego, opponent = policies("lattice")
     cars = (VehicleParams(), VehicleParams(length=0.5, width=0.25))
-    replay = record_race(oval, ego, opponent, PAPER, vehicles=cars)
+    replay = record_race(oval, ego, opponent, PAPER, vehicle=cars)
     frames = round(PAPER.duration / replay.frame_dt) + 1
     plans = PAPER.ticks // PLAN_EVERY
     assert replay.cars.shape == (frames, 2, 7)

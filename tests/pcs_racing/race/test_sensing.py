@@ -149,7 +149,7 @@ def test_planners_without_a_map_do_not_notice_errors_of_localisation_and_tracker
     blind = VehicleParams(opponent_lost=0.5, opponent_delay=0.1, pose_noise=0.2, heading_noise=0.1)
     rules = load_race_config("paper", duration=3.0)
     ends = [
-        run_races(oval, name, name, rules, vehicles=(car, car), threads=1).state.cars
+        run_races(oval, name, name, rules, vehicle=car, threads=1).state.cars
         for car in (blind, VehicleParams())
     ]
     np.testing.assert_array_equal(*ends)
