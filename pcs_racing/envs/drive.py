@@ -130,7 +130,8 @@ class DriveEnv(ScalarEnv):
       end the race;
     - ``cost``: 1.0 if the agent was at fault in the last step, else 0.0;
     - ``result`` (:class:`pcs_racing.envs.infos.Result`: 0 running, 1 win, 2 tie, 3 loss,
-      4 no-contest crash; for a single car 1 at the end, or 4);
+      4 no-contest crash; for a single car 1 at the end, 3 if the time ends before the ``laps``, or
+      4; of several cars without all ``laps`` the car ahead wins);
     - ``opponent``: index of the episode's opponent (-1 if there is none);
     - ``laps``: complete laps, counted from the start line; the first begins with the race;
     - ``lap_time`` and ``best_lap``: times of the last and the shortest lap, s; -1 if there is none;

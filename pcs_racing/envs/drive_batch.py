@@ -569,7 +569,7 @@ class DriveBatch:
     def _outcomes(self) -> NDArray[np.int64]:
         """Return the result of each race for each player, shape (B, players).
 
-        A single car wins if it reaches the end.
+        A single car wins if it reaches the end; in a race with laps it loses without all laps.
         """
         state, config = self.state, self.setup.config
         result = np.zeros((self.episodes, self.players), np.int64)
@@ -580,7 +580,9 @@ class DriveBatch:
         rows = np.flatnonzero(over)
         ended = take(state, rows)
         if self.cars == 1:
-            result[rows, 0] = np.where(ended.crashed, Result.CRASH, Result.WIN)
+            done = config.laps is None or np.isfinite(ended.finish_time[:, 0])
+            driven = np.where(done, Result.WIN, Result.LOSS)
+            result[rows, 0] = np.where(ended.crashed, Result.CRASH, driven)
             return result
         result[rows] = race_results(winners(config, ended), ended.crashed, self.players)
         return result

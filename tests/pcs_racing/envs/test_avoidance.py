@@ -57,3 +57,13 @@ def test_an_episode_ends_with_all_laps_or_with_the_first_contact():
     assert np.isfinite(info["lap_times"]).all()
     info = drive(env, "pure-pursuit", seed=4)
     assert (info["result"], info["crash"], info["cost"]) == (Result.CRASH, 1, 1.0)
+
+
+def test_a_car_without_all_laps_loses_at_the_end_of_the_time():
+    env = gym.make(NAME, track="Pipkin", duration=0.2)
+    env.reset(seed=1)
+    late = False
+    while not late:
+        *_, late, info = env.step(np.array([0.0, -1.0], np.float32))
+    assert (info["laps"], info["result"]) == (0, Result.LOSS)
+    assert env.unwrapped.outcome()["result"] == "loss"
