@@ -13,7 +13,7 @@ names, can be drawn, by its name::
 | --- | --- |
 | uniform | ``[low, high]``, or a number |
 | uniform logarithm | ``{"log_uniform": [low, high]}`` |
-| normal, cut to the field's range | ``{"normal": [mean, standard deviation]}`` |
+| normal, cut at 5 deviations and the field's range | ``{"normal": [mean, standard deviation]}`` |
 | listed values, equally likely | ``{"choice": [...]}`` |
 
 Fields with multiples (delays) are drawn in multiples. A drawn mass changes the yaw inertia in the
@@ -41,6 +41,8 @@ CHOICE, LOG_UNIFORM, NORMAL, UNIFORM = "choice", "log_uniform", "normal", "unifo
 ALL, EACH = "all cars", "each"
 CARS = tuple(f"car_{car}" for car in range(MAX_CARS))
 SMALLEST = 1e-6  # of a draw with a uniform logarithm
+CUT = 5.0  # standard deviations from the mean to the ends of a normal draw
+FLAT = 1e3  # range of the field; a normal draw with a larger deviation is uniform
 
 
 def _limits(option: Option) -> Any:
@@ -77,10 +79,13 @@ class Draw:
         option = PARAMETERS[self.name]
         low, high = min(self.values), max(self.values)
         if self.kind == NORMAL:
-            low, high = _limits(option)
+            mean, far = self.values[0], CUT * self.values[1]
+            low, high = max(_limits(option)[0], mean - far), min(_limits(option)[1], mean + far)
         if step := _step(option):
             # Multiples of 0.02 s are rarely exact in floating point; 1e-9 is a tolerance.
             first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+            if self.kind == NORMAL:  # rounded to the nearest multiple, also beyond the cut
+                first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
             low, high = round(first * step, 12), round(last * step, 12)
         return low, high
 
@@ -103,9 +108,9 @@ class Draw:
         if self.kind == LOG_UNIFORM:
             return low * (high / low) ** share
         mean, deviation = self.values
-        if deviation == 0.0:
+        if deviation == 0.0 or low == high:
             return float(mean)
-        normal = NormalDist(mean, deviation)
+        normal = NormalDist(mean, min(deviation, FLAT * (high - low)))
         below, up_to = normal.cdf(low), normal.cdf(high)
         return normal.inv_cdf(min(max(below + (up_to - below) * share, 1e-300), 1.0 - 1e-16))
 
@@ -279,10 +284,10 @@ def _read_range(name: str, values: Any, kind: str) -> tuple[Any, ...]:
 def _read_normal(name: str, values: Any, _kind: str) -> tuple[Any, ...]:
     low, high = _limits(PARAMETERS[name])
     fine = isinstance(values, list | tuple) and len(values) == 2 and all(map(is_number, values))
-    if not fine or not low <= values[0] <= high or values[1] < 0.0:
+    if not fine or not low <= values[0] <= high or not 0.0 <= values[1] <= 1e308:
         raise ConfigError(
             f"{name} is normal of {values!r:.80}; it must be [mean, standard deviation] with a mean"
-            f" from {low:g} to {high:g} and a deviation of at least 0"
+            f" from {low:g} to {high:g} and a deviation from 0 to 1e308"
         )
     return float(values[0]), float(values[1])
 

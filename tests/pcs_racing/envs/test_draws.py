@@ -77,6 +77,11 @@ def test_a_normal_draw_is_cut_to_the_range_of_its_field():
     wide = column("steer_lag", {"normal": [1.0, 1e6]})  # all but uniform
     np.testing.assert_allclose(np.quantile(wide, [0.25, 0.75]), [0.5, 1.5], atol=0.1)
     assert (column("mu", {"normal": [0.9, 0.0]}, 3) == 0.9).all()
+    flat = column("mu", {"normal": [1.0, 1e308]})
+    np.testing.assert_allclose(np.quantile(flat, [0.25, 0.75]), [2.5, 7.5], atol=0.5)
+    # Delays beyond the cut are multiples, too.
+    assert set(column("steer_delay", {"normal": [0.05, 0.001]}, 50)) == {0.04, 0.06}
+    assert (column("steer_delay", {"normal": [0.04, 0.0]}, 3) == 0.04).all()
 
 
 def test_delays_are_drawn_in_multiples():
@@ -148,7 +153,8 @@ def test_a_spelling_is_read_from_a_file_and_written_again(tmp_path):
         ({"mu": None}, "mu is None"),
         ({"mu": {"gauss": [1.0, 0.1]}}, "mu is {'gauss'.*one of log_uniform, normal and choice"),
         ({"mu": {"normal": [1.0, 0.1], "choice": [1.0]}}, "one of log_uniform"),
-        ({"mu": {"normal": [1.0, -0.1]}}, "deviation of at least 0"),
+        ({"mu": {"normal": [1.0, -0.1]}}, "deviation from 0"),
+        ({"mu": {"normal": [1.0, 10**400]}}, "deviation from 0 to 1e308"),
         ({"mu": {"normal": [11.0, 0.1]}}, "a mean from 0.01 to 10"),
         ({"mu": {"choice": []}}, "must be of a list of values"),
         ({"mu": {"choice": [1.0, 11.0]}}, "mu is 11.0; it must be a number from 0.01 to 10"),
