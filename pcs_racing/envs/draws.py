@@ -75,9 +75,13 @@ class Draw:
 
     @property
     def ends(self) -> tuple[Any, Any]:
-        """Min and max value; both are multiples if the field has multiples."""
+        """Min and max value; both are multiples if the field has multiples.
+
+        None counts only if it is the only choice.
+        """
         option = PARAMETERS[self.name]
-        low, high = min(self.values), max(self.values)
+        values = [value for value in self.values if value is not None] or [None]
+        low, high = min(values), max(values)
         if self.kind == NORMAL:
             mean, far = self.values[0], CUT * self.values[1]
             low, high = max(_limits(option)[0], mean - far), min(_limits(option)[1], mean + far)
@@ -269,7 +273,7 @@ def _read_draw(name: str, given: Any) -> Draw:
         raise ConfigError(f"{name} is {given!r:.80}; it must be {ranges} with a list of values")
     read = {CHOICE: _read_choice, NORMAL: _read_normal}.get(kind, _read_range)
     draw = Draw(name, kind, read(name, values, kind))
-    if draw.ends[0] > draw.ends[1]:
+    if kind != CHOICE and draw.ends[0] > draw.ends[1]:
         step = _step(PARAMETERS[name])
         raise ConfigError(f"{name} is {given!r}; there is no multiple of {step:g} in it")
     return draw
@@ -296,5 +300,8 @@ def _read_choice(name: str, values: Any, _kind: str) -> tuple[Any, ...]:
     option = PARAMETERS[name]
     if not isinstance(values, list | tuple) or not values:
         raise ConfigError(f"{name} is a choice of {values!r:.80}; it must be of a list of values")
-    checked = (option.checked(name, value) for value in values)
-    return tuple(checked) if option.kind is not float else tuple(map(float, checked))
+    # An option whose default is None may be None.
+    kept = (
+        None if value is option.default is None else option.checked(name, value) for value in values
+    )
+    return tuple(float(one) if option.kind is float and one is not None else one for one in kept)

@@ -100,6 +100,8 @@ def test_listed_values_are_equally_likely():
     )
     assert values.tolist() == ["linear", "pacejka"]
     assert counts.min() > 900
+    noises = column("steer_noise", {"choice": [None, 0.1]}, 100)
+    assert set(noises) == {None, 0.1}  # None is the noise of the rules
 
 
 def test_every_field_with_a_range_can_be_drawn():
@@ -158,7 +160,7 @@ def test_a_spelling_is_read_from_a_file_and_written_again(tmp_path):
         ({"mu": {"normal": [11.0, 0.1]}}, "a mean from 0.01 to 10"),
         ({"mu": {"choice": []}}, "must be of a list of values"),
         ({"mu": {"choice": [1.0, 11.0]}}, "mu is 11.0; it must be a number from 0.01 to 10"),
-        ({"steer_noise": {"choice": [None]}}, "steer_noise is None"),
+        ({"steer_lag": {"choice": [None]}}, "steer_lag is None"),
         ({"steer_lag": {"log_uniform": [0.0, 1.0]}}, "1e-06 <= low <= high <= 2"),
         ({"steer_delay": [0.03, 0.035]}, "no multiple of 0.02"),
         ({"steer_delay": {"choice": [0.03]}}, "multiple of 0.02"),
