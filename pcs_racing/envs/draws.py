@@ -195,6 +195,22 @@ def draw_vehicles(
     return tuple(map(with_values, vehicles, drawn))
 
 
+def cars_at_ends(
+    randomization: Randomization, vehicles: Sequence[VehicleParams], *names: str
+) -> tuple[list[VehicleParams], list[VehicleParams]]:
+    """Return the cars with the min, and the cars with the max, of all draws, or of some fields."""
+    groups = dict(randomization.groups)
+    ends: tuple[list[VehicleParams], list[VehicleParams]] = [], []
+    for car, vehicle in zip(CARS, vehicles, strict=False):
+        draws = [draw for group in (ALL, EACH, car) for draw in groups.get(group, ())]
+        for end, cars in enumerate(ends):
+            drawn = {
+                draw.name: draw.ends[end] for draw in draws if draw.name in (names or PARAMETERS)
+            }
+            cars.append(with_values(vehicle, drawn))
+    return ends
+
+
 def labels(name: str) -> dict[int, str]:
     """Return the names of a field by their numbers; empty for numbers."""
     kind = PARAMETERS[name].kind

@@ -23,6 +23,7 @@ from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.draws import (
     Randomization,
     as_number,
+    cars_at_ends,
     labels,
     load_randomization,
     with_values,
@@ -138,6 +139,10 @@ class EpisodeRandomization:
         self.cars = load_vehicles(options.vehicle, cars)  #: Cars without random draws.
         self.ranges = options.randomize or Randomization()
         self.ranges.check_cars(cars)
+        try:  # a drawn mass scales the inertia, which has limits of its own
+            cars_at_ends(self.ranges, self.cars)
+        except ConfigError as error:
+            raise ConfigError(f"randomize: at an end of the draws {error}") from None
         self._queue = queue_size((*self.cars, self.ranges.max_delays))
         self.episodes = episodes
         self.circuits = Circuits(options.track, episodes)

@@ -9,6 +9,7 @@ from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.draws import (
     PARAMETERS,
     Randomization,
+    cars_at_ends,
     draw_vehicles,
     load_randomization,
     with_values,
@@ -125,6 +126,19 @@ def test_the_max_delays_cover_all_draws():
     assert (most.steer_delay, most.speed_delay) == (0.1, 0.06)
     assert load_randomization({"steer_delay": {"normal": [0.0, 0.1]}}).max_delays.steer_delay == 0.5
     assert Randomization().max_delays == F1TENTH
+
+
+def test_the_ends_of_all_draws_are_cars():
+    spelled = {
+        "m": [2.0, 8.0],
+        "each": {"steer_max": {"normal": [0.4, 0.01]}},
+        "car_1": {"mu": 0.9},
+    }
+    low, high = cars_at_ends(load_randomization(spelled), (F1TENTH, F1TENTH))
+    assert [car.steer_max for car in (low[0], high[1])] == pytest.approx([0.35, 0.45])
+    assert (low[0].m, high[1].m, low[0].mu, low[1].mu) == (2.0, 8.0, F1TENTH.mu, 0.9)
+    only = cars_at_ends(load_randomization(spelled), (F1TENTH,), "mu", "m")[1][0]
+    assert (only.m, only.steer_max) == (8.0, F1TENTH.steer_max)
 
 
 def test_a_spelling_is_read_from_a_file_and_written_again(tmp_path):

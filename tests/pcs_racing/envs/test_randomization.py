@@ -282,6 +282,18 @@ def test_a_car_never_starts_in_an_obstacle(oval):
         np.testing.assert_array_equal(mine, own)
 
 
+def test_a_drawn_mass_with_an_impossible_inertia_is_refused_at_once(oval):
+    arguments = {"vehicle": {"inertia": 1e6}, "randomize": {"m": [3.0, 100.0]}}
+    for kind in (DriveEnv, DuelEnv):
+        refused(
+            "randomize: at an end of the draws inertia is",
+            kind,
+            track=oval,
+            **arguments,
+            error=ConfigError,
+        )
+
+
 @pytest.mark.parametrize(
     "changes",
     [{"shortest": 70.0, "longest": 60.0}, {"style": "square"}, {"episodes": 0}, {"width": 1.0}],
