@@ -97,6 +97,7 @@ KEPT = 64  # number of cached tracks without a race
 class DriveRules:
     """Everything about a batch of races that never changes."""
 
+    #: Arguments; ``vehicle`` are the agents' cars, with both ends of draws of steering and speed.
     options: DriveOptions
     players: int  #: Number of agents in each race; they steer the first cars.
     cars: int  #: Number of cars in each race.
@@ -133,6 +134,8 @@ def drive_rules(
     options: DriveOptions, players: int, randomization: EpisodeRandomization
 ) -> DriveRules:
     """Return the rules of a batch of races; load planners, models and archives of opponents."""
+    # Actions, observations and saved models follow from the agents' cars alone.
+    options = replace(options, vehicle=randomization.widest(players))
     given = rivals_of(options.opponent, options.opponents)
     cars, track = players + len(given), randomization.circuits.track(0)
     changes = {name: getattr(options, name) for name in ("start_lines", "duration", "laps")}
@@ -172,7 +175,6 @@ def drive_rules(
             f" take fewer environments or beams: {MAX_NUMBERS} numbers are the limit"
         )
     sight = make_sight(options, cars, players, track)._replace(end_tick=config.ticks)
-    turn = max(car.steer_max for car in setup.vehicles[:players])
     return DriveRules(
         options=options,
         players=players,
@@ -183,7 +185,7 @@ def drive_rules(
         setup=setup,
         elements=elements,
         sight=sight,
-        limits=options.limits._replace(steer_max=turn),
+        limits=options.limits,
         terms=_reward_terms(options),
     )
 

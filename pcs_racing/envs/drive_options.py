@@ -215,12 +215,12 @@ class DriveOptions(EpisodeOptions):
 
     @property
     def cars_given(self) -> tuple[VehicleParams, ...]:
-        """Parameters of the cars: one for all, or one for each."""
+        """Parameters of the agents' cars."""
         return self.vehicle if isinstance(self.vehicle, tuple) else (self.vehicle,)
 
     @property
     def limits(self) -> Limits:
-        """Ends of the range of an action, for the car with the largest steering angle."""
+        """Ends of the range of an action, for the agents' largest steering angle."""
         turn = max(car.steer_max for car in self.cars_given)
         return Limits(turn, float(self.min_speed), float(self.top_speed))
 

@@ -216,8 +216,8 @@ def model_policy(
     like : Env, VecEnv or VectorEnv, optional
         Training environment; by default the environment of a model of Stable-Baselines3.
     **arguments
-        Arguments of the training environment (:data:`KEPT`), in place of ``like``; by default the
-        defaults of `Drive`.
+        Arguments of the training environment (:data:`KEPT`), in place of ``like``, with the agents'
+        cars as ``vehicle``; by default the defaults of `Drive`.
 
     Examples
     --------
@@ -331,9 +331,11 @@ def kept_arguments(env: Any, kept: Any = None) -> dict[str, Any]:
             f"{type(env).__name__} is no environment of steering and speed that can be looked into;"
             " give env="
         )
-    found = [{"cars": int(batch.cars), **_plain(batch.options)} for batch in drives]
-    for key in ("cars", *KEPT):
-        if any(one[key] != found[0][key] for one in found):
+    found = [{"cars": int(batch.cars), **_plain(batch.rules.options)} for batch in drives]
+    limits = [batch.rules.limits for batch in drives]
+    for key in ("cars", *KEPT, "steer_max"):
+        values = limits if key == "steer_max" else [one[key] for one in found]
+        if any(value != values[0] for value in values):
             raise InputError(
                 f"the environments of {type(env).__name__} differ in {key}; give one of them as"
                 " env= or like="

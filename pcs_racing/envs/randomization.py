@@ -15,6 +15,7 @@ from pcs_racing.car.vehicle import (
     OPPONENT_DELAY,
     SPEED_DELAY,
     STEER_DELAY,
+    VehicleParams,
     load_vehicle,
     load_vehicles,
 )
@@ -171,6 +172,12 @@ class EpisodeRandomization:
     def track(self, episode: int) -> Track:
         """Return the track of an episode, with its obstacles."""
         return self._tracks[episode] or self.circuits.track(int(self.circuits.number[episode]))
+
+    def widest(self, players: int) -> tuple[VehicleParams, ...]:
+        """Return the first ``players`` cars, with both ends of the draws of steering and speed."""
+        names = "steer_max", "v_min", "v_max"
+        low, high = cars_at_ends(self.ranges, self.cars[:players], *names)
+        return tuple(dict.fromkeys((*low, *high)))
 
     def place_obstacles(
         self,

@@ -38,6 +38,27 @@ def test_a_model_races_as_it_drives_in_its_environment(oval, arguments):
         assert info["time"] == pytest.approx(raced.time[race])
 
 
+@pytest.mark.parametrize(
+    ("arguments", "limit"),
+    [
+        ({"vehicle": [{"steer_max": 0.2}, {"steer_max": 0.6}]}, 0.2),
+        ({"randomize": {"each": {"steer_max": [0.3, 0.6]}}}, 0.6),
+        ({"randomize": {"car_1": {"steer_max": 0.6}}}, 0.4189),
+    ],
+)
+def test_an_action_has_the_limits_of_the_agents_car(oval, arguments, limit):
+    """As a share in the environment and for a model; opponents have limits of their own."""
+    env = DriveEnv(track=oval, opponent=RIVAL, **arguments)
+    env.reset(seed=1)
+    env.step([1.0, 0.0])
+    assert env.batch.state.memory[0, 0, 0] == pytest.approx(limit)
+    steering = env.unwrapped.elements[1]
+    assert steering.high == max(limit, 0.4189)
+    policy = model_policy(lambda seen: np.ones((len(seen), 2)), name="left", like=env)
+    assert policy.planner.drive.options.limits == env.batch.rules.limits
+    assert policy.planner.drive.options.limits.steer_max == limit
+
+
 def test_a_model_is_one_of_several_opponents_and_is_sent_to_other_processes(oval):
     policy = model_policy(weave, name="weaver", **SEEING)
     env = DriveEnv(track=oval, opponents=[RIVAL, policy], time_step=0.02)
