@@ -206,10 +206,11 @@ class Circuit(NamedTuple):
     inputs: Inputs  #: Inputs of races without obstacles.
 
 
-def make_circuit(rules: DriveRules, track: Track) -> Circuit:
-    """Return the data of a track."""
+def make_circuit(rules: DriveRules, track: Track, randomization: EpisodeRandomization) -> Circuit:
+    """Return the data of a track, on whose grid all drawn cars fit."""
     setup = replace(rules.setup, track=track)
     lines = start_lines(track, setup.config, 0, split="train")
+    randomization.check_bodies(setup, lines)
     count = places_of_grid(rules.cars)
     places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
     grid = start_races(setup, places, np.zeros(len(places), np.uint64))
@@ -262,7 +263,9 @@ class DriveBatch:
         races, randomization, opponents = self.episodes, self.randomization, self.opponents
         #: Data of the tracks by number. At most as many tracks are in use as there are races.
         self.circuit = lru_cache(maxsize=KEPT + races)(
-            lambda number: make_circuit(self.rules, randomization.circuits.track(number))
+            lambda number: make_circuit(
+                self.rules, randomization.circuits.track(number), randomization
+            )
         )
         circuit = self.circuit(0)
         self._inputs = [circuit.inputs] * races  # inputs of each race
@@ -365,9 +368,11 @@ class DriveBatch:
             grids.append(grid)
         self.randomization.place_obstacles(rows, at, generators, boxes)
         # Check before anything is written: a refused reset leaves the races unchanged.
-        if boxes is not None:
+        given = starts is not None or poses is not None
+        if boxes is not None or (given and self.randomization.draws_bodies):
+            where = "one of the obstacles" if boxes is not None else "a wall or in another car"
             for (circuit, some), grid in zip(groups, grids, strict=True):
-                self._check_clear(circuit.setup, rows[some], take(grid, places[some]))
+                self._check_clear(circuit.setup, rows[some], take(grid, places[some]), where)
         for (circuit, some), grid in zip(groups, grids, strict=True):
             self._set_inputs(rows[some], circuit.inputs)
             begun = take(grid, places[some])._replace(seed=seeds[some])
@@ -376,12 +381,14 @@ class DriveBatch:
         if self._moving is not None:
             self._moving.restart(rows, self.state, self.theta)
 
-    def _check_clear(self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState) -> None:
-        """Refuse obstacles that overlap a car at the start."""
+    def _check_clear(
+        self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState, where: str
+    ) -> None:
+        """Refuse given obstacles, starts and poses at which a drawn car starts in something."""
         settle(setup.track, setup.vehicles, placed, self.randomization.conditions(rows))
         wrong = np.flatnonzero(placed.crashed)
         if len(wrong):
-            raise InputError(f"episode {rows[wrong[0]]}: a car starts in one of the obstacles")
+            raise InputError(f"episode {rows[wrong[0]]}: a car starts in {where}")
 
     def _set_inputs(self, rows: Rows, inputs: Inputs) -> None:
         """Set the kernel inputs of some races on the same track."""

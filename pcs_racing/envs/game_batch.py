@@ -245,6 +245,7 @@ class GameBatch:
             vehicles=self.randomization.cars,
             max_delays=self.randomization.ranges.max_delays,
         )
+        self.randomization.check_bodies(game.setup, game.start_lines)
         opponents = [] if opponent is None else parse_opponents(opponent, game)
         # Parsing the opponents needs a game, and then determines the game's planner.
         planner = shared_planner(opponents, game)

@@ -1,13 +1,13 @@
 """Domain randomization of the episodes of a batch: track, obstacles, cars, sensors."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Self, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import ConfigError
+from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, Checked, Settings
 from pcs_racing.car.vehicle import (
     COMMAND_PERIOD,
@@ -33,7 +33,8 @@ from pcs_racing.envs.infos import own_first
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
 from pcs_racing.race.driving import AS_THE_SETUP
-from pcs_racing.race.races import queue_size
+from pcs_racing.race.races import RaceSetup, queue_size, start_races
+from pcs_racing.race.start_grid import Starts, places_of_grid
 from pcs_racing.track.obstacles import BOX, MOTION, obstacle_rows, with_obstacles
 from pcs_racing.track.track import Track
 
@@ -178,6 +179,30 @@ class EpisodeRandomization:
         names = "steer_max", "v_min", "v_max"
         low, high = cars_at_ends(self.ranges, self.cars[:players], *names)
         return tuple(dict.fromkeys((*low, *high)))
+
+    @property
+    def draws_bodies(self) -> bool:
+        """True if the widths or lengths of cars are drawn."""
+        return not {"width", "length"}.isdisjoint(self.drawn)
+
+    def check_bodies(self, setup: RaceSetup, lines: NDArray[np.float64]) -> None:
+        """Refuse drawn widths and lengths that do not fit on a grid at one of the start lines."""
+        if not self.draws_bodies:
+            return
+        _, largest = cars_at_ends(self.ranges, self.cars, "width", "length")
+        places, setup = places_of_grid(len(largest)), replace(setup, vehicles=tuple(largest))
+        starts = Starts(np.repeat(lines, places), np.tile(np.arange(places), len(lines)))
+        try:
+            start_races(setup, starts, np.zeros(len(starts), np.uint64))
+        except InputError:
+            width, length = (
+                max(getattr(car, end) for car in largest) for end in ("width", "length")
+            )
+            raise ConfigError(
+                f"randomize draws cars of up to {width:g} x {length:g} m; on the grid of track"
+                f" {setup.track.name!r} such a car would start in a wall or in another car: draw"
+                " smaller ones"
+            ) from None
 
     def place_obstacles(
         self,

@@ -282,6 +282,23 @@ def test_a_car_never_starts_in_an_obstacle(oval):
         np.testing.assert_array_equal(mine, own)
 
 
+def test_drawn_cars_fit_on_the_grid(oval):
+    for kind in (DriveEnv, DuelEnv):
+        refused(
+            "randomize draws cars of up to 1.5 x 0.58 m; on the grid of track 'oval'",
+            kind,
+            track=oval,
+            randomize={"each": {"width": [0.3, 1.5]}},
+            error=ConfigError,
+        )
+    env = DriveEnv(track=oval, randomize={"length": [0.5, 0.8]})
+    env.reset(seed=1, options={"poses": [[0.0, -4.0, 0.0], [4.0, 4.0, 3.1]]})
+    close = [[0.0, -4.0, 0.0], [0.585, -4.0, 0.0]]  # apart for the undrawn cars
+    refused(
+        "episode 0: a car starts in a wall or in another car", env.reset, options={"poses": close}
+    )
+
+
 def test_a_drawn_mass_with_an_impossible_inertia_is_refused_at_once(oval):
     arguments = {"vehicle": {"inertia": 1e6}, "randomize": {"m": [3.0, 100.0]}}
     for kind in (DriveEnv, DuelEnv):
