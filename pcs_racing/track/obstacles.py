@@ -64,9 +64,14 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
 def obstacle_rows(boxes: ArrayLike) -> Floats:
     """Return obstacles as rows of :data:`BOX` and :data:`MOTION`, shape (K, 7); refuse bad ones."""
     whole = len(BOX) + len(MOTION)
-    shape = np.shape(boxes) if np.size(boxes) else (0, whole)
-    columns = whole if len(shape) == 2 and shape[1] == whole else len(BOX)
-    given = check_array("obstacles", boxes if np.size(boxes) else np.empty(shape), (None, columns))
+    try:
+        shape = np.shape(boxes)
+    except ValueError:  # rows of several lengths, refused below
+        shape = ()
+    columns = whole if shape[1:] == (whole,) else len(BOX)
+    given = check_array(
+        "obstacles", np.empty((0, columns)) if 0 in shape else boxes, (None, columns)
+    )
     given = np.concatenate([given, np.zeros((len(given), whole - columns))], axis=1)
     if len(given) > MAX_BOXES:
         raise InputError(f"there are {len(given)} obstacles; {MAX_BOXES} are the limit")

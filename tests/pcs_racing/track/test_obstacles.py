@@ -119,5 +119,6 @@ def test_impossible_boxes_are_refused(oval):
         [BOX] * 101,
         "boxes",
         [["x"] * 5],
+        [[*BOX, 1.0, 0.0], BOX],
     ]:
         refused("obstacle", with_obstacles, oval, boxes)
