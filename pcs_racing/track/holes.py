@@ -48,7 +48,7 @@ def with_holes(track: Track, holes: Iterable[Any]) -> Track:
         pieces, open_ = _pieces(track, given)
         solid = pieces[~open_]
         back = solid[::-1][:, [2, 3, 0, 1]]
-        parts += [corners_along(pieces[open_]).T if open_.any() else np.empty((2, 0))]
+        parts += [corners_along(pieces[open_]).T]
         parts += [np.concatenate([corners_along(solid), corners_along(back)]).T]
         start = np.cumsum([0, *np.diff(start), *(part.shape[1] for part in parts[1:])])
     digest = hashlib.sha256(f"{track.content_hash} {given}".encode()).hexdigest()

@@ -345,6 +345,8 @@ def corners_along(segments: NDArray[np.float64]) -> NDArray[np.float64]:
     The shape is (C, 2); meeting segments share a corner. NaN at the end pads C to a multiple of
     :data:`TOGETHER`.
     """
+    if not len(segments):
+        return np.empty((0, 2))
     meets = (segments[:-1, 2:] == segments[1:, :2]).all(axis=1)
     ends = np.flatnonzero(~np.append(meets, False))
     gaps = np.full((2 * len(ends), 2), np.nan)

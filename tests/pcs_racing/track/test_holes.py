@@ -97,6 +97,17 @@ def test_for_cars_the_wall_has_no_hole(holed, oval):
 def test_obstacles_stand_behind_holes(holed):
     behind = with_obstacles(holed, [[0.0, 0.0, 0.0, 0.4, 0.4]])  # in the infield
     pose = [0.0, -4.0, 0.5 * np.pi]
+def test_all_of_both_walls_may_be_holes(oval):
+    end = oval.length - 1e-9
+    track = with_holes(oval, [("left", 0.0, end), ("right", 0.0, end)])
+    assert (Lidar(track, 31, max_range=25.0).scan([0.0, -4.0, 0.3]) == 25.0).all()
+    around, walls = (
+        np.hypot(*(segments[:, 2:] - segments[:, :2]).T).sum()
+        for segments in (hole_segments(track.arrays), oval.arrays.walls)
+    )
+    assert around == pytest.approx(walls)
+
+
     assert Lidar(behind, beams=3, fov=0.1).scan(pose)[1] == pytest.approx(3.8, abs=0.02)
     refused("make holes before obstacles", with_holes, behind, [INNER])
 
