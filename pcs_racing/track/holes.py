@@ -51,10 +51,12 @@ def with_holes(track: Track, holes: Iterable[Any]) -> Track:
         parts += [corners_along(pieces[open_]).T]
         parts += [np.concatenate([corners_along(solid), corners_along(back)]).T]
         start = np.cumsum([0, *np.diff(start), *(part.shape[1] for part in parts[1:])])
-    digest = hashlib.sha256(f"{track.content_hash} {given}".encode()).hexdigest()
+    solid_hash = track.solid_hash or track.content_hash
+    digest = hashlib.sha256(f"{solid_hash} {given}".encode()).hexdigest()
     return replace(
         track,
-        content_hash=digest,
+        content_hash=digest if given else solid_hash,
+        solid_hash=solid_hash if given else "",
         arrays=arrays._replace(
             corners_start=start.astype(np.int32),
             corners=np.ascontiguousarray(np.concatenate(parts, axis=1)),

@@ -201,7 +201,7 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
         "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
         "columns": np.asarray(track.arrays.distance.shape[1]),
         "centerline": track.centerline,
-        "text": np.array(json.dumps([note, track.content_hash, own])),
+        "text": np.array(json.dumps([note, track.content_hash, track.solid_hash, own])),
     }
 
 
@@ -214,11 +214,11 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
     values: dict[str, Any] = {
         key: value if value.ndim else value.item() for key, value in stored.items()
     }
-    note, content_hash, own = json.loads(values.pop("text"))
+    note, content_hash, solid_hash, own = json.loads(values.pop("text"))
     center = values.pop("centerline")
     center.flags.writeable = False  # as in every Track
     drivable = np.unpackbits(values.pop("drivable"), axis=1, count=values.pop("columns"))
     distance = distance_to_walls(drivable.view(np.bool_), values["cell"])
     arrays = TrackArrays(distance=distance, **values)
     calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
-    return Track(name, arrays, center, calibration, folder, content_hash), note
+    return Track(name, arrays, center, calibration, folder, content_hash, solid_hash), note

@@ -91,12 +91,12 @@ def test_for_cars_the_wall_has_no_hole(holed, oval):
     assert holed.content_hash != oval.content_hash
     assert with_holes(oval, []) is oval
     again = with_holes(holed, [])
+    assert again.content_hash == oval.content_hash
+    other = with_holes(oval, [OUTER])
+    assert with_holes(holed, [OUTER]).content_hash == other.content_hash != holed.content_hash
     np.testing.assert_array_equal(again.arrays.corners, oval.arrays.corners)
 
 
-def test_obstacles_stand_behind_holes(holed):
-    behind = with_obstacles(holed, [[0.0, 0.0, 0.0, 0.4, 0.4]])  # in the infield
-    pose = [0.0, -4.0, 0.5 * np.pi]
 def test_all_of_both_walls_may_be_holes(oval):
     end = oval.length - 1e-9
     track = with_holes(oval, [("left", 0.0, end), ("right", 0.0, end)])
@@ -108,6 +108,9 @@ def test_all_of_both_walls_may_be_holes(oval):
     assert around == pytest.approx(walls)
 
 
+def test_obstacles_stand_behind_holes(holed):
+    behind = with_obstacles(holed, [[0.0, 0.0, 0.0, 0.4, 0.4]])  # in the infield
+    pose = [0.0, -4.0, 0.5 * np.pi]
     assert Lidar(behind, beams=3, fov=0.1).scan(pose)[1] == pytest.approx(3.8, abs=0.02)
     refused("make holes before obstacles", with_holes, behind, [INNER])
 
@@ -139,6 +142,8 @@ def test_holes_are_part_of_a_map_folder(oval, tmp_path):
         info={"holes": [list(INNER)]},
     )
     track = load_track(write_map(content))
+    assert len(track.solid_hash) == 64
+    assert with_holes(track, []).content_hash == track.solid_hash != track.content_hash
     assert Lidar(track, beams=3, fov=0.1).scan([0.0, -4.0, 0.5 * np.pi])[1] > 6.0
     assert len(hole_segments(track.arrays)) > 0
     info = tmp_path / "Holed" / "Holed_track.yaml"
