@@ -10,11 +10,12 @@ from annotated_types import Interval
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import is_whole
+from pcs_racing.base.elementary import lengths
 from pcs_racing.base.settings import OneOf, Settings, load_settings, number_range
 from pcs_racing.envs.batch import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
-from pcs_racing.track.moving import make_lanes
-from pcs_racing.track.obstacles import BOX, MOTION, obstacle_rows
+from pcs_racing.track.moving import LANES, make_lanes
+from pcs_racing.track.obstacles import BOX, MOTION, moving_rows, obstacle_rows
 from pcs_racing.track.track import Track
 
 MAX_COUNT = 20
@@ -22,16 +23,18 @@ SHAPES = ("box", "circle", "both", "roboracer")
 ROBORACER_BOX = (0.35, 0.32)  # m: box of RoboRacer's test of obstacle avoidance
 TRIES = 50  # max number of places tried for an obstacle
 BEFORE_START, AFTER_START = 3.0, 8.0  # free distances before and after the start, m
+ACROSS = 0.2  # m: max distance between two checked places of a moving obstacle across the line
 
 
 class _Placed(NamedTuple):
     """An obstacle with its place in Frenet coordinates."""
 
-    row: list[float]  #: Numbers of :data:`pcs_racing.track.obstacles.BOX` and ``MOTION``.
+    row: NDArray[np.float64]  #: Numbers of :data:`pcs_racing.track.obstacles.BOX` and ``MOTION``.
     s: float
     d: float
     reach: float  #: Half diagonal, m: at any heading, a box stays within it.
     lanes: NDArray[np.float64]  #: shape (2, N): Lanes of a moving obstacle, else (2, 0).
+    path: NDArray[np.float64]  #: shape (P, 2): All places between its lanes (m), else (0, 2).
 
 
 @dataclass(frozen=True)
@@ -85,7 +88,8 @@ class Obstacles(Settings):
 
         ``starts`` are the arc lengths of the cars (m). The track is free from 3 m before to 8 m
         after each of them. Moving obstacles come first. They have the same speed, and their lanes
-        leave a passage all around the track and keep clear of standing obstacles.
+        leave a passage all around the track and lead past walls and standing obstacles at a
+        distance of at least a cell of the map.
         """
         placed: list[_Placed] = []
         count = int(generator.integers(self.count[0], self.count[1] + 1))
@@ -116,15 +120,19 @@ class Obstacles(Settings):
         sample = line[int(s / ds) % len(line)]
         reach = 0.5 * float(np.hypot(*sides))
         d = -sample[RIGHT] + across * (sample[LEFT] + sample[RIGHT])
-        lanes, motion = np.empty((2, 0)), [0.0, 0.0]
+        motion = [0.0, 0.0]
         if moves:
             sway = float(generator.uniform(*self.sway) * generator.choice((-1.0, 1.0)))
-            lanes, motion = make_lanes(line, ds, d, sway, reach), [speed, sway]
+            motion = [speed, sway]
+            lanes = make_lanes(track.arrays, d, sway, reach)
             # The place at the start is in the middle of the lanes, off the walls.
             d = float(lanes[:, int(s / ds) % len(line)].mean())
         x, y, along = track.to_cartesian([s, d])
-        row = [x, y, float(np.mod(along + heading, 2.0 * np.pi)), *sides, *motion]
-        return _Placed(row, s, d, reach, lanes)
+        row = np.array([x, y, np.mod(along + heading, 2.0 * np.pi), *sides, *motion])
+        lanes = (
+            moving_rows(track, row[None])[0, LANES:].reshape(2, -1) if moves else np.empty((2, 0))
+        )
+        return _Placed(row, s, d, reach, lanes, _path(track, lanes))
 
     def _fits(
         self, track: Track, one: _Placed, placed: Sequence[_Placed], starts: Sequence[float]
@@ -134,6 +142,8 @@ class Obstacles(Settings):
         if one.lanes.size:
             left, right = line[:, LEFT] - one.lanes.max(axis=0), line[:, RIGHT] + one.lanes.min(0)
             free = float(np.maximum(left, right).min()) - one.reach
+            if track.wall_distance(one.path).min() < one.reach + track.arrays.cell:
+                return False
         else:
             sample = line[int(one.s / track.arrays.ds) % len(line)]
             free = max(sample[LEFT] - one.d, sample[RIGHT] + one.d) - one.reach
@@ -149,14 +159,23 @@ class Obstacles(Settings):
         )
 
 
+def _path(track: Track, lanes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return places all around the track on two lanes and between them, shape (P, 2), m."""
+    if not lanes.size:
+        return np.empty((0, 2))
+    low, high = lanes
+    share = np.linspace(0.0, 1.0, 2 + int(np.ptp(lanes, axis=0).max() / ACROSS))
+    d = low + share[:, None] * (high - low)
+    s = np.broadcast_to(np.arange(len(low)) * track.arrays.ds, d.shape)
+    return track.to_cartesian(np.stack([s, d], axis=-1))[..., :2].reshape(-1, 2)
+
+
 def _meet(track: Track, moving: _Placed, standing: _Placed) -> bool:
-    """Return whether a moving obstacle would touch a standing one on its way."""
-    if not moving.lanes.size or standing.lanes.size:
+    """Return whether a moving obstacle comes within a cell of a standing one on its way."""
+    if standing.lanes.size:
         return False
-    gap, ds = moving.reach + standing.reach, track.arrays.ds
-    near = np.arange(int((standing.s - gap) // ds), int((standing.s + gap) // ds) + 2)
-    lanes = moving.lanes[:, near % moving.lanes.shape[1]]
-    return bool(((lanes.min(0) < standing.d + gap) & (lanes.max(0) > standing.d - gap)).any())
+    gap = moving.reach + standing.reach + track.arrays.cell
+    return bool((lengths(moving.path - standing.row[:2]) < gap).any())
 
 
 def _around(s: float, length: float) -> float:

@@ -17,16 +17,18 @@ PLACE, ALONG, TURN, HALF_LENGTH, HALF_WIDTH = range(5)
 LANES = 5
 
 SWAY_PERIOD = 4.0  # s: time of a sway to the left, to the right and back
+WALL_CELLS = 2.0  # cells between an obstacle's half diagonal and a wall
 EASE = 1.5  # m: half of the stretch over which a lane is smoothed
 
 
-def make_lanes(line: NDArray[Any], ds: float, d: float, sway: float, reach: float) -> NDArray[Any]:
+def make_lanes(track: TrackArrays, d: float, sway: float, reach: float) -> NDArray[Any]:
     """Return two smooth lanes at ``d - sway`` and ``d + sway``, shape (2, N), m.
 
-    ``line`` are the samples of the race line, ``ds`` m apart. Where a wall is nearer than ``reach``
-    (m), a lane keeps this distance from it; where both are, it leads through the middle.
+    Where a wall is nearer across the line than ``reach`` (m) and two cells, a lane keeps this
+    distance from it; where both are, it leads through the middle.
     """
-    around = min(max(round(EASE / ds), 1), len(line) // 2)
+    line, reach = track.line, reach + WALL_CELLS * track.cell
+    around = min(max(round(EASE / track.ds), 1), len(line) // 2)
     low = _windows(reach - line[:, RIGHT], around).max(axis=1)
     high = _windows(line[:, LEFT] - reach, around).min(axis=1)
     middle = 0.5 * (low + high)

@@ -43,10 +43,10 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
     itself.
 
     Rows may also hold the numbers of :data:`MOTION`. An obstacle with a speed or a sway is no wall:
-    it keeps its distance from the race line, or the distance of its half diagonal from the walls,
-    and moves through everything in its way. Cars touch it as they touch a wall, the lidars of a
-    race see it, and a planner sees the nearest along the track of moving obstacles and opponents.
-    It is left out of times to collision.
+    it keeps its distance from the race line, or the distance of its half diagonal and about two
+    cells from the walls, and moves through everything in its way. Cars touch it as they touch a
+    wall, the lidars of a race see it, and a planner sees the nearest along the track of moving
+    obstacles and opponents. It is left out of times to collision.
     """
     given = obstacle_rows(boxes)
     if len(given) == 0:
@@ -57,7 +57,7 @@ def with_obstacles(track: Track, boxes: ArrayLike) -> Track:
         track = _with_walls(track, standing)
     if not moves.any():
         return track
-    moving = [one for one in (track.arrays.moving, _moving_rows(track, given[moves])) if len(one)]
+    moving = [one for one in (track.arrays.moving, moving_rows(track, given[moves])) if len(one)]
     return replace(track, arrays=track.arrays._replace(moving=np.concatenate(moving)))
 
 
@@ -92,14 +92,13 @@ def obstacle_rows(boxes: ArrayLike) -> Floats:
     return given
 
 
-def _moving_rows(track: Track, given: Floats) -> Floats:
-    """Return moving obstacles in the form of `TrackArrays.moving`."""
+def moving_rows(track: Track, given: Floats) -> Floats:
+    """Return moving obstacles, rows of :data:`BOX` and :data:`MOTION`, as `TrackArrays.moving`."""
     frenet = track.to_frenet(given[:, :2])
     turn = given[:, 2] - track.to_cartesian(frenet)[:, 2]
-    line, ds = track.arrays.line, track.arrays.ds
     rows = []
     for (*_, length, width, speed, sway), (s, d), angle in zip(given, frenet, turn, strict=True):
-        lanes = make_lanes(line, ds, d, sway, 0.5 * float(np.hypot(length, width)))
+        lanes = make_lanes(track.arrays, d, sway, 0.5 * float(np.hypot(length, width)))
         rows.append([s, speed, angle, 0.5 * length, 0.5 * width, *lanes.ravel()])
     return np.array(rows)
 
