@@ -21,7 +21,7 @@ from pcs_racing.track import frenet as _frenet
 
 END, STOP, RESTART = range(3)  # as in `pcs_racing.race.config.CONTACTS`
 
-BEHIND = 2.0  # m: distance behind the other car, and between two tried places on the line
+BEHIND = 2.0  # m: distance behind the other car or an obstacle, and between two tried places
 TRIES = 20
 DRIVES_AGAIN = 1.0  # m/s: below it the last contact goes on, so that pushing a wall is one fault
 MAX_FAULTS = 127
@@ -38,7 +38,7 @@ def _overlapped(before, car, other):
 
 
 @inner_kernel
-def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):
+def _stand_on_line(near, moving, line, ds, length, tick, cars, race, car, s, vehicles):
     """Put a car at rest on the race line, at s or in free space behind s; return its arc length."""
     for _ in range(TRIES):
         i = int(np.floor(s / ds)) % line.shape[0]
@@ -47,6 +47,8 @@ def _stand_on_line(near, line, ds, cars, race, car, s, vehicles):
         cars[race, car, _vehicle.Y] = line[i, _frenet.Y]
         cars[race, car, _vehicle.PSI] = line[i, _frenet.PSI]
         taken = hits_wall(near, i * ds, body(cars[race, car], vehicles[car]))
+        obstructed = touch_moving(moving, line, ds, length, tick, cars, race, vehicles)
+        taken = taken or obstructed >> car & 1 == 1
         for other in range(cars.shape[1]):
             taken = taken or (other != car and overlap(cars, race, car, other, vehicles))
         if not taken:
@@ -67,7 +69,19 @@ def _set_back(near, track, state, race, car, s, vehicles, mode, before):
         ] = 0.0
         s, d = view[TRUE_S], view[TRUE_D]
     else:
-        s = _stand_on_line(near, track.line, track.ds, cars, race, car, s, vehicles)
+        s = _stand_on_line(
+            near,
+            track.moving,
+            track.line,
+            track.ds,
+            track.length,
+            state.tick[race],
+            cars,
+            race,
+            car,
+            s,
+            vehicles,
+        )
     move_along(
         track.length, state.frenet, state.progress, state.laps, state.tick[race], race, car, s, d
     )
@@ -97,9 +111,11 @@ def settle_contacts(track, state, race, vehicles, mode, before):
     )
     for car in range(cars.shape[1]):
         in_wall = hits_wall(near, frenet[race, car, 0], body(cars[race, car], vehicles[car]))
-        if in_wall or obstructed >> car & 1:
+        meets = obstructed >> car & 1
+        if in_wall or meets:
+            s = frenet[race, car, 0] - meets * BEHIND
             _note(fault, contact, race, car, _state.WALL_CRASH, True)
-            _set_back(near, track, state, race, car, frenet[race, car, 0], vehicles, mode, before)
+            _set_back(near, track, state, race, car, s, vehicles, mode, before)
             moved, touched = True, touched | 1 << car
     for one in range(cars.shape[1]):
         for two in range(one + 1, cars.shape[1]):

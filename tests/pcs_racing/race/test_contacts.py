@@ -10,6 +10,8 @@ from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overla
 from pcs_racing.race.config import ROBORACER
 from pcs_racing.race.races import RaceResult, advance, winners
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
+from pcs_racing.track.moving import moving_poses
+from pcs_racing.track.obstacles import with_obstacles
 
 HALF = 0.29, 0.155  # m, of a car
 
@@ -117,6 +119,22 @@ def test_a_car_in_a_wall_is_put_back_on_the_line_and_of_two_at_fault_the_one_ahe
     assert state.frenet[0, 1] == pytest.approx([4.8, 0.0], abs=0.15)
     assert state.frenet[0, 1, 0] - state.frenet[0, 0, 0] == pytest.approx(2.0, abs=0.1)
     assert (state.cars[0, :, V] == 0.0).all()
+
+
+def test_a_car_is_put_back_behind_an_oncoming_obstacle(oval):
+    box = [0.0, -4.0, 0.0, 0.4, 0.3, -0.5, 0.0]
+    setup, state, theta = placed(
+        with_obstacles(oval, [box]), [(3.0, 0.0), (20.0, 0.0)], [3.0, 0.0], contact="restart"
+    )
+    drive_until_fault(setup, state, theta)
+    place = 6.0 - 0.5 * state.tick[0] * 0.01
+    assert state.frenet[0, 0] == pytest.approx([place - 0.2 - HALF[0] - 2.0, 0.0], abs=0.15)
+    theta[0, 0, 1] = 0.0
+    for _ in range(300):  # the obstacle comes up to the car, which is put back 2 m again
+        advance(setup, state, theta, 2)
+        ((x, y, heading),) = moving_poses(setup.track.arrays, state.tick[0] * 0.01)
+        own = Rectangle(*state.cars[0, 0, [0, 1, 4]], *HALF)
+        assert not rectangles_overlap(own, Rectangle(x, y, heading, 0.2, 0.15))
 
 
 @pytest.mark.parametrize("contact", ["stop", "restart"])
