@@ -48,6 +48,7 @@ from pcs_racing.race.state import (
     RaceState,
 )
 from pcs_racing.track import frenet as _frenet
+from pcs_racing.track.moving import moving_outlines
 from pcs_racing.track.track import Track
 
 LAST_INDEX = 2**32 - 1
@@ -151,6 +152,7 @@ def record_drive(
         progress=np.array(log.progress),
         ittc=np.array(log.ittc),
         events=tuple(log.events),
+        moving=_same_size(log.moving),
         **_plans(log),
     )
 
@@ -169,6 +171,7 @@ class _Log:
     cars: list[Floats] = field(default_factory=list)
     progress: list[Floats] = field(default_factory=list)
     ittc: list[Floats] = field(default_factory=list)
+    moving: list[list[Floats]] = field(default_factory=list)
     paths: list[Floats] = field(default_factory=list)
     choices: list[list[tuple[Floats, Floats] | None]] = field(default_factory=list)
     events: list[ReplayEvent] = field(default_factory=list)
@@ -186,6 +189,7 @@ def _drive(
         if over or tick % FRAME_EVERY == 0:
             log.cars.append(state.cars[0].copy())
             log.progress.append(state.progress[0].copy())
+            log.moving.append(moving_outlines(setup.track.arrays, tick * DT))
             log.ittc.append(np.zeros(state.number) if ittc is None else ittc)
         if over:
             return log
@@ -238,6 +242,14 @@ def _choices(
     cheapest = np.full(len(first), np.inf)
     np.minimum.at(cheapest, place.ravel(), costs)
     return points[first], cheapest
+
+
+def _same_size(frames: list[list[Floats]]) -> Floats | None:
+    """Return outlines as an array, shape (T, M, H, 2); the last corner fills up short ones."""
+    if not frames[0]:
+        return None
+    corners = np.arange(max(map(len, frames[0])))
+    return np.array([[one[np.minimum(corners, len(one) - 1)] for one in frame] for frame in frames])
 
 
 def _plans(log: _Log) -> dict[str, Any]:

@@ -70,6 +70,8 @@ class Replay:
     outcome: str = ""  #: Outcome in words.
     #: shape (C, 2): Half length and half width of each car in m; F1TENTH's by default.
     half_sizes: np.ndarray | tuple[tuple[float, float], ...] | None = None
+    #: shape (T, M, H, 2): Corners x, y of the moving obstacles in m, in order; a corner may repeat.
+    moving: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         """Copy and check all fields once, so that no other code has to check them."""
@@ -99,6 +101,7 @@ class Replay:
         self._set_array("half_sizes", (count, 2), sizes)
         if not np.all((np.asarray(self.half_sizes) > 0.0) & (np.asarray(self.half_sizes) < 100.0)):
             raise InputError("half_sizes must be positive lengths in m")
+        self._set_array("moving", ("T", "M", "H", 2), sizes)
         self._set_array("ittc", ("T", count), sizes, allow="inf")
         self._set_array("paths", ("K", count, "P", 4), sizes, allow="nan")
         self._set_array("candidates", ("K", count, "Q", "P'", 2), sizes, allow="nan")
@@ -187,7 +190,7 @@ MAX_ITTC = 60.0
 
 _MAX_BYTES = 100_000_000
 _PLAIN = ("title", "track_name", "outcome", "frame_dt", "plan_dt")
-_OPTIONAL = {"line_speed", "ittc", "paths", "candidates", "costs"}
+_OPTIONAL = {"line_speed", "ittc", "paths", "candidates", "costs", "moving"}
 _DATA = re.compile(r'<script type="application/json" id="replay">(.*?)</script>', re.DOTALL)
 
 
@@ -274,6 +277,7 @@ _ARRAYS: dict[str, tuple[Callable[..., Any], Callable[..., np.ndarray]]] = {
     "cars": (_pack_smooth, packing.unpack),
     "progress": (_pack_smooth, packing.unpack),
     "line_speed": (_pack_drawn, packing.unpack),
+    "moving": (_pack_smooth, packing.unpack),
     "ittc": (lambda ittc: _pack_drawn(np.minimum(ittc, MAX_ITTC)), packing.unpack),
     "paths": (lambda paths: packing.pack_paths(paths, packing.FINE), packing.unpack_paths),
     "candidates": (lambda paths: packing.pack_paths(paths, packing.COARSE), packing.unpack_paths),

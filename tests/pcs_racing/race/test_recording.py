@@ -16,9 +16,11 @@ from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, run_races, start_races
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
-from pcs_racing.race.replay import ReplayEvent
+from pcs_racing.race.replay import ReplayEvent, read_replay, save_replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import empty_state, take
+from pcs_racing.track.moving import moving_outlines
+from pcs_racing.track.obstacles import with_obstacles
 
 PAPER = load_race_config("paper", duration=6.0)
 CONTEST = load_race_config("contest", duration=6.0)
@@ -95,6 +97,20 @@ def test_what_a_replay_holds(oval):
     assert re.match(r"lattice \(car [01]\) wins by ", replay.outcome)
     np.testing.assert_allclose(replay.half_sizes, [[0.29, 0.155], [0.25, 0.125]])
     assert ((replay.ittc > 0.0) & (replay.ittc <= PAPER.ittc_horizon)).all()
+
+
+def test_a_replay_shows_moving_obstacles(oval, tmp_path):
+    boxes = [[0.0, -4.0, 0.2, 0.4, 0.3, 1.0, 0.3], [0.0, 4.0, 0.0, 0.4, 0.0, 1.0, 0.0]]
+    busy = with_obstacles(oval, boxes)
+    rules = load_race_config("paper", duration=1.0)
+    replay = record_race(busy, "pure-pursuit", "pure-pursuit", rules, candidates=False)
+    assert replay.moving.shape == (len(replay.cars), 2, 16, 2)
+    square, circle = moving_outlines(busy.arrays, 5 * replay.frame_dt)
+    np.testing.assert_allclose(replay.moving[5, 0, :4], square)
+    assert (replay.moving[5, 0, 4:] == square[3]).all()
+    np.testing.assert_allclose(replay.moving[5, 1], circle)
+    kept = read_replay(save_replay(replay, tmp_path / "a.html"))
+    np.testing.assert_allclose(kept.moving, replay.moving, atol=6e-4)
 
 
 def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):

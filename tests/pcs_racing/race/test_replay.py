@@ -50,6 +50,7 @@ WRONG = {
     "ittc": (_changed(GOOD.ittc, (0, 0), np.nan),),
     "paths": tuple(_changed(GOOD.paths, (0, 0, 0, 1), value) for value in (np.nan, np.inf)),
     "candidates": (GOOD.candidates[:-1],),
+    "moving": (np.zeros((3, 1, 4, 2)), np.full((len(GOOD.cars), 1, 4, 2), np.nan)),
     "costs": (None, *(_changed(GOOD.costs, (0, 0, 0), value) for value in (-np.inf, np.nan))),
     "half_sizes": (np.zeros((2, 2)), [0.29, 0.155]),
     "events": (
@@ -209,6 +210,7 @@ seen.title = document.title;
 seen.bold = document.querySelectorAll("b").length;
 seen.start = [state.t, state.follow, state.candidates];
 seen.lead = leadAt(0, duration);
+seen.corner = cornerAt(1, 2, 2.025);
 seen.pose = [pose(1, 2.0).x, pose(1, 2.0).y];
 press("2"); press("ArrowRight"); press("c");
 seen.pressed = [state.t, state.follow, state.candidates];
@@ -236,7 +238,11 @@ document.body.dataset.seen = JSON.stringify(seen);
 
 
 def test_the_page_answers_to_its_viewer(tmp_path, browser):
-    replay = race_on_a_circle(8.0, candidates=5, title=NASTY, car_names=(NASTY, "outer"))
+    corners = np.arange(161)[:, None, None] * [0.05, -0.02] + [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    moving = np.stack([corners, corners + 4.0], axis=1)
+    replay = race_on_a_circle(
+        8.0, candidates=5, title=NASTY, car_names=(NASTY, "outer"), moving=moving
+    )
     path = save_replay(replay, tmp_path / "a race.html")
     path.write_text(path.read_text().replace("<head>", CLOCK).replace("</body>", VISIT))
     browser.open(f"{path.as_uri()}#t=2.5&follow=0&candidates=1")
@@ -247,6 +253,7 @@ def test_the_page_answers_to_its_viewer(tmp_path, browser):
     assert seen["start"] == [2.5, "0", True]
     assert seen["lead"] == pytest.approx(replay.lead[-1], abs=0.002)
     assert seen["pose"] == pytest.approx(list(replay.cars[40, 1, :2]), abs=0.001)
+    assert seen["corner"] == pytest.approx([4.0 + 40.5 * 0.05, 5.0 - 40.5 * 0.02], abs=0.001)
     assert seen["pressed"] == [3.5, "1", False]
     # the move came at 4 s
     assert seen["played"] == [pytest.approx(3.5 + 12 * 0.05 * 2), 2, True, 1]
