@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
 from studies import reading
+from studies.battery import command as battery
 from studies.headroom import command as headroom
 from studies.matches import command as matches
 from studies.overtaking import command as overtaking
@@ -20,7 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m studies", description=__doc__, allow_abbrev=False
     )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (headroom, matches, overtaking, ppo_against_cfr, reading, search):
+    for command in (battery, headroom, matches, overtaking, ppo_against_cfr, reading, search):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

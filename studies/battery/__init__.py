@@ -1,0 +1,1 @@
+"""The hidden battery: is it worth seeing what the opponent has spent, when its energy is hidden?"""

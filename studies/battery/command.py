@@ -1,0 +1,152 @@
+"""``python -m studies battery``: is it worth seeing what the opponent has spent, when its energy is
+hidden?
+"""
+
+import os
+from collections.abc import Iterator, Mapping
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from pcs_racing.track.loading import load_track
+from pcs_racing.track.track import Track
+from pcs_racing_agents.base.jobs import Job, open_job
+from pcs_racing_agents.base.statistics import Estimate, clustered_mean
+from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
+from pcs_racing_agents.base.tables import markdown, with_interval, write_csv
+from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.options import can_draw, output_folder
+from studies.battery.play import ARMS, Cell, run_cell
+from studies.battery.rules import Floats, Rules
+
+SHIPPED, REAL = ("Brackwater", "Tarnfjord"), ("Austin", "Zandvoort")
+VARIANTS = {
+    "base": Rules(),
+    "long-no-charge": Rules(energy=(4.0, 12.0, 24.0), step=4.0, charge=0.0),
+    "long-steps": Rules(energy=(4.0, 12.0, 24.0), step=4.0),
+    "energy": Rules(energy=(4.0, 12.0, 24.0)),
+    "no-charge": Rules(charge=0.0),
+    "no-distance": Rules(reach=float("inf")),
+}
+"""Rules of the trial, and the variants that are tried before it is called refuted."""
+PLANNERS = ("lattice", "line-ppo")
+GOAL, SUPPORT = 0.05, 3
+SEED = 5101
+SIZES = {
+    False: {"lines": 48, "repeats": 20, "clusters": 8},
+    True: dict.fromkeys(("lines", "repeats", "clusters"), 2),
+}
+"""Training lines, training races from each side of each, and groups of test lines."""
+HEAD = ("rules", "planner", "circuit", "ceiling", "gap", "shown - gap", "told - gap", "plans")
+
+
+class Row(NamedTuple):
+    """Results of one cell: differences in races 2 and 3 of a match."""
+
+    rules: str
+    planner: str
+    circuit: str
+    ceiling: float
+    gap: float  #: Score of the arm "gap".
+    shown: Estimate | None  #: "shown" minus "gap"; None if it was not raced.
+    others: dict[str, Estimate]  #: Further arms minus "gap".
+    support: int  #: Max number of plans in equilibrium over the types.
+
+    @property
+    def passes(self) -> bool:
+        """Whether the cell meets the goal."""
+        if self.shown is None or self.support < SUPPORT:
+            return False
+        return self.shown.mean >= GOAL and self.shown.low > 0.0
+
+    def texts(self) -> tuple[str, ...]:
+        """Return the row of the table."""
+        names = (self.rules, self.planner, self.circuit, f"{self.ceiling:+.3f}")
+        if self.shown is None:
+            return (*names, "", "not raced", "", str(self.support))
+        told = self.others.get("told")
+        found = [one and with_interval(one.mean, one.low, one.high) for one in (self.shown, told)]
+        return (*names, f"{self.gap:.3f}", *(one or "" for one in found), str(self.support))
+
+
+def gain(scores: Floats, arm: int, races: slice = slice(1, None)) -> Estimate:
+    """Return an arm's score minus that of "gap", clustered by group of start lines."""
+    difference = (scores[arm] - scores[ARMS.index("gap")])[..., races]
+    clusters = np.indices(difference.shape)[0]
+    return clustered_mean(difference.ravel(), clusters.ravel())
+
+
+def make_row(rules: str, planner: str, circuit: str, found: Mapping[str, Any]) -> Row:
+    """Return the row of a cell from the arrays of :func:`studies.battery.play.run_cell`."""
+    scores, ceiling = found["scores"], float(found["ceiling"].mean())
+    raced = {arm: gain(scores, k) for k, arm in enumerate(ARMS) if np.isfinite(scores[k]).all()}
+    level = float(scores[ARMS.index("gap")][..., 1:].mean()) if raced else np.nan
+    shown, support = raced.pop("shown", None), int(found["support"].max())
+    return Row(rules, planner, circuit, ceiling, level, shown, raced, support)
+
+
+def race_cells(job: Job, tracks: Mapping[str, Track], size: Mapping[str, int]) -> Iterator[Row]:
+    """Run the cells; a variant stops on the first circuit that misses the goal, "base" does not."""
+    for planner, rules in product(PLANNERS, VARIANTS):
+        for circuit, track in tracks.items():
+            arms = ARMS if (planner, rules) == ("lattice", "base") else ("gap", "shown")
+            least = -1.0 if rules == "base" else GOAL
+            cell = Cell(track, planner, VARIANTS[rules], arms=arms, least=least, seed=SEED, **size)
+            name = f"{rules}-{planner}-{circuit.lower()}"
+            row = make_row(rules, planner, circuit, job.run(name, run_cell, [cell])[0])
+            yield row
+            if rules != "base" and not row.passes:
+                break
+
+
+@picture
+def draw(rows: list[Row], file: Path) -> Path:
+    """Draw the gain of each raced cell with its interval, and its ceiling."""
+    figure = new_figure(6.4, 0.24 * len(rows) + 0.9)
+    panel = figure.subplots()
+    for k, row in enumerate(rows):
+        panel.plot(row.ceiling, k, "|", color="0.5", markersize=9)
+        if row.shown is not None:
+            panel.plot([row.shown.low, row.shown.high], [k, k], color="C0")
+            panel.plot(row.shown.mean, k, "o", color="C0", markersize=4)
+    panel.axvline(GOAL, color="0.6", linestyle=":")
+    panel.set_yticks(range(len(rows)), [", ".join(row[:3]) for row in rows])
+    panel.set(xlabel="gain of seeing what was shown, races 2 and 3 (grey: ceiling; dotted: goal)")
+    panel.invert_yaxis()
+    tidy(panel, "x")
+    return save_picture(figure, file)
+
+
+@command(
+    "battery",
+    "python -m studies battery --maps maps --out out/battery",
+    "python -m studies battery --small --out out/small",
+)
+def run(
+    *,
+    out: Annotated[Path, Option("folder of the tables; a stopped run resumes there", "DIR")],
+    maps: Annotated[
+        Path | None, Option("folder of the real circuits (default: $PCS_RACING_MAPS)", "DIR")
+    ] = None,
+    small: Annotated[bool, Option("a few races on one circuit")] = False,
+) -> None:
+    """Race the gate of the hidden battery."""
+    folder = maps or Path(os.environ.get("PCS_RACING_MAPS", ""))
+    names = SHIPPED[:1] if small else (*SHIPPED, *(str(folder / name) for name in REAL))
+    tracks = {track.name: track for track in map(load_track, names)}
+    settings = {
+        "seed": SEED,
+        "tracks": [one.content_hash for one in tracks.values()],
+        "small": small,
+    }
+    rows = []
+    with open_job(output_folder(out), "battery", settings) as job:
+        for row in race_cells(job, tracks, SIZES[small]):
+            rows.append(row)
+            print(" | ".join(row.texts()), flush=True)
+    print("\n" + "\n".join(markdown([HEAD, *(row.texts() for row in rows)])))
+    print(f"\nwritten: {write_csv([HEAD, *(row.texts() for row in rows)], out / 'battery.csv')}")
+    if can_draw("the picture"):
+        print(f"written: {draw(rows, out / 'battery.png')}")
