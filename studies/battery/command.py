@@ -40,57 +40,72 @@ SIZES = {
     True: dict.fromkeys(("lines", "repeats", "clusters"), 2),
 }
 """Training lines, training races from each side of each, and groups of test lines."""
-HEAD = ("rules", "planner", "circuit", "ceiling", "gap", "shown - gap", "told - gap", "plans")
+HEAD = (
+    "rules",
+    "planner",
+    "circuit",
+    "ceiling",
+    "plans",
+    "gap",
+    "shown - gap",
+    "in race 1",
+    "told - shown, race 1",
+)
 
 
 class Row(NamedTuple):
-    """Results of one cell: differences in races 2 and 3 of a match."""
+    """Results of one cell."""
 
     rules: str
     planner: str
     circuit: str
     ceiling: float
-    gap: float  #: Score of the arm "gap".
-    shown: Estimate | None  #: "shown" minus "gap"; None if it was not raced.
-    others: dict[str, Estimate]  #: Further arms minus "gap".
     support: int  #: Max number of plans in equilibrium over the types.
+    gap: float  #: Score of the arm "gap" in races 2 and 3; NaN if the cell was not raced.
+    shown: Estimate | None = None  #: "shown" minus "gap" in races 2 and 3.
+    first: Estimate | None = None  #: The same in race 1.
+    told: Estimate | None = None  #: "told" minus "shown" in race 1.
 
     @property
     def passes(self) -> bool:
         """Whether the cell meets the goal."""
-        if self.shown is None or self.support < SUPPORT:
-            return False
-        return self.shown.mean >= GOAL and self.shown.low > 0.0
+        won = self.shown is not None and self.shown.mean >= GOAL and self.shown.low > 0.0
+        return won and self.support >= SUPPORT
 
     def texts(self) -> tuple[str, ...]:
         """Return the row of the table."""
-        names = (self.rules, self.planner, self.circuit, f"{self.ceiling:+.3f}")
-        if self.shown is None:
-            return (*names, "", "not raced", "", str(self.support))
-        told = self.others.get("told")
-        found = [one and with_interval(one.mean, one.low, one.high) for one in (self.shown, told)]
-        return (*names, f"{self.gap:.3f}", *(one or "" for one in found), str(self.support))
+        found = [one and with_interval(one.mean, one.low, one.high) for one in self[-3:]]
+        gap = "not raced" if self.shown is None else f"{self.gap:.3f}"
+        numbers = (f"{self.ceiling:+.3f}", str(self.support), gap)
+        return (*self[:3], *numbers, *(one or "" for one in found))
 
 
-def gain(scores: Floats, arm: int, races: slice = slice(1, None)) -> Estimate:
-    """Return an arm's score minus that of "gap", clustered by group of start lines."""
-    difference = (scores[arm] - scores[ARMS.index("gap")])[..., races]
-    clusters = np.indices(difference.shape)[0]
-    return clustered_mean(difference.ravel(), clusters.ravel())
+def gain(scores: Floats, arm: str, base: str, races: slice) -> Estimate | None:
+    """Return one arm's score minus another's, clustered by group of start lines."""
+    difference = (scores[ARMS.index(arm)] - scores[ARMS.index(base)])[..., races]
+    if np.isnan(difference).any():
+        return None
+    return clustered_mean(difference.ravel(), np.indices(difference.shape)[0].ravel())
 
 
 def make_row(rules: str, planner: str, circuit: str, found: Mapping[str, Any]) -> Row:
     """Return the row of a cell from the arrays of :func:`studies.battery.play.run_cell`."""
-    scores, ceiling = found["scores"], float(found["ceiling"].mean())
-    raced = {arm: gain(scores, k) for k, arm in enumerate(ARMS) if np.isfinite(scores[k]).all()}
-    level = float(scores[ARMS.index("gap")][..., 1:].mean()) if raced else np.nan
-    shown, support = raced.pop("shown", None), int(found["support"].max())
-    raced.pop("gap", None)
-    return Row(rules, planner, circuit, ceiling, level, shown, raced, support)
+    scores, later = found["scores"], slice(1, None)
+    return Row(
+        rules,
+        planner,
+        circuit,
+        float(found["ceiling"].mean()),
+        int(found["support"].max()),
+        float(scores[ARMS.index("gap")][..., later].mean()),
+        gain(scores, "shown", "gap", later),
+        gain(scores, "shown", "gap", slice(1)),
+        gain(scores, "told", "shown", slice(1)),
+    )
 
 
 def race_cells(job: Job, tracks: Mapping[str, Track], size: Mapping[str, int]) -> Iterator[Row]:
-    """Run the cells; a variant stops on the first circuit that misses the goal, "base" does not."""
+    """Run the cells; a variant with `line-ppo` stops on the first circuit that misses the goal."""
     for planner, rules in product(PLANNERS, VARIANTS):
         for circuit, track in tracks.items():
             arms = ARMS if (planner, rules) == ("lattice", "base") else ("gap", "shown")
@@ -99,7 +114,7 @@ def race_cells(job: Job, tracks: Mapping[str, Track], size: Mapping[str, int]) -
             name = f"{rules}-{planner}-{circuit.lower()}"
             row = make_row(rules, planner, circuit, job.run(name, run_cell, [cell])[0])
             yield row
-            if rules != "base" and not row.passes:
+            if planner == "line-ppo" and rules != "base" and not row.passes:
                 break
 
 
