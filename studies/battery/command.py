@@ -121,16 +121,16 @@ def race_cells(job: Job, tracks: Mapping[str, Track], size: Mapping[str, int]) -
 @picture
 def draw(rows: list[Row], file: Path) -> Path:
     """Draw the gain of each raced cell with its interval, and its ceiling."""
-    figure = new_figure(6.4, 0.24 * len(rows) + 0.9)
+    raced = [(row, row.shown) for row in rows if row.shown is not None]
+    figure = new_figure(6.4, 0.24 * len(raced) + 0.9)
     panel = figure.subplots()
-    for k, row in enumerate(rows):
+    for k, (row, shown) in enumerate(raced):
         panel.plot(row.ceiling, k, "|", color="0.5", markersize=9)
-        if row.shown is not None:
-            panel.plot([row.shown.low, row.shown.high], [k, k], color="C0")
-            panel.plot(row.shown.mean, k, "o", color="C0", markersize=4)
+        panel.plot([shown.low, shown.high], [k, k], color="C0")
+        panel.plot(shown.mean, k, "o", color="C0", markersize=4)
     panel.axvline(GOAL, color="0.6", linestyle=":")
-    panel.set_yticks(range(len(rows)), [", ".join(row[:3]) for row in rows])
-    panel.set(xlabel="gain of seeing what was shown, races 2 and 3 (grey: ceiling; dotted: goal)")
+    panel.set_yticks(range(len(raced)), [", ".join(row[:3]) for row, _ in raced])
+    panel.set(xlabel="gain in races 2 and 3 (grey: ceiling; dotted: goal)")
     panel.invert_yaxis()
     tidy(panel, "x")
     return save_picture(figure, file)
