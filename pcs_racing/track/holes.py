@@ -8,15 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import is_number
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.building.walls import corners_along
 from pcs_racing.track.frenet import TrackArrays
+from pcs_racing.track.map_files import check_holes
 from pcs_racing.track.track import Track
 
-SIDES = ("left", "right")
-MAX_HOLES = 1000
 PIECE = 0.05  # m: walls are cut into pieces of at most this length, each whole or in a hole
 
 Floats = NDArray[np.float64]
@@ -62,26 +60,6 @@ def with_holes(track: Track, holes: Iterable[Any]) -> Track:
             corners=np.ascontiguousarray(np.concatenate(parts, axis=1)),
         ),
     )
-
-
-def check_holes(
-    holes: Any,
-    length: float = np.inf,
-    label: str = "holes",
-    error: type[InputError] = InputError,
-) -> list[tuple[str, float, float]]:
-    """Return holes on a race line of this length (m) as tuples; refuse impossible ones."""
-    end = f"{length:.2f}" if np.isfinite(length) else "length"
-    wanted = f'[side, first, last]: "left" or "right", and two arc lengths in [0, {end})'
-    listed = list(holes) if isinstance(holes, Iterable) and not isinstance(holes, str) else None
-    if listed is None or len(listed) > MAX_HOLES:
-        raise error(f"{label} are {holes!r:.80}; they must be a list of up to {MAX_HOLES} {wanted}")
-    for one in listed:
-        fine = isinstance(one, list | tuple) and len(one) == 3 and str(one[0]) in SIDES
-        fine = fine and all(is_number(end) and 0.0 <= end < length for end in one[1:])
-        if not fine or one[1] == one[2]:
-            raise error(f"{label} hold {one!r:.80}; a hole is {wanted}, which differ")
-    return [(side, float(first), float(last)) for side, first, last in listed]
 
 
 def hole_segments(arrays: TrackArrays) -> Floats:

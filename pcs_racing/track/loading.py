@@ -19,7 +19,8 @@ from pcs_racing.track.building.curves import sample_closed
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.grid import distance_to_walls
-from pcs_racing.track.holes import check_holes, with_holes
+from pcs_racing.track.holes import with_holes
+from pcs_racing.track.map_files import check_holes
 from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 from pcs_racing.track.track import Track, build_track, calibration_from_values, calibration_values
 

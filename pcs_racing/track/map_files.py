@@ -8,6 +8,7 @@ import contextlib
 import io
 import math
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,15 @@ from PIL import Image, UnidentifiedImageError
 
 from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, is_number
-from pcs_racing.base.errors import MapError, say
+from pcs_racing.base.errors import InputError, MapError, say
 from pcs_racing.track.building.causes import at_cell
-from pcs_racing.track.holes import check_holes
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
 MAX_PIXELS = 25_000_000  # 5,000 x 5,000, at some 40 bytes of memory each
+MAX_HOLES = 1000
+SIDES = ("left", "right")
 MAX_POINTS = 100_000  # points of a line: 10 km, one per 0.1 m
 PICTURE_FORMATS = ("PNG", "PPM", "BMP")
 CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
@@ -304,3 +306,23 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
     if (channels[..., 1] != red).any() or (channels[..., 2] != red).any():
         raise MapError(f"{file} has coloured pixels: save it as an 8-bit grey picture")
     return red
+
+
+def check_holes(
+    holes: Any,
+    length: float = np.inf,
+    label: str = "holes",
+    error: type[InputError] = InputError,
+) -> list[tuple[str, float, float]]:
+    """Return holes on a race line of this length (m) as tuples; refuse impossible ones."""
+    end = f"{length:.2f}" if np.isfinite(length) else "length"
+    wanted = f'[side, first, last]: "left" or "right", and two arc lengths in [0, {end})'
+    listed = list(holes) if isinstance(holes, Iterable) and not isinstance(holes, str) else None
+    if listed is None or len(listed) > MAX_HOLES:
+        raise error(f"{label} are {holes!r:.80}; they must be a list of up to {MAX_HOLES} {wanted}")
+    for one in listed:
+        fine = isinstance(one, list | tuple) and len(one) == 3 and str(one[0]) in SIDES
+        fine = fine and all(is_number(end) and 0.0 <= end < length for end in one[1:])
+        if not fine or one[1] == one[2]:
+            raise error(f"{label} hold {one!r:.80}; a hole is {wanted}, which differ")
+    return [(side, float(first), float(last)) for side, first, last in listed]
