@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 
 import numpy as np
-from learned import OWN, REAL, WON, Races, estimate, maps_of
+from learned import LINE, OWN, REAL, WON, Races, estimate, maps_of
 
 from pcs_racing.car.vehicle import load_vehicle
 
@@ -26,8 +26,8 @@ CARS = {
 }
 """Changes of the own car."""
 PLANNERS = (
-    *("line-ppo", "lidar-ppo", "lattice", "lattice:early", "mpcc", "pure-pursuit"),
-    *("residual", "gap-follower"),
+    *("line-ppo", "line-ppo-robust", "lidar-ppo", "lattice", "lattice:early", "mpcc"),
+    *("pure-pursuit", "residual", "gap-follower"),
 )
 RIVALS = ("lattice:early", "pure-pursuit")
 SLOW_TO_COMPUTE = ("mpcc",)  # a 25th of the races
@@ -52,6 +52,7 @@ def main() -> None:
     )
     print("| planner | car | score [95 %] | own crashes [95 %] | races |")
     print("|---|---|---|---|---|")
+    rows = {}
     for planner in arguments.planners:
         races = arguments.races // 25 if planner in SLOW_TO_COMPUTE else arguments.races
         for name, changes in CARS.items():
@@ -63,11 +64,17 @@ def main() -> None:
                 )
                 for track in TRACKS
             ]
+            rows[planner, name] = found
             print(
                 f"| {planner} | {name} | {estimate(found, WON)} | {estimate(found, OWN)}"
                 f" | {sum(map(len, found))} |",
                 flush=True,
             )
+    for name in CARS if {"line-ppo", "line-ppo-robust"} <= set(arguments.planners) else ():
+        plain, robust = (np.array(rows[one, name]) for one in ("line-ppo", "line-ppo-robust"))
+        gain = robust - plain  # the same starts and noise
+        gain[..., LINE] = plain[..., LINE]
+        print(f"line-ppo-robust minus line-ppo, {name}: {estimate(list(gain), WON, False)}")
 
 
 if __name__ == "__main__":

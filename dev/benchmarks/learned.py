@@ -102,11 +102,14 @@ class Races:
         return [self.on(track, ego, rival, rules, races) for track in tracks]
 
 
-def estimate(found: Sequence[np.ndarray], column: int) -> str:
-    """Return the mean of a column, with its interval."""
+def estimate(found: Sequence[np.ndarray], column: int, shares: bool = True) -> str:
+    """Return the mean of a column, with its interval: of shares, or of differences of shares."""
     labels = [f"{k} {line}" for k, rows in enumerate(found) for line in rows[:, LINE]]
     mean = clustered_mean(np.concatenate(found)[:, column], labels)
-    return f"{mean.mean:.3f} [{max(mean.low, 0.0):.3f}, {min(mean.high, 1.0):.3f}]"
+    low, high = mean.low, mean.high
+    if shares:
+        low, high = max(low, 0.0), min(high, 1.0)
+    return f"{mean.mean:.3f} [{low:.3f}, {high:.3f}]"
 
 
 def pairs(kept: Races, races: int, egos: Sequence[str]) -> None:

@@ -14,6 +14,7 @@ SHIPPED = {
     "lattice": "pcs_racing.planners.lattice:LATTICE",
     "lidar-ppo": "pcs_racing.planners.field.lidar_networks:LIDAR_PPO",
     "line-ppo": "pcs_racing.planners.line_ppo:LINE_PPO",
+    "line-ppo-robust": "pcs_racing.planners.line_ppo:LINE_PPO_ROBUST",
     "mpcc": "pcs_racing.planners.field.mpcc:MPCC",
     "mppi": "pcs_racing.planners.field.mppi:MPPI",
     "potential-field": "pcs_racing.planners.field.potential_field:POTENTIAL_FIELD",
