@@ -18,6 +18,7 @@ from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import markdown, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import can_draw, output_folder
+from studies.battery.faults import OPPONENTS, Sample, race_sample, series_gain
 from studies.battery.play import ARMS, Cell, run_cell
 from studies.battery.rules import Floats, Rules
 
@@ -138,6 +139,13 @@ def draw(rows: list[Row], file: Path) -> Path:
     return save_picture(figure, file)
 
 
+Out = Annotated[Path, Option("folder of the tables; a stopped run resumes there", "DIR")]
+Maps = Annotated[
+    Path | None, Option("folder of the real circuits (default: $PCS_RACING_MAPS)", "DIR")
+]
+Small = Annotated[bool, Option("a few races on one circuit")]
+
+
 def circuits(small: bool, maps: Path | None) -> dict[str, Track]:
     """Load the circuits by name; the small study has the first one."""
     folder = maps or Path(os.environ.get("PCS_RACING_MAPS", ""))
@@ -145,24 +153,21 @@ def circuits(small: bool, maps: Path | None) -> dict[str, Track]:
     return {track.name: track for track in map(load_track, names)}
 
 
+def job_settings(tracks: Mapping[str, Track], small: bool) -> dict[str, Any]:
+    """Return the inputs of a job's results."""
+    hashes = [track.content_hash for track in tracks.values()]
+    return {"seed": SEED, "tracks": hashes, "small": small}
+
+
 @command(
     "battery",
     "python -m studies battery --maps maps --out out/battery",
     "python -m studies battery --small --out out/small",
 )
-def run(
-    *,
-    out: Annotated[Path, Option("folder of the tables; a stopped run resumes there", "DIR")],
-    maps: Annotated[
-        Path | None, Option("folder of the real circuits (default: $PCS_RACING_MAPS)", "DIR")
-    ] = None,
-    small: Annotated[bool, Option("a few races on one circuit")] = False,
-) -> None:
+def run(*, out: Out, maps: Maps = None, small: Small = False) -> None:
     """Race the gate of the hidden battery."""
     tracks, rows = circuits(small, maps), []
-    hashes = [track.content_hash for track in tracks.values()]
-    settings = {"seed": SEED, "tracks": hashes, "small": small}
-    with open_job(output_folder(out), "battery", settings) as job:
+    with open_job(output_folder(out), "battery", job_settings(tracks, small)) as job:
         for row in race_cells(job, tracks, SIZES[small]):
             rows.append(row)
             print(" | ".join(row.texts()), flush=True)
@@ -171,3 +176,43 @@ def run(
     print(f"\nwritten: {write_csv(table, out / 'battery.csv')}")
     if can_draw("the picture"):
         print(f"written: {draw(rows, out / 'battery.png')}")
+
+
+@command(
+    "faults-series",
+    "python -m studies faults-series --maps maps --out out/faults-series",
+    "python -m studies faults-series --small --out out/small-series",
+)
+def run_series(*, out: Out, maps: Maps = None, small: Small = False) -> None:
+    """Race the gate of series with faults: does risk depend on the score of the series?"""
+    tracks, groups = circuits(small, maps), 2 if small else 8
+    samples = {
+        (name, split): [Sample(track, one, 6 * groups, split, SEED) for one in OPPONENTS]
+        for name, track in tracks.items()
+        for split in ("train", "test")
+    }
+    table: list[tuple[str, ...]] = [("circuit", "faults a race", "races won", "gain in series")]
+    with open_job(output_folder(out), "faults-series", job_settings(tracks, small)) as job:
+        for name in tracks:
+            found = {
+                split: np.stack(
+                    [
+                        raced["outcomes"]
+                        for raced in job.run(
+                            f"{split}-{name.lower()}", race_sample, samples[name, split]
+                        )
+                    ]
+                )
+                for split in ("train", "test")
+            }
+            estimate = series_gain(found["train"], found["test"], groups)
+            faults, won = (found["test"][..., 1], found["test"][..., 0] == 0)
+            spans = [span(one.mean(axis=(0, 2, 3))) for one in (faults, won)]
+            table.append((name, *spans, with_interval(estimate.mean, estimate.low, estimate.high)))
+            print(" | ".join(table[-1]), flush=True)
+    print("\n" + "\n".join(markdown(table)))
+
+
+def span(values: Floats) -> str:
+    """Return the min and max over the policies."""
+    return f"{values.min():.3f} to {values.max():.3f}"

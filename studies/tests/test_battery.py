@@ -1,10 +1,11 @@
-"""The hidden battery: rules, replies in a made-up model, a small cell."""
+"""The hidden battery and the series with faults: rules, replies in a made-up model, a cell."""
 
 import numpy as np
 import pytest
 
 from pcs_racing import load_track
 from studies.battery.command import GOAL, VARIANTS, gain, make_row
+from studies.battery.faults import FAULTS, chances, series, series_gain
 from studies.battery.model import (
     ENDS,
     GRID,
@@ -137,3 +138,23 @@ def test_a_gain_counts_some_races():
     scores[ARMS.index("shown"), ::2, ..., 2] = 1.0
     assert gain(scores, "shown", "gap", slice(1, None)).mean == 0.25
     assert gain(scores, "told", "shown", slice(1)).mean == -1.0
+
+
+def test_a_series_is_won_by_two_races_or_by_faults():
+    outcomes = np.array([[[[0, 0, 0]] * 2], [[[1, 0, FAULTS]] * 2], [[[0, 1, 0]] * 2]])
+    given = chances(outcomes.astype(int))
+    assert [series(given, {}, policy) for policy in range(3)] == [1.0, 1.0, 1.0]
+    even = np.zeros((1, 3, FAULTS + 1, FAULTS + 1))
+    even[0, :2, 0, 0] = 0.5
+    assert series(even, {}) == pytest.approx(0.5)
+
+
+def test_risk_that_depends_on_the_score_of_the_series_can_pay():
+    """A fast policy wins with a fault in two of three races, a safe one every second race."""
+    fast = [[0, 2, 0]] * 4 + [[1, 2, 0]] * 2
+    safe = [[0, 0, 0]] * 3 + [[1, 0, 0]] * 3
+    races = np.array([fast, safe]).reshape(1, 2, 3, 2, 3)
+    found = series_gain(races, np.repeat(races, 2, axis=2), groups=2)
+    assert found.mean > 0.0
+    same = series_gain(races[:, :1], races[:, :1], groups=3)
+    assert same.mean == 0.0

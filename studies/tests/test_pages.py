@@ -50,6 +50,7 @@ def test_commands_are_those_of_the_experiments(page, line, monkeypatch):
 def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
     assert {line.split()[3] for _, line in COMMANDS} == {
         "battery",
+        "faults-series",
         "headroom",
         "judge-search",
         "overtaking",
