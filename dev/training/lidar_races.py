@@ -51,7 +51,7 @@ from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.state import take as take_races
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between
+from pcs_racing.track.frenet import angle_between, shorter_way
 
 FAMILIES = {
     "self": 14,
@@ -149,7 +149,7 @@ def _tell(track, view, left, slow, family, out):
     s, v = view[_view.OWN_S], view[_view.OWN_V]
     here = int(s / track.ds) % count
     gap = view[_view.GAP]
-    near_gap = gap - np.floor(gap / track.length + 0.5) * track.length
+    near_gap = shorter_way(track.length, gap)
     near = max(1.0 - abs(near_gap) / 10.0, 0.0)
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     out[0] = left

@@ -9,11 +9,10 @@ import numpy as np
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.seeds import normal_noise, uniform_noise
-from pcs_racing.track.frenet import angle_between
+from pcs_racing.track.frenet import angle_between, project
 
 # Numbers of a lidar's errors, in the order of the columns of a car and of a planner's view.
 FOV, NOISE, LOST, BIAS, STEP = range(5)
-ERRORS = 5
 
 EDGE = 1e-9  # rad: tolerance at the edge of the field of view
 
@@ -21,12 +20,14 @@ _LOST_KEY = np.uint64(0x9FB21C651E98DF25)  # separates lost beams from noise, wh
 
 
 @kernel
-def lidar_place(x, y, psi, ahead, left):
-    """Return the position of a lidar, ``ahead`` and to the ``left`` of its car's position, m."""
+def lidar_place(track, x, y, psi, s, ahead, left):
+    """Return x, y and arc length (m) of a lidar, ``ahead`` and to the ``left`` of its car, m."""
     if ahead == 0.0 and left == 0.0:
-        return x, y
+        return x, y, s
     sine, cosine = sine_cosine(psi)
-    return x + cosine * ahead - sine * left, y + sine * ahead + cosine * left
+    x, y = x + cosine * ahead - sine * left, y + sine * ahead + cosine * left
+    s, _ = project(track, x, y, s)
+    return x, y, s
 
 
 @kernel

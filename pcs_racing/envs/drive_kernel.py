@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.lidar_errors import ERRORS, disturb_scan, lidar_place
+from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_moving, scan_walls
 from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY, DT
@@ -30,7 +30,6 @@ from pcs_racing.track.frenet import (
     SPEED,
     TrackArrays,
     angle_between,
-    project,
 )
 from pcs_racing.track.grid import cast
 
@@ -121,13 +120,12 @@ class Buffers(NamedTuple):
     cars: NDArray[np.float64]  #: shape (1, N, 7): Cars of a race as one of them measures them.
     frenet: NDArray[np.float64]  #: shape (1, N, 2): Measured Frenet coordinates.
     progress: NDArray[np.float64]  #: shape (1, N): Measured progress.
-    errors: NDArray[np.float64]  #: shape (``ERRORS``,): Errors of a lidar.
 
 
 def make_buffers(scratch: int, work: int, elements: int, cars: int) -> Buffers:
     """Return scratch memory for races of so many cars, given the sizes of the other parts."""
     shapes: list[Any] = [scratch, work, elements, SEEN_SHAPE, WORK_SHAPE]
-    shapes += [(1, cars, _vehicle.STATE_SIZE), (1, cars, 2), (1, cars), ERRORS]
+    shapes += [(1, cars, _vehicle.STATE_SIZE), (1, cars, 2), (1, cars)]
     return Buffers(*map(np.zeros, shapes))
 
 
@@ -251,10 +249,7 @@ def _scan(inputs, races, race, car, buffers, out):
         cars[race, car, _vehicle.PSI],
         state.frenet[race, car, 0],
     )
-    ahead, left = own[_vehicle.LIDAR_X], own[_vehicle.LIDAR_Y]
-    if ahead != 0.0 or left != 0.0:
-        x, y = lidar_place(x, y, psi, ahead, left)
-        s, _ = project(track, x, y, s)
+    x, y, s = lidar_place(track, x, y, psi, s, own[_vehicle.LIDAR_X], own[_vehicle.LIDAR_Y])
     psi += own[_vehicle.LIDAR_YAW]
     if scan_walls(track, sight.beams, x, y, psi, s, work, out):
         for other in range(cars.shape[1]):
@@ -275,9 +270,7 @@ def _scan(inputs, races, race, car, buffers, out):
         scan_moving(track, sight.beams, x, y, psi, state.tick[race] * DT, work, out)
         for i in range(out.shape[0]):
             out[i] = 1.0 / out[i]
-    errors = buffers.errors
-    for k in range(errors.shape[0]):
-        errors[k] = own[_vehicle.LIDAR_FOV + k]
+    errors = own[_vehicle.LIDAR_FOV : _vehicle.LIDAR_STEP + 1]
     # Each beam has its own count at each tick: no scan repeats the noise of another scan.
     key, count = state.seed[race] ^ _LIDAR_KEY, state.tick[race] * out.shape[0]
     disturb_scan(sight.beams, 0.0, errors, key, car, count, out)

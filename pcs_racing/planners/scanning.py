@@ -17,7 +17,6 @@ from pcs_racing.car.lidar_kernel import scan_moving
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.pursuit import follow_path, steady_course
 from pcs_racing.planners.view import PATH_POINTS
-from pcs_racing.track.frenet import project
 
 
 def sine_tables(angles: Iterable[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -63,10 +62,7 @@ def scan_beams(track, beams, view, turn, work, ranges):
         view[_view.TRUE_PSI],
         view[_view.TRUE_S],
     )
-    ahead, left = view[_view.LIDAR_X], view[_view.LIDAR_Y]
-    if ahead != 0.0 or left != 0.0:
-        x, y = lidar_place(x, y, psi, ahead, left)
-        s, _ = project(track, x, y, s)
+    x, y, s = lidar_place(track, x, y, psi, s, view[_view.LIDAR_X], view[_view.LIDAR_Y])
     other = view[_view.TRUE_OPP_X], view[_view.TRUE_OPP_Y], view[_view.TRUE_OPP_PSI]
     half_length, half_width = 0.5 * view[_view.TRUE_OPP_LENGTH], 0.5 * view[_view.TRUE_OPP_WIDTH]
     heading = psi + view[_view.LIDAR_YAW] + turn

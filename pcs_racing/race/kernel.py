@@ -52,6 +52,7 @@ from pcs_racing.track.frenet import (
     WALLS_END,
     WallArrays,
     angle_between,
+    shorter_way,
 )
 from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, lane_at, pose_at, velocity_at
 
@@ -236,11 +237,10 @@ def _fill_changing(
 @inner_kernel
 def _fill_moving(moving, line, ds, length, view):
     """Write the nearest moving obstacle as the opponent, if it is nearer along the track."""
-    time, nearest, ahead = view[_view.TIME], -1, view[_view.OPP_S] - view[_view.OWN_S]
-    gap = ahead - length * np.floor(ahead / length + 0.5)
+    time, nearest, own = view[_view.TIME], -1, view[_view.OWN_S]
+    gap = shorter_way(length, view[_view.OPP_S] - own)
     for k in range(moving.shape[0]):
-        ahead = lane_at(moving, ds, length, line.shape[0], k, time)[0] - view[_view.OWN_S]
-        ahead -= length * np.floor(ahead / length + 0.5)
+        ahead = shorter_way(length, lane_at(moving, ds, length, line.shape[0], k, time)[0] - own)
         if abs(ahead) < abs(gap):
             nearest, gap = k, ahead
     if nearest < 0:

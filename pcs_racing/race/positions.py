@@ -13,7 +13,7 @@ from pcs_racing.car.collision import (
 )
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT
-from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, locate
+from pcs_racing.track.frenet import WALLS_BEGIN, WALLS_END, WallArrays, foot, locate, shorter_way
 from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, pose_at
 
 
@@ -82,8 +82,7 @@ def update_progress(line, ds, length, cars, frenet, progress, laps, tick, race, 
 @inner_kernel(forceinline=True)
 def gap_to(length, frenet, race, car, other):
     """Return the lead of ``other`` over ``car`` along the race line, the shorter way round, m."""
-    gap = frenet[race, other, 0] - frenet[race, car, 0]
-    return gap - length * np.floor(gap / length + 0.5)
+    return shorter_way(length, frenet[race, other, 0] - frenet[race, car, 0])
 
 
 @inner_kernel

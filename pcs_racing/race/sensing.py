@@ -16,7 +16,7 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import COMMAND_PERIOD, VehicleParams
 from pcs_racing.planners import view as _view
 from pcs_racing.race.config import CONTROL_EVERY, DT
-from pcs_racing.track.frenet import COS, SIN, foot
+from pcs_racing.track.frenet import COS, SIN, foot, shorter_way
 
 _KEY = np.uint64(0x2545F4914F6CDD1D)  # separates these errors from the noise of the steering
 _SCAN_KEY = np.uint64(0xD6E8FEB86659FD93)
@@ -146,13 +146,6 @@ def _remembered(own, number, tick, other, memory):
 
 
 @inner_kernel
-def _moved(length, before, after):
-    """Return the way from one arc length to another, the shorter way round, m."""
-    way = after - before
-    return way - length * np.floor(way / length + 0.5)
-
-
-@inner_kernel
 def blur_view(line, ds, length, own, number, other, seed, car, tick, progress, memory, view):
     """Change an exact view into a car's measurements; ``progress`` is the own progress, m.
 
@@ -191,7 +184,7 @@ def blur_view(line, ds, length, own, number, other, seed, car, tick, progress, m
         sine, cosine = sine_cosine(memory[at + _PSI] + memory[at + _BETA])
         view[_view.OPP_D_DOT] = memory[at + _V] * (sine * line[i, COS] - cosine * line[i, SIN])
         view[_view.GAP] = memory[at + _PROGRESS] - progress
-    view[_view.GAP] -= _moved(length, exact, view[_view.OWN_S])
+    view[_view.GAP] -= shorter_way(length, view[_view.OWN_S] - exact)
 
 
 @inner_kernel
@@ -232,7 +225,7 @@ def sense_cars(line, ds, length, cars, frenet, progress, race, car, own, seed, t
         frenet[race, car, 0],
         frenet[race, car, 1],
     )
-    seen_progress[0, car] += _moved(length, frenet[race, car, 0], s)
+    seen_progress[0, car] += shorter_way(length, s - frenet[race, car, 0])
     seen_cars[0, car, _vehicle.X], seen_cars[0, car, _vehicle.Y] = x, y
     seen_cars[0, car, _vehicle.PSI] = psi
     seen_frenet[0, car, 0], seen_frenet[0, car, 1] = s, d

@@ -102,6 +102,12 @@ def wrap_s(track, s):
 
 
 @kernel(forceinline=True)
+def shorter_way(length, way):
+    """Return a way along a closed line as the shorter way round, in [-length / 2, length / 2)."""
+    return way - length * np.floor(way / length + 0.5)
+
+
+@kernel(forceinline=True)
 def angle_between(a, b):
     """Return the difference a - b of two angles, wrapped into [-pi, pi)."""
     d = a - b

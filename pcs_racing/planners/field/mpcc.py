@@ -41,7 +41,7 @@ from pcs_racing.planners.lattice import GRIP, LOST
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import BRAKING, within_grip
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, project, to_cartesian, wrap_s
+from pcs_racing.track.frenet import angle_between, project, shorter_way, to_cartesian, wrap_s
 from pcs_racing.track.track import Track
 
 PARAMETERS = (
@@ -138,8 +138,7 @@ class Model(NamedTuple):
 @inner_kernel(forceinline=True)
 def _relative(track, s, own):
     """Return an arc length from the own one, in [-length / 2, length / 2), m."""
-    gap = s - own
-    return gap - np.floor(gap / track.length + 0.5) * track.length
+    return shorter_way(track.length, s - own)
 
 
 @inner_kernel(forceinline=True)

@@ -20,7 +20,7 @@ from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, to_cartesian, wrap_s
+from pcs_racing.track.frenet import angle_between, shorter_way, to_cartesian, wrap_s
 
 PARAMETERS = (
     Parameter(
@@ -58,8 +58,7 @@ def line_index(track, s):
 @compiled(forceinline=True)
 def gap_ahead(track, view):
     """Return the distance to the opponent ahead, modulo laps, in [-length / 2, length / 2), m."""
-    gap = view[_view.GAP]
-    return gap - np.floor(gap / track.length + 0.5) * track.length
+    return shorter_way(track.length, view[_view.GAP])
 
 
 @compiled(forceinline=True)
