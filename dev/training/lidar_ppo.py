@@ -218,7 +218,7 @@ class Rollout:
 
 
 class LidarCollector(Collector):
-    """Collector of commands, with those of a teacher."""
+    """Collector of commands and of a teacher's commands."""
 
     def __init__(self, batches: Sequence[LidarBatch], learner: LidarLearner) -> None:
         super().__init__(batches, learner, WIDE)

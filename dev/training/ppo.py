@@ -114,7 +114,7 @@ class Learner:
 
 
 class Collector:
-    """Batches that drive in turn: while the one drives, choices are made for the other."""
+    """Batches that alternate: one drives while the choices of the other are computed."""
 
     def __init__(self, batches: Sequence[Any], learner: Any, wide: int) -> None:
         self.batches, self.learner = batches, learner

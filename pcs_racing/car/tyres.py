@@ -67,7 +67,7 @@ def pacejka_peak(c, e):
 
 @inner_kernel
 def substeps_of(tyres, v, dt):
-    """Return the number of Runge-Kutta steps in which to compute a step at a speed of ``v`` m/s.
+    """Return the number of Runge-Kutta steps of a step at a speed of ``v`` m/s.
 
     The slower the car, the faster do the forces of stiff tyres change.
     """

@@ -229,12 +229,12 @@ class VehicleParams(Settings):
         "Time by which other cars are seen late, s; until then they are seen at their start.",
     ] = 0.0
     opponent_lost: Annotated[
-        float, Interval(ge=0.0, le=1.0), "Share of the time in which no other car is seen."
+        float, Interval(ge=0.0, le=1.0), "Share of the time without sight of any other car."
     ] = 0.0
     opponent_lost_time: Annotated[
         float,
         Interval(ge=COMMAND_PERIOD, le=60.0),
-        "Length of the intervals, each of which is lost with the chance opponent_lost, s.",
+        "Length of the intervals, each lost with the probability opponent_lost, s.",
     ] = 0.5
 
     @property
@@ -622,7 +622,7 @@ def step(state, rate, acceleration, p, dt):
 
 @inner_kernel
 def _roll(state, car):
-    """Set yaw rate and slip angle of a slow car to those of rolling without slip.
+    """Set yaw rate and slip angle of a slow car to the values of rolling without slip.
 
     A car that has spun moves on along its wheels.
     """

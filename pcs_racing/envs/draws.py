@@ -52,7 +52,7 @@ def _limits(option: Option) -> Any:
 
 
 def _step(option: Option) -> float:
-    """Return the number of which a field is a multiple, or 0."""
+    """Return the step of a field with multiples, or 0."""
     steps: Any = (note.multiple_of for note in option.notes if isinstance(note, MultipleOf))
     return float(next(steps, option.kind is int))
 
@@ -164,7 +164,7 @@ class Randomization:
                 raise ConfigError(f"randomize draws for {group}; {there} {', '.join(CARS[:cars])}")
 
     def draw(self, generator: np.random.Generator, cars: int = 2) -> list[dict[str, Any]]:
-        """Draw the values of an episode: those of each car by name."""
+        """Draw the values of an episode: a mapping of names to values for each car."""
         groups, values = dict(self.groups), []
         shared = {draw.name: draw.value(generator) for draw in groups.get(ALL, ())}
         for car in CARS[:cars]:

@@ -87,7 +87,7 @@ class EpisodeOptions(Settings):
     randomize: Annotated[
         Randomization | None,
         Checked(lambda _, value: load_randomization(value)),
-        "Ranges or distributions from which each episode draws fields of the cars, for all cars or"
+        "Ranges or distributions of fields of the cars, drawn for each episode, for all cars or"
         " for each (:mod:`pcs_racing.envs.draws`): a dict or a YAML file, such as"
         ' ``{"mu": [0.7, 1.1], "each": {"steer_lag": [0.0, 0.1]}}``.',
     ] = None

@@ -2,7 +2,7 @@
 
 Every error is a pure function of the race's seed, the car and the time, like the noise of commands.
 Late cars come from a history in the memory of the car that sees them late. While an opponent is
-lost, a planner's view is that of a car alone: trackers drop an object without measurements.
+lost, a planner has the view of a car alone: trackers drop an object without measurements.
 """
 
 from collections.abc import Iterable

@@ -103,7 +103,7 @@ def fit_model(
 
 
 def ending(values: Floats) -> Floats:
-    """Return the values of the bins of a running race with those of an ended race below them."""
+    """Return the values of the bins of a running race, and of an ended race below them."""
     ends = np.broadcast_to(ENDS[GAPS:, None, None], (2, *values.shape[1:]))
     return np.concatenate([values, ends])
 

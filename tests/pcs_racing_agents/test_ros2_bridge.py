@@ -221,7 +221,7 @@ def test_bad_parameters_are_refused(ros, lidar_ppo, tmp_path, monkeypatch, param
 
 @pytest.fixture
 def spun(monkeypatch) -> list[Node]:
-    """Nodes that spin, with replacements for ROS that record what is published, by topic."""
+    """Nodes that spin, with replacements for ROS that record messages by topic."""
     replaced = modules() or pytest.skip("ROS is installed")
     frames = SimpleNamespace(TFMessage=replaced["geometry_msgs.msg"].TFMessage)
     for name, module in {**replaced, "tf2_msgs": frames, "tf2_msgs.msg": frames}.items():

@@ -93,7 +93,7 @@ class ScanPolicy:
                 return STOP
             outputs = self.network.decide(ranges=ranges, own=car[[3, 5, 2]])
             self.start, self.arc = car, outputs["arc"].astype(float)
-            # Periods are counted from the last decision on time; a late one begins them anew.
+            # Periods are counted from the last decision on time; a late one starts a new count.
             self.due = (self.due if time < self.due + self.period else time) + self.period
         speed = max(self.arc[1], car[3] - BRAKING)
         return pursue(car, self.start, np.array([self.arc[0], speed]), self.vehicle), float(speed)

@@ -41,7 +41,7 @@ def loads(car, a):
 
 def published(_, y, rate, a, car):
     """The single-track model with Pacejka tyres of f110-simulator and gymkhana: accelerations along
-    the car and across it, turned into those of speed and slip angle.
+    the car and across it, turned into the derivatives of speed and slip angle.
     """
     _, _, delta, v, psi, yaw_rate, beta = y
     along, across = v * np.cos(beta), v * np.sin(beta)

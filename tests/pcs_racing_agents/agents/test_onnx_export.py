@@ -242,7 +242,7 @@ def test_a_policy_of_moves(tmp_path, rng, sb3):
     assert load_sb3_policy(tmp_path / "moves.zip").moves
 
 
-# The command, and what is refused
+# The command, and its refusals
 
 
 def test_the_command_writes_a_file_and_refuses_early(tmp_path, capsys):
