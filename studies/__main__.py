@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
-from studies import reading
-from studies.battery import command as battery
-from studies.headroom import command as headroom
+from studies import everything, family, pool, reading
+from studies.long_races import command as long_races
 from studies.overtaking import command as overtaking
 from studies.ppo_against_cfr import command as ppo_against_cfr
-from studies.search import command as search
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -20,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m studies", description=__doc__, allow_abbrev=False
     )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (battery, headroom, overtaking, ppo_against_cfr, reading, search):
+    for command in (everything, family, long_races, overtaking, pool, ppo_against_cfr, reading):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

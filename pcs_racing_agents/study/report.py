@@ -47,6 +47,7 @@ from pcs_racing_agents.watch.explain import explain_race
 from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
 from pcs_racing_agents.watch.words import story
 
+FURTHER = "further"  # the second table
 GAME_THEORETIC = "cfr-argmax"  # the paper's agent
 MIN_RACES = 1000  # per agent and row; below it is a smoke test; paper: 4,000
 WATCHED = (
@@ -58,14 +59,22 @@ WATCHED = (
 
 
 def write_report(study: Study) -> None:
-    """Write ``results.csv``, ``table.csv``, ``table.txt`` and ``report.html``."""
+    """Write the races, the tables and the report.
+
+    The files are ``results.csv``, ``table.csv``, ``table.txt``, ``report.html``, and with a second
+    table ``table_further.csv``.
+    """
     cells = table_races(study)
     folder = study.folder
     write_results((row for cell in cells for row in cell.races), folder / "results.csv")
     main = study_table(study, races_of(cells))
     write_table(main, folder / "table.csv")
     write_atomically(folder / "table.txt", table_text(main))
-    write_atomically(folder / "report.html", report_page(report_content(study, cells, main)))
+    further = None if study.config.further is None else study_table(study, races_of(cells, FURTHER))
+    if further is not None:
+        write_table(further, folder / "table_further.csv")
+    content = report_content(study, cells, main, further)
+    write_atomically(folder / "report.html", report_page(content))
 
 
 def races_of(cells: Sequence[StudyRaces], table: str = "main") -> RaceTable:
@@ -102,12 +111,13 @@ def best_open_loop(study: Study) -> str | None:
     return max(BEST_OPEN_LOOP, key=lambda name: float(fits[name].training["reached"]))  # first max
 
 
-def report_content(study: Study, cells: Sequence[StudyRaces], main: StudyTable) -> ReportContent:
+def report_content(
+    study: Study, cells: Sequence[StudyRaces], main: StudyTable, further: StudyTable | None
+) -> ReportContent:
     """Return all that the report shows."""
     config, game = study.config, study.config.game
     sheets = list(_papers_statistic(study, races_of(cells)))
-    if config.further is not None:
-        further = study_table(study, races_of(cells, "further"))
+    if further is not None:
         head, *rows = overview_rows(further)
         races = further.rows[0].arms[0].races
         note = f"{races} races of each agent in each row."

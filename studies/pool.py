@@ -1,0 +1,117 @@
+"""``python -m studies pool``: gains of agents in studies of several archives.
+
+A gain is the score of an agent minus the score of the baseline that won most training races of its
+study. The interval is Student's t over the studies, one of each archive: it covers the variation
+by archive, seed of the training and races.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.planners.registry import planner_names
+from pcs_racing_agents.base.statistics import clustered_mean
+from pcs_racing_agents.base.tables import markdown, read_csv, with_interval, write_csv
+from pcs_racing_agents.cli.commands import Option, command
+from pcs_racing_agents.cli.options import output_folder
+
+Cell = tuple[str, str]
+"""Circuit and opponent."""
+TRAINING_PLANNERS = ("lattice", "iterated-best-response", "gap-follower")
+"""Planners among the training opponents of the study ``contest``."""
+
+
+class Table(NamedTuple):
+    """Main table of a study."""
+
+    baseline: str  #: Baseline that won most training races.
+    training: Mapping[Cell, bool]  #: True for cells on circuits of the training.
+    scores: Mapping[tuple[Cell, str], float]  #: Score of each agent in each cell.
+    #: Share of races ended by an own crash, of each agent but the base of the differences.
+    own_crashes: Mapping[tuple[Cell, str], float]
+
+    def gain(self, cells: Sequence[Cell], agent: str) -> float:
+        """Return the mean gain of an agent over some cells."""
+        pairs = [(self.scores[cell, agent], self.scores[cell, self.baseline]) for cell in cells]
+        return float(np.mean([score - base for score, base in pairs]))
+
+
+def read_table(folder: Path) -> Table:
+    """Read the tables of a finished study: the main one, and the one of further opponents."""
+    file = folder / "table.csv"
+    if not file.is_file():
+        raise InputError(f"there is no {file}; give folders of finished studies")
+    baseline, training, scores, crashes = "", {}, {}, {}
+    further = folder / "table_further.csv"
+    for row in [*read_csv(file).rows(), *(read_csv(further).rows() if further.is_file() else ())]:
+        cell = row["track"], row["opponent"]
+        training[cell] = row["seen"] == "1"
+        scores[cell, row["arm"]] = float(row["score"])
+        crashes[cell, row["arm"]] = float(row["own_crash"])
+        scores[cell, row["base"]] = float(row["score_base"])
+        if row["kind"] == "adaptivity gain":
+            baseline = row["base"]
+    if not baseline:
+        raise InputError(f"{file} has no row of kind 'adaptivity gain', which names the baseline")
+    return Table(baseline, training, scores, crashes)
+
+
+def groups(table: Table, cells: Sequence[Cell]) -> dict[str, list[Cell]]:
+    """Return groups of cells by kind of opponent, on training and on test circuits."""
+    found: dict[str, list[Cell]] = {}
+    planners = dict.fromkeys(planner_names(), "held-out planners")
+    planners |= dict.fromkeys(TRAINING_PLANNERS, "training planners")
+    for training in (True, False):
+        for cell in (one for one in cells if table.training[one] == training):
+            kind = planners.get(cell[1], cell[1])
+            found.setdefault(f"{kind}, {'training' if training else 'test'}", []).append(cell)
+    return found
+
+
+def gain_rows(tables: Sequence[Table]) -> list[tuple[str, ...]]:
+    """Return the mean gain of each agent in each group of cells, and its own crashes.
+
+    Cells and agents that a study lacks are left out.
+    """
+    common = [cell for cell in tables[0].training if all(cell in one.training for one in tables)]
+    agents = [
+        agent
+        for agent in dict.fromkeys(agent for _, agent in tables[0].scores)
+        if all((cell, agent) in table.scores for table in tables for cell in common)
+    ]
+    parts = groups(tables[0], common) | {"all": common}
+
+    def text(agent: str, cells: Sequence[Cell]) -> str:
+        gains = [table.gain(cells, agent) for table in tables]
+        found = clustered_mean(gains, np.arange(len(gains)))  # a cluster for each: Student's t
+        return with_interval(found.mean, found.low, found.high)
+
+    def crashes(agent: str) -> str:
+        shares = [table.own_crashes.get((cell, agent)) for table in tables for cell in common]
+        return "" if None in shares else f"{np.mean(np.array(shares, np.float64)):.3f}"
+
+    lines = [
+        (f"`{agent}`", *(text(agent, cells) for cells in parts.values()), crashes(agent))
+        for agent in agents
+    ]
+    return [("agent", *parts, "own crashes"), *lines]
+
+
+@command("pool", "python -m studies pool out/all/contest-0 out/all/contest-1 --out out/all/pool")
+def run(
+    studies: Annotated[Sequence[Path], Option("folders of finished studies, two or more", "DIR")],
+    *,
+    out: Annotated[Path, Option("folder for gains.csv", "DIR")],
+) -> None:
+    """Pool the gains of studies of several archives."""
+    if len(studies) < 2:
+        raise InputError("give at least two studies: the interval is over them")
+    tables = [read_table(folder) for folder in studies]
+    for folder, table in zip(studies, tables, strict=True):
+        print(f"{folder.name}: best baseline in training {table.baseline}")
+    rows = gain_rows(tables)
+    print("\n".join(["", *markdown(rows)]))
+    print(f"written: {write_csv(rows, output_folder(out) / 'gains.csv')}")

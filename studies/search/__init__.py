@@ -1,1 +1,0 @@
-"""Why a search misses strong policies, and what searches against the last winner find."""
