@@ -41,7 +41,7 @@ RACES, SMALL = (16, 40), (2, 2)
 """Training and test races against each opponent on each circuit; the same in the small study."""
 
 
-class Tested(NamedTuple):
+class Outcome(NamedTuple):
     """An arm in the test races of an archive."""
 
     archive: str
@@ -53,7 +53,7 @@ class Tested(NamedTuple):
     own_crash: float
 
 
-def tested(
+def race_plans(
     spec: GameSpec,
     plans: dict[str, tuple[Plan, float]],
     tracks: Sequence[Track],
@@ -81,7 +81,7 @@ def tested(
     ]
 
 
-def gain_rows(results: Sequence[Tested]) -> list[tuple[str, ...]]:
+def gain_rows(results: Sequence[Outcome]) -> list[tuple[str, ...]]:
     """Return a line for each length and arm: means over archives, and the gain over the best fixed
     policy with its interval by Student's t over archives.
     """
@@ -131,17 +131,17 @@ def run(
         "archives": [spec.archive.content_hash for spec in specs.values()],
         "tracks": [track.content_hash for track in (*own, *others)],
     }
-    results: list[Tested] = []
+    results: list[Outcome] = []
     with workers.start() as executor, open_job(output_folder(out), "long-races", settings) as job:
         how = Run(job=job, executor=executor, progress=show_progress("races"))
         for k, ((name, seconds), spec) in enumerate(specs.items()):
             rivals = tuple(parse_agent(opponent, spec) for opponent in OPPONENTS)
             races = TrainingRaces(tuple(own), rivals, spec, training, SEEDS[0])
             plans = fit_plans(races, f"fit-{k}", **how)
-            scores = tested(spec, plans, others, test, f"test-{k}", **how)
+            scores = race_plans(spec, plans, others, test, f"test-{k}", **how)
             for (arm, (plan, before)), after in zip(plans.items(), scores, strict=True):
-                results.append(Tested(name, seconds, arm, plan, before, *after))
-    write_csv([Tested._fields, *results], out / "plans.csv")
+                results.append(Outcome(name, seconds, arm, plan, before, *after))
+    write_csv([Outcome._fields, *results], out / "plans.csv")
     rows = gain_rows(results)
     print("\n".join(aligned(rows)))
     print(f"written: {write_csv(rows, out / 'gains.csv')}")
