@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
-from studies import everything, family, pool, reading
+from studies import everything, family, pool, reading, rows
 from studies.long_races import command as long_races
 from studies.overtaking import command as overtaking
 from studies.ppo_against_cfr import command as ppo_against_cfr
@@ -18,7 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         prog="python -m studies", description=__doc__, allow_abbrev=False
     )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
-    for command in (everything, family, long_races, overtaking, pool, ppo_against_cfr, reading):
+    single = everything, family, pool, reading, rows
+    for command in (*single, long_races, overtaking, ppo_against_cfr):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

@@ -59,6 +59,7 @@ def steps(maps: Path, out: Path, small: bool) -> list[Step]:
     tables = tuple(str(out / f"contest-{seed}") for seed in seeds)
     return [
         *found,
+        Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
         Step("pool", STUDIES, ("pool", *tables), "gains.csv", parallel=False),
         Step("long-races", STUDIES, ("long-races", "--archives", *archives, *where), "gains.csv"),
         Step(

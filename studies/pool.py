@@ -13,10 +13,11 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners.registry import planner_names
-from pcs_racing_agents.base.statistics import clustered_mean
+from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.base.tables import markdown, read_csv, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import output_folder
+from pcs_racing_agents.cli.options import can_draw, output_folder
+from studies.intervals import draw_intervals
 
 Cell = tuple[str, str]
 """Circuit and opponent."""
@@ -71,40 +72,53 @@ def groups(table: Table, cells: Sequence[Cell]) -> dict[str, list[Cell]]:
     return found
 
 
-def gain_rows(tables: Sequence[Table]) -> list[tuple[str, ...]]:
-    """Return the mean gain of each agent in each group of cells, and its own crashes.
+class Pooled(NamedTuple):
+    """Gains of agents over studies of several archives."""
 
-    Cells and agents that a study lacks are left out.
-    """
+    gains: Mapping[str, Mapping[str, Estimate]]  #: Mean gain by group of cells and agent.
+    own_crashes: Mapping[str, float | None]  #: Mean by agent; None for the base.
+
+
+def pool(tables: Sequence[Table]) -> Pooled:
+    """Return the gains of the agents in each group of cells, in what all studies have."""
     common = [cell for cell in tables[0].training if all(cell in one.training for one in tables)]
     agents = [
         agent
         for agent in dict.fromkeys(agent for _, agent in tables[0].scores)
         if all((cell, agent) in table.scores for table in tables for cell in common)
     ]
-    parts = groups(tables[0], common) | {"all": common}
 
-    def text(agent: str, cells: Sequence[Cell]) -> str:
+    def mean(agent: str, cells: Sequence[Cell]) -> Estimate:
         gains = [table.gain(cells, agent) for table in tables]
-        found = clustered_mean(gains, np.arange(len(gains)))  # a cluster for each: Student's t
-        return with_interval(found.mean, found.low, found.high)
+        return clustered_mean(gains, np.arange(len(gains)))  # a cluster for each: Student's t
 
-    def crashes(agent: str) -> str:
-        shares = [table.own_crashes.get((cell, agent)) for table in tables for cell in common]
-        return "" if None in shares else f"{np.mean(np.array(shares, np.float64)):.3f}"
+    def crashes(agent: str) -> float | None:
+        own = [table.own_crashes.get((cell, agent)) for table in tables for cell in common]
+        return None if None in own else float(np.mean(np.array(own, np.float64)))
 
+    parts = groups(tables[0], common) | {"all": common}
+    gains = {part: {agent: mean(agent, parts[part]) for agent in agents} for part in parts}
+    return Pooled(gains, {agent: crashes(agent) for agent in agents})
+
+
+def gain_rows(pooled: Pooled) -> list[tuple[str, ...]]:
+    """Return a line for each agent: gains with their intervals, and own crashes."""
     lines = [
-        (f"`{agent}`", *(text(agent, cells) for cells in parts.values()), crashes(agent))
-        for agent in agents
+        (
+            f"`{agent}`",
+            *(with_interval(*own[agent][:3]) for own in pooled.gains.values()),
+            "" if share is None else f"{share:.3f}",
+        )
+        for agent, share in pooled.own_crashes.items()
     ]
-    return [("agent", *parts, "own crashes"), *lines]
+    return [("agent", *pooled.gains, "own crashes"), *lines]
 
 
 @command("pool", "python -m studies pool out/all/contest-0 out/all/contest-1 --out out/all/pool")
 def run(
     studies: Annotated[Sequence[Path], Option("folders of finished studies, two or more", "DIR")],
     *,
-    out: Annotated[Path, Option("folder for gains.csv", "DIR")],
+    out: Annotated[Path, Option("folder for gains.csv and gains.png", "DIR")],
 ) -> None:
     """Pool the gains of studies of several archives."""
     if len(studies) < 2:
@@ -112,6 +126,14 @@ def run(
     tables = [read_table(folder) for folder in studies]
     for folder, table in zip(studies, tables, strict=True):
         print(f"{folder.name}: best baseline in training {table.baseline}")
-    rows = gain_rows(tables)
+    pooled, folder = pool(tables), output_folder(out)
+    rows = gain_rows(pooled)
     print("\n".join(["", *markdown(rows)]))
-    print(f"written: {write_csv(rows, output_folder(out) / 'gains.csv')}")
+    if can_draw("the gains"):
+        shown = {
+            part: {agent: one[:3] for agent, one in own.items()}
+            for part, own in pooled.gains.items()
+        }
+        label = "races won minus the best baseline"
+        print(f"picture: {draw_intervals(shown, label, folder / 'gains.png')}")
+    print(f"written: {write_csv(rows, folder / 'gains.csv')}")

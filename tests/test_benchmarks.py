@@ -15,25 +15,16 @@ record, beside = (load_tool(name, "dev/benchmarks") for name in ("record", "besi
 HELP = ("--help", "python dev/benchmarks/")
 SMALL = {
     "beside_f1tenth_gym": ("--seconds 2 --races 2 --cars 2", "| here"),
-    "check_headlines": ("", "stands: "),
     "bits": ("--parts vehicles", "vehicle, target"),
     "decision_delay": ("--seconds 0.2", "| lidar-ppo.onnx | 100 |"),
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
     "imperfect_cars": ("--out out --races 2", "error: --races 2"),
     "identification": ("--cars forzaeth-nuc2 --seeds 1 --seconds 8", "| forzaeth-nuc2 | 1 |"),
-    "learned": ("--out out --races 2", "error: --races 2"),
-    "load": ("--envs 2 --steps 40 --step-seconds 0.2", "time of a unit: "),
-    "pooled_studies": (
-        "out/one out/two",
-        "error: there is no out/one/table.csv, out/two/table.csv",
-    ),
     "race_speed": ("--track Pipkin --races 2", "ms"),
-    "racing_quality": ("--tracks Pipkin --rules paper --policies 4 --opponents 2", "Pipkin"),
     "record": ("--show", "race"),
     "sb3_speed": ("--steps 64", "limit by the products"),
     "scan_speed": ("--track Pipkin", "us"),
-    "statistics_coverage": ("--datasets 4", "true"),
     **dict.fromkeys(("circuits", "field", "solver_speed", "start_time", "zoo"), HELP),
 }
 

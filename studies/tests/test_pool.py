@@ -4,7 +4,7 @@ from refusal import refused
 
 from pcs_racing_agents.base.tables import write_csv
 from studies.__main__ import main
-from studies.pool import gain_rows, read_table
+from studies.pool import gain_rows, pool, read_table
 
 HEAD = ("kind", "track", "seen", "opponent", "arm", "base", "score", "score_base", "own_crash")
 
@@ -25,7 +25,7 @@ def study(folder, gain):
 
 def test_gains_are_over_the_baseline_of_each_study(tmp_path):
     folders = [study(tmp_path / name, gain) for name, gain in (("a", 0.0), ("b", 0.02))]
-    rows = gain_rows([read_table(folder) for folder in folders])
+    rows = gain_rows(pool([read_table(folder) for folder in folders]))
     assert rows[0] == (
         "agent",
         "random-moves, training",

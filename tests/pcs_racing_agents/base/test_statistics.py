@@ -1,7 +1,7 @@
 """Estimators on simulated tournaments with known effects, and against other people's formulas.
 
 The simulations are seeded; their bands are at least three standard errors wide.
-`dev/benchmarks/statistics_coverage.py` runs the full study.
+docs/reports/statistics.md has the full study.
 """
 
 from itertools import product
