@@ -10,27 +10,20 @@ from pcs_racing.base.errors import InputError, choices
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import output_folder
 
-GAME, STUDIES = "pcs_racing_agents", "studies"
-"""Modules of the two command lines."""
+GAME, STUDIES = ("-m", "pcs_racing_agents"), ("-m", "studies")
+"""Command lines of the package and of the studies, as arguments of Python."""
 FIVE = Path(__file__).parent / "five_archives"
 REACTING = 1, 3
 """Seeds of the archives whose policies may react to the lead by themselves."""
 REAL = "Austin", "Monza"
 """Real circuits added to the tests of the contest."""
-CARDS = (
-    *("never-switch", "random-moves", "best-fixed", "best-schedule", "best-lead-plan"),
-    *("cfr-argmax", "cfr-regret-matching", "response", "ppo"),
-    *("line-ppo", "lidar-ppo", "lattice", "lattice:early", "iterated-best-response"),
-    *("alpha-racer", "ppo-drive", "gap-follower", "pure-pursuit", "spliner"),
-)
-"""Agents and planners on the leaderboard."""
 
 
 class Step(NamedTuple):
     """A command that writes into a folder of its own."""
 
     name: str
-    module: str  #: Command line: of the package or of the studies.
+    program: tuple[str, ...]  #: Command line or script, as arguments of Python.
     arguments: tuple[str, ...]  #: Arguments without the folder.
     result: str  #: Last file that the command writes, relative to its folder.
     parallel: bool = True  #: True for a command with options of workers.
@@ -39,57 +32,60 @@ class Step(NamedTuple):
 def steps(maps: Path, out: Path, small: bool) -> list[Step]:
     """Return all steps in their order; a step needs the results of earlier ones only."""
     seeds = range(2 if small else 5)
-    archives = [str(out / f"archive-{seed}") for seed in seeds]
-    real = [str(maps / name) for name in REAL]
-    shorter = ("--small",) if small else ()
-    where = ("--maps", str(maps), *shorter)
-    cards = CARDS[:2] if small else CARDS
-    found: list[Step] = []
-    for seed in seeds:
-        reacts = str(FIVE / "reacts.yaml") if seed in REACTING else "contest"
-        config = str(FIVE / "small_archive.yaml") if small else reacts
-        given = ("--config", config, "--seed", str(seed), "--name", _name(seed))
-        found.append(Step(f"archive-{seed}", GAME, ("synthesize", *given), "manifest.yaml"))
-    paper = "quick" if small else "paper"
-    found.append(Step("paper", GAME, ("study", paper), "report.html"))
-    for seed, archive in zip(seeds, archives, strict=True):
-        study = str(FIVE / "small_study.yaml") if small else "contest"
-        own = ("--archive", archive, "--seed", str(seed), "--test-track", *real)
-        found.append(Step(f"contest-{seed}", GAME, ("study", study, *own), "report.html"))
-    tables = tuple(str(out / f"contest-{seed}") for seed in seeds)
+    paper = Step("paper", GAME, ("study", "quick" if small else "paper"), "report.html")
     return [
-        *found,
-        Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
-        Step("pool", STUDIES, ("pool", *tables), "gains.csv", parallel=False),
-        Step("long-races", STUDIES, ("long-races", "--archives", *archives, *where), "gains.csv"),
-        Step(
-            "family",
-            STUDIES,
-            ("family", "--archive", archives[0], *where),
-            "family.csv",
-            parallel=False,
-        ),
-        Step("field", STUDIES, ("field", *where), "scores.csv"),
-        Step("ppo-against-cfr", STUDIES, ("ppo-against-cfr", *where), "scores.csv"),
-        Step(
-            "cards",
-            GAME,
-            ("benchmark", "card", *cards),
-            f"{cards[-1]}/card.json",
-        ),
-        Step(
-            "leaderboard",
-            GAME,
-            ("benchmark", "leaderboard", str(out / "cards")),
-            "leaderboard.html",
-            parallel=False,
-        ),
+        *(archive_step(seed, small) for seed in seeds),
+        paper,
+        *(contest_step(seed, maps, out, small) for seed in seeds),
+        *table_steps(seeds, maps, out, small),
+        *benchmark_steps(out, small),
     ]
 
 
-def _name(seed: int) -> str:
-    """Return the name of an archive: the shipped one has seed 0."""
-    return f"contest-{seed}" if seed else "contest"
+def archive_step(seed: int, small: bool) -> Step:
+    """Return the search for an archive; the archive of seed 0 has the name of the shipped one."""
+    config = str(FIVE / "reacts.yaml") if seed in REACTING else "contest"
+    config = str(FIVE / "small_archive.yaml") if small else config
+    name = f"contest-{seed}" if seed else "contest"
+    given = ("--config", config, "--seed", str(seed), "--name", name)
+    return Step(f"archive-{seed}", GAME, ("synthesize", *given), "manifest.yaml")
+
+
+def contest_step(seed: int, maps: Path, out: Path, small: bool) -> Step:
+    """Return the study of the contest with an archive."""
+    study = str(FIVE / "small_study.yaml") if small else "contest"
+    real = [str(maps / name) for name in REAL]
+    archive = ("--archive", str(out / f"archive-{seed}"), "--seed", str(seed))
+    return Step(
+        f"contest-{seed}", GAME, ("study", study, *archive, "--test-track", *real), "report.html"
+    )
+
+
+def table_steps(seeds: Sequence[int], maps: Path, out: Path, small: bool) -> list[Step]:
+    """Return the tables of the studies, and further races on the same circuits."""
+    archives, tables = (
+        tuple(str(out / f"{kind}-{seed}") for seed in seeds) for kind in ("archive", "contest")
+    )
+    where = ("--maps", str(maps), *(["--small"] if small else []))
+    long, family = ("--archives", *archives, *where), ("--archive", archives[0], *where)
+    return [
+        Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
+        Step("pool", STUDIES, ("pool", *tables), "gains.csv", parallel=False),
+        Step("long-races", STUDIES, ("long-races", *long), "gains.csv"),
+        Step("family", STUDIES, ("family", *family), "family.csv", parallel=False),
+        Step("field", STUDIES, ("field", *where), "scores.csv"),
+        Step("ppo-against-cfr", STUDIES, ("ppo-against-cfr", *where), "scores.csv"),
+    ]
+
+
+def benchmark_steps(out: Path, small: bool) -> list[Step]:
+    """Return the score cards, in the small run of two agents, and the leaderboard."""
+    cards = Step("cards", ("dev/tools/cards.py",), (), "spliner/card.json", parallel=False)
+    if small:
+        few = "never-switch", "random-moves"
+        cards = Step("cards", GAME, ("benchmark", "card", *few), f"{few[-1]}/card.json")
+    board = ("benchmark", "leaderboard", str(out / "cards"))
+    return [cards, Step("leaderboard", GAME, board, "leaderboard.html", parallel=False)]
 
 
 def run_steps(chosen: Sequence[Step], out: Path, workers: Sequence[str]) -> None:
@@ -103,8 +99,8 @@ def run_steps(chosen: Sequence[Step], out: Path, workers: Sequence[str]) -> None
             print(f"{step.name}: finished, {folder / step.result}", flush=True)
             continue
         words = (*step.arguments, "--out", str(folder), *(workers if step.parallel else ()))
-        print(f"{step.name}: python -m {step.module} {' '.join(words)}", flush=True)
-        done = subprocess.run([sys.executable, "-m", step.module, *words], check=False)
+        print(f"{step.name}: python {' '.join((*step.program, *words))}", flush=True)
+        done = subprocess.run([sys.executable, *step.program, *words], check=False)
         if done.returncode or not (folder / step.result).is_file():
             raise InputError(
                 f"step {step.name!r} ended with status {done.returncode}; run the same command"

@@ -23,7 +23,7 @@ def stub(tmp_path, monkeypatch):
 
 
 def step(name, *arguments, **options):
-    return Step(name, "stub", arguments, "result.txt", **options)
+    return Step(name, ("-m", "stub"), arguments, "result.txt", **options)
 
 
 def test_a_finished_step_is_not_run_again(stub, capfd):
@@ -54,11 +54,11 @@ def test_every_step_is_a_command_and_has_a_folder_of_its_own(small, tmp_path, mo
     monkeypatch.setattr(__main__, "run_parsed", lambda parsed: callable(parsed.run))
     for one in found:
         words = [*one.arguments, "--out", str(tmp_path), *(["--workers=1"] if one.parallel else [])]
-        if one.module == GAME:
+        if one.program == GAME:
             assert callable(_parser().parse_args(words).run)
-        elif one.name != "field":
+        elif one.program == STUDIES and one.name != "field":
             assert __main__.main(words)
-    assert {one.module for one in found} == {GAME, STUDIES}
+    assert {GAME, STUDIES} <= {one.program for one in found}
 
 
 def test_half_of_the_archives_may_react_to_the_lead(tmp_path):
