@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 EDGES = (5.0, 20.0)
 """Candidates for the lead at which a plan by the size of the lead changes its policy, m."""
-MEMBERS = 4
+MEMBERS = 3
 """Number of policies that plans are made of: the best ones of the fixed policies."""
 
 
