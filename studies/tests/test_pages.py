@@ -49,5 +49,5 @@ def test_commands_are_those_of_the_experiments(page, line, monkeypatch):
 
 def test_there_are_commands_and_impossible_ones_are_found(monkeypatch):
     named = {line.split()[3] for _, line in COMMANDS}
-    assert {"all", "overtaking", "ppo-against-cfr", "reading", "rows"} <= named
+    assert {"all", "field", "overtaking", "ppo-against-cfr", "reading", "rows"} <= named
     assert not parsed(["reading", "--trak", "Pipkin"], monkeypatch)
