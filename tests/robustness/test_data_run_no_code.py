@@ -97,7 +97,7 @@ PROTOCOL = {
     "blind": ("never-switch",),
 }
 STUDY = {
-    "learning": {"tracks": ("Pipkin",), "responses": ("quick",), "ppo": "study-paper"},
+    "learning": {"tracks": ("Pipkin",), "responses": ("response-quick",), "ppo": "study-paper"},
     "table": {
         "tracks": ("Pipkin",),
         "opponents": ("never-switch", "lattice:pace=0.4"),

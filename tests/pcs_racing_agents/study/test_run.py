@@ -39,7 +39,7 @@ def settings_file(name: str, text: str) -> str:
 
 SELF_PLAY = settings_file("self_play", "iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
 
-AGENTS = ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "quick")
+AGENTS = ("never-switch", *BEST_OPEN_LOOP, "cfr-argmax", "response-quick")
 TABLE = TableConfig(("Pipkin",), ("never-switch", "lane-switcher"), AGENTS, 2, 2, 1)
 TINY = load_study_config(
     "quick",
@@ -50,7 +50,7 @@ TINY = load_study_config(
         training="quick",
         targets=("advantage",),
         sampled_cfr=SELF_PLAY,
-        responses=("quick",),
+        responses=("response-quick",),
         fitting_races=2,
         ppo=str(SETTINGS / "ppo_duel.yaml"),
     ),
@@ -105,7 +105,9 @@ def test_the_report_compares_with_the_best_baseline_in_training(finished):
     compared = best_open_loop(finished)
     table = read_csv(finished.folder / "table.csv").rows()
     assert {row["base"] for row in table if row["kind"] == "adaptivity gain"} == {compared}
-    assert f"quick - {compared}" in (finished.folder / "table.txt").read_text(encoding="utf-8")
+    assert f"response-quick - {compared}" in (finished.folder / "table.txt").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_the_agents_learned_by_playing_the_game_that_is_studied(finished):
@@ -139,7 +141,7 @@ def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
 
 def test_changed_files_of_finished_stages_are_named_and_made_again(finished, tmp_path):
     folder = shutil.copytree(finished.folder, tmp_path / "copy")
-    half = folder / "networks" / ".quick.0123abcd"
+    half = folder / "networks" / ".response-quick.0123abcd"
     half.mkdir()  # by a run that was killed
     changed = [
         "open-loop/best-fixed.yaml",
@@ -205,11 +207,11 @@ def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tmp_path, mo
             stage(study)
     (games, pool, spec, settings, _), named = asked["response"]
     names = [game.track.name for game in games] + [competitor.name for competitor in pool]
-    own = load_response_settings("quick")
+    own = load_response_settings("response-quick")
     assert (names, spec, named["name"], settings) == (
         [*circuits, "never-switch", "random-moves"],
         study.spec,
-        "quick",
+        "response-quick",
         replace(own, seed=config.seed + 3_000_000 + own.seed),
     )
     (settings, folder), named = asked["ppo"]
@@ -298,15 +300,18 @@ def test_the_gain_is_over_the_open_loop_agents_that_won_more_training_races(
             tmp_path / "open-loop" / f"{name}.yaml",
         )
     assert best_open_loop(other) == better
-    few = replace(TINY, table=replace(TABLE, agents=("never-switch", "quick")))
+    few = replace(TINY, table=replace(TABLE, agents=("never-switch", "response-quick")))
     assert best_open_loop(replace(other, config=few)) is None
 
 
 def test_impossible_studies_are_refused():
     for changes, message in [
-        ({"table": {"agents": ("never-switch", "best-fixed", "quick")}}, "not 'best-schedule'"),
+        (
+            {"table": {"agents": ("never-switch", "best-fixed", "response-quick")}},
+            "not 'best-schedule'",
+        ),
         ({"table": {"agents": ("never-switch",)}, "best": "response"}, "best is 'response'"),
-        ({"further": {"agents": ("never-switch",)}}, "best is 'quick'"),
+        ({"further": {"agents": ("never-switch",)}}, "best is 'response-quick'"),
         ({"table": {"egos": 1}}, "egos is 1"),
         ({"table": {"tracks": ("Pipkin", "Pipkin")}}, "it must be a list of different names"),
         ({"table": {"lunch": 1}}, "unknown table setting 'lunch'"),
