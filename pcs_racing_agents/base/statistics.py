@@ -150,6 +150,16 @@ def clustered_mean(values: ArrayLike, *clusters: ArrayLike, same_pool: bool = Fa
     return Estimate(mean, low, high, se, df, p, len(x), numbers)
 
 
+def varied(*labels: ArrayLike) -> list[ArrayLike]:
+    """Return the cluster labels with variation, else the races themselves as clusters.
+
+    Labels without variation have no measurable spread, and are taken as given.
+    """
+    return [one for one in labels if len(np.unique(one)) > 1] or [
+        np.arange(len(np.asarray(labels[0])))
+    ]
+
+
 def _variance(residual: Floats, kinds: list[Kind]) -> float:
     """Return the variance of the mean; every pair of races with a common label counts once."""
     variance, largest = 0.0, 0.0

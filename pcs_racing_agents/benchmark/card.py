@@ -17,13 +17,14 @@ from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.base.settings import Checked, Settings
 from pcs_racing_agents.base.tables import Column, table_rows, with_interval
-from pcs_racing_agents.study.report_page import page_environment
+from pcs_racing_agents.watch.pages import Standing, rendered, winner_text
 
 FORMAT = "pcs-racing card 1"
 MAX_BYTES = 1_000_000
 MAX_SCORES = 1000
 MAX_NAME = 200  # characters
 CIRCUITS = ("all", "seen", "unseen")
+SCORED = "Score: 1 for a race won, 0.5 for a tie, else 0; lines: 95 % intervals."
 
 S = TypeVar("S", bound=Settings)
 
@@ -189,7 +190,21 @@ def fact_lines(card: Card) -> list[str]:
 
 def card_page(card: Card) -> str:
     """Return the card as one self-contained page."""
-    return _page("card.html", card=card, table=summary_rows(card), facts=fact_lines(card))
+    whole = card.score()
+    shares = [f"{card.score('all', part).score:.3f} on {part} circuits" for part in CIRCUITS[1:]]
+    return rendered(
+        "pcs_racing_agents.benchmark",
+        "card.html",
+        title=f"{card.agent}: {card.protocol}",
+        result=(
+            f"{card.agent} scores {whole.score:.3f} {whole.interval} over {whole.races:,} races:"
+            f" {' and '.join(shares)}."
+        ),
+        facts=f"{_protocol(card)}; agent {card.agent_sha256[:16]}. {SCORED}",
+        card=card,
+        table=summary_rows(card),
+        gains=fact_lines(card),
+    )
 
 
 def write_card(card: Card, folder: Path) -> list[Path]:
@@ -289,9 +304,19 @@ def _board_row(card: Card) -> tuple[str, ...]:
 
 def board_page(cards: Sequence[Card]) -> str:
     """Return the leaderboard as one page."""
-    return _page("leaderboard.html", cards=cards, table=board_rows(cards))
+    wholes = [(card.agent, card.score()) for card in cards]
+    return rendered(
+        "pcs_racing_agents.benchmark",
+        "leaderboard.html",
+        title=f"Leaderboard: {cards[0].protocol}",
+        result=winner_text(
+            [Standing(name, one.score, one.low, one.high, one.races) for name, one in wholes]
+        ),
+        facts=f"{len(cards)} agents; {_protocol(cards[0])}. {SCORED}",
+        cards=cards,
+        table=board_rows(cards),
+    )
 
 
-def _page(name: str, **values: Any) -> str:
-    """Return a page from a template of this folder; all text is escaped."""
-    return page_environment("pcs_racing_agents.benchmark").get_template(name).render(**values)
+def _protocol(card: Card) -> str:
+    return f"protocol {card.protocol} {card.protocol_sha256[:16]}"

@@ -11,7 +11,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import PolicySet, Turn, competitor_name
 from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.jobs import Run
-from pcs_racing_agents.base.statistics import clustered_mean, compare
+from pcs_racing_agents.base.statistics import clustered_mean, compare, varied
 from pcs_racing_agents.benchmark.card import CardScore, Gain
 from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
 from pcs_racing_agents.tournament.games import variant_count
@@ -123,10 +123,8 @@ def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
 
 def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     races = _columns(cells)
-    # Labels without variation have no measurable spread, and are taken as given.
-    clusters = [labels for labels in (races.ego, races.opponent) if len(np.unique(labels)) > 1]
     # One policy against one policy: races differ only in their start lines.
-    estimate = clustered_mean(races.score, *(clusters or [np.arange(len(races.score))]))
+    estimate = clustered_mean(races.score, *varied(races.ego, races.opponent))
     return CardScore(
         part,
         circuits,

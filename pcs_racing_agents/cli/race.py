@@ -144,7 +144,8 @@ def _series(
     theta = np.tile(pad_parameters([ego, opponent], setup.theta_size), (config.heats, 1, 1))
     advance(setup, state, theta, config.ticks)
     won = [int((winners(config, state) == car).sum()) for car in range(2)]
-    return f"races {numbers[0]} to {numbers[-1]}, best of {config.heats}: {won[0]} to {won[1]}"
+    counts = ", ".join(f"car {car} won {count}" for car, count in enumerate(won))
+    return f"best of {config.heats}, races {numbers[0]} to {numbers[-1]}: {counts}"
 
 
 def _story(replay: Replay) -> str:

@@ -15,6 +15,7 @@ from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.fits import load_fit
 from pcs_racing_agents.base.curves import Curve
 from pcs_racing_agents.base.folders import package_version
+from pcs_racing_agents.base.statistics import clustered_mean, varied
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.study.config import BEST_OPEN_LOOP
 from pcs_racing_agents.study.report_page import (
@@ -44,6 +45,7 @@ from pcs_racing_agents.tournament import (
     write_results,
 )
 from pcs_racing_agents.watch.explain import explain_race
+from pcs_racing_agents.watch.pages import Standing, winner_text
 from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
 from pcs_racing_agents.watch.words import story
 
@@ -123,18 +125,23 @@ def report_content(
         note = f"{races} races of each agent in each row."
         sheets.append(TitledTable("More opponents, tracks and agents", head, rows, note))
     ratings = study.folder / "ratings.csv"
+    scores = standings(races_of(cells))
     return ReportContent(
         title=f"Study: {game.race.name} race, archive {study.archive.name}",
-        about=(
+        facts=(
             f"{sum(len(cell.races) for cell in cells):,} races of {game.horizon:g} s between two"
-            f" cars. Every {game.step_seconds:g} s an agent may change its policy, which is how its"
+            " cars."
+        ),
+        about=(
+            f"Every {game.step_seconds:g} s an agent may change its policy, which is how its"
             f" car drives, by {game.epsilon} of the archive's range on an axis. The baseline is"
             f" {main.base}.\n\n"
             f"{closeness_text(concatenate_races(cell.races for cell in cells))}"
         ),
-        findings=list(_findings(main)),
+        findings=[winner_text(scores), *_findings(main)],
         caution=_caution(main),
         table=main,
+        standings=scores,
         archive=study.archive,
         epsilon=game.epsilon,
         curves=_loss_curves(study),
@@ -144,6 +151,25 @@ def report_content(
         settings=plain_settings(config),
         versions=software(),
     )
+
+
+def standings(races: RaceTable) -> list[Standing]:
+    """Return the score of each agent over all races, best first.
+
+    The intervals are robust to clusters of start policies and of the opponents' variants; they
+    hold for these tracks.
+    """
+    found = []
+    egos, rivals = races.agents.codes.T.astype(np.int64)
+    start, variant = races.variants.T.astype(np.int64)
+    opponent = rivals * (variant.max() + 1) + variant
+    for ego in np.unique(egos):
+        own = egos == ego
+        mean = clustered_mean(races.score[own], *varied(start[own], opponent[own]))
+        low, high = max(mean.low, 0.0), min(mean.high, 1.0)
+        name = races.agents.words[ego]
+        found.append(Standing(name, mean.mean, low, high, int(own.sum())))
+    return sorted(found, key=lambda one: (-one.score, one.name))
 
 
 def _papers_statistic(study: Study, races: RaceTable) -> Iterator[TitledTable]:

@@ -7,18 +7,17 @@ from importlib.util import find_spec
 from typing import Any, NamedTuple
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.race.replay import Replay, replay_page
+from pcs_racing.race.replay import Replay
 from pcs_racing_agents.base.curves import Curve, curves_picture
 from pcs_racing_agents.base.style import picture_bytes
-from pcs_racing_agents.base.tables import is_number
 from pcs_racing_agents.study.figures import differences_picture
 from pcs_racing_agents.study.table import StudyTable
 from pcs_racing_agents.study.table_output import DETAILS, detail_rows, notes, p_text, paper_text
 from pcs_racing_agents.tournament import RoundRobin
 from pcs_racing_agents.tournament.table import payoffs_picture, rating_interval, ratings_picture
+from pcs_racing_agents.watch.pages import Standing, rendered
 from pcs_racing_agents.watch.pcs_picture import archive_picture
 
 
@@ -47,10 +46,12 @@ class ReportContent:
     """Content of a report; everything but the title is optional."""
 
     title: str
+    facts: str = ""  #: Number and kind of the races, in a line.
     about: str = ""  #: Subject of the study, in a few sentences.
     findings: Sequence[str] = ()  #: Results, one sentence each; the first is the headline.
     caution: str = ""  #: Reason to distrust the results.
     table: StudyTable | None = None
+    standings: Sequence[Standing] = ()  #: Scores over all races of the table, best first.
     archive: PolicyArchive | None = None  #: Archive to draw, with moves of length ``epsilon``.
     epsilon: float | tuple[float, ...] = 0.5
     curves: Mapping[str, Sequence[Curve]] = field(default_factory=dict)  #: Losses per network.
@@ -61,26 +62,16 @@ class ReportContent:
     versions: Mapping[str, Any] = field(default_factory=dict)
 
 
-def page_environment(package: str) -> Environment:
-    """Return a package's template environment: text is escaped, and ``page`` embeds a replay."""
-    environment = Environment(
-        loader=PackageLoader(package, ""),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters["page"] = replay_page
-    return environment
-
-
 def report_page(content: ReportContent) -> str:
     """Return the report as HTML from the template ``report.html``; all text is escaped."""
     # Names of agents and tracks come from files: all text is escaped.
-    environment = page_environment("pcs_racing_agents.study")
-    environment.filters |= {"p_value": p_text, "plain": _plain, "data": _data}
-    environment.tests["number"] = is_number
-    return environment.get_template("report.html").render(
+    return rendered(
+        "pcs_racing_agents.study",
+        "report.html",
+        {"p_value": p_text, "plain": _plain, "data": _data},
+        title=content.title,
+        result=next(iter(content.findings), ""),
+        facts=content.facts,
         content=content,
         table=content.table,
         can_draw=find_spec("matplotlib") is not None,

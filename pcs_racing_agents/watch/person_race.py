@@ -19,7 +19,7 @@ from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.agents.observing import earlier, moves_made, opponent
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
 from pcs_racing_agents.watch.explain import ExplainedDecision, explain_race, mark_moves
-from pcs_racing_agents.watch.view_page import page_of
+from pcs_racing_agents.watch.pages import rendered
 from pcs_racing_agents.watch.view_server import Answer, error_answer
 
 NEAREST = 4  # the person starts with a policy of the quarter nearest to the opponent's policy
@@ -105,6 +105,7 @@ class PersonRaces:
                 {"name": axis.name, "unit": axis.unit, "meaning": axis.meaning} for axis in axes
             ],
             "policies": archive.normalised.tolist(),
+            "coordinates": archive.coordinates.tolist(),
             "policy": policy,
             "choices": [
                 {
@@ -206,7 +207,8 @@ def first_frames(replay: Replay, seconds: float) -> Replay:
 def play_page(races: PersonRaces) -> str:
     """Return the page for the moves of a person; a server provides everything else."""
     title = f"You against {competitor_name(races.opponent)}"
-    return page_of("play.html", title, "connect-src 'self'; frame-src 'self'", {})
+    allowed = "connect-src 'self'; frame-src 'self'"
+    return rendered("pcs_racing_agents.watch", "play.html", title=title, allowed=allowed)
 
 
 TIME_STEP = 0.02  # s
@@ -292,7 +294,8 @@ class PersonDrive:
 def drive_page(races: PersonDrive) -> str:
     """Return the page for the steering of a person; a server provides everything else."""
     title = f"You at the wheel against {races.opponent}"
-    return page_of("drive.html", title, "connect-src 'self'", {"/*step*/": str(TIME_STEP)})
+    options = {"title": title, "allowed": "connect-src 'self'", "step": TIME_STEP}
+    return rendered("pcs_racing_agents.watch", "drive.html", **options)
 
 
 def make_person_drive(rival: Any, seed: int = 0, **arguments: Any) -> PersonDrive:

@@ -1,11 +1,9 @@
 """The page with a list and a player of races: a single file that loads and sends nothing.
 
-Its parts are ``head.html`` and ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the
-player, in its own frame) and ``beside.html`` (the player's panel next to the track).
+Its parts are ``view.html`` (the list), ``pcs_racing/race/replay.html`` (the player, in its own
+frame) and ``beside.html`` (the player's panel next to the track).
 """
 
-import html
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,13 +13,11 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.packing import pack
-from pcs_racing.race.replay import safe_json
 from pcs_racing_agents.tournament import RaceTable
 from pcs_racing_agents.tournament.races import Categorical
+from pcs_racing_agents.watch.pages import player_page, rendered
 from pcs_racing_agents.watch.race_choice import SelectedRace
 from pcs_racing_agents.watch.race_replays import RepeatedRace
-
-_SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -45,10 +41,7 @@ def view_page(content: ViewContent) -> str:
     A link may name filters, a race and a time, e.g.
     ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
     """
-    player, beside = (
-        template("pcs_racing.race", "replay.html"),
-        template("pcs_racing_agents.watch", "beside.html"),
-    )
+    beside = files("pcs_racing_agents.watch").joinpath("beside.html").read_text(encoding="utf-8")
     driven = {race.race: race for race in content.driven}
     table, path = content.races, shlex.quote(content.results)
     commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --index {{race}}"]
@@ -69,44 +62,16 @@ def view_page(content: ViewContent) -> str:
         "serve": content.serve,
         "commands": commands,
     }
-    parts = {
-        "/*reading*/": _shared(player)["reading"],
-        "<!--races-->": safe_json(data),
-        "<!--player-->": safe_json(player.replace("<!--beside-->", beside)),
-        "<!--replays-->": "\n".join(
-            f'<script type="application/json" id="race-{number}">{safe_json(race.values)}</script>'
-            for number, race in driven.items()
-        ),
-    }
     source = "'self'" if content.serve else "'none'"
-    return page_of("view.html", content.title, f"img-src data:; connect-src {source}", parts)
-
-
-def page_of(name: str, title: str, allowed: str, parts: Mapping[str, str]) -> str:
-    """Return a page of this package: its file with the common head.
-
-    ``allowed``: sources allowed by its security policy in addition to its own scripts and style.
-    ``parts``: texts by placeholder.
-    """
-    common = {
-        "<!--title-->": html.escape(title),
-        "<!--allowed-->": allowed,
-        "/*colours*/": _shared(template("pcs_racing.race", "replay.html"))["colours"],
-    }
-    head = _fill(template("pcs_racing_agents.watch", "head.html"), common).rstrip()
-    return _fill(
-        template("pcs_racing_agents.watch", name), {**common, "<!--head-->": head, **parts}
+    return rendered(
+        "pcs_racing_agents.watch",
+        "view.html",
+        title=content.title,
+        allowed=f"img-src data:; connect-src {source}",
+        data=data,
+        player=player_page().replace("<!--beside-->", beside),
+        replays={number: race.values for number, race in driven.items()},
     )
-
-
-def _fill(page: str, parts: Mapping[str, str]) -> str:
-    """Return a page with its placeholders replaced in one pass (not again within the texts)."""
-    return re.sub("|".join(map(re.escape, parts)), lambda match: parts[match.group()], page)
-
-
-def _shared(player: str) -> dict[str, str]:
-    """Return the shared parts of the player's page by name: ``colours`` and ``reading``."""
-    return {name: text.strip() for name, text in _SHARED.findall(player)}
 
 
 def packed_races(races: RaceTable) -> dict[str, Any]:
@@ -165,11 +130,6 @@ def _joined(moves: Categorical) -> Categorical:
         tuple("; ".join(moves.words[move] for move in indices if move >= 0) for indices in lists),
         codes,
     )
-
-
-def template(package: str, name: str) -> str:
-    """Return the text of a page in a package."""
-    return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
 def _s(count: int) -> str:

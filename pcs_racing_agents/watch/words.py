@@ -129,7 +129,13 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
         )
     if unit.text == "" and values[step.move] == values[best]:
         text = f"the highest value of all moves, {text}"
-    return text
+    return text + _unit_note(explanation)
+
+
+def _unit_note(explanation: Explanation) -> str:
+    """Return a note on values without a unit; empty for other values."""
+    assert explanation.unit is not None
+    return "" if explanation.unit.text else " (relative values, without a unit)"
 
 
 def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -> str:
@@ -141,7 +147,7 @@ def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -
     # A network without a value for the default move ("stay") gives differences from it.
     usual = values[default_move] if default_move < len(values) else 0.0
     gain = _difference(explanation, values[best] - usual)
-    margin = _amount(explanation, default.margin)
+    margin = _amount(explanation, default.margin) + _unit_note(explanation)
     names = explanation.moves
     if step.move != default_move:
         other = f"{names[default_move]}, what {default.name} would do"

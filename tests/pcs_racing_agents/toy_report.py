@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from toy_races import toy_races
 
-from pcs_racing_agents.study.report import software
+from pcs_racing_agents.study.report import software, standings
 from pcs_racing_agents.study.report_page import ReportContent, TitledTable
 from pcs_racing_agents.study.table import make_table
 from pcs_racing_agents.tournament.race_files import race_table
@@ -15,18 +15,21 @@ NASTY = '</script><script>document.title="owned"</script><b>&amp;"\'<!--body-->'
 
 
 def toy_report(archive, watched) -> ReportContent:
+    races = toy_races(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4)
     table = make_table(
-        toy_races(tracks=("Tarnfjord", NASTY), opponents=("never-switch",), egos=4, variants=4),
+        races,
         best="our-best",
         open_loop="best-fixed",
         seen={"Tarnfjord"},
     )
     return ReportContent(
         title=f"A study {NASTY}",
+        facts=f"Races {NASTY}",
         about=f"{NASTY}\n\nSecond paragraph.",
         findings=[NASTY, NASTY],
         caution=NASTY,
         table=table,
+        standings=standings(races),
         archive=replace(archive, name=NASTY),
         round_robin=round_robin(
             ("a", NASTY),

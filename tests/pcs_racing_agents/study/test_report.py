@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from toy_races import of, toy_races, toy_table
+from toy_races import STRENGTHS, of, toy_races, toy_table
 from toy_report import NASTY, toy_report
 
 from pcs_racing import make_game
@@ -260,6 +260,20 @@ def test_findings_and_cautions_are_told_in_words():
         False,
         True,
     ]
+
+
+def test_agents_stand_in_the_order_of_their_scores_over_all_races():
+    races = toy_races(tracks=("Tarnfjord", "Hut"), egos=4, variants=3)
+    scores = {
+        name: races.score[races.agents.codes[:, 0] == code].mean()
+        for code, name in enumerate(races.agents.words)
+        if name in STRENGTHS
+    }
+    found = report.standings(races)
+    assert [one.name for one in found] == sorted(scores, key=lambda name: -scores[name])
+    for one in found:
+        assert (one.score, one.races) == (pytest.approx(scores[one.name]), len(races) // 4)
+        assert 0.0 <= one.low < one.score < one.high <= 1.0
 
 
 def test_a_study_knows_its_tables_and_tracks():

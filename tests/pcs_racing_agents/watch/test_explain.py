@@ -216,9 +216,15 @@ WIN, METRES, BARE = Unit(1.0, "of a win"), Unit(0.5, "m of lead"), Unit(0.5, "")
             VALUES,
             BARE,
             "the highest value of all moves, worth 0.05 more than staying, 0.04 more than"
-            " restraint +",
+            " restraint + (relative values, without a unit)",
         ),
-        (2, VALUES, BARE, "worth 0.01 more than staying, 0.04 less than aggressiveness +"),
+        (
+            2,
+            VALUES,
+            BARE,
+            "worth 0.01 more than staying, 0.04 less than aggressiveness + (relative values,"
+            " without a unit)",
+        ),
     ],
 )
 def test_a_move_is_compared_with_staying_in_the_unit_of_values(race, move, values, unit, words):

@@ -68,6 +68,7 @@ def test_a_person_is_told_what_every_move_leads_to_and_may_race_drivers(races):
         "opponent": "random-moves",
         "track": "Pipkin",
         "policies": game.archive.normalised.tolist(),
+        "coordinates": game.archive.coordinates.tolist(),
         "policy": int(explained.played.path[0, 0, 1]),
         "axes": [
             {"name": one.name, "unit": one.unit, "meaning": one.meaning}

@@ -1,0 +1,85 @@
+"""Pages: Jinja templates with a common head and the look of a replay.
+
+``page.html`` is the head of all pages, ``document.html`` the page of a result: its name, one
+sentence and a line of facts, then pictures and tables. Colours and controls are the shared part
+``look`` of ``pcs_racing/race/replay.html``.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from typing import Any, NamedTuple
+
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from pcs_racing.race.replay import replay_page, safe_json
+from pcs_racing_agents.base.folders import package_version
+from pcs_racing_agents.base.tables import is_number
+
+_SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
+
+MAX_NAMED = 3
+"""Max number of agents that a sentence names after the first."""
+
+
+def player_page() -> str:
+    """Return the page of a replay, without a race."""
+    return files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
+
+
+def rendered(
+    package: str, name: str, filters: Mapping[str, Any] | None = None, **values: Any
+) -> str:
+    """Return a page from a template of a package; all text is escaped.
+
+    The filter ``page`` embeds a replay, the filter ``json`` writes values into a script element;
+    ``filters`` are further ones. ``look`` is the shared style, ``colours`` and ``reading`` are
+    shared parts of a script.
+    """
+    environment = Environment(
+        loader=ChoiceLoader(
+            [PackageLoader(one, "") for one in (package, "pcs_racing_agents.watch")]
+        ),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "page": replay_page,
+        "json": lambda content: Markup(safe_json(content)),
+        **(filters or {}),
+    }
+    environment.tests["number"] = is_number
+    shared = {part: Markup(text.strip()) for part, text in _SHARED.findall(player_page())}
+    version = f"pcs-racing {package_version()}"
+    return environment.get_template(name).render(version=version, **shared, **values)
+
+
+class Standing(NamedTuple):
+    """The score of an agent over all races of a table."""
+
+    name: str
+    score: float
+    low: float  #: ``low``, ``high``: 95 % interval of the score.
+    high: float
+    races: int
+
+
+def winner_text(standings: Sequence[Standing]) -> str:
+    """Return one sentence about the agent with the highest score and the agents close to it.
+
+    ``standings``: best first, at least one.
+    """
+    first, *others = standings
+    text = (
+        f"{first.name} scores highest: {first.score:.3f} [{first.low:.3f}, {first.high:.3f}] over"
+        f" {first.races:,} races"
+    )
+    close = [one for one in others if one.score >= first.low]
+    named = [f"{one.name} {one.score:.3f}" for one in (close or others)[:MAX_NAMED]]
+    more = len(close) - len(named)
+    if named:
+        text += f"; {'within this interval' if close else 'then'}: {', '.join(named)}"
+    return f"{text} and {more} more." if more > 0 else f"{text}."
