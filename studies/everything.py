@@ -53,7 +53,8 @@ def archive_step(seed: int, small: bool) -> Step:
 
 def contest_step(seed: int, maps: Path, out: Path, small: bool) -> Step:
     """Return the study of the contest with an archive."""
-    study = str(FIVE / "small_study.yaml") if small else "contest"
+    own = "small_study.yaml" if small else "table.yaml"
+    study = str(FIVE / own) if seed or small else "contest"
     real = [str(maps / name) for name in REAL]
     archive = ("--archive", str(out / f"archive-{seed}"), "--seed", str(seed))
     return Step(
