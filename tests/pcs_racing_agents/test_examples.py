@@ -28,13 +28,13 @@ EXAMPLES = REPOSITORY / "examples"
     ("script", "arguments", "said", "made"),
     [
         (
-            "tournament",
+            "policy_tournament",
             "--races 2 --duration 4 --out out",
             ["12 races of 4 s"],
             {"results.csv", "replay.html"},
         ),
         (
-            "all_play_all",
+            "agent_tournament",
             "--races 4 --agents never-switch random-moves lane-switcher --out out",
             ["12 races of 40 s", "equilibrium: "],
             {"results.csv"},
@@ -56,9 +56,9 @@ def test_races(tmp_path, script, arguments, said, made):
     assert made <= {path.name for path in tmp_path.rglob("*")}
 
 
-def test_the_papers_table(tmp_path):
+def test_the_table_of_the_paper(tmp_path):
     size = ("--egos", 2, "--variants", 2, "--lines", 1, "--arms", "never-switch", "cfr-argmax")
-    script = EXAMPLES / "papers_table.py"
+    script = EXAMPLES / "paper_table.py"
     out = run_python(script, "--tracks", "Tarnfjord", *size, "--out", "made", folder=tmp_path)
     assert "paper: GT" in out
     assert "paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142" in out
@@ -67,9 +67,9 @@ def test_the_papers_table(tmp_path):
     assert again == out  # from what was driven before
 
 
-def test_move_by_move(tmp_path):
+def test_a_race_is_explained_move_by_move(tmp_path):
     out = run_python(
-        EXAMPLES / "move_by_move.py",
+        EXAMPLES / "explain_a_race.py",
         "--track",
         "Pipkin",
         "--opponent",
@@ -78,7 +78,7 @@ def test_move_by_move(tmp_path):
     )
     assert out.startswith("cfr-argmax (policy ")
     assert out.count("  ego: ") == len(re.findall(r"^move \d: lead", out, re.MULTILINE)) >= 1
-    assert (tmp_path / "out" / "move_by_move" / "race.html").is_file()
+    assert (tmp_path / "out" / "explain_a_race" / "race.html").is_file()
 
 
 @pytest.mark.parametrize(

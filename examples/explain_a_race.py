@@ -1,8 +1,8 @@
 """One race between two agents, move by move: what the ego sees, what its moves are worth, what it
 does, what follows.
 
-    python examples/move_by_move.py
-    python examples/move_by_move.py --track Brackwater --ego response --seed 3 --wait
+    python examples/explain_a_race.py
+    python examples/explain_a_race.py --track Brackwater --ego response --seed 3 --wait
 
 The game is played by hand, with a step for each pair of moves; at the end the same race is written
 as a page to watch, with the moves marked. `pcs-racing explain` draws it as well.
@@ -40,7 +40,7 @@ def main() -> None:
     )
     parser.add_argument("--wait", action="store_true", help="wait for Enter before each move")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/move_by_move"), help="folder for the page"
+        "--out", type=Path, default=Path("out/explain_a_race"), help="folder for the page"
     )
     arguments = parser.parse_args()
 

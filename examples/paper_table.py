@@ -1,8 +1,8 @@
 """The paper's table in small: circuits seen and unseen, three kinds of opponents, and what
 switching brings.
 
-    python examples/papers_table.py
-    python examples/papers_table.py --egos 20 --variants 20 --lines 5  # 4,000 races a cell
+    python examples/paper_table.py
+    python examples/paper_table.py --egos 20 --variants 20 --lines 5  # 4,000 races a cell
 
 Every agent drives the same races of a row, so that their differences can be told from luck; the
 intervals know that races share ego policies, opponents and start lines. The shipped agents learned
@@ -50,7 +50,7 @@ def main() -> None:
         "--seed", type=int, default=0, help="root of start policies, variants, lines and noise"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("out/papers_table"), help="folder for races and table"
+        "--out", type=Path, default=Path("out/paper_table"), help="folder for races and table"
     )
     arguments = parser.parse_args()
 
@@ -65,7 +65,7 @@ def main() -> None:
         for number, opponent in enumerate(OPPONENTS)
         for arm in arguments.arms
     ]
-    with open_job(arguments.out / "races", "papers-table", {**size, "seed": arguments.seed}) as job:
+    with open_job(arguments.out / "races", "paper-table", {**size, "seed": arguments.seed}) as job:
         races = concatenate_races(play_pairings(pairings, job=job, progress=show_progress()))
 
     # 2. The table: each agent minus the first, race by race; beside it what the paper found.

@@ -1,8 +1,8 @@
 """All against all between agents of the zoo: table, payoff matrix, ratings, and the equilibrium of
 choosing an agent.
 
-    python examples/all_play_all.py
-    python examples/all_play_all.py --track Saltmere --rules paper --agents never-switch ppo
+    python examples/agent_tournament.py
+    python examples/agent_tournament.py --track Saltmere --rules paper --agents never-switch ppo
 
 Every pair drives the same races from both seats of the grid. Stop it and start it again: it goes on
 where it was.
@@ -61,7 +61,7 @@ def main() -> None:
         "--seed", type=int, default=0, help="root of start lines, start policies and noise"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("out/all_play_all"), help="folder for the results"
+        "--out", type=Path, default=Path("out/agent_tournament"), help="folder for the results"
     )
     arguments = parser.parse_args()
 

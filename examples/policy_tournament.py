@@ -1,7 +1,7 @@
 """A head-to-head tournament between policies of one planner, told apart by their weights.
 
-    python examples/tournament.py
-    python examples/tournament.py --track Brackwater --rules paper --races 100
+    python examples/policy_tournament.py
+    python examples/policy_tournament.py --track Brackwater --rules paper --races 100
 
 It prints the table and the payoff matrix, and writes the results and a replay of the liveliest
 race.
@@ -37,7 +37,7 @@ class Arguments:
     """length of a race in s"""
     seed: int = 0
     """root of start lines and noise"""
-    out: Path = Path("out/tournament")
+    out: Path = Path("out/policy_tournament")
     """folder for results.csv and replay.html"""
 
 
