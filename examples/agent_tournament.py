@@ -1,11 +1,10 @@
-"""All against all between agents of the zoo: table, payoff matrix, ratings, and the equilibrium of
-choosing an agent.
+"""Run a tournament between agents: table, payoff matrix, ratings and equilibrium.
 
     python examples/agent_tournament.py
     python examples/agent_tournament.py --track Saltmere --rules paper --agents never-switch ppo
 
-Every pair drives the same races from both seats of the grid. Stop it and start it again: it goes on
-where it was.
+Each pair of agents races on both sides of the start grid. A stopped tournament resumes from its
+folder.
 """
 
 import argparse
@@ -28,8 +27,7 @@ from pcs_racing_agents.tournament import (
     write_results,
 )
 
-# Agents that need no training; `pcs-racing agents` lists the others, and docs/agents.md says what
-# they need.
+# Agents without training; `pcs-racing agents` lists all agents.
 AGENTS = [
     "never-switch",
     "random-moves",
@@ -45,10 +43,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+        "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
     parser.add_argument(
-        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
     )
     parser.add_argument(
         "--archive", default="default-early", help="archive that the agents move in"
@@ -58,14 +56,14 @@ def main() -> None:
     )
     parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
     parser.add_argument(
-        "--seed", type=int, default=0, help="root of start lines, start policies and noise"
+        "--seed", type=int, default=0, help="seed of start lines, start policies and noise"
     )
     parser.add_argument(
-        "--out", type=Path, default=Path("out/agent_tournament"), help="folder for the results"
+        "--out", type=Path, default=Path("out/agent_tournament"), help="folder of the results"
     )
     arguments = parser.parse_args()
 
-    # 1. Everything is checked before a race is driven.
+    # 1. The plan: all input is checked before the first race.
     plan = plan_tournament(
         load_track(arguments.track),
         arguments.agents,
@@ -75,7 +73,7 @@ def main() -> None:
         seed=arguments.seed,
     )
 
-    # 2. The races. The folder keeps what has been driven, and refuses results of other settings.
+    # 2. The races. The folder saves them, and refuses races of other settings.
     with (
         open_job(arguments.out, "tournament", tournament_settings(plan)) as job,
         make_executor("threads") as executor,
@@ -84,7 +82,7 @@ def main() -> None:
     print(tournament_text(tournament))
     print("results:", write_results(tournament.races, arguments.out / "results.csv"))
 
-    # 3. Ratings, with intervals from drawing start lines again.
+    # 3. Ratings, with intervals by resampling start lines.
     rows = [row for row in tournament.races if row.winner or not row.crash]
     result = [{"ego": 1, "opponent": -1, "": 0}[row.winner] for row in rows]
     lines = [row.race // 2 for row in rows]
@@ -92,15 +90,14 @@ def main() -> None:
     ratings = rate(
         [row.ego for row in rows], [row.opponent for row in rows], result, unit=lines, rng=rng
     )
-    print("\nlog-odds of winning, with 95 % intervals")
+    print("\nrating (log-odds of winning) and 95 % interval")
     for i in np.argsort(-ratings.strength):
         print(
             f"  {ratings.names[i]:24s} {ratings.strength[i]:+.2f}  [{ratings.low[i]:+.2f},"
             f" {ratings.high[i]:+.2f}]"
         )
 
-    # 4. How often to send whom, if the other side chooses its agent as cleverly: an equilibrium of
-    # that game.
+    # 4. An equilibrium of the game in which both sides choose an agent.
     weights = solvers.solve_matrix_games(excess(tournament.summary.scores)).rows[0]
     shares = zip(weights, plan.names, strict=True)
     print(

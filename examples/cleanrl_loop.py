@@ -1,16 +1,14 @@
-"""Learn to steer in one file, in the manner of CleanRL: PPO's loop over the vector environment,
-nothing hidden.
+"""Train steering and speed by PPO in one file, in the style of CleanRL.
 
     python examples/cleanrl_loop.py
     python examples/cleanrl_loop.py --steps 3000000 --opponent lattice:pace=0.3
 
-The car learns to drive alone (default), or against a planner. It prints a line for every tenth of
-the training, then drives ten episodes with the policy's mean. Run with gymnasium 1.4.0 and torch
-2.13.0.
+The car trains alone (default) or against a planner. A line for every tenth of the training reports
+progress and crashes; then the mean of the policy drives ten episodes. Tested with gymnasium 1.4.0
+and torch 2.13.0.
 """
 
 import argparse
-from dataclasses import dataclass, fields
 
 import gymnasium as gym
 import numpy as np
@@ -25,40 +23,8 @@ except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """What can be chosen on the command line."""
-
-    steps: int = 150_000
-    """steps to learn from"""
-    track: str = "Tarnfjord"
-    """name of a shipped circuit or a map folder"""
-    opponent: str = "none"
-    """none, or a planner's policy such as lattice:pace=0.3"""
-    envs: int = 64
-    """races side by side"""
-    rollout: int = 64
-    """steps of each race between two updates"""
-    epochs: int = 5
-    """passes over a rollout"""
-    minibatches: int = 8
-    """parts of a pass"""
-    learning_rate: float = 1e-3
-    """step size of the optimiser, falling to 0"""
-    gamma: float = 0.99
-    """discount per step of 0.1 s"""
-    gae_lambda: float = 0.95
-    """decay of the advantage estimates"""
-    clip: float = 0.2
-    """how far the policy may move from the one that drove"""
-    entropy: float = 0.0
-    """weight of the entropy"""
-    seed: int = 0
-    """root of everything random"""
-
-
 class Agent(nn.Module):
-    """Mean and spread of the action, and the value of the state."""
+    """Policy (mean and standard deviation of the action) and value function."""
 
     def __init__(self, observations: int, actions: int) -> None:
         super().__init__()
@@ -67,7 +33,7 @@ class Agent(nn.Module):
         self.log_spread = nn.Parameter(torch.full((actions,), -0.5))
 
     def action(self, seen: torch.Tensor) -> Normal:
-        """What it would do, and how surely."""
+        """Return the distribution of the action."""
         return Normal(self.mean(seen), self.log_spread.exp())
 
 
@@ -82,7 +48,7 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
 
 
 def main() -> None:
-    a = parse(Arguments)
+    a = parse()
     torch.manual_seed(a.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     opponent = None if a.opponent == "none" else a.opponent
@@ -96,8 +62,7 @@ def main() -> None:
     size, actions = envs.single_observation_space.shape[0], envs.single_action_space.shape[0]
     agent = Agent(size, actions)
     optimiser = torch.optim.Adam(agent.parameters(), lr=a.learning_rate, eps=1e-5)
-    # The bounds are wide: most elements move in a small part of [-1, 1]. A running scale spreads
-    # them.
+    # Most elements vary in a small part of [-1, 1]: a running scale normalizes them.
     scale = RunningScale(size)
     seen = torch.as_tensor(envs.reset(seed=a.seed)[0])
     updates = max(1, a.steps // (a.envs * a.rollout))
@@ -128,7 +93,7 @@ def main() -> None:
             dones[t] = torch.as_tensor(done, dtype=torch.float32)
             for i in np.flatnonzero(done):
                 ended.append((info["final_info"]["progress"][i], terminated[i]))
-                if truncated[i]:  # cut off by the clock: what would have come counts
+                if truncated[i]:  # end of time: add the value of the last state
                     with torch.no_grad():
                         beyond[t, i] = agent.value(scale(torch.as_tensor(info["final_obs"][i])))[0]
         with torch.no_grad():
@@ -163,15 +128,15 @@ def main() -> None:
             progress, crashes = np.mean(ended, axis=0)
             steps = (update + 1) * a.envs * a.rollout
             print(
-                f"{steps:9d} steps: {progress:6.1f} m an episode, {crashes:5.1%} end in a crash",
+                f"{steps:9d} steps: mean progress {progress:6.1f} m, crash rate {crashes:5.1%}",
                 flush=True,
             )
             ended.clear()
     drive(agent, scale, a, opponent)
 
 
-def drive(agent: Agent, scale: "RunningScale", a: Arguments, opponent: str | None) -> None:
-    """Ten episodes with the mean of the policy."""
+def drive(agent: Agent, scale: "RunningScale", a: argparse.Namespace, opponent: str | None) -> None:
+    """Drive ten episodes with the mean of the policy."""
     env = gym.make("pcs_racing/Drive-v1", track=a.track, opponent=opponent, normalize=True)
     for episode in range(10):
         seen, _ = env.reset(seed=1_000_000 + episode)
@@ -188,13 +153,13 @@ def drive(agent: Agent, scale: "RunningScale", a: Arguments, opponent: str | Non
 
 
 class RunningScale:
-    """Mean and variance of all observations so far (Chan et al. 1979), to normalise with."""
+    """Running mean and variance of observations (Chan et al. 1979)."""
 
     def __init__(self, size: int) -> None:
         self.mean, self.variance, self.count = torch.zeros(size), torch.ones(size), 1e-4
 
     def __call__(self, seen: torch.Tensor, learn: bool = False) -> torch.Tensor:
-        """Normalise observations, after learning from them if asked."""
+        """Normalize observations, after an update of the scale if ``learn``."""
         if learn:
             count, total = len(seen), self.count + len(seen)
             shift = seen.mean(0) - self.mean
@@ -206,16 +171,30 @@ class RunningScale:
         return ((seen - self.mean) / (self.variance + 1e-8).sqrt()).clamp(-10.0, 10.0)
 
 
-def parse(kind: type[Arguments]) -> Arguments:
-    """Command-line options from the fields of a dataclass."""
+def parse() -> argparse.Namespace:
+    """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    for field in fields(kind):
-        parser.add_argument(
-            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
-        )
-    return kind(**vars(parser.parse_args()))
+    option = parser.add_argument
+    option("--steps", type=int, default=150_000, help="training steps of all races together")
+    option("--track", default="Tarnfjord", help="name of a shipped track or a map folder")
+    option("--opponent", default="none", help="none, or a policy such as lattice:pace=0.3")
+    option("--envs", type=int, default=64, help="races at once")
+    option("--rollout", type=int, default=64, help="steps of each race between two updates")
+    option("--epochs", type=int, default=5, help="passes over a rollout")
+    option("--minibatches", type=int, default=8, help="minibatches of a pass")
+    option(
+        "--learning-rate", type=float, default=1e-3, help="initial learning rate, which falls to 0"
+    )
+    option("--gamma", type=float, default=0.99, help="discount of a step of 0.1 s")
+    option(
+        "--gae-lambda", type=float, default=0.95, help="lambda of generalized advantage estimation"
+    )
+    option("--clip", type=float, default=0.2, help="clip range of the probability ratio")
+    option("--entropy", type=float, default=0.0, help="weight of the entropy")
+    option("--seed", type=int, default=0, help="seed of all random numbers")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,12 +1,12 @@
-r"""Self-play PPO in one file, in the manner of CleanRL, on what the benchmark lets agents train on;
-and its entry.
+r"""Train self-play PPO in one file, in the style of CleanRL, and enter the benchmark.
 
     python examples/cleanrl_self_play.py
     pcs-racing benchmark card examples.cleanrl_self_play:make_agent \
         --weights out/cleanrl/actor.safetensors --out out/card
 
-One network moves both cars of every game and learns from both sides. The second command is typed in
-the folder that holds ``examples``. Run with torch 2.13.0.
+One network moves both cars of every game and learns from both sides, on the training tracks of the
+benchmark. Run the second command in the folder that contains ``examples``. Tested with torch
+2.13.0.
 """
 
 import argparse
@@ -24,7 +24,7 @@ except ModuleNotFoundError as error:
 
 ENVS, ROLLOUT, EPOCHS, MINIBATCH = 64, 16, 8, 256
 GAE_LAMBDA, CLIP, ENTROPY, LEARNING_RATE = 0.95, 0.2, 0.02, 1e-3
-# A game has four moves and one reward at its end: nothing is discounted.
+# A game has four moves and one reward at its end: no discount.
 
 
 def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
@@ -38,7 +38,7 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
 
 
 def make_agent(spec, weights):
-    """What the benchmark calls."""
+    """Return the trained agent; the benchmark calls this function."""
     from pcs_racing_agents.agents import TorchPolicy
 
     actor = network(len(spec.elements), spec.offered, 0.01)
@@ -51,11 +51,11 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--steps", type=int, default=60_000, help="moves to learn from, those of both cars counted"
+        "--steps", type=int, default=60_000, help="training moves of both cars together"
     )
-    parser.add_argument("--seed", type=int, default=0, help="root of everything random")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/cleanrl"), help="folder for actor.safetensors"
+        "--out", type=Path, default=Path("out/cleanrl"), help="folder of actor.safetensors"
     )
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
@@ -116,7 +116,7 @@ def main() -> None:
                 nn.utils.clip_grad_norm_([*actor.parameters(), *critic.parameters()], 0.5)
                 optimiser.step()
         if (update + 1) % max(1, updates // 10) == 0:
-            # The return would say nothing: what one car wins the other one loses.
+            # The mean return is 0: one car wins what the other one loses.
             with torch.no_grad():
                 entropy = Categorical(logits=actor(flat[0])).entropy().mean()
             print(f"{(update + 1) * ENVS * ROLLOUT:8d} moves: entropy {entropy:.3f}", flush=True)

@@ -1,12 +1,11 @@
-"""A planner of your own: compiled, with two parameters, raced against the lattice planner and in a
-tournament.
+"""Write a compiled planner with two parameters, and race it in a tournament.
 
     python examples/custom_planner.py
     python examples/custom_planner.py --track Saltmere --races 100 --pace 0.3
 
-The driver below keeps to a line between the race line and the middle of the track: near the race
-line it is fast, in the middle it has more air. A table shows what that does to its races; then
-three of its drivers enter a tournament with agents of the zoo. Read the file from top to bottom;
+The planner follows a line between the race line and the middle of the track: it is faster near the
+race line, and has more distance to the walls in the middle. A table shows the effect of the
+parameter ``caution``; then three policies of the planner enter a tournament with agents of the zoo.
 docs/planners.md explains every part.
 """
 
@@ -35,51 +34,50 @@ from pcs_racing.planners import (
     register_planner,
     to_cartesian,
 )
-from pcs_racing.planners import view as view_of  # the names of the numbers in `view`
+from pcs_racing.planners import view as view_of  # indices of `view`
 from pcs_racing_agents.tournament import play_tournament, tournament_text
 
-# 1. The parameters: what `theta` holds, with bounds and a default. Synthesis searches between the
-# bounds.
+# 1. The parameters, in the order of `theta`, with bounds and a default. Synthesis searches between
+# the bounds.
 PARAMETERS = (
     Parameter(
         "pace",
         0.0,
         1.0,
         0.5,
-        "speed scale between the slowest (0) and fastest (1) of the race's speed range",
+        "speed scale, from the minimum (0) to the maximum (1) of the race's speed range",
     ),
     Parameter(
         "caution",
         0.0,
         1.0,
         0.3,
-        "where to drive, from the race line (0) to the middle of the track (1)",
+        "lateral position, from the race line (0) to the middle of the track (1)",
     ),
 )
 PACE, CAUTION = range(2)
 
 
-# 2. The plan, ten times a second. It is compiled: plain numbers and loops, no Python objects, no
+# 2. The plan, ten times a second. It is compiled: numbers and loops, no Python objects, no
 # exceptions.
 @compiled
 def plan(track, theta, view, memory, scratch, path):
     line = track.line
     s, d, v = view[view_of.OWN_S], view[view_of.OWN_D], view[view_of.OWN_V]
 
-    # Speed: the profile at the scale that the pace stands for, but no faster than keeps 1.5 m to a
-    # car in front.
+    # Speed: the speed profile times the scale of `pace`, limited to keep 1.5 m to a car in front.
     scale = view[view_of.SPEED_LOW] + theta[PACE] * (
         view[view_of.SPEED_HIGH] - view[view_of.SPEED_LOW]
     )
     gap = view[view_of.GAP]
-    gap -= np.floor(gap / track.length + 0.5) * track.length  # laps do not matter, places do
-    most = np.inf
+    gap -= np.floor(gap / track.length + 0.5) * track.length  # without laps
+    max_speed = np.inf
     if gap > 0.0 and abs(view[view_of.OPP_D] - d) < 0.45:
-        most = max(view[view_of.OPP_V] + 1.2 * (gap - 1.5), 0.0)
+        max_speed = max(view[view_of.OPP_V] + 1.2 * (gap - 1.5), 0.0)
 
     # Twelve points for the default `control` to follow by pure pursuit. Their distance from the
     # race line is a cubic that starts along the car's course, `rise` metres sideways over its
-    # length, and ends where the driver wants to be.
+    # length, and ends at the goal.
     length = 1.5 + 0.2 * v
     course = view[view_of.OWN_PSI] + view[view_of.OWN_BETA]
     here = line[int(s / track.ds)]
@@ -90,12 +88,12 @@ def plan(track, theta, view, memory, scratch, path):
         goal = theta[CAUTION] * 0.5 * (there[LEFT] - there[RIGHT])
         across = goal + (1.0 - u) ** 2 * ((1.0 + 2.0 * u) * (d - goal) + u * rise)
         path[j, PATH_X], path[j, PATH_Y], _ = to_cartesian(track, s + u * length, across)
-        path[j, PATH_SPEED] = min(scale * there[SPEED], most)
+        path[j, PATH_SPEED] = min(scale * there[SPEED], max_speed)
         path[j, PATH_KAPPA] = there[KAPPA]
 
 
-# 3. The planner is a value. Registered, it has a name: `parse_policy("cautious:pace=0.8")` makes
-# one of its policies.
+# 3. The planner. Once it is registered, `parse_policy("cautious:pace=0.8")` makes one of its
+# policies.
 CAUTIOUS = Planner("cautious", PARAMETERS, plan=plan)
 
 
@@ -104,16 +102,16 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--track", default="Larkmoor", help="name of a shipped circuit or a map folder"
+        "--track", default="Larkmoor", help="name of a shipped track or a map folder"
     )
     parser.add_argument(
-        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
     )
     parser.add_argument(
         "--pace", type=float, default=0.6, help="pace of both planners, from 0 to 1"
     )
-    parser.add_argument("--races", type=int, default=40, help="races for each row of the table")
-    parser.add_argument("--seed", type=int, default=0, help="root of the start lines and the noise")
+    parser.add_argument("--races", type=int, default=40, help="races of each row of the table")
+    parser.add_argument("--seed", type=int, default=0, help="seed of start lines and noise")
     arguments = parser.parse_args()
 
     register_planner(CAUTIOUS)
@@ -137,8 +135,7 @@ def main() -> None:
             f"{result.own_crash[:, 0].mean():12.0%}{result.lead.mean():+16.1f} m{ittc:10.2f} s"
         )
 
-    # 4. A tournament: a policy may stand wherever an agent may. Here every pair meets in the same
-    # races.
+    # 4. A tournament of policies and agents. All pairs drive the same races.
     mine = {
         f"caution {c:g}": CAUTIOUS.policy({"pace": arguments.pace, "caution": c})
         for c in (0.0, 0.3, 1.0)

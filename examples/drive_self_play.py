@@ -1,24 +1,18 @@
-"""Learn to race by self-play: one PPO policy steers both cars of every race, and learns from both
-sides.
-
-Against nobody but its equal, a policy forgets how to pass: no car is slower, and the other one
-always makes room. So in every race one of the cars has less speed at its command, and in half of
-them that car does not see the other.
+"""Train one PPO policy by self-play to steer both cars of every race.
 
     python examples/drive_self_play.py
     python examples/drive_self_play.py --steps 8000000
 
-It prints a line for every tenth of the training, with the time that is left, and then races drivers
-that the policy has never met: lattice planners, which are the policies of the archives, and
-ppo-drive. The default is a look at how it works, in a few minutes. 8,000,000 steps took 2 min 10 s
-of processor time in one thread; the policy then won 13 % of its races against lattice planners in
-the paper's race and 19 % in the contest, and 45 % and 60 % against ppo-drive (seed 0). Run with
-stable-baselines3 2.9.2.
+Between equal cars that make room for each other, a policy forgets how to overtake. Therefore one
+car of every race has less speed, and in half of the races that car does not observe the other one.
+
+A line for every tenth of the training reports the time left. The policy then races held-out
+opponents: the policies of two archives, and ppo-drive. The default takes a few minutes;
+docs/environments.md has results of 8,000,000 steps. Tested with stable-baselines3 2.9.2.
 """
 
 import argparse
 import time
-from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -38,34 +32,6 @@ except ModuleNotFoundError as error:
 
 RULES = {"paper": "default-early", "contest": "contest-early"}
 """Rules of the races, and the archive that was made under them."""
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """What can be chosen on the command line."""
-
-    steps: int = 500_000
-    """steps to learn from, both cars' counted"""
-    track: str = "Tarnfjord"
-    """name of a shipped circuit or a map folder"""
-    envs: int = 512
-    """cars that learn at once, a multiple of 4: half of the races under each of the two rules"""
-    rollout: int = 32
-    """steps of each car between two updates"""
-    duration: float = 20.0
-    """seconds of a race while it learns, a multiple of 0.1; afterwards races last 40 s"""
-    slowest: float = 0.5
-    """least share of its speed that the slower car of a race has"""
-    rivalry: float = 0.5
-    """share of the opponent's progress that is taken off the own one"""
-    learning_rate: float = 1e-3
-    """step size of the optimiser, falling to a tenth"""
-    races: int = 200
-    """races against each kind of opponent afterwards"""
-    threads: int = 1
-    """threads of torch"""
-    seed: int = 0
-    """root of everything random"""
 
 
 class UnequalCars(VecEnvWrapper):
@@ -129,12 +95,12 @@ class UnequalCars(VecEnvWrapper):
 
 
 class Progress(BaseCallback):
-    """Prints a line for every tenth of the training: time left, and how the policy does."""
+    """Prints a line for every tenth of the training: time left, and races won."""
 
     def __init__(self, steps: int, races: int, seen: dict[str, Any]) -> None:
         super().__init__()
         self.steps, self.said, self.began = steps, 0, time.monotonic()
-        self.rivals = [lattice_races(race, races, seen) for race in RULES]
+        self.rivals = [archive_races(race, races, seen) for race in RULES]
 
     def _on_step(self) -> bool:
         return True
@@ -153,14 +119,14 @@ class Progress(BaseCallback):
         print(
             f"{self.num_timesteps:10,} steps  {spent:5.1f} min, about"
             f" {spent / share * (1 - share):5.1f} left   races last {length:4.1f} s   won against"
-            " lattice: "
+            " the archive: "
             + ", ".join(f"{rate:.0%} ({race})" for rate, race in zip(won, RULES, strict=True)),
             flush=True,
         )
 
 
 def main() -> None:
-    arguments = parse(Arguments)
+    arguments = parse()
     torch.set_num_threads(arguments.threads)
     seen = {
         "track": arguments.track,
@@ -198,7 +164,7 @@ def main() -> None:
     print(f"{'opponent':28} {'rules':8} {'won':>6} {'lead':>7} {'own crash':>9}")
     for race, archive in RULES.items():
         rivals = {
-            f"lattice, archive {archive}": lattice_races(race, arguments.races, seen),
+            f"archive {archive}": archive_races(race, arguments.races, seen),
             "ppo-drive": DriveVectorEnv(arguments.races, opponent="ppo-drive", race=race, **seen),
         }
         for name, against in rivals.items():
@@ -211,8 +177,8 @@ def main() -> None:
             )
 
 
-def lattice_races(race: str, count: int, seen: dict[str, Any]) -> DriveVectorEnv:
-    """Races against the policies of the rules' archive, of which one is drawn for each race."""
+def archive_races(race: str, count: int, seen: dict[str, Any]) -> DriveVectorEnv:
+    """Make races against the archive of the rules; the opponent's policy is drawn for each race."""
     archive = load_archive(RULES[race])
     return DriveVectorEnv(
         count, opponent=[archive.policy(k) for k in range(len(archive))], race=race, **seen
@@ -220,7 +186,7 @@ def lattice_races(race: str, count: int, seen: dict[str, Any]) -> DriveVectorEnv
 
 
 def race_against(model: PPO, races: DriveVectorEnv) -> dict[str, np.ndarray]:
-    """Infos at the end of the first race of each environment, driven with the policy's mean."""
+    """Drive a race in each environment with the policy's mean; return the infos at its end."""
     scale = model.get_vec_normalize_env()
     observations, info = races.reset(seed=1_000_000)
     over = np.zeros(races.num_envs, bool)
@@ -235,16 +201,46 @@ def race_against(model: PPO, races: DriveVectorEnv) -> dict[str, np.ndarray]:
     return ends
 
 
-def parse(kind: type[Any]) -> Any:
-    """Read the command line into a dataclass; the texts behind its fields are the help."""
+def parse() -> argparse.Namespace:
+    """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    for field in fields(kind):
-        parser.add_argument(
-            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
-        )
-    return kind(**vars(parser.parse_args()))
+    option = parser.add_argument
+    option("--steps", type=int, default=500_000, help="training steps of all cars together")
+    option("--track", default="Tarnfjord", help="name of a shipped track or a map folder")
+    option(
+        "--envs",
+        type=int,
+        default=512,
+        help="cars at once, a multiple of 4; half of the races have the rules paper",
+    )
+    option("--rollout", type=int, default=32, help="steps of each car between two updates")
+    option(
+        "--duration",
+        type=float,
+        default=20.0,
+        help="length of a training race in s, a multiple of 0.1; test races last 40 s",
+    )
+    option(
+        "--slowest", type=float, default=0.5, help="minimum speed share of the slower car of a race"
+    )
+    option(
+        "--rivalry",
+        type=float,
+        default=0.5,
+        help="share of the opponent's progress to subtract from the reward",
+    )
+    option(
+        "--learning-rate",
+        type=float,
+        default=1e-3,
+        help="initial learning rate, which falls to a tenth",
+    )
+    option("--races", type=int, default=200, help="test races against each opponent")
+    option("--threads", type=int, default=1, help="threads of torch")
+    option("--seed", type=int, default=0, help="seed of all random numbers")
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,11 +1,10 @@
-"""One race between two agents, move by move: what the ego sees, what its moves are worth, what it
-does, what follows.
+"""Explain a race between two agents: observations, moves and their probabilities.
 
     python examples/explain_a_race.py
     python examples/explain_a_race.py --track Brackwater --ego response --seed 3 --wait
 
-The game is played by hand, with a step for each pair of moves; at the end the same race is written
-as a page to watch, with the moves marked. `pcs-racing explain` draws it as well.
+The race advances by one pair of moves at a time. At the end the same race is written as a replay
+page with the moves marked. ``pcs-racing explain`` does so for a race of a results folder.
 """
 
 import argparse
@@ -25,10 +24,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+        "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
     parser.add_argument(
-        "--rules", default="paper", help="rules of the race: paper, contest or a YAML file"
+        "--rules", default="paper", help="race rules: paper, contest or a YAML file"
     )
     parser.add_argument(
         "--archive", default="default-early", help="archive that the agents move in"
@@ -36,11 +35,11 @@ def main() -> None:
     parser.add_argument("--ego", default="cfr-argmax", help="agent in car 0")
     parser.add_argument("--opponent", default="never-switch", help="agent in car 1")
     parser.add_argument(
-        "--seed", type=int, default=3, help="root of start, start policies and noise"
+        "--seed", type=int, default=3, help="seed of start, start policies and noise"
     )
     parser.add_argument("--wait", action="store_true", help="wait for Enter before each move")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/explain_a_race"), help="folder for the page"
+        "--out", type=Path, default=Path("out/explain_a_race"), help="folder of the page"
     )
     arguments = parser.parse_args()
 
@@ -52,7 +51,7 @@ def main() -> None:
     ]
     axes = len(game.archive.characteristics)
 
-    # 1. A race drawn by the seed; both cars drive their first policies for a step and only watch.
+    # 1. A race drawn by the seed; both cars drive their start policies for a step, without moves.
     first = np.random.default_rng(arguments.seed).integers(len(game.archive), size=2)
     start = draw_starts(game.track, game.setup.config, 1, arguments.seed)
     key = race_seeds(arguments.seed, 1)  # of the noise
@@ -62,11 +61,11 @@ def main() -> None:
         f" {game.track.name}"
     )
 
-    # 2. A move for each step, until the race is over.
+    # 2. A pair of moves for each step, until the race is over.
     while not game.done(state)[0]:
         if arguments.wait:
             input("Enter: next move ")
-        seen = game.observation(state)  # (1, 2, D): what each car has seen so far
+        seen = game.observation(state)  # (1, 2, D): an observation for each car
         point = observing.opponent(seen[:, 0], axes)[0]
         about = ", ".join(
             f"{name} {value:.2f}"
@@ -76,16 +75,16 @@ def main() -> None:
         chances = cars[0].probabilities(seen[:, 0])[0]
         before = state.leads[0, state.step[0]]
         state = game.step(state, np.array([moves]))
-        told = [game.move_names[move] for move in moves]
-        print(f"move {int(state.step[0])}: lead {before:+.1f} m; the opponent drove at {about}")
+        made = [game.move_names[move] for move in moves]
+        print(f"move {int(state.step[0])}: lead {before:+.1f} m; measured opponent: {about}")
+        chance, policy = chances[moves[0]], state.policy[0, 0]
         print(
-            f"  ego: {told[0]} (chance {chances[moves[0]]:.0%}), now policy {state.policy[0, 0]};"
-            f" opponent: {told[1]}"
+            f"  ego: {made[0]} (probability {chance:.0%}), now policy {policy}; opponent: {made[1]}"
         )
 
     # 3. The same race again, recorded.
     recording = repeat_race(Pairing(game, *cars, first[None], start, key), 0)
-    assert recording.played.lead[0] == state.race.lead[0]  # the very same race
+    assert recording.played.lead[0] == state.race.lead[0]  # identical
     print(recording.replay.outcome)
     replay = watch.mark_moves(recording.replay, recording.played, game.move_names, game.config.ends)
     arguments.out.mkdir(parents=True, exist_ok=True)

@@ -1,10 +1,10 @@
-"""The parameters of a car from its log, from our own simulation with noise and back.
+"""Identify the parameters of a car from the log of a test drive.
 
     python examples/identify_a_car.py
     python examples/identify_a_car.py --duration 60
 
-A known car makes a test drive; its log is written as csv, read again, and the car is identified
-from another start car. With a log of your own, this is
+A simulated car with known parameters makes a test drive, with sensor noise. Its log is written as
+CSV and read again; the identification begins with other parameters. For a log of your own:
 ``pcs-racing identify drive.csv --out my_car.yaml``.
 """
 
@@ -38,13 +38,15 @@ def main() -> None:
     )
     parser.add_argument("--duration", type=float, default=30.0, help="length of the log in s")
     parser.add_argument("--seed", type=int, default=1, help="seed of the drive and of the noise")
-    parser.add_argument("--out", type=Path, default=Path("out/identify_a_car"), help="folder")
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/identify_a_car"), help="output folder"
+    )
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
 
     car = load_vehicle({**KNOWN, **HIDDEN})
     log = record_test_drive(car, arguments.duration, noise=SensorNoise(), seed=arguments.seed)
-    # Few cars measure their speed across.
+    # Few cars measure their lateral speed.
     file = write_log(log.without("v_y"), arguments.out / "drive.csv")
 
     found = identify(read_log(file), load_vehicle(KNOWN))
@@ -54,7 +56,7 @@ def main() -> None:
         true = getattr(car, one.name)
         print(f"{one.name:<16}{true:8.3f}{one.value:8.3f}{1.96 * one.deviation:8.3f}{about}")
     fresh = record_test_drive(car, 10.0, effort=0.4, seed=arguments.seed + 1)
-    print(f"yaw rate of another drive: {yaw_rate_error(found.vehicle, fresh):.1%} RMS error")
+    print(f"yaw rate of a held-out drive: {yaw_rate_error(found.vehicle, fresh):.1%} RMS error")
     print("car:", write_vehicle(found, arguments.out / "my_car.yaml"))
 
 

@@ -1,18 +1,17 @@
-"""Learn to race against a league: planners of several families and frozen copies of the learner.
+"""Train PPO against a league of planners and frozen copies of the policy.
 
     python examples/league_ppo.py
     python examples/league_ppo.py --steps 8000000 --rounds 16
 
-A round trains PPO with large batches against opponents that are drawn for each race. Opponents that
-give even races are drawn most often, so difficulty rises with success. At the end of a round a copy
-of the policy joins the league, and a line says how often the policy beats planners. A stopped
-training goes on from its folder, with the same league and a model that continues from its weights.
-Run with stable-baselines3 2.9.2.
+A round trains PPO with large batches. The opponent of each race is drawn; opponents that give even
+races are drawn most often, so the difficulty rises with success. At the end of a round a copy of
+the policy joins the league, and a line reports the races won against planners. A stopped training
+resumes from its folder, with the same league and the saved weights. Tested with stable-baselines3
+2.9.2.
 """
 
 import argparse
 import time
-from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -43,26 +42,6 @@ PLANNERS = {
 
 TESTS = ("gap-follower:top_speed=4", "pure-pursuit", "stanley", "lattice")
 """Opponents of the test races; ``stanley`` is never in the league."""
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """What can be chosen on the command line."""
-
-    steps: int = 1_000_000
-    """steps of the training"""
-    rounds: int = 4
-    """rounds, each of which adds a copy to the league"""
-    track: str = "Tarnfjord"
-    """name of a shipped circuit or a map folder"""
-    envs: int = 512
-    """races side by side"""
-    races: int = 100
-    """test races against each planner after a round"""
-    seed: int = 0
-    """root of everything random"""
-    out: Path = Path("out/league_ppo")
-    """folder for the league and model.zip"""
 
 
 def main() -> None:
@@ -127,15 +106,27 @@ def test(model: PPO, races: DriveVectorEnv) -> float:
     return won.mean()
 
 
-def parse() -> Arguments:
-    """Turn every field of the arguments into an option with its default and type."""
+def parse() -> argparse.Namespace:
+    """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    for field in fields(Arguments):
-        kind = type(field.default)
-        parser.add_argument(f"--{field.name}", type=kind, default=field.default)
-    return Arguments(**vars(parser.parse_args()))
+    option = parser.add_argument
+    option("--steps", type=int, default=1_000_000, help="training steps of all races together")
+    option(
+        "--rounds", type=int, default=4, help="rounds; each adds a copy of the policy to the league"
+    )
+    option("--track", default="Tarnfjord", help="name of a shipped track or a map folder")
+    option("--envs", type=int, default=512, help="races at once")
+    option("--races", type=int, default=100, help="test races against each planner after a round")
+    option("--seed", type=int, default=0, help="seed of all random numbers")
+    option(
+        "--out",
+        type=Path,
+        default=Path("out/league_ppo"),
+        help="folder of the league and model.zip",
+    )
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,14 +1,13 @@
-r"""MaskablePPO of sb3-contrib on what the benchmark lets agents train on, and its entry into the
-benchmark.
+r"""Train MaskablePPO of sb3-contrib, and enter it in the benchmark.
 
     python examples/maskable_ppo.py
     pcs-racing benchmark card examples.maskable_ppo:make_agent \
         --weights out/maskable_ppo/model.zip --out out/cards/maskable
 
-Two moves that lead to the same policy are one choice. In training the second one is masked, so that
-the network learns nothing about it; when the agent races, the mask is worked out from the
-observation. The second command is typed in the folder that holds ``examples``. Run with sb3-contrib
-2.9.2.
+Two moves that lead to the same policy are one choice: the training masks the second one, and a race
+computes the mask from the observation. The training uses the tracks and opponents that the
+benchmark allows. Run the second command in the folder that contains ``examples``. Tested with
+sb3-contrib 2.9.2.
 """
 
 import argparse
@@ -33,26 +32,24 @@ except ModuleNotFoundError as error:
 
 WORLD = {"archive": "contest-early", "race": "contest"}
 """Archive and rules of the benchmark."""
-CIRCUITS = ["Brackwater", "Pipkin"]
-"""The circuits that it lets agents train on."""
+TRACKS = ["Brackwater", "Pipkin"]
+"""Training tracks of the benchmark."""
 OPPONENTS = ["never-switch", "random-moves"]
-"""The opponents that it lets them train against: one keeps its policy, one draws every move."""
+"""Training opponents of the benchmark: one keeps its policy, one draws every move."""
 
 
 @dataclass(frozen=True, eq=False)
 class MaskedAgent:
-    """A model of sb3-contrib that races without its environment: it works out the mask from the
-    observation.
-    """
+    """A model of sb3-contrib without its environment: the observation gives the mask."""
 
-    policy: Any  # the model's network: its weights tell the agent from others
+    policy: Any  # the network: its weights identify the agent
     spec: GameSpec
     name: str = "maskable-ppo"
 
     def act(self, observations: np.ndarray, turn: Any = None) -> np.ndarray:
-        """Return the most probable move of the moves that are not masked."""
+        """Return the most probable unmasked moves."""
         archive = self.spec.archive
-        # the own policy, exactly
+        # the agent's current policies
         driven = archive.nearest(observing.own(observations, len(archive.characteristics)))
         masks = ~duplicate_moves(self.spec.table[:, : self.spec.offered])[driven]
         return self.policy.predict(observations, deterministic=True, action_masks=masks)[0]
@@ -67,15 +64,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--steps", type=int, default=60_000, help="moves to learn from")
-    parser.add_argument("--seed", type=int, default=0, help="root of everything random")
+    parser.add_argument("--steps", type=int, default=60_000, help="training moves")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/maskable_ppo"), help="folder for model.zip"
+        "--out", type=Path, default=Path("out/maskable_ppo"), help="folder of model.zip"
     )
     given = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     given.out.mkdir(parents=True, exist_ok=True)
-    envs = make_sb3_vec_env("duel", 64, track=CIRCUITS, opponent=OPPONENTS, **WORLD)
+    envs = make_sb3_vec_env("duel", 64, track=TRACKS, opponent=OPPONENTS, **WORLD)
     model = MaskablePPO(
         "MlpPolicy",
         envs,
@@ -87,12 +84,12 @@ def main() -> None:
         gamma=1.0,
         ent_coef=0.01,
         policy_kwargs={"net_arch": [64, 64]},
-        stats_window_size=2000,  # games in the figure below
+        stats_window_size=2000,  # games in the mean below
         device="cpu",
     )
     model.learn(given.steps)
     games = [episode["r"] for episode in model.ep_info_buffer]
-    print(f"return of the last {len(games)} games of the training: {np.mean(games):+.3f}")
+    print(f"mean return of the last {len(games)} training games: {np.mean(games):+.3f}")
     model.save(given.out / "model.zip")
     print(given.out / "model.zip")
 

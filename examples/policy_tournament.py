@@ -1,14 +1,13 @@
-"""A head-to-head tournament between policies of one planner, told apart by their weights.
+"""Run a tournament between four policies of the lattice planner.
 
     python examples/policy_tournament.py
     python examples/policy_tournament.py --track Brackwater --rules paper --races 100
 
-It prints the table and the payoff matrix, and writes the results and a replay of the liveliest
-race.
+It prints a table and the payoff matrix, and writes the results and a replay of the race with the
+most overtakes.
 """
 
 import argparse
-from dataclasses import dataclass, fields
 from pathlib import Path
 
 from pcs_racing import load_race_config, load_track, save_replay
@@ -23,26 +22,8 @@ from pcs_racing_agents.tournament import (
 )
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """What can be chosen on the command line."""
-
-    track: str = "Tarnfjord"
-    """name of a shipped circuit or a map folder"""
-    rules: str = "contest"
-    """rules of the race: paper, contest or a YAML file"""
-    races: int = 60
-    """races of each pair, even: every start line is driven from both sides"""
-    duration: float = 40.0
-    """length of a race in s"""
-    seed: int = 0
-    """root of start lines and noise"""
-    out: Path = Path("out/policy_tournament")
-    """folder for results.csv and replay.html"""
-
-
-def drivers() -> list[Policy]:
-    """Four characters of the lattice planner; what is not said is as in the default."""
+def policies() -> list[Policy]:
+    """Return four policies of the lattice planner; other parameters have their defaults."""
     lattice = get_planner("lattice")
     return [
         lattice.policy({"pace": 0.1, "side_margin": 0.3, "walls": 0.5}, name="careful"),
@@ -55,12 +36,12 @@ def drivers() -> list[Policy]:
 
 
 def main() -> None:
-    arguments = parse(Arguments)
+    arguments = parse()
     track = load_track(arguments.track)
     config = load_race_config(arguments.rules, duration=arguments.duration)
     tournament = play_tournament(
         track,
-        drivers(),
+        policies(),
         config,
         races_per_pair=arguments.races,
         seed=arguments.seed,
@@ -79,18 +60,28 @@ def main() -> None:
 
 
 def liveliness(row: RaceRow) -> tuple[int, bool, float]:
-    """What makes a race worth watching: overtakes, a finish, a close one."""
+    """Return overtakes, finish and closeness of a race, to sort by."""
     return row.ego_overtakes + row.opponent_overtakes, row.crash == "none", -abs(row.lead)
 
 
-def parse(kind: type[Arguments]) -> Arguments:
-    """Command-line options from the fields of a dataclass."""
+def parse() -> argparse.Namespace:
+    """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    for field in fields(kind):
-        parser.add_argument(f"--{field.name}", type=type(field.default), default=field.default)
-    return kind(**vars(parser.parse_args()))
+    option = parser.add_argument
+    option("--track", default="Tarnfjord", help="name of a shipped track or a map folder")
+    option("--rules", default="contest", help="race rules: paper, contest or a YAML file")
+    option("--races", type=int, default=60, help="races of each pair, even")
+    option("--duration", type=float, default=40.0, help="length of a race in s")
+    option("--seed", type=int, default=0, help="seed of start lines and noise")
+    option(
+        "--out",
+        type=Path,
+        default=Path("out/policy_tournament"),
+        help="folder of results.csv and replay.html",
+    )
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

@@ -1,15 +1,15 @@
-"""PPO against the agent of counterfactual regret: train PPO, save it, race both and others.
+"""Train PPO and race it against the CFR agent (counterfactual regret minimization).
 
     python examples/ppo_against_cfr.py
     python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest-early
 
-PPO learns the game of moves against a mixture of opponents with Stable-Baselines3. Its weights are
-saved as plain numbers and read again without torch. Four racers then drive equal races, from both
-sides of each start line, against three opponents: the trained PPO, which moves between policies
-every 8 s, `line-ppo`, which ships and chooses a path ten times a second, the agent of
-counterfactual regret, and the agent that never switches. The default takes a minute; the shipped
-weights were trained for longer, and the full comparison is `python -m studies ppo-against-cfr`
-(docs/reports/ppo.md). Stop the training and start it again: it resumes.
+PPO of Stable-Baselines3 trains on the game of moves against a mixture of opponents. Its weights are
+saved, and loaded again without torch. Four agents then drive the same races, on both sides of each
+start line, against three opponents: the trained PPO, which switches its policy every 8 s;
+``line-ppo``, a shipped planner, which chooses a path ten times a second; the CFR agent; and
+``never-switch``. The default takes a minute. The shipped networks were trained for longer; the full
+comparison is ``python -m studies ppo-against-cfr`` (docs/reports/ppo.md). A stopped training
+resumes.
 """
 
 import argparse
@@ -29,7 +29,7 @@ from pcs_racing_agents.tournament import (
 )
 
 try:
-    import stable_baselines3  # noqa: F401  what trains
+    import stable_baselines3  # noqa: F401  for the training
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
@@ -38,18 +38,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--track", default="Tarnfjord", help="circuit to learn and to race on")
+    parser.add_argument("--track", default="Tarnfjord", help="track of the training and the races")
     parser.add_argument("--rules", default="paper", help="rules of the race: paper or contest")
     parser.add_argument("--archive", default="default-early", help="archive that both move in")
     parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
-    parser.add_argument("--opponent", default="cfr-argmax", help="agent of the zoo to compare with")
     parser.add_argument(
-        "--opponent-network", metavar="DIR", help="its network, where none is shipped"
+        "--opponent", default="cfr-argmax", help="agent of the zoo to compare with PPO"
+    )
+    parser.add_argument(
+        "--opponent-network",
+        metavar="DIR",
+        help="network folder of the opponent, if none is shipped",
     )
     parser.add_argument("--races", type=int, default=100, help="races of each pair, even")
-    parser.add_argument("--seed", type=int, default=0, help="root of everything random")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/ppo_against_cfr"), help="folder for all that is made"
+        "--out", type=Path, default=Path("out/ppo_against_cfr"), help="output folder"
     )
     arguments = parser.parse_args()
 
@@ -82,7 +86,7 @@ def main() -> None:
         settings, arguments.out / "training", name="ppo-example", progress=show_progress("moves")
     )
 
-    # 2. The folder holds weights.safetensors, manifest.yaml and curve.csv; torch is not needed now.
+    # 2. The folder holds weights.safetensors, manifest.yaml and curve.csv. The races need no torch.
     print(f"saved: {trained.folder} (seed {trained.seed}, after {trained.steps} moves)")
     racers = {
         "ppo": make("ppo", network=trained.folder, **world),
@@ -91,8 +95,8 @@ def main() -> None:
         "never-switch": make("never-switch", **world),
     }
 
-    # 3. Race. Race k has the same start line, side, noise and start policies for all racers, so
-    # differences between them are not due to luck.
+    # 3. Race. Race k has the same start line, side, noise and start policies for all agents, which
+    # reduces the variance of their differences.
     opponents = [opponent, racers["never-switch"], make("random-moves", **world)]
     pairings = {
         name: [schedule_pairing(game, racer, other, schedule, seed) for other in opponents]
@@ -124,7 +128,7 @@ def main() -> None:
     # 4. Record the race of PPO with the longest lead.
     best = int(np.argmax(played["ppo"][0].lead))
     recording = repeat_race(pairings["ppo"][0], best)
-    print(f"\nto watch: {save_replay(recording.replay, arguments.out / 'race.html')}")
+    print(f"\nreplay: {save_replay(recording.replay, arguments.out / 'race.html')}")
 
 
 if __name__ == "__main__":

@@ -1,14 +1,12 @@
-"""Races of a policy as a Minari dataset: observations, actions and rewards, from which offline
-learning begins.
+"""Record races of a policy as a Minari dataset, for offline learning and imitation.
 
     pip install "minari[hdf5]"
     python examples/record_dataset.py
     python examples/record_dataset.py --expert lattice:pace=0.8 --opponent cfr-argmax --beams 108
 
-Any policy can be the expert, and any policy or agent the opponent. The expert drives
-car 0 of ``pcs_racing/Drive-v1``: before each step of 0.02 s it is asked what it would do, and the
-answer is its command and the action that is kept. The last lines read the dataset again; it lies
-where Minari keeps its datasets.
+The expert is any policy; it drives car 0 of ``pcs_racing/Drive-v1`` against any policy or agent.
+The action of a step of 0.02 s is the command of the expert. The dataset lies in Minari's folder of
+datasets; the last lines read it again.
 """
 
 import argparse
@@ -17,7 +15,7 @@ import gymnasium
 import numpy as np
 
 try:
-    import h5py  # noqa: F401  (what Minari keeps its arrays with)
+    import h5py  # noqa: F401  for Minari
     import minari
     from minari.data_collector import EpisodeBuffer
 except ModuleNotFoundError as error:
@@ -27,31 +25,28 @@ import pcs_racing
 from pcs_racing import game
 from pcs_racing.planners import Policy
 
-TOP_SPEED = 12.0  # m/s, above what the drivers of the package ask for
+TOP_SPEED = 12.0  # m/s, above the speeds of all planners
 
 
 class Expert:
-    """Commands of a policy for car 0 of an environment, asked before every step."""
+    """Commands of a policy for car 0 of an environment, for every step."""
 
     def __init__(self, env: gymnasium.Env, policy: Policy) -> None:
         self.batch = env.unwrapped.batch
         setup, cars = self.batch.setup, self.batch.cars
-        # Who drives the other car in this copy of the race does not matter: only the command of car
-        # 0 is looked at.
+        # The policy drives all cars of this copy of the race; only the command of car 0 is used.
         self.setup = game.RaceSetup(setup.track, setup.config, (policy.planner,) * cars)
         self.theta = game.pad_parameters([policy] * cars, self.setup.theta_size)[None]
 
     def begin(self) -> None:
-        """Forget the last race."""
+        """Reset the memory of the policy before a race."""
         self.kept = (
             np.zeros((1, self.batch.cars, self.setup.memory_size)),
             np.zeros_like(self.batch.state.path),
         )
 
     def command(self) -> np.ndarray:
-        """Return the steering angle (rad) and the speed (m/s) that the driver asks for now, without
-        noise.
-        """
+        """Return the commanded steering angle (rad) and speed (m/s), without noise."""
         copy = game.RaceState._make(np.array(part) for part in self.batch.state)
         copy = copy._replace(memory=self.kept[0], path=self.kept[1])
         game.advance(self.setup, copy, self.theta, game.CONTROL_EVERY, threads=1, ittc=False)
@@ -62,7 +57,7 @@ class Expert:
 def record(
     name: str, driver: str, opponent: str | None, races: int, seed: int, **options
 ) -> minari.MinariDataset:
-    """Drive races with an expert in car 0 and keep them as a dataset."""
+    """Drive races with an expert in car 0 and save them as a dataset."""
     env = gymnasium.make(
         "pcs_racing:pcs_racing/Drive-v1",
         opponent=opponent,
@@ -76,8 +71,7 @@ def record(
     for race in range(races):
         observation, _ = env.reset(seed=seed + race)
         expert.begin()
-        # Of every step: the observation before it and the one after the last, the action, and what
-        # came of it.
+        # Observations before every step and after the last one; actions and results of every step.
         observations, steps, over = [observation], [], False
         while not over:
             action = np.clip(expert.command(), env.action_space.low, env.action_space.high).astype(
@@ -107,30 +101,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--name", default="pcs-racing/lattice-v0", help="name of the dataset, which must be new"
-    )
+    parser.add_argument("--name", default="pcs-racing/lattice-v0", help="name of the new dataset")
     parser.add_argument("--expert", default="lattice", help="policy in car 0")
     parser.add_argument(
-        "--opponent", default="lattice:pace=0.6", help="policy or agent in car 1; 'none': alone"
+        "--opponent", default="lattice:pace=0.6", help="policy or agent in car 1, or none"
     )
     parser.add_argument(
-        "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
+        "--track", default="Brackwater", help="name of a shipped track or a map folder"
     )
     parser.add_argument(
-        "--rules", default="paper", help="rules of the race: paper, contest or a YAML file"
+        "--rules", default="paper", help="race rules: paper, contest or a YAML file"
     )
     parser.add_argument("--races", type=int, default=10, help="number of races")
     parser.add_argument("--duration", type=float, default=40.0, help="length of a race in s")
+    parser.add_argument("--beams", type=int, default=0, help="lidar beams of an observation")
     parser.add_argument(
-        "--beams", type=int, default=0, help="beams of the lidar in the observations"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=0, help="seed of the first race; each other has the next one"
+        "--seed", type=int, default=0, help="seed of the first race; race k has seed + k"
     )
     given = parser.parse_args()
     if given.name in minari.list_local_datasets():
-        parser.error(f"there is a dataset {given.name} already; give another --name")
+        parser.error(f"the dataset {given.name} exists; choose another --name")
 
     opponent = None if given.opponent == "none" else given.opponent
     options = {

@@ -1,11 +1,10 @@
-"""Self-play with shared parameters: one PPO policy moves both cars of every game and learns from
-both sides.
+"""Train one PPO policy for both cars of a game: self-play with shared parameters.
 
     python examples/self_play_ppo.py
     python examples/self_play_ppo.py --steps 200000
 
-Environments come in pairs, the two cars of a game. Afterwards the policy plays opponents that it
-has never met. Run with stable-baselines3 2.9.2.
+Environments come in pairs, one for each car of a game. The policy is then tested against held-out
+opponents. Tested with stable-baselines3 2.9.2.
 """
 
 import argparse
@@ -26,19 +25,15 @@ parser = argparse.ArgumentParser(
     description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
 )
 parser.add_argument(
-    "--steps", type=int, default=60_000, help="moves to learn from, both cars' counted"
+    "--steps", type=int, default=60_000, help="training moves of both cars together"
 )
-parser.add_argument(
-    "--track", default="Brackwater", help="name of a shipped circuit or a map folder"
-)
+parser.add_argument("--track", default="Brackwater", help="name of a shipped track or a map folder")
 parser.add_argument(
     "--archive", default="contest-early", help="archive of policies that both cars drive with"
 )
-parser.add_argument(
-    "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
-)
-parser.add_argument("--games", type=int, default=500, help="games against each opponent afterwards")
-parser.add_argument("--seed", type=int, default=0, help="root of everything random")
+parser.add_argument("--rules", default="contest", help="race rules: paper, contest or a YAML file")
+parser.add_argument("--games", type=int, default=500, help="test games against each opponent")
+parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
 arguments = parser.parse_args()
 
 torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
@@ -52,7 +47,7 @@ model = PPO(
     batch_size=256,
     n_epochs=8,
     gamma=1.0,
-    ent_coef=0.02,  # against a copy of itself a player that is easy to read loses
+    ent_coef=0.02,  # a predictable policy loses against a copy of itself
     learning_rate=lambda left: 1e-3 * left,  # falling to 0
     device="cpu",
 )

@@ -1,17 +1,15 @@
-"""Train PPO on the game of moves against an opponent, and draw its learning curve.
+"""Train PPO on the duel against an opponent, and draw its learning curve.
 
     python examples/train_ppo.py
     python examples/train_ppo.py --steps 200000 --games 2000
     python examples/train_ppo.py --archive default-early --rules paper --opponent random-moves
 
-It prints how the trained player does against the opponent beside players that never look at the
-race, all in the same games, and writes learning_curve.png and the model. The default takes one to
-two minutes on an idle core; examples/clients/rl_zoo3_ppo.yaml has settings for the other
-environments.
+A table compares the trained agent with random and constant moves in the same test games.
+learning_curve.png and the model are saved. The default takes one to two minutes on an idle core;
+examples/clients/rl_zoo3_ppo.yaml has hyperparameters for the other environments.
 """
 
 import argparse
-from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -29,34 +27,8 @@ except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning,plots]"') from None
 
 
-@dataclass(frozen=True)
-class Arguments:
-    """What can be chosen on the command line."""
-
-    steps: int = 60_000
-    """moves to learn from"""
-    track: str = "Brackwater"
-    """name of a shipped circuit or a map folder"""
-    archive: str = "contest-early"
-    """archive of policies that both cars drive with"""
-    rules: str = "contest"
-    """rules of the race: paper, contest or a YAML file"""
-    opponent: str = "never-switch"
-    """random-moves, never-switch, always-<move>, or a driver such as lane-switcher:3"""
-    envs: int = 64
-    """games that are played at once"""
-    learning_rate: float = 1e-3
-    """step size of the optimiser at first, falling linearly to 0"""
-    games: int = 1000
-    """games in which the trained player is measured"""
-    seed: int = 0
-    """root of everything random"""
-    out: Path = Path("out/train_ppo")
-    """folder for learning_curve.png and model.zip"""
-
-
 class Curve(BaseCallback):
-    """Keeps the return of every game and the step at which it ended."""
+    """Records the return of every game and the step of its end."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -72,7 +44,7 @@ class Curve(BaseCallback):
 
 
 def main() -> None:
-    arguments = parse(Arguments)
+    arguments = parse()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     arguments.out.mkdir(parents=True, exist_ok=True)
     game = {name: getattr(arguments, name) for name in ("track", "archive", "opponent")} | {
@@ -87,7 +59,7 @@ def main() -> None:
         n_steps=16,
         batch_size=256,
         n_epochs=8,
-        gamma=1.0,  # a game has four moves: nothing needs discounting
+        gamma=1.0,  # a game has four moves: no discount
         ent_coef=0.01,
         policy_kwargs={"net_arch": [64, 64]},
         device="cpu",
@@ -100,7 +72,7 @@ def main() -> None:
         f"against {arguments.opponent} on {arguments.track}, rules {arguments.rules},"
         f" {arguments.games} games each:"
     )
-    print(f"{'player':28} {'utility':>8} {'+-':>6} {'won':>6} {'crashed':>8}")
+    print(f"{'agent':28} {'utility':>8} {'+-':>6} {'won':>6} {'crashed':>8}")
     constant = {
         f"always {name}": move for move, name in enumerate(envs.get_attr("game")[0].move_names)
     }
@@ -129,10 +101,8 @@ def main() -> None:
     print(f"{arguments.out / 'learning_curve.png'}")
 
 
-def measure(player, arguments: Arguments, game: dict) -> tuple[np.ndarray, np.ndarray]:
-    """Returns and results of the first game of each of many environments: the same starts for every
-    player.
-    """
+def measure(player, arguments: argparse.Namespace, game: dict) -> tuple[np.ndarray, np.ndarray]:
+    """Play test games, with the same starts for every player; give their returns and results."""
     envs = DuelVectorEnv(arguments.games, **game)
     seen, _ = envs.reset(seed=1_000_000 + arguments.seed)
     returns, results = np.zeros(arguments.games), np.zeros(arguments.games, int)
@@ -147,10 +117,8 @@ def measure(player, arguments: Arguments, game: dict) -> tuple[np.ndarray, np.nd
     return returns, results
 
 
-def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
-    """The mean return of the games of each of up to fifty stretches of training, and the level of
-    others.
-    """
+def draw(curve: Curve, means: dict[str, float], arguments: argparse.Namespace) -> None:
+    """Draw the mean return in up to fifty parts of the training, and the test results."""
     steps, returns = np.array(curve.steps), np.array(curve.returns)
     parts = np.array_split(np.arange(len(steps)), min(50, max(1, len(steps) // 50)))
     at = [steps[part].mean() for part in parts]
@@ -159,9 +127,9 @@ def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.subplots()
     axes.fill_between(at, mean - error, mean + error, alpha=0.25, linewidth=0, color="tab:blue")
-    axes.plot(at, mean, color="tab:blue", label="PPO while it learns (mean, standard error)")
+    axes.plot(at, mean, color="tab:blue", label="PPO in training (mean, standard error)")
     axes.axhline(
-        means["PPO"], color="tab:blue", linestyle="--", label="PPO, trained, its best moves"
+        means["PPO"], color="tab:blue", linestyle="--", label="PPO after training (test games)"
     )
     best = max((name for name in means if name.startswith("always")), key=means.__getitem__)
     axes.axhline(means[best], color="tab:orange", linestyle="--", label=best)
@@ -172,16 +140,36 @@ def draw(curve: Curve, means: dict[str, float], arguments: Arguments) -> None:
     figure.savefig(arguments.out / "learning_curve.png", dpi=120)
 
 
-def parse(kind: type[Arguments]) -> Arguments:
-    """Turn every field of the arguments into an option with the field's default and type."""
+def parse() -> argparse.Namespace:
+    """Read the command line."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    for field in fields(kind):
-        parser.add_argument(
-            f"--{field.name.replace('_', '-')}", type=type(field.default), default=field.default
-        )
-    return kind(**vars(parser.parse_args()))
+    option = parser.add_argument
+    option("--steps", type=int, default=60_000, help="training moves")
+    option("--track", default="Brackwater", help="name of a shipped track or a map folder")
+    option(
+        "--archive", default="contest-early", help="archive of policies that both cars drive with"
+    )
+    option("--rules", default="contest", help="race rules: paper, contest or a YAML file")
+    option(
+        "--opponent",
+        default="never-switch",
+        help="agent or policy, such as random-moves or lane-switcher:3",
+    )
+    option("--envs", type=int, default=64, help="games at once")
+    option(
+        "--learning-rate", type=float, default=1e-3, help="initial learning rate, which falls to 0"
+    )
+    option("--games", type=int, default=1000, help="test games")
+    option("--seed", type=int, default=0, help="seed of all random numbers")
+    option(
+        "--out",
+        type=Path,
+        default=Path("out/train_ppo"),
+        help="folder of learning_curve.png and model.zip",
+    )
+    return parser.parse_args()
 
 
 if __name__ == "__main__":

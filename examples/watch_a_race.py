@@ -1,10 +1,10 @@
-"""One race between two policies, as a page to watch and, if asked for, as an animated GIF.
+"""Record a race between two policies as a replay page, and optionally as a GIF.
 
     python examples/watch_a_race.py
     python examples/watch_a_race.py --track Saltmere --opponent lane-switcher:4 --gif
 
-The page needs no network: open it in a browser, play, scrub, follow a car, and look at the paths
-that each planner considered.
+The page works offline in a browser: play, seek, follow a car, and show the candidate paths of each
+planner.
 """
 
 import argparse
@@ -19,21 +19,19 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--track", default="Tarnfjord", help="name of a shipped circuit or a map folder"
+        "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
-    parser.add_argument("--ego", default="lattice:pace=0.7,overtaking=0.5", help="driver of car 0")
-    parser.add_argument("--opponent", default="lattice:pace=0.4", help="driver of car 1")
+    parser.add_argument("--ego", default="lattice:pace=0.7,overtaking=0.5", help="policy of car 0")
+    parser.add_argument("--opponent", default="lattice:pace=0.4", help="policy of car 1")
     parser.add_argument(
-        "--rules", default="contest", help="rules of the race: paper, contest or a YAML file"
+        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
     )
     parser.add_argument("--duration", type=float, default=40.0, help="length of the race in s")
-    parser.add_argument("--seed", type=int, default=0, help="root of the start and the noise")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the start and the noise")
     parser.add_argument(
-        "--out", type=Path, default=Path("out/race"), help="folder for the page and the GIF"
+        "--out", type=Path, default=Path("out/race"), help="folder of the page and the GIF"
     )
-    parser.add_argument(
-        "--gif", action="store_true", help="also write race.gif (takes some seconds)"
-    )
+    parser.add_argument("--gif", action="store_true", help="write race.gif, too (some seconds)")
     arguments = parser.parse_args()
 
     track = load_track(arguments.track)

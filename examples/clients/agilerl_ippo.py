@@ -1,13 +1,12 @@
 # /// script
 # dependencies = ["agilerl==2.7.1"]
 # ///
-"""AgileRL: IPPO on the head-to-head environment, two copies of it in processes of AgileRL's own
-vector environment.
+"""AgileRL: train IPPO on both cars, with AgileRL's vector environment.
 
     python examples/clients/agilerl_ippo.py
 
-AgileRL 2.7.1 can't compare masks of several agents (``extract_action_masks``): a wrapper drops
-them. A masked move may be made all the same: it leads where another one leads.
+AgileRL 2.7.1 can't compare masks of several agents (``extract_action_masks``), so a wrapper removes
+them. A masked move is valid: it has the same effect as another move.
 """
 
 from typing import Any
@@ -21,7 +20,7 @@ import pcs_racing
 
 
 class WithoutMasks(BaseParallelWrapper):
-    """The same environment without masks of moves."""
+    """The environment without action masks."""
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         """Begin a game."""

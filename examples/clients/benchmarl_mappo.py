@@ -1,12 +1,11 @@
 # /// script
 # dependencies = ["benchmarl==1.5.2"]
 # ///
-"""BenchMARL: MAPPO in self-play on the environments for two agents, who move or steer.
+"""BenchMARL: train MAPPO by self-play, with moves or with steering and speed.
 
     python examples/clients/benchmarl_mappo.py
 
-A task of BenchMARL names the environment, its groups of agents and its spaces; ``BothCars`` below
-is all it takes.
+``BothCars`` is a task of BenchMARL: it names the environment, its groups of agents and its spaces.
 """
 
 import tempfile
@@ -25,7 +24,7 @@ from pcs_racing.envs import drive
 
 
 class BothCars(TaskClass):
-    """A race of both cars as BenchMARL wants it: the group ``car`` holds both."""
+    """A race as a task of BenchMARL: the group ``car`` holds both cars."""
 
     @property
     def steered(self) -> bool:
@@ -60,7 +59,7 @@ class BothCars(TaskClass):
         return env.group_map
 
     def observation_spec(self, env: EnvBase) -> Composite:
-        """Return what the agents see."""
+        """Return the observation spaces."""
         spec = env.observation_spec.clone()
         for group in self.group_map(env):
             for key in list(spec[group].keys()):
@@ -77,7 +76,7 @@ class BothCars(TaskClass):
         return None
 
     def action_spec(self, env: EnvBase) -> Composite:
-        """Return the moves."""
+        """Return the action spaces."""
         return env.full_action_spec
 
     def action_mask_spec(self, env: EnvBase) -> Composite | None:
@@ -91,7 +90,7 @@ class BothCars(TaskClass):
 
 
 class Tasks(Task):
-    """The tasks that there are."""
+    """Tasks of this file."""
 
     HEAD_TO_HEAD = None
     DRIVE_HEAD_TO_HEAD = None
@@ -103,7 +102,7 @@ class Tasks(Task):
 
 
 def train(task: TaskClass, folder: str) -> None:
-    """Train for a few steps, write what BenchMARL writes into a folder, and print how it went."""
+    """Train for a few steps with BenchMARL's files in a folder, and print the mean return."""
     config = ExperimentConfig.get_from_yaml()
     config.max_n_frames = config.on_policy_collected_frames_per_batch = 64
     config.on_policy_n_envs_per_worker, config.on_policy_n_minibatch_iters = 2, 1

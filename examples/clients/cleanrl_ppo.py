@@ -1,15 +1,14 @@
 # /// script
 # dependencies = ["gym==0.23.1", "tensorboard==2.21.0", "torch", "tyro==1.0.17"]
 # ///
-"""CleanRL: its own ``ppo.py`` learns the duel, with no line changed.
+"""CleanRL: train its unmodified ``ppo.py`` on the duel.
 
     python examples/clients/cleanrl_ppo.py
     python examples/clients/cleanrl_ppo.py --file CHECKOUT/cleanrl/ppo.py
 
-CleanRL is code to copy. The newest release in the package index, 1.2.0, asks for a Python below
-3.11 and is written for gym 0.23, so its file is taken out of the downloaded package, and
-:class:`Duel` gives the environment the interface of that time. A newer file, of a checkout
-(``--file``), is written for Gymnasium and makes the environment by its name.
+CleanRL's release 1.2.0 requires Python below 3.11 and gym 0.23, so ``ppo.py`` is extracted from the
+downloaded package, and :class:`Duel` gives the environment the interface of gym 0.23. The
+``ppo.py`` of a checkout (``--file``) uses Gymnasium and makes the environment by its name.
 """
 
 import argparse
@@ -45,7 +44,7 @@ class Duel(gym.Env):
         self._seed: int | None = None
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Keep the seed for the next reset."""
+        """Store the seed for the next reset."""
         self._seed = seed
         return [seed]
 
@@ -62,7 +61,7 @@ class Duel(gym.Env):
 
 
 def download(folder: Path) -> Path:
-    """Take ``ppo.py`` out of the released package."""
+    """Extract ``ppo.py`` from the released package."""
     pip = [
         sys.executable,
         "-m",
@@ -84,9 +83,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument(
-        "--file", type=Path, help="the ppo.py of a checkout, in place of the released one"
-    )
+    parser.add_argument("--file", type=Path, help="ppo.py of a checkout (default: CleanRL 1.2.0)")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         if given.file is None:

@@ -1,12 +1,11 @@
 # /// script
 # dependencies = ["gymnasium==1.4.0", "moviepy==2.2.1", "pygame-ce==2.5.8"]
 # ///
-"""Gymnasium: its checker, its wrappers of one and of many environments, and its videos, on every
-environment.
+"""Gymnasium: run its checker, wrappers and video recorder on every environment.
 
     python examples/clients/gymnasium_checks.py
 
-A wrapper that is not in the two tables below belongs to other kinds of observations or actions.
+Two tables list the wrappers; other wrappers need other kinds of observations or actions.
 """
 
 import os
@@ -97,7 +96,7 @@ def main() -> None:
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")  # the checker opens windows, too
     for name in GYMNASIUM_IDS:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a warning of the checker is a fault
+            warnings.simplefilter("error")  # a warning is an error
             check_env(gym.make(name, render_mode="rgb_array", **SHORT[name]).unwrapped)
         for wrapper, options in ONE.items():
             play(getattr(wrappers, wrapper)(gym.make(name, **SHORT[name]), **options))
@@ -109,9 +108,7 @@ def main() -> None:
             for _ in range(6):
                 envs.step(envs.action_space.sample())
             envs.close()
-        print(
-            f"{name}: the checker, {len(ONE)} wrappers of one and {len(MANY)} of many environments"
-        )
+        print(f"{name}: the checker, {len(ONE)} wrappers and {len(MANY)} vector wrappers pass")
     with tempfile.TemporaryDirectory() as folder:
         film(Path(folder))
 

@@ -1,17 +1,15 @@
 # /// script
 # dependencies = ["open_spiel==2.0.2"]
 # ///
-"""OpenSpiel: two of its algorithms on a game tree, beside ours: how far from an equilibrium, after
-how long.
+"""OpenSpiel: solve a game tree with CFR+ and MCCFR, and compare with our solvers.
 
     python examples/clients/openspiel_tree.py
     pcs-racing tree --archive default-early --track Pipkin --pairs 2 --out out/trees
     python examples/clients/openspiel_tree.py --trees out/trees --tree 1
 
-Without --trees a small tree of random payoffs is solved. OpenSpiel gets the tree as extensive form
-text, which its C++ plays; its CFR+ and its external-sampling MCCFR then run beside our CFR+ and our
-exact solver. Every strategy is judged by OpenSpiel's own best responses. Needs OpenSpiel: pip
-install ".[games]".
+Without --trees the tree is small, with random payoffs. OpenSpiel reads the tree as extensive-form
+text. The table gives seconds and exploitability, computed by OpenSpiel's best responses. Needs
+OpenSpiel: pip install ".[games]".
 """
 
 import argparse
@@ -32,16 +30,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("--trees", type=Path, metavar="DIR", help="folder of 'pcs-racing tree'")
     parser.add_argument(
-        "--trees", type=Path, metavar="DIR", help="folder that 'pcs-racing tree' wrote"
-    )
-    parser.add_argument("--tree", type=int, default=0, metavar="N", help="which tree of the folder")
-    parser.add_argument(
-        "--iterations", type=int, default=200, help="iterations of CFR+; MCCFR gets as much time"
+        "--tree", type=int, default=0, metavar="N", help="index of the tree in the folder"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="payoffs of the small tree, and samples of MCCFR"
+        "--iterations",
+        type=int,
+        default=200,
+        help="iterations of CFR+; MCCFR runs for the same time",
     )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the payoffs and of MCCFR")
     arguments = parser.parse_args()
 
     if arguments.trees:
@@ -98,7 +97,7 @@ def main() -> None:
     seconds = time.perf_counter() - begin
     report("pcs-racing, exact", seconds, solvers.efg_policy(tree, exact.profile))
     print(
-        f"value {exact.value:.6f}; by our own measure the exact solution leaves"
+        f"value {exact.value:.6f}; exploitability of the exact profile by our solver:"
         f" {solvers.exploitability(tree, exact.profile)}"
     )
 

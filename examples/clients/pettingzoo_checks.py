@@ -1,10 +1,11 @@
 # /// script
 # dependencies = ["pettingzoo==1.27.0"]
 # ///
-"""PettingZoo: its own tests of the interfaces, of seeds, ends and states, on every environment by
-its name.
+"""PettingZoo: run its API, seed and state tests on every environment.
 
-python examples/clients/pettingzoo_checks.py
+    python examples/clients/pettingzoo_checks.py
+
+The races of the tests are short.
 """
 
 import warnings
@@ -37,7 +38,7 @@ def main() -> None:
         parallel_seed_test(parallel, num_cycles=20)
         seed_test(turns, num_cycles=20)
         state_test(turns(), parallel())
-        print(f"{name}: content")
+        print(f"{name}: all tests pass")
 
 
 if __name__ == "__main__":

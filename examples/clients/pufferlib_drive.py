@@ -1,13 +1,12 @@
 # /// script
 # dependencies = ["pufferlib-core==3.0.23"]
 # ///
-"""PufferLib: a compiled batch of races writes into its buffers, without emulation or workers.
+"""PufferLib: write a compiled batch of races into its buffers, without workers.
 
     python examples/clients/pufferlib_drive.py
 
-:class:`Races` is the adapter, to copy: a "native" environment of many agents, which
-``pufferlib.vector.make`` makes and PufferLib's trainer collects from. ``pufferlib`` 3.0.0 has the
-same interface.
+:class:`Races` is the adapter: a native environment of many agents for ``pufferlib.vector.make`` and
+the trainer of PufferLib. ``pufferlib`` 3.0.0 has the same interface.
 """
 
 import time

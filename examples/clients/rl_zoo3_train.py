@@ -1,11 +1,13 @@
 # /// script
 # dependencies = ["rl_zoo3==2.9.2"]
 # ///
-"""rl_zoo3: its ``train.py`` trains PPO on the match with the settings of rl_zoo3_ppo.yaml.
+"""rl_zoo3: train PPO on the match with the hyperparameters of rl_zoo3_ppo.yaml.
 
-python examples/clients/rl_zoo3_train.py
-python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \
+    python examples/clients/rl_zoo3_train.py
+    python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \
         --conf-file examples/clients/rl_zoo3_ppo.yaml
+
+The second command trains on steering and speed, without this file.
 """
 
 import subprocess

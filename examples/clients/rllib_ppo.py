@@ -1,12 +1,13 @@
 # /// script
 # dependencies = ["ray[rllib]==2.60.0"]
 # ///
-"""RLlib: PPO on the duel, and self-play of one network in both cars, who move or steer.
+"""RLlib: train PPO on the duel, and one network for both cars by self-play.
 
     python examples/clients/rllib_ppo.py
     python examples/clients/rllib_ppo.py --iterations 50
 
-Workers are processes of Ray: each imports ``pcs_racing`` where it makes its environment.
+Workers are processes of Ray: each imports ``pcs_racing`` in the function that makes its
+environment.
 """
 
 import argparse
@@ -19,28 +20,28 @@ from ray.tune.registry import register_env
 
 
 def duel(config: dict[str, Any]) -> Any:
-    """Make the duel; the text before the colon tells Gymnasium what to import."""
+    """Make the duel; Gymnasium imports the package before the colon."""
     import gymnasium as gym
 
     return gym.make("pcs_racing:pcs_racing/Duel-v1", **config)
 
 
 def head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
-    """Make the game of both cars."""
+    """Make the game of moves for both cars."""
     import pcs_racing
 
     return ParallelPettingZooEnv(pcs_racing.parallel_env(**config))
 
 
 def drive_head_to_head(config: dict[str, Any]) -> ParallelPettingZooEnv:
-    """Make the race in which both cars are steered."""
+    """Make the race with steering and speed of both cars."""
     from pcs_racing.envs import drive
 
     return ParallelPettingZooEnv(drive.parallel_env(**config))
 
 
 def self_play(name: str, **arguments: Any) -> PPOConfig:
-    """PPO with one network in both cars of an environment."""
+    """Return the config of PPO with one network for both cars."""
     return (
         PPOConfig()
         .environment(name, env_config={"track": "Tarnfjord", **arguments})
@@ -68,7 +69,7 @@ def main() -> None:
     configs = {
         "duel": alone,
         "self-play": self_play("head_to_head"),
-        "self-play at the wheel": self_play("drive_head_to_head", duration=1.0),
+        "self-play, steering and speed": self_play("drive_head_to_head", duration=1.0),
     }
     for name, config in configs.items():
         algorithm = config.env_runners(num_env_runners=1).training(**small).build_algo()

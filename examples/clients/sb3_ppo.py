@@ -1,13 +1,12 @@
 # /// script
 # dependencies = ["stable-baselines3==2.9.2", "sb3-contrib==2.9.2"]
 # ///
-"""Stable-Baselines3: its own helpers make the environments by name; PPO, MaskablePPO and SAC learn
-from them.
+"""Stable-Baselines3: train PPO, MaskablePPO, RecurrentPPO and SAC on the environments.
 
     python examples/clients/sb3_ppo.py
 
-``pcs_racing.envs.sb3.make_sb3_vec_env`` gives the same environments as compiled batches
-(docs/recipes.md).
+SB3's helpers make the environments by name. ``pcs_racing.envs.make_sb3_vec_env`` makes them as
+compiled batches (docs/recipes.md).
 """
 
 import gymnasium as gym
@@ -36,7 +35,7 @@ def main() -> None:
     mean, spread = evaluate_policy(
         model, make_vec_env("pcs_racing/Duel-v1", 1, seed=1), n_eval_episodes=4
     )
-    print(f"return of the last one: {mean:+.2f} +- {spread:.2f} m")
+    print(f"mean return of the last model: {mean:+.2f} +- {spread:.2f} m")
     drives = make_vec_env("pcs_racing/Drive-v1", 2, seed=0, env_kwargs={"duration": 2.0})
     model = SAC("MlpPolicy", drives, learning_starts=50, seed=0, device="cpu").learn(200)
     print(f"SAC on the drive: {model.num_timesteps} steps")

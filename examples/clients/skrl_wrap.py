@@ -1,12 +1,11 @@
 # /// script
 # dependencies = ["skrl==2.1.1", "torch"]
 # ///
-"""skrl: its wrapper on vector environments and on races of agents, with one, two and four cars.
+"""skrl: wrap vector environments, and races of one, two and four cars.
 
     python examples/clients/skrl_wrap.py
 
-Actions are drawn from the spaces that the wrapper shows, and a memory could be filled with the
-tensors that it returns.
+Actions are drawn from the spaces of the wrapper, and the returned tensors could fill a memory.
 """
 
 import gymnasium as gym

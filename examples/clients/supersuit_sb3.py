@@ -1,14 +1,13 @@
 # /// script
 # dependencies = ["SuperSuit==3.11.0", "stable-baselines3==2.9.2"]
 # ///
-"""SuperSuit: both cars of a race, who move or steer, as a vector environment for PPO of
-Stable-Baselines3.
+"""SuperSuit: stack frames of both cars, and train PPO of Stable-Baselines3.
 
     python examples/clients/supersuit_sb3.py
 
-``pcs_racing.envs.sb3.make_sb3_vec_env`` does the same from compiled batches, many times as fast:
-``"self-play"`` and ``"drive-self-play"``. Leave out ``seed=``: SuperSuit's vector environment has
-no method ``seed``.
+``pcs_racing.envs.make_sb3_vec_env`` does the same from compiled batches, many times as fast:
+``"self-play"`` and ``"drive-self-play"``. SuperSuit's vector environment has no method ``seed``:
+leave out ``seed=``.
 """
 
 import supersuit

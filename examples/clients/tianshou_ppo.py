@@ -1,9 +1,11 @@
 # /// script
 # dependencies = ["tianshou==2.0.1"]
 # ///
-"""Tianshou: PPO on the duel, with its own vector environment and collectors.
+"""Tianshou: collect games of the duel by a PPO policy, in its vector environment.
 
-python examples/clients/tianshou_ppo.py
+    python examples/clients/tianshou_ppo.py
+
+Eight games fill the buffer of an untrained policy.
 """
 
 import gymnasium as gym

@@ -1,13 +1,12 @@
 # /// script
 # dependencies = ["torchrl==0.14.1"]
 # ///
-"""TorchRL: make the environments by name, several at once, and both cars of a race; collect frames
-for a training.
+"""TorchRL: make environments by name, in batches and with two cars, and collect frames.
 
     python examples/clients/torchrl_envs.py
 
-Nothing of the environments is wrapped or changed. A collector gathers what random actions see, as a
-training would.
+The environments need no wrapper of their own. A collector steps them with random actions, as in a
+training.
 """
 
 from functools import partial

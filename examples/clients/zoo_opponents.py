@@ -1,13 +1,11 @@
 # /// script
 # dependencies = []
 # ///
-"""The agents of the zoo: each of them, by its name and as an object, is an opponent in every
-environment.
+"""Zoo: race every shipped agent, by name and as an object, in every environment.
 
     python examples/clients/zoo_opponents.py
 
-Both shipped games are played. An agent that has learned nothing of a game, and is not shipped for
-it, says so.
+Both shipped games are played. An agent without a network for a game is listed as missing.
 """
 
 import gymnasium as gym
@@ -58,7 +56,7 @@ def main() -> None:
             f"archive {archive}, rules {race}: {len(shipped)} opponents: {', '.join(shipped)}",
             flush=True,
         )
-        print(*(f"  not there: {why:.110}" for why in missing), sep="\n", flush=True)
+        print(*(f"  missing: {why:.110}" for why in missing), sep="\n", flush=True)
 
 
 if __name__ == "__main__":
