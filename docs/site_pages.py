@@ -48,6 +48,7 @@ NAMES = {
 COPIES = {
     "changelog": "CHANGELOG.md",
     "contributing": "CONTRIBUTING.md",
+    "examples": "examples/README.md",
     "shipped_archives": "pcs_racing/data/archives/README.md",
     "shipped_drivers": "pcs_racing/data/planners/README.md",
     "shipped_networks": "pcs_racing_agents/data/networks/README.md",

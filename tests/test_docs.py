@@ -2,6 +2,7 @@
 says what is.
 """
 
+import ast
 import contextlib
 import csv
 import io
@@ -195,6 +196,18 @@ def test_links_lead_somewhere(made):
     ]
     assert len(links) > 100
     assert [link for link in links if not leads_somewhere(*link, made)] == []
+
+
+def test_every_example_has_one_row_and_says_in_a_line_what_it_does():
+    folder = REPOSITORY / "examples"
+    rows = re.findall(r"^\| [^|]*\| \[[\w.]+\]\((\S+)\) \| ", TEXTS["examples/README.md"], re.M)
+    files = {*folder.glob("*.*"), *folder.glob("clients/*.*"), *folder.glob("*/package.xml")}
+    names = {file.relative_to(folder).as_posix() for file in files}
+    assert sorted(rows) == sorted(names - {"README.md"})
+    for file in folder.rglob("*.py"):
+        summary = ast.get_docstring(ast.parse(file.read_text(encoding="utf-8"))).partition("\n")[0]
+        assert len(summary) <= 90, file
+        assert summary.endswith("."), file
 
 
 def test_environment_pages_have_all_headings_and_copied_pages_their_links(site, made):

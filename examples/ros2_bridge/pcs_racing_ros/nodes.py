@@ -1,4 +1,4 @@
-"""Nodes of ROS 2: ``simulator``, a race in place of the cars, and ``planner``, a policy of a car.
+"""Run nodes of ROS 2: ``simulator``, a simulated race, and ``planner``, a policy on a car.
 
     ros2 launch pcs_racing_ros race.launch.py
     ros2 launch pcs_racing_ros race.launch.py simulator:=false parameters:=my_car.yaml
