@@ -22,7 +22,8 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas"
-    " pygame sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy onnx".split()
+    " pygame sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy onnx"
+    " huggingface_hub".split()
 )
 find = PathFinder.find_spec
 
@@ -112,6 +113,7 @@ NEEDS = {
         "cluster",
     ),
     "a network as a file": ('main(["export", "ppo-drive", "--out", "ppo-drive.onnx"])', "onnx"),
+    "a model of the hub": ("pcs_racing_agents.agents.load_from_hub('somebody/model')", "hub"),
     "a window": ("gym.make('pcs_racing/Duel-v1', render_mode='human').reset(seed=1)", "window"),
 }
 
@@ -134,7 +136,7 @@ def test_whoever_needs_an_extra_is_told_which_in_one_line(tmp_path):
     code = f"""
 import contextlib, importlib.util, io, json, runpy
 import gymnasium as gym
-import pcs_racing
+import pcs_racing, pcs_racing_agents
 from pcs_racing_agents.cli.main import main
 
 assert importlib.util.find_spec("torch") is None and importlib.util.find_spec("yaml")

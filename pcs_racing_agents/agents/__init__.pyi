@@ -8,6 +8,8 @@ from .fits import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
 from .game_spec import GameSpec as GameSpec
 from .game_spec import make_game_spec as make_game_spec
+from .hub import load_from_hub as load_from_hub
+from .hub import write_model_card as write_model_card
 from .onnx_export import export_onnx as export_onnx
 from .sb3_files import load_model as load_model
 from .sb3_files import save_model as save_model
@@ -27,6 +29,7 @@ __all__ = [
     "TorchPolicy",
     "as_agent",
     "export_onnx",
+    "load_from_hub",
     "load_model",
     "make",
     "make_game_spec",
@@ -36,4 +39,5 @@ __all__ = [
     "register_agent",
     "save_fit",
     "save_model",
+    "write_model_card",
 ]

@@ -1,0 +1,129 @@
+"""Archives, networks and learned planners of the Hugging Face hub, and their model cards.
+
+A repository holds one folder as this package saves it. No code of a downloaded file runs.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from pcs_racing.base.artifacts import MANIFEST
+from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
+from pcs_racing.planners.learned import LOADERS, folder_format, load_planner
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
+
+FILES = [MANIFEST, "*.npz", "*.safetensors"]
+"""Names of the downloaded files; all other files of a repository stay on the hub."""
+
+KINDS: dict[str, Callable[[Path], Any]] = {
+    f"format: pcs-racing {ARCHIVE_FORMAT.noun}": load_archive,
+    f"format: pcs-racing {NETWORK_FORMAT.noun}": load_network,
+    **dict.fromkeys(LOADERS, load_planner),
+}
+"""Loader of each format of a manifest."""
+
+CARD = """\
+---
+{head}---
+
+# {name}
+
+`{form}` for pcs-racing, head-to-head autonomous racing in a Policy Characteristic Space.
+
+```python
+from pcs_racing_agents.agents import load_from_hub
+
+{noun} = load_from_hub("{repo}")
+```
+
+| field of the manifest | value |
+|---|---|
+{rows}
+"""
+
+
+def load_from_hub(repo_id: str, *, revision: str | None = None) -> Any:
+    """Download a repository of the Hugging Face hub; return its archive, network or planner.
+
+    Parameters
+    ----------
+    repo_id : str
+        Name of the repository, as ``"owner/name"``.
+    revision : str, optional
+        Branch, tag or commit; by default the newest commit. A commit gives the same files always.
+
+    Returns
+    -------
+    PolicyArchive, RegretNetwork or Planner
+        Object of the format that the manifest names.
+    """
+    require("huggingface_hub", extra="hub")
+    from huggingface_hub import snapshot_download
+
+    try:
+        folder = Path(snapshot_download(repo_id, revision=revision, allow_patterns=FILES))
+    except (OSError, ValueError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise InputError(f"can't download {repo_id!r} from the hub: {reason}") from None
+    return KINDS[_format(folder, repo_id)](folder)
+
+
+def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") -> Path:  # noqa: A002
+    """Write ``README.md``, the model card of the hub, from the manifest of a folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of an archive, a network or a learned planner.
+    repo_id : str
+        Name of the future repository, as ``"owner/name"``.
+    license : str
+        Licence of the folder, as the hub abbreviates it.
+    """
+    folder = Path(folder)
+    first = _format(folder, folder)
+    KINDS[first](folder)  # a damaged folder is refused
+    form, file = first.removeprefix("format: "), folder / MANIFEST
+    manifest = parse_yaml(file, read_limited(file, MAX_YAML, "a manifest", InputError))
+    tags = ["reinforcement-learning", "autonomous-racing", "f1tenth", "game-theory"]
+    head = {"license": license, "library_name": "pcs-racing", "tags": tags}
+    card = CARD.format(
+        head=yaml.safe_dump(head, sort_keys=False),
+        name=manifest["name"],
+        form=form,
+        noun=form.split()[-1],
+        repo=repo_id,
+        rows="\n".join(f"| `{name}` | {_cell(value)} |" for name, value in _facts(manifest)),
+    )
+    write_atomically(folder / "README.md", card)
+    return folder / "README.md"
+
+
+def _format(folder: Path, name: str | Path) -> str:
+    """Return the format of a folder, if it is one of :data:`KINDS`."""
+    first = folder_format(folder)
+    if first not in KINDS:
+        raise InputError(
+            f"{name}: {MANIFEST} begins with {first[:80]!r}; it must begin with one of"
+            f" {', '.join(map(repr, KINDS))}"
+        )
+    return first
+
+
+def _facts(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the entries of a manifest, and the entries of its mappings as ``training.seed``."""
+    for key, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _facts(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
+
+
+def _cell(value: Any) -> str:
+    """Return a value as text of a Markdown table."""
+    text = ", ".join(map(str, value)) if isinstance(value, list) else str(value)
+    return " ".join(text.replace("|", "\\|").replace("<", "\\<").split())

@@ -1,0 +1,84 @@
+"""A model of the Hugging Face hub: downloaded without extra files, and loaded by its manifest."""
+
+import shutil
+import sys
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+
+import pytest
+import yaml
+
+from pcs_racing.base.errors import InputError
+from pcs_racing.game.archive import PolicyArchive
+from pcs_racing.game.archive_files import ARCHIVE_FORMAT
+from pcs_racing.planners.line_ppo import LINE_FORMAT
+from pcs_racing.planners.planner import Planner
+from pcs_racing_agents.agents import load_from_hub, write_model_card
+from pcs_racing_agents.agents.hub import FILES
+from pcs_racing_agents.networks.network import RegretNetwork
+from pcs_racing_agents.networks.network_files import NETWORK_FORMAT
+
+SHIPPED = {
+    "archive": (ARCHIVE_FORMAT.find("default"), PolicyArchive),
+    "network": (NETWORK_FORMAT.find(NETWORK_FORMAT.shipped_names()[0]), RegretNetwork),
+    "planner": (LINE_FORMAT.find("line-ppo"), Planner),
+}
+
+
+@pytest.fixture
+def hub(tmp_path, monkeypatch):
+    """Stand-in for the library of the hub: repositories are folders below ``tmp_path``."""
+
+    def snapshot_download(repo_id, *, revision=None, allow_patterns=None):
+        assert allow_patterns == FILES
+        folder = tmp_path / repo_id / (revision or "main")
+        if not folder.is_dir():
+            raise OSError(f"404 Client Error: no repository {repo_id}\n\nSee the documentation")
+        return str(folder)
+
+    library = ModuleType("huggingface_hub")
+    library.__spec__ = ModuleSpec("huggingface_hub", None)
+    library.snapshot_download = snapshot_download
+    monkeypatch.setitem(sys.modules, "huggingface_hub", library)
+    return tmp_path
+
+
+@pytest.mark.parametrize("kind", SHIPPED)
+def test_a_repository_is_loaded_by_the_format_of_its_manifest(hub, kind):
+    folder, wanted = SHIPPED[kind]
+    shutil.copytree(folder, hub / "somebody" / "model" / "v1")
+    assert isinstance(load_from_hub("somebody/model", revision="v1"), wanted)
+
+
+def test_a_missing_repository_and_another_format_are_one_line(hub):
+    with pytest.raises(InputError, match="can't download 'no/body' from the hub: 404") as error:
+        load_from_hub("no/body")
+    assert "\n" not in str(error.value)
+    other = hub / "somebody" / "fit" / "main"
+    other.mkdir(parents=True)
+    (other / "manifest.yaml").write_text("format: pcs-racing fit\n")
+    with pytest.raises(InputError, match=r"somebody/fit: .* begins with 'format: pcs-racing fit'"):
+        load_from_hub("somebody/fit")
+
+
+@pytest.mark.parametrize("kind", SHIPPED)
+def test_a_model_card_repeats_the_manifest_and_shows_how_to_load(tmp_path, kind):
+    folder = shutil.copytree(SHIPPED[kind][0], tmp_path / "model")
+    card = write_model_card(folder, "somebody/model", license="cc-by-4.0").read_text("utf-8")
+    _, head, page = card.split("---\n", 2)
+    assert yaml.safe_load(head)["license"] == "cc-by-4.0"
+    assert 'load_from_hub("somebody/model")' in page
+    manifest = yaml.safe_load((folder / "manifest.yaml").read_text("utf-8"))
+    assert f"# {manifest['name']}\n" in page
+    facts = "settings" if kind == "archive" else "training"
+    name, value = next(iter(manifest[facts].items()))
+    assert f"| `{facts}.{name}` | {value} |" in page
+    assert page.count("\n| ") > len(manifest)
+
+
+def test_a_card_of_a_damaged_folder_is_refused(tmp_path):
+    folder = shutil.copytree(SHIPPED["network"][0], tmp_path / "model")
+    (folder / "weights.safetensors").write_bytes(b"other weights")
+    with pytest.raises(InputError, match="its digest differs"):
+        write_model_card(folder, "somebody/model")
+    assert not (folder / "README.md").exists()
