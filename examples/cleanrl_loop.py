@@ -13,7 +13,7 @@ import argparse
 import gymnasium as gym
 import numpy as np
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
 
 try:
     import torch
@@ -21,6 +21,8 @@ try:
     from torch.distributions import Normal
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
+
+gym.register_envs(pcs_racing)
 
 
 class Agent(nn.Module):

@@ -51,6 +51,15 @@ def test_pages_and_examples_import_public_names_from_nine_places(page):
         assert not name or name in module.__all__, f"{place} does not offer {name}"
 
 
+@pytest.mark.parametrize(
+    "example", sorted((REPOSITORY / "examples").rglob("*.py")), ids=lambda file: file.stem
+)
+def test_examples_register_the_environments_that_they_make(example):
+    text = example.read_text(encoding="utf-8")
+    makes = re.search(r"""\b(gym|gymnasium)\.make(_vec)?\(\s*(?!\s|["']pcs_racing:)""", text)
+    assert not makes or "register_envs(pcs_racing)" in text
+
+
 def test_the_two_packages_offer_few_names_and_their_folders():
     names = {
         f"{package.__name__}.{name}"

@@ -24,7 +24,9 @@ from typing import Any
 import gym
 import gymnasium
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
+
+gymnasium.register_envs(pcs_racing)
 
 RELEASE = "cleanrl==1.2.0"
 

@@ -21,8 +21,10 @@ from gymnasium.utils.save_video import save_video
 from gymnasium.wrappers import vector
 from moviepy import VideoFileClip
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
 from pcs_racing.envs import GYMNASIUM_IDS, RecordRaces
+
+gym.register_envs(pcs_racing)
 
 SHORT = {
     "pcs_racing/Duel-v1": {"step_seconds": 0.4, "moves": 2},

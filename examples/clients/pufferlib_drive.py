@@ -18,7 +18,9 @@ import pufferlib
 import pufferlib.vector
 from numpy.typing import NDArray
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
+
+gym.register_envs(pcs_racing)
 
 
 class Races(pufferlib.PufferEnv):

@@ -17,7 +17,9 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecNormalize
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
+
+gym.register_envs(pcs_racing)
 
 
 def main() -> None:

@@ -11,8 +11,10 @@ Actions are drawn from the spaces of the wrapper, and the returned tensors could
 import gymnasium as gym
 from skrl.envs.wrappers.torch import wrap_env
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
 from pcs_racing.envs import drive
+
+gym.register_envs(pcs_racing)
 
 DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
 

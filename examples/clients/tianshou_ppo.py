@@ -19,7 +19,9 @@ from tianshou.env import DummyVectorEnv
 from tianshou.utils.net.common import Net
 from tianshou.utils.net.discrete import DiscreteActor, DiscreteCritic
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
+
+gym.register_envs(pcs_racing)
 
 
 def main() -> None:

@@ -18,6 +18,8 @@ from torchrl.envs import GymEnv, GymWrapper, ParallelEnv, PettingZooWrapper, che
 import pcs_racing
 from pcs_racing.envs import drive
 
+gym.register_envs(pcs_racing)
+
 
 def main() -> None:
     for name in ("pcs_racing/Duel-v1", "pcs_racing/Drive-v1"):

@@ -11,9 +11,11 @@ Both shipped games are played. An agent without a network for a game is listed a
 import gymnasium as gym
 import pettingzoo
 
-import pcs_racing  # noqa: F401  registers the environments
+import pcs_racing
 import pcs_racing_agents
 from pcs_racing import InputError
+
+gym.register_envs(pcs_racing)
 
 GAMES = {"default-early": "paper", "contest-early": "contest"}  # the rules by the archive
 ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Match-v0", "pcs_racing/Drive-v1")
