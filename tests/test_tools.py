@@ -1,11 +1,13 @@
 """Maintainers' tools: which tests a change needs, and which faults no test noticed."""
 
+import ast
 import csv
 import json
 
-from repository import load_tool
+import pytest
+from repository import REPOSITORY, load_tool
 
-quick, survivors = load_tool("quick"), load_tool("survivors")
+colab, quick, survivors = load_tool("colab"), load_tool("quick"), load_tool("survivors")
 
 
 def test_a_change_is_tested_in_its_rooms_and_by_the_pages_that_name_it():
@@ -44,3 +46,19 @@ def test_a_fault_that_no_test_noticed_is_found_and_compared_without_brackets():
 def test_every_accepted_fault_has_a_reason():
     with open(survivors.ACCEPTED, newline="", encoding="utf-8") as file:
         assert all(len(row["reason"]) > 10 for row in csv.DictReader(file))
+
+
+@pytest.mark.parametrize("page", colab.PAGES, ids=lambda page: page.stem)
+def test_a_notebook_of_colab_has_the_cells_of_its_page(page):
+    file = REPOSITORY / colab.PLACE / f"{page.stem}.ipynb"
+    text = file.read_text(encoding="utf-8")
+    assert text == colab.notebook(page), "run: python dev/tools/colab.py"
+    badge, install, *cells = json.loads(text)["cells"]
+    assert f"({colab.address(page.stem)})" in badge["source"][0]
+    assert install["source"] == [colab.INSTALL]
+    code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    page_text = page.read_text(encoding="utf-8")
+    assert page_text.count("```{code-cell}") == len(code) > 2
+    assert all(ast.parse(cell) and cell in page_text for cell in code)
+    assert colab.address(page.stem) in page_text
+    assert "](../" not in "".join(line for cell in cells for line in cell["source"])
