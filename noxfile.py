@@ -54,6 +54,41 @@ def wheel(session: nox.Session) -> None:
     session.run("pcs-racing", "study", "quick", "--out", "study", env=env)
 
 
+STEP = """
+import gymnasium as gym, pcs_racing, pcs_racing_agents
+assert "site-packages" in pcs_racing.__file__ and "site-packages" in pcs_racing_agents.__file__
+gym.register_envs(pcs_racing)
+env = gym.make("pcs_racing/Drive-v1", track="Pipkin", opponent="lattice:pace=0.3", beams=108)
+env.action_space.seed(1)
+env.reset(seed=1)
+over = False
+while not over:
+    seen, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    over = terminated or truncated
+print("an episode, its last observation of shape", seen.shape)
+"""
+
+
+@nox.session(python=["3.11", "3.12", "3.13", "3.14"], venv_backend="uv")
+@nox.parametrize("bounds", ["lowest-direct", "highest"])
+def dependencies(session: nox.Session, bounds: str) -> None:
+    """Install the wheel with the oldest or newest allowed dependencies, then race and step."""
+    folder = Path(session.create_tmp()).resolve()
+    session.run("uv", "build", "--quiet", "--out-dir", str(folder / "dist"), str(ROOT))
+    (built,) = (folder / "dist").glob("pcs_racing-*.whl")
+    wheels = ("--resolution", bounds, "--only-binary", ":all:")
+    session.install(*wheels, "--requirements", str(ROOT / "pyproject.toml"))
+    session.install("--no-deps", "--reinstall", str(built))
+    empty = folder / "empty"
+    shutil.rmtree(empty, ignore_errors=True)
+    empty.mkdir()
+    session.chdir(empty)
+    caches = {"NUMBA_CACHE_DIR": f"{folder}/numba", "PCS_RACING_CACHE": f"{folder}/tracks"}
+    env = {**caches, "PYTHONPATH": None}
+    session.run("pcs-racing", "race", "--track", "Pipkin", "--replay", "race.html", env=env)
+    session.run("python", "-c", STEP, env=env)
+
+
 @nox.session
 @nox.parametrize("name", sorted(path.stem for path in ROOT.glob("examples/clients/*.py")))
 def clients(session: nox.Session, name: str) -> None:
@@ -74,7 +109,7 @@ def compare(session: nox.Session) -> None:
     session.run("pytest", "-m", "compare", "-rs", *session.posargs)
 
 
-@nox.session(python=["3.11", "3.12", "3.13"])
+@nox.session(python=["3.11", "3.12", "3.13", "3.14"])
 def tests(session: nox.Session) -> None:
     """Run the tests with another Python."""
     session.install("--only-binary=:all:", "--editable", ".[test]")

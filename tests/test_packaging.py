@@ -14,6 +14,7 @@ import yaml
 from repository import REPOSITORY
 
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+URLS = PROJECT["project"]["urls"]
 
 # Makes Python find none of the libraries that only extras bring, wherever it looks for them.
 WITHOUT_EXTRAS = """
@@ -208,3 +209,60 @@ def test_every_workflow_can_be_read(file):
     for job in jobs.values():
         assert job["runs-on"]
         assert all({"run", "uses"} & step.keys() for step in job["steps"])
+
+
+def test_the_recipe_of_conda_forge_has_the_dependencies_of_the_project():
+    recipe = yaml.safe_load((REPOSITORY / "dev/conda/recipe.yaml").read_text(encoding="utf-8"))
+    project, python = PROJECT["project"], "python >=${{ python_min }}"
+    run = [name.replace(" ", "") for name in recipe["requirements"]["run"] if name != python]
+    assert run == project["dependencies"]
+    assert recipe["context"]["version"] == project["version"]
+    assert recipe["about"]["summary"] == project["description"]
+    (command,) = recipe["build"]["python"]["entry_points"]
+    assert command.split(" = ") == ["pcs-racing", project["scripts"]["pcs-racing"]]
+
+
+def test_the_workflows_and_nox_try_every_python_that_the_project_names():
+    named = re.findall(r"Python :: (3\.\d+)", " ".join(PROJECT["project"]["classifiers"]))
+    ci = yaml.safe_load((REPOSITORY / ".github/workflows/ci.yml").read_text(encoding="utf-8"))
+    tried = ci["jobs"]["test"]["strategy"]["matrix"]["python"]
+    assert set(named) <= set(tried)
+    assert PROJECT["project"]["requires-python"] == f">={named[0]}" == f">={tried[0]}"
+    noxfile = (REPOSITORY / "noxfile.py").read_text(encoding="utf-8")
+    assert noxfile.count(f"@nox.session(python={json.dumps(tried)}") == 2
+
+
+def test_files_of_services_can_be_read_and_name_what_exists():
+    pages = yaml.safe_load((REPOSITORY / ".readthedocs.yaml").read_text(encoding="utf-8"))
+    assert pages["version"] == 2
+    assert (REPOSITORY / pages["sphinx"]["configuration"]).is_file()
+    container = REPOSITORY / ".devcontainer" / "devcontainer.json"
+    command = json.loads(container.read_text(encoding="utf-8"))["postCreateCommand"]
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    assert f"\n{command.removeprefix('make ')}:" in makefile
+    assert {"Homepage", "Documentation", "Source", "Issues", "Changelog"} == set(URLS)
+
+
+@pytest.mark.parametrize(
+    "name", ["CITATION.cff", "dev/conda/recipe.yaml", "dev/tools/gallery.py", "docs/cite.md"]
+)
+def test_addresses_of_the_project_are_the_addresses_of_its_metadata(name):
+    text = (REPOSITORY / name).read_text(encoding="utf-8")
+    found = re.findall(r"https://[^\s\"'),}]*/pcs-racing[^\s\"'),}]*", text)
+    known = (
+        URLS["Source"],
+        URLS["Documentation"],
+        "https://pypi.org/packages/source/p/pcs-racing/",
+    )
+    assert found
+    assert all(link.startswith(known) for link in found)
+
+
+def test_the_paper_is_short_and_cites_entries_of_its_bibliography():
+    paper = (REPOSITORY / "paper" / "paper.md").read_text(encoding="utf-8")
+    _, head, body = paper.split("---\n", 2)
+    assert yaml.safe_load(head)["bibliography"] == "paper.bib"
+    assert len(body.split()) <= 900
+    entries = (REPOSITORY / "paper" / "paper.bib").read_text(encoding="utf-8")
+    cited = set(re.findall(r"@([a-z]+\w*\d{4}\w*)", body))
+    assert cited == set(re.findall(r"^@\w+\{(\w+),", entries, re.MULTILINE))

@@ -131,7 +131,9 @@ END = """## Make your own
 `pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch
 races](../view.md)).
 `pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a
-notebook](../notebooks/first_race.md) does it). """
+notebook](../notebooks/first_race.md) does it). Replays to play in the browser:
+[Tarnfjord](https://pcs-racing.github.io/pcs-racing/replays/Tarnfjord.html),
+[Quillburg](https://pcs-racing.github.io/pcs-racing/replays/Quillburg.html)."""
 
 
 class Clip(NamedTuple):
