@@ -54,11 +54,12 @@ def test_a_notebook_of_colab_has_the_cells_of_its_page(page):
     text = file.read_text(encoding="utf-8")
     assert text == colab.notebook(page), "run: python dev/tools/colab.py"
     badge, install, *cells = json.loads(text)["cells"]
-    assert f"({colab.address(page.stem)})" in badge["source"][0]
+    address = colab.address(page.stem)
+    assert badge["source"] == [f"[![Open in Colab]({colab.BADGE})]({address})"]
     assert install["source"] == [colab.INSTALL]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
     page_text = page.read_text(encoding="utf-8")
     assert page_text.count("```{code-cell}") == len(code) > 2
     assert all(ast.parse(cell) and cell in page_text for cell in code)
-    assert colab.address(page.stem) in page_text
+    assert f"[Open in Colab]({address})" in page_text
     assert "](../" not in "".join(line for cell in cells for line in cell["source"])

@@ -35,8 +35,10 @@ def cells(text: str) -> list[tuple[str, str]]:
     """Return the cells of a page: kind and text."""
     body = re.sub(r"\A---\n.*?\n---\n", "", text, flags=re.DOTALL)
     parts = re.split(r"```\{code-cell\}\n(.*?)\n```", body, flags=re.DOTALL)
-    kinds = [("markdown", "code")[k % 2] for k in range(len(parts))]
-    return [(kind, part.strip()) for kind, part in zip(kinds, parts, strict=True) if part.strip()]
+    found = [
+        ("code", part) if k % 2 else ("markdown", _linked(part)) for k, part in enumerate(parts)
+    ]
+    return [(kind, part.strip()) for kind, part in found if part.strip()]
 
 
 def _linked(text: str) -> str:
@@ -58,8 +60,8 @@ def notebook(page: Path) -> str:
     ]
     made: list[dict[str, Any]] = []
     for kind, text in [*head, *cells(page.read_text(encoding="utf-8"))]:
-        source = (text if kind == "code" else _linked(text)).splitlines(keepends=True)
-        cell = {"cell_type": kind, "id": f"cell-{len(made)}", "metadata": {}, "source": source}
+        cell: dict[str, Any] = {"cell_type": kind, "id": f"cell-{len(made)}", "metadata": {}}
+        cell["source"] = text.splitlines(keepends=True)
         outputs = {"execution_count": None, "outputs": []} if kind == "code" else {}
         made.append(cell | outputs)
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
