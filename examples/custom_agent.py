@@ -73,7 +73,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     rules = game_rules(arguments.rules)
-    mine = catch_up(make_game_spec("default-early", rules))
+    mine = catch_up(make_game_spec("default", rules))
 
     # 3. A registered agent has a name, like the agents of the zoo. An installed package declares it
     #    as an entry point "pcs_racing.agents" instead, also for the command line.

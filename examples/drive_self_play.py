@@ -30,7 +30,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
-RULES = {"paper": "default-early", "contest": "contest-early"}
+RULES = {"paper": "default", "contest": "contest"}
 """Rules of the races, and the archive that was made under them."""
 
 

@@ -29,9 +29,7 @@ def main() -> None:
     parser.add_argument(
         "--rules", default="paper", help="race rules: paper, contest or a YAML file"
     )
-    parser.add_argument(
-        "--archive", default="default-early", help="archive that the agents move in"
-    )
+    parser.add_argument("--archive", default="default", help="archive that the agents move in")
     parser.add_argument("--ego", default="cfr-argmax", help="agent in car 0")
     parser.add_argument("--opponent", default="never-switch", help="agent in car 1")
     parser.add_argument(

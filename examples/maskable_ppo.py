@@ -30,7 +30,7 @@ except ModuleNotFoundError as error:
         f'this example needs {error.name}: pip install ".[learning]" sb3-contrib'
     ) from None
 
-WORLD = {"archive": "contest-early", "race": "contest"}
+WORLD = {"archive": "contest", "race": "contest"}
 """Archive and rules of the benchmark."""
 TRACKS = ["Brackwater", "Pipkin"]
 """Training tracks of the benchmark."""

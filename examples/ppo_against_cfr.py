@@ -1,7 +1,7 @@
 """Train PPO and race it against the CFR agent (counterfactual regret minimization).
 
     python examples/ppo_against_cfr.py
-    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest-early
+    python examples/ppo_against_cfr.py --steps 200000 --rules contest --archive contest
 
 PPO of Stable-Baselines3 trains on the game of moves against a mixture of opponents. Its weights are
 saved, and loaded again without torch. Four agents then drive the same races, on both sides of each
@@ -40,7 +40,7 @@ def main() -> None:
     )
     parser.add_argument("--track", default="Tarnfjord", help="track of the training and the races")
     parser.add_argument("--rules", default="paper", help="rules of the race: paper or contest")
-    parser.add_argument("--archive", default="default-early", help="archive that both move in")
+    parser.add_argument("--archive", default="default", help="archive that both move in")
     parser.add_argument("--steps", type=int, default=20_000, help="moves to learn from")
     parser.add_argument(
         "--opponent", default="cfr-argmax", help="agent of the zoo to compare with PPO"

@@ -29,7 +29,7 @@ parser.add_argument(
 )
 parser.add_argument("--track", default="Brackwater", help="name of a shipped track or a map folder")
 parser.add_argument(
-    "--archive", default="contest-early", help="archive of policies that both cars drive with"
+    "--archive", default="contest", help="archive of policies that both cars drive with"
 )
 parser.add_argument("--rules", default="contest", help="race rules: paper, contest or a YAML file")
 parser.add_argument("--games", type=int, default=500, help="test games against each opponent")

@@ -2,7 +2,7 @@
 
     python examples/train_ppo.py
     python examples/train_ppo.py --steps 200000 --games 2000
-    python examples/train_ppo.py --archive default-early --rules paper --opponent random-moves
+    python examples/train_ppo.py --archive default --rules paper --opponent random-moves
 
 A table compares the trained agent with random and constant moves in the same test games.
 learning_curve.png and the model are saved. The default takes one to two minutes on an idle core;
@@ -149,7 +149,7 @@ def parse() -> argparse.Namespace:
     option("--steps", type=int, default=60_000, help="training moves")
     option("--track", default="Brackwater", help="name of a shipped track or a map folder")
     option(
-        "--archive", default="contest-early", help="archive of policies that both cars drive with"
+        "--archive", default="contest", help="archive of policies that both cars drive with"
     )
     option("--rules", default="contest", help="race rules: paper, contest or a YAML file")
     option(

@@ -121,9 +121,7 @@ def read(
     return int(known.sum()), f"{bits[0]:.4f}", *shares, difference, f"{further.mean():.3f}"
 
 
-@command(
-    "reading", "python -m studies reading --rules contest --archive contest-early --out out/reading"
-)
+@command("reading", "python -m studies reading --rules contest --archive contest --out out/reading")
 def run(
     *,
     agents: Annotated[Sequence[str], Option("agents whose moves are read", "AGENT")] = (

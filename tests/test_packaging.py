@@ -108,7 +108,7 @@ NEEDS = {
     ),
     "a cluster": (
         (
-            'main(["tree", "--archive", "default-early", "--track", "Pipkin", "--out", "trees",'
+            'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees",'
             ' "--scheduler", "tcp://there:8786"])'
         ),
         "cluster",

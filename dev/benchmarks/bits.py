@@ -190,7 +190,7 @@ def networks(folders: list[Path]) -> Digests:
     """A shipped network on random observations."""
     from pcs_racing_agents.networks import load_network
 
-    network = load_network("default-early-paper-regret")
+    network = load_network("default-paper-regret")
     yield "network", network(np.random.default_rng(0).normal(size=(50, len(network.elements))))
 
 

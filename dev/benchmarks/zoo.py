@@ -5,8 +5,8 @@
 
 Every agent that there is with its defaults, and two lattices, race six others, on a circuit that
 some agents learned on and on one that none learned on (but for the driver ppo-drive, which learned
-on Kestrelheim), once with the archive "default-early" in the paper's race and once with the archive
-"contest-early" in the contest. All drive the same races. What is left in --out of an earlier call
+on Kestrelheim), once with the archive "default" in the paper's race and once with the archive
+"contest" in the contest. All drive the same races. What is left in --out of an earlier call
 is not driven again, unless an agent has changed.
 """
 

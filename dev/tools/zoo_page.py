@@ -26,7 +26,7 @@ from pcs_racing_agents.agents.describe import (
 )
 from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, entries
 
-SETTINGS = (("default-early", "paper"), ("contest-early", "contest"))
+SETTINGS = (("default", "paper"), ("contest", "contest"))
 """Archive and rules of the games in which agents are measured: those that networks and choices are
 shipped for.
 """

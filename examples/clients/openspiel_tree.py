@@ -4,7 +4,7 @@
 """OpenSpiel: solve a game tree with CFR+ and MCCFR, and compare with our solvers.
 
     python examples/clients/openspiel_tree.py
-    pcs-racing tree --archive default-early --track Pipkin --pairs 2 --out out/trees
+    pcs-racing tree --archive default --track Pipkin --pairs 2 --out out/trees
     python examples/clients/openspiel_tree.py --trees out/trees --tree 1
 
 Without --trees the tree is small, with random payoffs. OpenSpiel reads the tree as extensive-form

@@ -199,7 +199,7 @@ class DriveOptions(EpisodeOptions):
         str | Path | PolicyArchive,
         _source(PolicyArchive),
         "Archive of opponents that move between policies.",
-    ] = "default-early"
+    ] = "default"
 
     def __post_init__(self) -> None:
         super().__post_init__()

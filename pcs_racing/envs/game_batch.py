@@ -107,7 +107,7 @@ class GameOptions(EpisodeOptions):
         PolicyArchive | str | Path,
         ANYTHING,
         "The policies: an archive, its name or folder.",
-    ] = "default-early"
+    ] = "default"
     opponent: Annotated[
         Any,
         ANYTHING,

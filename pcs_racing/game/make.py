@@ -16,7 +16,7 @@ from pcs_racing.track.track import Track
 
 def make_game(
     track: Track | str | Path,
-    archive: PolicyArchive | str | Path = "default-early",
+    archive: PolicyArchive | str | Path = "default",
     race: GameConfig | RaceConfig | str | Path = "paper",
     *,
     opponent_planner: Planner | str | None = None,

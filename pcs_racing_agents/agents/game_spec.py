@@ -84,7 +84,7 @@ def shipped_name(spec: GameSpec, kind: str, known: Sequence[str], agent: str, ho
 
 
 def make_game_spec(
-    archive: PolicyArchive | str | Path = "default-early",
+    archive: PolicyArchive | str | Path = "default",
     race: GameConfig | RaceConfig | str | Path = "paper",
 ) -> GameSpec:
     """Return the spec of a game from an archive and rules, or their names.

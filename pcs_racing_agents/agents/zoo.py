@@ -98,7 +98,7 @@ def entries() -> dict[str, Entry]:
 
 
 def names(
-    archive: PolicyArchive | str | Path = "default-early",
+    archive: PolicyArchive | str | Path = "default",
     race: GameConfig | RaceConfig | str | Path = "paper",
 ) -> list[str]:
     """Return the names of all agents and fixed policies for an archive, sorted.
@@ -114,7 +114,7 @@ def names(
 def make(
     name: str,
     *,
-    archive: PolicyArchive | str | Path = "default-early",
+    archive: PolicyArchive | str | Path = "default",
     race: GameConfig | RaceConfig | str | Path = "paper",
     seed: int = 0,
     **options: Any,

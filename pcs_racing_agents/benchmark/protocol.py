@@ -41,7 +41,7 @@ class ProtocolConfig(Settings):
     """A protocol: opponents by kind, tracks, number of races."""
 
     name: Annotated[Text, "Name, with the version."] = "bench-v2"
-    archive: Annotated[Text, "Archive of the agents."] = "contest-early"
+    archive: Annotated[Text, "Archive of the agents."] = "contest"
     race: Annotated[Text, "Rules of the race."] = "contest"
     seen: Annotated[Names, "Circuits that may be trained on."] = ("Pipkin", "Quillburg")
     unseen: Annotated[Names, "Circuits that may not be trained on."] = ("Larkmoor", "Saltmere")

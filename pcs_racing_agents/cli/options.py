@@ -89,9 +89,7 @@ class Workers:
 
 def archive_for(archive: str | None, rules: RaceConfig) -> str:
     """Return the requested archive, or the default archive for the rules' measure of its axis 0."""
-    return archive or (
-        "default-early" if rules.aggressiveness == PAPER.aggressiveness else "contest-early"
-    )
+    return archive or ("default" if rules.aggressiveness == PAPER.aggressiveness else "contest")
 
 
 def can_draw(picture: str) -> bool:

@@ -141,7 +141,7 @@ class StudyConfig(Settings):
     synthesis: Annotated[
         Text | None, "Configuration of the synthesis; None uses an existing archive instead."
     ] = None
-    archive: Annotated[Text, "Name or folder of the existing archive."] = "default-early"
+    archive: Annotated[Text, "Name or folder of the existing archive."] = "default"
     learning: Annotated[
         LearningConfig, _section(LearningConfig), "Training of the networks and agents."
     ] = LearningConfig()

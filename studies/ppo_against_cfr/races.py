@@ -39,7 +39,7 @@ OPPONENTS = (
 )
 CROSS_PLAY = (*CONTROL, "ppo", "cfr-argmax", "best-fixed", "lattice")
 """Racers of the payoff table, all against all."""
-ARCHIVES = {"contest": "contest-early", "paper": "default-early"}
+ARCHIVES = {"contest": "contest", "paper": "default"}
 """Archive of the agents by rules."""
 CIRCUITS = ("training", "held-out")
 """Kinds of circuits."""

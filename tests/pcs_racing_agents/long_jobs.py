@@ -7,7 +7,7 @@ from pathlib import Path
 from pcs_racing_agents.base.chunks import read_chunk
 from pcs_racing_agents.base.fingerprint import fingerprint
 
-TREES = ["--archive", "default-early", "--track", "Pipkin", "--moves", "2", "--step", "2"]
+TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
 SETTINGS = Path(__file__).parent / "settings"
 
 

@@ -104,7 +104,7 @@ def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, lib
         pytest.importorskip(library)
     run_python(EXAMPLES / script, "--steps", 1, "--out", "made", folder=tmp_path)
     monkeypatch.syspath_prepend(REPOSITORY)
-    spec = make_game_spec("contest-early", "contest")
+    spec = make_game_spec("contest", "contest")
     entrant = f"examples.{Path(script).stem}:make_agent"
     agent = load_entrant(entrant, spec, weights=tmp_path / "made" / file)
     game = RaceGame(load_track("Pipkin"), spec.archive, spec.config)

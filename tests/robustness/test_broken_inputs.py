@@ -212,9 +212,7 @@ TEXTS = {
     load_track: "Pipkin",
     load_archive: "default",
     parse_policy: "lattice:pace=0.8,side_margin=0.2",
-    lambda text: parse_agent(
-        text, make_game_spec()
-    ): "cfr-argmax:network=default-early-paper-regret",
+    lambda text: parse_agent(text, make_game_spec()): "cfr-argmax:network=default-paper-regret",
 }
 
 

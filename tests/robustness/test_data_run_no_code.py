@@ -87,7 +87,7 @@ class Main:
 WORDS = ("evil.py:main", "evil_module:main", "evil.py")
 PROTOCOL = {
     "race": "paper",
-    "archive": "default-early",
+    "archive": "default",
     "seen": ("Pipkin",),
     "unseen": ("Pipkin",),
     "keeps": ("never-switch",),
@@ -303,14 +303,14 @@ KINDS = {
         "read _content load_archive",
     ),
     "network": Kind(
-        shipped("pcs_racing_agents/data/networks", "default-early-paper-regret/manifest.yaml"),
+        shipped("pcs_racing_agents/data/networks", "default-paper-regret/manifest.yaml"),
         lambda file: parse_agent(
-            f"cfr-argmax:network={file.parent}", make_game_spec("default-early", "paper")
+            f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")
         ),
     ),
     "set of networks": Kind(
-        shipped("pcs_racing_agents/data/networks", "contest-early-contest-psro/set.yaml"),
-        lambda file: make("psro", archive="contest-early", race="contest", networks=file.parent),
+        shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
+        lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
     ),
     "driver": Kind(
         shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
@@ -330,8 +330,8 @@ KINDS = {
         lambda file: export_onnx(file.parent, file.parent / "network.onnx"),
     ),
     "fit": Kind(
-        shipped("pcs_racing_agents/data/fits", "default-early-paper-best-fixed.yaml"),
-        lambda file: make("best-fixed", archive="default-early", race="paper", fit=file),
+        shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
+        lambda file: make("best-fixed", archive="default", race="paper", fit=file),
     ),
     "replay": Kind(replay, lambda file: replay_page(read_replay(file)), "read_replay"),
     "trees": Kind(
@@ -574,7 +574,5 @@ def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command
 
 def test_a_text_is_no_code_unless_its_caller_says_so(evil):
     for word in WORDS:
-        refused(
-            "no file may name code", parse_agent, word, make_game_spec("default-early", "paper")
-        )
+        refused("no file may name code", parse_agent, word, make_game_spec("default", "paper"))
         refused("unknown", make, word)

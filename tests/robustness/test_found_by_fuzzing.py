@@ -70,14 +70,14 @@ NO_FILE = ["a\0b.{}", "\ud800.{}", "a/\0/b.{}"]
 @pytest.mark.parametrize("name", NO_FILE)
 def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    archive, track = load_archive("default-early"), load_track("Pipkin")
+    archive, track = load_archive("default"), load_track("Pipkin")
     replay = record_race(
         track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0
     )
     folder, file, game = (
         Path(name.format("d")),
         name.format,
-        make_game_spec("default-early", "paper"),
+        make_game_spec("default", "paper"),
     )
     for call in (
         lambda: load_track(file("yaml")),

@@ -97,7 +97,7 @@ class DuelSettings(PPOSettings):
     """Settings of training at the strategy level; a step is a move."""
 
     level: Annotated[str, OneOf(("duel",)), "Level of the training."] = "duel"
-    archive: Annotated[Text, "Name or folder of the archive of policies."] = "default-early"
+    archive: Annotated[Text, "Name or folder of the archive of policies."] = "default"
     race: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
     epsilon: Annotated[
         float, Interval(ge=1e-6, le=10.0), "Length of a move, in units of the archive's range."

@@ -123,7 +123,7 @@ def test_a_random_circuit_can_be_raced_on():
     assert track.content_hash == random_circuit(settings, 3).content_hash
     assert 50.0 < track.length < 125.0
     assert set(track.calibration) == set(PRESETS)
-    env = DuelEnv(track=track, archive="default-early", step_seconds=1.0, moves=1)
+    env = DuelEnv(track=track, archive="default", step_seconds=1.0, moves=1)
     for seed in range(3):
         env.reset(seed=seed)
         assert not env.batch.state.race.crashed.any()

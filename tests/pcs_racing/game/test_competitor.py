@@ -152,7 +152,7 @@ def test_competitors_are_listed_and_made_by_name(game, monkeypatch):
     assert isinstance(make_competitor("random-moves", game), RandomMoves)
     keeps = make_competitor("never-switch", game)
     assert [policy.name for policy in keeps.policies] == [
-        f"default-early[{i}]" for i in range(len(game.archive))
+        f"default[{i}]" for i in range(len(game.archive))
     ]
     assert make_competitor("lattice:pace=0.25", game).name == "lattice:pace=0.25"
     for name in ("mine", "mine : a=1", "my.zip", "always-mine"):

@@ -302,9 +302,7 @@ def test_several_step_sizes_and_three_characteristics(track):
     assert after.policy[1, 1] == state.policy[1, 1]
     assert after.policy[0, 1] == move(game.archive, int(state.policy[0, 1]), 0, 1, 0.6)
     assert after.policy[1, 0] == move(game.archive, int(state.policy[1, 0]), 0, 1, 0.2)
-    game = make_game(
-        track, three_axes(load_archive("default-early"), "smoothness"), step_seconds=2.0
-    )
+    game = make_game(track, three_axes(load_archive("default"), "smoothness"), step_seconds=2.0)
     assert game.move_names[4:] == ("smoothness +", "smoothness -")
     assert len(game.observation_elements) == 5 * 8 + 1
     end = play(game, game.reset(games=2), [(4, 5)] * 4)
@@ -378,9 +376,7 @@ def test_games_that_end_while_watching_are_drawn_again(track):
 
 def test_drivers_from_outside_the_archive(track):
     """Car 1 may be any policy, even of another planner; its moves do nothing then."""
-    game = RaceGame(
-        track, load_archive("default-early"), GameConfig(step_seconds=2.0), PURE_PURSUIT
-    )
+    game = RaceGame(track, load_archive("default"), GameConfig(step_seconds=2.0), PURE_PURSUIT)
     opponent = PURE_PURSUIT.policy()
     state = game.reset([1, 2], opponents=opponent)
     np.testing.assert_array_equal(state.policy[:, 1], -1)
@@ -405,7 +401,7 @@ def test_drivers_from_outside_in_either_car(track):
     its noise.
     """
     config = GameConfig(race=CONTEST, step_seconds=0.8)
-    archive = load_archive("default-early")
+    archive = load_archive("default")
     game = RaceGame(track, archive, config, "lattice", ego_planner=PURE_PURSUIT)
     egos, wild = (
         [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.2, 0.9)],

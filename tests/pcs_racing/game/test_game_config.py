@@ -98,13 +98,13 @@ def test_each_rule_has_its_limits():
 
 
 def test_a_game_is_recognised_by_its_moves_observations_and_archive():
-    archive = load_archive("default-early")
+    archive = load_archive("default")
     own = game_identity(SimpleNamespace(archive=archive, config=GameConfig(moves=2)))
     assert own._replace(elements=()) == (
         (),
         ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -"),
         (0.5,),
-        "default-early",
+        "default",
         archive.content_hash,
         "paper",
         2,
@@ -157,7 +157,7 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
         ({"epsilon": (0.25, 1.0)}, "^it was made for moves of epsilon 0.5; the game has 0.25, 1$"),
         (
             {"archive": "b", "archive_sha256": 20 * "b"},
-            r"'default-early' \(sha256 \w{12}\); .* 'b' \(sha256 b{12}\)$",
+            r"'default' \(sha256 \w{12}\); .* 'b' \(sha256 b{12}\)$",
         ),
     ]:
         refused(message, check_same_game, own, own._replace(**change), "it")

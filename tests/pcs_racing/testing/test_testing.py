@@ -116,8 +116,8 @@ def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
             error=AssertionError,
         )
     refused("read-only", check_planner, driver(writes_to_theta), track, error=AssertionError)
-    check_archive(load_archive("default-early"))
-    check_archive(load_archive("default-early"), track)
+    check_archive(load_archive("default"))
+    check_archive(load_archive("default"), track)
     refused(
         "planner 'nobody' is unknown", check_archive, change(planner="nobody"), error=AssertionError
     )
@@ -128,13 +128,11 @@ def test_the_checks_find_what_is_wrong_with_planners_and_archives(track):
         error=AssertionError,
     )
     with pytest.raises(AssertionError, match="parameter 'length' is 50"):
-        check_archive(
-            change(parameters=np.full_like(load_archive("default-early").parameters, 50.0))
-        )
+        check_archive(change(parameters=np.full_like(load_archive("default").parameters, 50.0)))
 
 
 def change(**values) -> PolicyArchive:
-    default = load_archive("default-early")
+    default = load_archive("default")
     return PolicyArchive(
         **{**{key: getattr(default, key) for key in default.__dataclass_fields__}, **values}
     )

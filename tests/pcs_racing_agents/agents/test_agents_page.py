@@ -54,12 +54,12 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
     try:
         digest = competitor_hash(make("never-switch"))
         assert not measurements()
-        one = measured_agent("default-early", digest, {"random-moves": 0.625})
+        one = measured_agent("default", digest, {"random-moves": 0.625})
         zoo_page.write_measurements(
             [one, one._replace(agent="lane-switcher", many_us=np.nan, against={})]
         )
-        assert measurements()["default-early", "paper", "never-switch"] == one
-        assert np.isnan(measurements()["default-early", "paper", "lane-switcher"].many_us)
+        assert measurements()["default", "paper", "never-switch"] == one
+        assert np.isnan(measurements()["default", "paper", "lane-switcher"].many_us)
         page = zoo_page.zoo_page()
         assert (
             f"| `never-switch` | 0.500 | -12 [-40, +20] | 2.0% | 46 | 0.53 | `{digest[:12]}` |"
@@ -74,6 +74,6 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
 
 def test_the_command_tells_the_same(printed):
     out = printed("agents", "cfr-argmax")
-    for line in facts_of("cfr-argmax", make_game_spec("default-early", "paper")):
+    for line in facts_of("cfr-argmax", make_game_spec("default", "paper")):
         assert f"- {line}\n" in out
-    assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest-early")
+    assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest")

@@ -94,9 +94,9 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(spec, seen, t
         "rounds 3",
     ]
     assert (
-        build("psro", make_game_spec("contest-early", "contest"))
+        build("psro", make_game_spec("contest", "contest"))
         .facts["networks"]
-        .startswith("contest-early-contest-psro: ")
+        .startswith("contest-contest-psro: ")
     )
     assert agent.content_hash == build("self-play", spec, networks=known).content_hash
     other = NetworkSet("three", networks[::-1], np.array([3.0, 2.0, 1.0]), "regret-matching")

@@ -98,8 +98,8 @@ def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():
 
 def test_names_are_known_with_their_options_and_a_driver_draws_one_of_its_variants(game):
     assert set(NAMES) <= {"".join(name.split()) for name in competitor_names(game)}
-    agent = make_competitor("cfr-argmax:network=default-early-paper-regret", game)
-    assert agent.name == "cfr-argmax:network=default-early-paper-regret"
+    agent = make_competitor("cfr-argmax:network=default-paper-regret", game)
+    assert agent.name == "cfr-argmax:network=default-paper-regret"
     with pytest.raises(UnknownNameError, match="'cfr-argmx' is unknown; did you mean 'cfr-argmax'"):
         make_competitor("cfr-argmx", game)
     driver = pcs_racing_agents.make("lane-switcher")

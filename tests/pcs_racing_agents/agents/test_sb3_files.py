@@ -308,7 +308,7 @@ def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more)
     answer = np.clip(kept.model.predict(ROWS)[0], -1.0, 1.0)
     np.testing.assert_allclose(answer, model.predict(ROWS, deterministic=True)[0], atol=1e-5)
     assert (kept.hold, kept.options.beams, kept.options.vehicle[0].mu) == (20, 5, 0.9)
-    assert load_entrant(file, make_game_spec("default-early", "paper")).planner.drive.hold == 20
+    assert load_entrant(file, make_game_spec("default", "paper")).planner.drive.hold == 20
     assert make(file).planner.drive.content_hash == named.planner.drive.content_hash
     ends = [
         run_races(track, one, parse_policy(RIVAL), config, seed=2)

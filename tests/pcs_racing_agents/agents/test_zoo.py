@@ -116,7 +116,7 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
         pcs_racing_agents.mak  # noqa: B018
     other = make("never-switch")
     refused(
-        r"agent 'never-switch' was made for archive 'default-early' \(.*\)",
+        r"agent 'never-switch' was made for archive 'default' \(.*\)",
         game_between,
         game,
         other,
@@ -132,9 +132,9 @@ def test_agents_as_text_and_bad_names_and_options(spec):
     assert len(parse_agent("lane-switcher", spec).policies) == 20
     (only,) = parse_agent("lane-switcher:4", spec).policies
     assert only.name == "lane-switcher:4"
-    spec = make_game_spec("contest-early", "contest")
+    spec = make_game_spec("contest", "contest")
     adaptive = parse_agent(
-        "adaptive:network=contest-early-contest-gain,open_loop=never-switch,margin=0.5", spec
+        "adaptive:network=contest-contest-gain,open_loop=never-switch,margin=0.5", spec
     )
     assert (adaptive.facts["keeps to"], adaptive.facts["margin"]) == ("never-switch", "0.5")
     for text in (
@@ -243,8 +243,8 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
     unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
     assert describe.facts_of("random-moves", spec) == unmeasured
     assert describe.facts_of("nash", spec) == describe.NOT_SHIPPED
-    assert describe.facts_of("response", make_game_spec("contest-early", "contest"))[0].startswith(
-        "Network: contest-early-contest-"
+    assert describe.facts_of("response", make_game_spec("contest", "contest"))[0].startswith(
+        "Network: contest-contest-"
     )
     plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
     for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():

@@ -35,7 +35,7 @@ from pcs_racing_agents.cli.main import main
 
 SMALL = {
     "race": "paper",
-    "archive": "default-early",
+    "archive": "default",
     "seen": ("Pipkin",),
     "unseen": ("Larkmoor",),
     "keeps": ("never-switch",),
@@ -55,7 +55,7 @@ def protocol():
 
 @pytest.fixture(scope="module")
 def results(protocol):
-    return play_protocol(protocol, [make("random-moves", archive="default-early")])
+    return play_protocol(protocol, [make("random-moves", archive="default")])
 
 
 def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
@@ -97,7 +97,7 @@ def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(p
     kept = ProtocolConfig(**SMALL, hashes=protocol.hashes)
     assert load_protocol(kept).content_hash == protocol.content_hash
     changed = ProtocolConfig(**SMALL, hashes=(protocol.hashes[0][:-1] + "x", *protocol.hashes[1:]))
-    refused("archive default-early", load_protocol, changed)
+    refused("archive default", load_protocol, changed)
     cards = read_cards([REPOSITORY / "dev" / "benchmarks" / "bench_v2"])
     assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
 

@@ -489,12 +489,12 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     (tmp_path / "own_racers.py").write_text(OWN)
-    spec = make_game_spec("default-early", "paper")
+    spec = make_game_spec("default", "paper")
     for place in ("own_racers.py", "own_racers"):
         assert parse_own_policy(f"{place}:Straight").name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
             assert parse_agent(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
-        assert parse_agent(f"{place}:last", spec, code=True).model.name == "default-early"
+        assert parse_agent(f"{place}:last", spec, code=True).model.name == "default"
         nobody = "no driver and no agent: .* has no class and no function 'Nobody'"
         refused(nobody, parse_agent, f"{place}:Nobody", spec, code=True)
         refused("here it must be a driver, not an agent", parse_own_policy, f"{place}:First")
@@ -536,7 +536,7 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
 
 @pytest.mark.parametrize(
     ("race", "archive"),
-    [("paper", "default-early"), ("contest", "contest-early"), ("roboracer", "contest-early")],
+    [("paper", "default"), ("contest", "contest"), ("roboracer", "contest")],
 )
 def test_rules_bring_their_archive(run, race, archive):
     assert (
@@ -544,8 +544,8 @@ def test_rules_bring_their_archive(run, race, archive):
         in run("agents", "random-moves", "--rules", race)[1]
     )
     assert (
-        "With archive default-early in"
-        in run("agents", "random-moves", "--rules", race, "--archive", "default-early")[1]
+        "With archive default in"
+        in run("agents", "random-moves", "--rules", race, "--archive", "default")[1]
     )
 
 

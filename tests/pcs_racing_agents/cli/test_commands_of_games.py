@@ -78,9 +78,9 @@ def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path
         assert f"{name}: the best fixed policy is {row['best_fixed']}" in text
     assert lines["mean"][1] == f"{np.mean([float(row['H']) for row in found.values()]):+.3f}"
     assert len(rows_of(tmp_path / "payoffs.csv")) == 2 * 6
-    assert len(load_archive("default-early")) > 16 > (small := len(load_archive("contest-early")))
+    assert len(load_archive("default")) > 16 > (small := len(load_archive("contest")))
     names, pool = PoolOptions(
-        track=("Pipkin",), archive="default-early", rules=Rules(rules="contest", seed=4), races=32
+        track=("Pipkin",), archive="default", rules=Rules(rules="contest", seed=4), races=32
     ).pool()
     assert (len(names), pool.races, pool.seed, pool.config.name) == (16, 32, 4, "contest")
     assert len(PoolOptions(rules=Rules(rules="contest")).pool()[0]) == small
@@ -166,10 +166,10 @@ def begun(monkeypatch):
 
 
 def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, tmp_path, told):
-    options = ["--archive", "default-early", "--seed", 7, "--test-track", "Vellindra"]
+    options = ["--archive", "default", "--seed", 7, "--test-track", "Vellindra"]
     assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
     (study,) = begun
-    assert (study.archive, study.seed) == ("default-early", 7)
+    assert (study.archive, study.seed) == ("default", 7)
     assert study.table.tracks[-1] == "Vellindra"
     assert "Vellindra" not in study.learning.tracks
 
@@ -213,7 +213,7 @@ def folder(tmp_path_factory):
 
 def test_solve_prints_every_method_on_every_tree(folder, run, printed):
     out = printed("solve", folder, "--iterations", 50)
-    assert "2 trees of archive default-early on Pipkin, preset paper; CFR with 50 iterations" in out
+    assert "2 trees of archive default on Pipkin, preset paper; CFR with 50 iterations" in out
     for method in METHODS:
         assert out.count(f"  {method} ") == 3
     assert "\n1     2, 1      exact " in out
@@ -237,7 +237,7 @@ def test_export_writes_what_openspiel_loads(folder, tmp_path, run, printed):
     game = pyspiel.load_efg_game(path.read_text())
     state = game.new_initial_state()
     assert state.action_to_string(state.legal_actions()[0]) == "aggressiveness +"
-    assert 'EFG 2 R "pcs-racing: default-early 2 and 1 on Pipkin"' in path.read_text()
+    assert 'EFG 2 R "pcs-racing: default 2 and 1 on Pipkin"' in path.read_text()
     assert (
         "there is no tree 2; there are trees 0 to 1"
         in run("solve", folder, "--export", path, "--tree", 2)[2]

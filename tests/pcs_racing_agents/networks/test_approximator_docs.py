@@ -21,5 +21,5 @@ def test_the_page_has_the_table_of_targets_and_its_code_runs(tmp_path):
     lines = run_python(page).splitlines()
     assert lines[0] == "(2, 2, 4) [[0 0]"
     assert lines[-1].startswith(
-        "<RegretNetwork 'mine': 31-16-4, first inputs, archive 'default-early', preset 'paper'>"
+        "<RegretNetwork 'mine': 31-16-4, first inputs, archive 'default', preset 'paper'>"
     )

@@ -61,12 +61,12 @@ def test_a_job_is_taken_up_where_it_was_left(payoffs, tmp_path, monkeypatch):
 
 
 def test_a_pool_spans_an_archive_and_races_that_cannot_be_divided_are_refused():
-    archive = load_archive("contest-early")
+    archive = load_archive("contest")
     names, policies = spanning_policies(archive, 3)
     first = archive.coordinates[:, 0]
     assert [names[0], names[2]] == [
-        f"contest-early {first.argmin()}",
-        f"contest-early {first.argmax()}",
+        f"contest {first.argmin()}",
+        f"contest {first.argmax()}",
     ]
     assert len(policies) == 3
     for size in (2, len(archive) + 1):

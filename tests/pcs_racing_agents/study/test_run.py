@@ -162,7 +162,7 @@ def test_changed_files_of_finished_stages_are_named_and_made_again(finished, tmp
 
 
 def test_an_archive_that_was_made_is_the_one_that_ppo_learns_with(tmp_path):
-    archive = replace(load_archive("default-early"), name="mine")
+    archive = replace(load_archive("default"), name="mine")
     save_archive(archive, tmp_path / "study" / "archive")
     study = Study(replace(TINY, synthesis="default"), tmp_path / "study", quiet=True)
     stages.train_ppo_baseline(study)
@@ -257,9 +257,9 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
     fits.mkdir(parents=True)
     load_tool("ship_study").ship(finished, tmp_path)
     kinds = ("advantage", "gain", "ppo", "regret")
-    expected = [f"default-early-paper-{kind}" for kind in kinds]
+    expected = [f"default-paper-{kind}" for kind in kinds]
     assert sorted(path.name for path in (fits.parent / "networks").iterdir()) == expected
-    assert len(list(fits.glob("default-early-paper-best-*.yaml"))) == 3
+    assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
 
 
 def test_the_command_goes_on_in_the_folder_and_says_where_the_results_are(

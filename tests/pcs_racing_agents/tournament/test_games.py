@@ -252,7 +252,7 @@ def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monke
 
 def test_impossible_egos_and_moves_are_refused(zoo, games_of):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
-    other = build("never-switch", make_game_spec("default-early", "paper"))
+    other = build("never-switch", make_game_spec("default", "paper"))
     for egos, value in [
         ([zoo["random-moves"], other], "never-switch"),
     ]:

@@ -102,10 +102,10 @@ def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
     mixed, oval, archive, tmp_path
 ):
     plan = plan_tournament(oval, MIXED)
-    default = load_archive("default-early")
+    default = load_archive("default")
     expected = {
         "game": game_rules("paper", stay=True),
-        "archive": "default-early",
+        "archive": "default",
         "archive_sha256": default.content_hash,
     }
     assert tournament_settings(plan) == {

@@ -213,7 +213,7 @@ def test_duels_are_played_as_in_the_environment(duel_settings):
             payoffs.append(reward)
         assert (score.races, score.worth) == (3, pytest.approx(np.mean(payoffs)))
         assert score.error == pytest.approx(np.std(payoffs, ddof=1) / np.sqrt(3.0))
-    assert task.default_name == "default-early-paper-ppo"
+    assert task.default_name == "default-paper-ppo"
     tracks = {"tracks_sha256": {"Pipkin": task.tracks[0].content_hash}}
     assert task.identity == {"archive_sha256": task.archive.content_hash, **tracks}
 

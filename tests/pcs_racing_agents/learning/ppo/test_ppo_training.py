@@ -92,10 +92,10 @@ def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(
     settings, tmp_path, trained, monkeypatch
 ):
     """An archive that was exchanged for another under the same name is noticed."""
-    own = save_archive(load_archive("default-early"), tmp_path / "mine")
+    own = save_archive(load_archive("default"), tmp_path / "mine")
     few = {"archive": str(own), "opponents": {"random-moves": 1}, "steps": 16}
     train_ppo(settings["duel"], tmp_path / "out", **few)
-    save_archive(load_archive("contest-early"), own)
+    save_archive(load_archive("contest"), own)
     refused("archive_sha256 is", train_ppo, settings["duel"], tmp_path / "out", **few)
     monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.learn_once", None)
     folder = trained["drive"].folder.parent
@@ -106,7 +106,7 @@ def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(
         train_ppo,
         settings["drive"],
         tmp_path / "x",
-        policies=load_archive("default-early"),
+        policies=load_archive("default"),
     )
 
 
@@ -187,11 +187,11 @@ def test_the_network_decides_as_stable_baselines_does(settings, trained):
 
 def test_a_duel_policy_is_an_agent_and_a_drive_policy_a_planner(trained):
     network = load_network(trained["duel"].folder)
-    assert network.name == "default-early-paper-ppo"
+    assert network.name == "default-paper-ppo"
     assert network.training["setting_opponents"] == "2 random-moves, 1 never-switch, 1 pure-pursuit"
-    network.check_fits(make_game(load_track("Larkmoor"), "default-early"))
+    network.check_fits(make_game(load_track("Larkmoor"), "default"))
     agent = make("ppo", network=trained["duel"].folder)
-    game = make_game(load_track("Pipkin"), "default-early", stay=True)
+    game = make_game(load_track("Pipkin"), "default", stay=True)
     seen = game.observation(game.reset(games=3))[:, 0]
     np.testing.assert_array_equal(agent.act(seen), network.choose(seen))
     run = trained["drive"]

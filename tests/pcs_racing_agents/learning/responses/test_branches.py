@@ -25,7 +25,7 @@ from pcs_racing_agents.tournament.games import game_between
 
 @pytest.fixture(scope="module")
 def spec():
-    return make_game_spec("default-early", load_game_config("paper", moves=2, step_seconds=2.0))
+    return make_game_spec("default", load_game_config("paper", moves=2, step_seconds=2.0))
 
 
 @pytest.fixture(scope="module")
