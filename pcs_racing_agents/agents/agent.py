@@ -157,10 +157,9 @@ class Driver(PolicySet):
     @property
     def content_hash(self) -> str:
         """SHA-256 of the planner's name, parameters and network weights, without the own name."""
-        known = self.facts.get("weights sha256")
         drives = (self.planner.drive, self.planner.plan)
         hashes = [getattr(one, "content_hash", None) for one in drives]
-        weights = [one for one in (known, *hashes) if one is not None]
+        weights = [one for one in hashes if one is not None]
         return fingerprint(
             self.planner.name,
             self.planner.parameter_names,

@@ -10,13 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import check_number
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch
-from pcs_racing_agents.agents.zoo import Entry, build
+from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
@@ -102,30 +101,6 @@ def network_agent(
     return Agent(network.name, NetworkStrategy(network, decision, len(spec.moves)), spec, seed)
 
 
-@dataclass(frozen=True, eq=False)
-class AdaptiveStrategy:
-    """A strategy that is open-loop unless a network predicts a gain above a margin."""
-
-    network: RegretNetwork  #: Values of the moves, in the units of its target.
-    blind: Agent  #: Open-loop agent to follow; it does not use its observations.
-    #: Min difference between the value of the best move and the value of the open-loop agent's
-    #: move, 0 or above. A move without a value ("stay", if the network has not learned it) counts
-    #: 0, as in a network of advantages.
-    margin: float
-
-    def __call__(self, observation: ObservationBatch) -> Floats:
-        """Return the probabilities of the moves, shape (B, M)."""
-        default = self.blind.probabilities(observation)
-        # A move without a value is no better than the mean of all moves: as an advantage, 0.
-        values = np.zeros(default.shape)
-        predicted = self.network.unclipped(observation)
-        values[:, : predicted.shape[1]] = predicted
-        best = np.argmax(predicted, axis=1)
-        rows = np.arange(len(observation))
-        gain = values[rows, best] - (default * values).sum(axis=1)
-        return np.where((gain > self.margin)[:, None], np.eye(default.shape[1])[best], default)
-
-
 def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str) -> RegretNetwork:
     """Return a network for a game spec, after a check that it belongs to this game.
 
@@ -189,42 +164,6 @@ def from_network(
     return Agent(name, strategy, spec, seed, {**network_facts(loaded), "decision": decision})
 
 
-def adaptive(
-    spec: GameSpec,
-    *,
-    name: str = "adaptive",
-    seed: int = 0,
-    kind: str = "gain",
-    network: NetworkSource = None,
-    open_loop: str | Agent = "best-fixed",
-    margin: float | None = None,
-) -> Agent:
-    """Return an agent that is open-loop unless a network predicts a gain above a margin.
-
-    Parameters
-    ----------
-    kind : str
-        Quantity that the network was trained to approximate; part of the name of the shipped
-        network.
-    network : RegretNetwork, str or path, optional
-        Values of the moves: another network, the name of a shipped one or its folder.
-    open_loop : Agent or str
-        Default strategy, an open-loop agent with its own needs.
-    margin : float, optional
-        Min predicted gain of a move, in units of the network's target; by default the ``margin`` in
-        the network's training facts, else 0.
-    """
-    loaded = fitting_network(network, spec, kind, name)
-    open_loop_agent = build(open_loop, spec, seed=seed) if isinstance(open_loop, str) else open_loop
-    if not isinstance(open_loop_agent, Agent):
-        raise InputError(f"{open_loop!r} makes no moves; an agent is needed")
-    if margin is None:
-        margin = loaded.training.get("margin", 0.0)  # type: ignore[assignment]
-    margin = check_number(f"the margin of agent {name!r}", margin, 0.0)
-    facts = {**network_facts(loaded), "keeps to": open_loop_agent.name, "margin": f"{margin:g}"}
-    return Agent(name, AdaptiveStrategy(loaded, open_loop_agent, float(margin)), spec, seed, facts)
-
-
 def _entry(kind: str, decision: str, summary: str, source: str) -> Entry:
     return Entry(from_network, summary, source, "network", {"kind": kind, "decision": decision})
 
@@ -248,7 +187,7 @@ NASH = _entry(
     "backward induction, sampled",
 )
 RESPONSE = _entry(
-    "gain",
+    "response",
     "argmax",
     "plays an approximate best response to the pool of opponents that it was trained against",
     "advantages in branched races, learned from the last step backwards"
@@ -259,10 +198,4 @@ PPO = _entry(
     "argmax",
     "makes the most probable move of a policy trained by PPO",
     "Schulman et al. 2017, with Stable-Baselines3",
-)
-ADAPTIVE = Entry(
-    adaptive,
-    "follows the best open-loop strategy unless a network predicts a gain above a margin",
-    "advantage over the best open-loop strategy, with a margin",
-    "network",
 )

@@ -9,14 +9,12 @@ SHIPPED = {
     "cfr-argmax": "pcs_racing_agents.agents.from_network:CFR_ARGMAX",
     "cfr-regret-matching": "pcs_racing_agents.agents.from_network:CFR_REGRET_MATCHING",
     "nash": "pcs_racing_agents.agents.from_network:NASH",
-    "adaptive": "pcs_racing_agents.agents.from_network:ADAPTIVE",
     "response": "pcs_racing_agents.agents.from_network:RESPONSE",
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
     "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
     "random-policy": "pcs_racing_agents.agents.drivers:RANDOM_POLICY",
     "lane-switcher": "pcs_racing_agents.agents.drivers:LANE_SWITCHER",
-    "ppo-drive": "pcs_racing_agents.agents.drivers:PPO_DRIVE",
 }
 """Agents and fixed policies of this package: name, and reference to the entry.
 

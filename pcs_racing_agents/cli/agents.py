@@ -11,7 +11,7 @@ from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import ArchiveName, RulesName, archive_for, output_file
 
-_CONSTANT = "makes the same move again and again"
+_CONSTANT = "makes the same move at every step"
 
 
 @command(
@@ -31,16 +31,16 @@ def run(
     """List all agents, or describe one of them: options, training, strength, cost, hash."""
     from pcs_racing_agents.agents.describe import describe, facts_of
     from pcs_racing_agents.agents.game_spec import make_game_spec
-    from pcs_racing_agents.agents.zoo import entries, names
+    from pcs_racing_agents.agents.zoo import ALWAYS, entries, names
 
     config = load_game_config(rules)
     spec = make_game_spec(archive_for(archive, config.race), config)
     available, listed = entries(), names(spec.archive, spec.config)
     if agent is None:
-        rows = [
-            (name, available[name].summary if name in available else _CONSTANT) for name in listed
-        ]
-        print("\n".join(aligned(rows, left=2)))
+        rows = [(name, available[name].summary) for name in listed if name in available]
+        constant = [name.removeprefix(ALWAYS) for name in listed if name not in available]
+        rows.append((f"{ALWAYS}MOVE", f"{_CONSTANT}; MOVE: {', '.join(constant)}"))
+        print("\n".join(aligned(sorted(rows), left=2)))
         return
     if agent not in listed:
         raise UnknownNameError(f"agent {agent!r} is unknown; {choices(agent, listed)}")

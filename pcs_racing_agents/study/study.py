@@ -61,8 +61,7 @@ class Study:
     def agent(self, name: str) -> Competitor:
         """Return an agent or planner by name, with this study's networks and fits where available.
 
-        The names are the zoo's names and the names in the configuration's ``responses`` (learned
-        responses without a margin).
+        The names are the zoo's names and the names in the configuration's ``responses``.
         """
         seed, responses = self.config.seed, self.config.learning.responses
         if name in responses:
@@ -72,12 +71,7 @@ class Study:
         # Networks and fits of this study, once trained, replace shipped networks and fits.
         options: dict[str, Any] = {}
         kind = NETWORK_AGENTS.get(name)
-        if name == "adaptive" and responses:
-            options = {
-                "network": self.network(responses[0]),
-                "open_loop": self.agent("best-fixed"),
-            }
-        elif kind is not None and self.network(kind).is_dir():
+        if kind is not None and self.network(kind).is_dir():
             options = {"network": self.network(kind)}
         elif name in BEST_OPEN_LOOP:
             options = {"fit": self.folder / "open-loop" / f"{name}.yaml"}

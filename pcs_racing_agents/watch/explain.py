@@ -16,7 +16,6 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
 from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
-from pcs_racing_agents.agents.from_network import AdaptiveStrategy
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
@@ -29,13 +28,6 @@ class Unit(NamedTuple):
 
     scale: float  #: Factor from a difference of two values to the unit.
     text: str  #: Name of the unit, such as ``"of a win"``; ``""`` for relative values.
-
-
-class DefaultStrategy(NamedTuple):
-    """The strategy of an agent without a predicted gain above a margin."""
-
-    name: str
-    margin: float  #: Margin in units of the network's values.
 
 
 class ExplainedDecision(NamedTuple):
@@ -51,7 +43,6 @@ class ExplainedDecision(NamedTuple):
     next_policy: int
     probabilities: Floats | None  #: shape (M,): Probabilities of the moves, if known.
     values: Floats | None  #: shape (V,): Values of the first V moves, in units of the network.
-    default_move: int | None  #: Move of the agent's default strategy, if any.
     opponent_move: int  #: Index of the opponent's move; -1 for a planner.
 
 
@@ -69,7 +60,6 @@ class Explanation:
     replay: Replay  #: Replay of the race, with the moves as events.
     played: RaceTable  #: Result of the race (one game).
     unit: Unit | None  #: Unit of the values.
-    default: DefaultStrategy | None
     open_loop: bool  #: True if the agent is known to ignore the opponent.
 
     @property
@@ -119,11 +109,6 @@ def explain_race(
         replay=mark_moves(recording.replay, played, game.move_names, config.ends),
         played=played,
         unit=None if network is None else value_unit(network, str(config.utility)),
-        default=(
-            DefaultStrategy(strategy.blind.name, strategy.margin)
-            if isinstance(strategy, AdaptiveStrategy)
-            else None
-        ),
         open_loop=is_open_loop(competitor),
     )
 
@@ -136,14 +121,10 @@ def _steps(
     network: RegretNetwork | None,
 ) -> tuple[ExplainedDecision, ...]:
     axes = len(game.characteristics)
-    strategy = getattr(competitor, "strategy", None)
     steps = []
     for k in range(int((played.moves.codes[0, car] >= 0).sum())):
         # The last observation holds all earlier observations: cut it at this move.
         observation = earlier(played.observations[:, car], axes, k)
-        default_move = None
-        if isinstance(strategy, AdaptiveStrategy):
-            default_move = int(strategy.blind.act(observation)[0])
         steps.append(
             ExplainedDecision(
                 time=game.config.ends[k],
@@ -163,7 +144,6 @@ def _steps(
                     if network is None
                     else network.unclipped(observation)[0].astype(np.float64)
                 ),
-                default_move=default_move,
                 opponent_move=int(played.moves.codes[0, 1 - car, k]),
             )
         )

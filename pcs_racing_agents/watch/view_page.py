@@ -39,7 +39,7 @@ def view_page(content: ViewContent) -> str:
     """Return the page.
 
     A link may name filters, a race and a time, e.g.
-    ``view.html#agent=adaptive&crash=own&race=12&t=9.5``.
+    ``view.html#agent=response&crash=own&race=12&t=9.5``.
     """
     beside = files("pcs_racing_agents.watch").joinpath("beside.html").read_text(encoding="utf-8")
     driven = {race.race: race for race in content.driven}

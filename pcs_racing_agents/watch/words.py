@@ -110,8 +110,6 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
         return "it keeps the policy, so its value is that of staying"
     names = explanation.moves
     best = int(np.argmax(values))
-    if explanation.default is not None:
-        return _why_default(explanation, step, best)
     if step.move >= len(values):
         return f"its network has no value for {names[step.move]}"
     others = [i for i in range(len(values)) if i != step.move]
@@ -136,28 +134,6 @@ def _unit_note(explanation: Explanation) -> str:
     """Return a note on values without a unit; empty for other values."""
     assert explanation.unit is not None
     return "" if explanation.unit.text else " (relative values, without a unit)"
-
-
-def _why_default(explanation: Explanation, step: ExplainedDecision, best: int) -> str:
-    """Describe why an agent left or followed its default strategy."""
-    default, values, default_move = explanation.default, step.values, step.default_move
-    assert default is not None
-    assert values is not None
-    assert default_move is not None
-    # A network without a value for the default move ("stay") gives differences from it.
-    usual = values[default_move] if default_move < len(values) else 0.0
-    gain = _difference(explanation, values[best] - usual)
-    margin = _amount(explanation, default.margin) + _unit_note(explanation)
-    names = explanation.moves
-    if step.move != default_move:
-        other = f"{names[default_move]}, what {default.name} would do"
-        return f"worth {gain} than {other}, and that is above the margin of {margin}"
-    if best == default_move:
-        return f"what {default.name} would do, and the best move too"
-    return (
-        f"keeps to {default.name}: the best move, {names[best]}, promises {gain}, which is not"
-        f" above the margin of {margin}"
-    )
 
 
 def _difference(explanation: Explanation, difference: float) -> str:

@@ -121,7 +121,7 @@ def learn_response(
     job: Job,
     *,
     shares: Sequence[float] | None = None,
-    name: str = "adaptive",
+    name: str = "response",
     part: str = "",
     **workers: Unpack[Workers],
 ) -> RegretNetwork:

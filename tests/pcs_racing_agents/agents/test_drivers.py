@@ -4,16 +4,15 @@ import pickle
 
 import pytest
 from random_layers import random_layers
-from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.network import INPUTS
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.planners.trained import read_trained, save_trained
+from pcs_racing.planners.trained import save_trained
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.agents.own_code import own_code
+from pcs_racing_agents.agents.zoo import load_entrant
 from pcs_racing_agents.tournament import cross_pairing, play_pairing
 
 
@@ -22,35 +21,21 @@ def layers():
     return random_layers(len(INPUTS), 6, 2, seed=1)
 
 
-@pytest.fixture
-def folder(layers, tmp_path):
-    return save_trained(tmp_path / "mine", layers, name="mine", hold=4, training={"steps": 7})
-
-
-def test_the_zoo_races_the_shipped_driver_or_another_one_with_a_hash_of_its_own(
-    folder, layers, tmp_path
+def test_a_trained_planner_races_by_its_name_or_its_folder_with_a_hash_of_its_weights(
+    layers, spec, tmp_path
 ):
-    shipped, own = make("ppo-drive"), make("ppo-drive", network=folder)
+    shipped = load_entrant("ppo-drive", spec)
     assert shipped.planner is get_planner("ppo-drive")
     assert pickle.loads(pickle.dumps(shipped)).planner is shipped.planner
-    assert (own.planner.name, own.name) == ("mine", "ppo-drive")
-    _, manifest = read_trained(folder)
-    facts = {
-        "network": "mine",
-        "trained on": "steps 7",
-        "weights sha256": manifest["weights_sha256"],
-    }
-    assert {key: own.facts[key] for key in facts} == facts
-    assert shipped.facts["network"] == "ppo-drive"
-    assert len({shipped.content_hash, own.content_hash, make("pure-pursuit").content_hash}) == 3
-    refused("unknown driver 'nobody'", make, "ppo-drive", error=UnknownNameError, network="nobody")
-    # They are of one name and have no parameters: results of one must not be taken for the other's.
-    hashes = set()
+    hashes = {shipped.content_hash, make("pure-pursuit").content_hash}
+    # Of one name and without parameters: results of one must not be taken for the other's.
     for factor in (1.0, 1.5):
         scaled = DenseLayers(tuple(factor * weight for weight in layers.weights), layers.biases)
         place = save_trained(tmp_path / f"{factor}", scaled, name="mine", hold=4, training={})
-        hashes.add(make("ppo-drive", network=place).content_hash)
-    assert len(hashes) == 2
+        own = load_entrant(str(place), spec)
+        assert (own.name, own.planner.name) == ("mine", "mine")
+        hashes.add(own.content_hash)
+    assert len(hashes) == 4
 
 
 def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_has_never_seen():

@@ -10,8 +10,7 @@ from zoo_games import untrained
 
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents import make_game_spec
-from pcs_racing_agents.agents.blind import random_moves
-from pcs_racing_agents.agents.from_network import DECISIONS, adaptive, get_decision
+from pcs_racing_agents.agents.from_network import DECISIONS, get_decision
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.fingerprint import fingerprint
 
@@ -53,44 +52,6 @@ def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(spec, seen):
     agent = build("cfr-argmax", spec, network=short)
     assert (agent.probabilities(seen[0])[:, 4] == 0.0).all()
     np.testing.assert_array_equal(agent.act(seen[0]), short.choose(seen[0]))
-    short = untrained(spec, "gain", stay=False)
-    agent = adaptive(spec, network=short, open_loop="never-switch", margin=0.0)
-    values = short.unclipped(seen[0])
-    expected = np.where(values.max(axis=1) > 0.0, values.argmax(axis=1), 4)
-    np.testing.assert_array_equal(agent.act(seen[0]), expected)
-
-
-def test_the_adaptive_agent_leaves_its_habit_only_for_clearly_more_and_keeps_a_random_one(
-    spec, seen
-):
-    network = untrained(spec, "gain")
-    rows = np.concatenate(seen)
-    values = network.unclipped(rows)
-    habit = build("always-restraint-", spec)
-    gain = values.max(axis=1) - values[:, 3]
-    leaves = {}
-    for margin in (0.0, float(np.median(gain)), 1e9):
-        agent = adaptive(spec, network=network, open_loop=habit, margin=margin)
-        expected = np.where(gain > margin, values.argmax(axis=1), 3)
-        np.testing.assert_array_equal(agent.act(rows), expected)
-        leaves[margin] = np.mean(expected != 3)
-    assert sorted(leaves.values(), reverse=True) == list(leaves.values())
-    assert list(leaves.values())[-1] == 0.0
-    trained = adaptive(
-        spec, network=replace(network, training={"margin": 1e9}), open_loop="never-switch"
-    )
-    assert (trained.act(rows) == 4).all()
-    assert trained.facts["keeps to"] == "never-switch"
-    refused(
-        "margin of agent 'adaptive' is -1",
-        adaptive,
-        spec,
-        network=network,
-        open_loop=habit,
-        margin=-1,
-    )
-    agent = adaptive(spec, network=network, open_loop=random_moves(spec), margin=1e9)
-    np.testing.assert_allclose(agent.probabilities(seen[0]), [[0.25, 0.25, 0.25, 0.25, 0.0]] * 40)
 
 
 def test_a_network_of_another_game_is_refused(spec, network, archive):

@@ -164,9 +164,10 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path
 
 def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(printed):
     out = printed("agents")
-    assert {"cfr-argmax", "always-aggressiveness+", "lane-switcher"} <= {
-        line.split()[0] for line in out.splitlines()
-    }
+    listed = [line.split()[0] for line in out.splitlines()]
+    assert {"cfr-argmax", "always-MOVE", "lane-switcher"} <= set(listed)
+    assert len(listed) <= 16
+    assert "MOVE: aggressiveness+, aggressiveness-, restraint+, restraint-\n" in out
     assert "- Option target, by default None. Index of the policy." in printed(
         "agents", "best-fixed"
     )
@@ -183,7 +184,7 @@ def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(p
         == f"  variants: {', '.join(registry.get_planner('lane-switcher').variants)}"
     )
     told = printed("agents", "always-restraint+")
-    assert told.startswith("always-restraint+\n\nMakes the same move again and again.\n")
+    assert told.startswith("always-restraint+\n\nMakes the same move at every step.\n")
 
 
 def test_track_list_and_show(printed, tmp_path):

@@ -19,7 +19,7 @@ from pcs_racing_agents.agents.agent import as_agent
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
 from pcs_racing_agents.tournament import Pairing
-from pcs_racing_agents.watch.explain import DefaultStrategy, Unit, explain_race, value_unit
+from pcs_racing_agents.watch.explain import Unit, explain_race, value_unit
 from pcs_racing_agents.watch.pcs_picture import archive_picture, in_units
 from pcs_racing_agents.watch.pictures import explanation_picture
 from pcs_racing_agents.watch.words import lead_words, story, why
@@ -232,58 +232,11 @@ def test_a_move_is_compared_with_staying_in_the_unit_of_values(race, move, value
     assert why(replace(race, unit=unit), step) == words.replace("{}", unit.text)
 
 
-@pytest.mark.parametrize(
-    ("move", "default", "values", "words"),
-    [
-        (
-            2,
-            0,
-            VALUES,
-            "worth 0.000 of a win more than aggressiveness +, what habit would do, and ",
-        ),
-        (0, 0, VALUES, "what habit would do, and the best move too"),
-        (
-            4,
-            4,
-            VALUES[:4],
-            "keeps to habit: the best move, aggressiveness +, promises 0.300 of a win more, which"
-            " is not above the margin of 0.250 of a win",
-        ),
-    ],
-)
-def test_a_move_is_compared_with_the_default_strategy(race, move, default, values, words):
-    habit = replace(race, default=DefaultStrategy("habit", 0.25))
-    step = race.steps[0]._replace(move=move, default_move=default, values=values)
-    assert why(habit, step).startswith(words)
-
-
 def test_the_training_of_a_network_decides_the_unit_of_its_values(spec):
     assert value_unit(network_of(spec, worth="win"), "lead") == WIN
     assert value_unit(network_of(spec), "win") == Unit(0.5, "of a win")
     assert value_unit(network_of(spec, "static-q"), "lead") == Unit(1.0, "m of lead")
     assert value_unit(network_of(spec, "regret"), "win") == Unit(1.0, "")
-
-
-def test_an_agent_with_a_default_strategy_says_why_it_left_or_kept_it(contest, spec):
-    network = network_of(spec, worth="win")
-    rival = build("never-switch", spec)
-    options = {"network": network, "open_loop": "never-switch"}
-    drivers = (build("adaptive", spec, **options, margin=margin) for margin in (0.0, 1000.0))
-    bold, shy = (explained(contest, driver, rival) for driver in drivers)
-    assert shy.default.name == "never-switch"
-    assert "did: stay, kept policy" in story(shy)
-    for step in shy.steps:
-        assert step.move == step.default_move == shy.moves.index("stay")
-        if np.argmax(step.values) != step.default_move:
-            assert why(shy, step).startswith("keeps to never-switch: the best move, ")
-            assert "not above the margin of 1000.000 of a win" in why(shy, step)
-    left = [step for step in bold.steps if step.move != step.default_move]
-    assert left
-    for step in left:
-        gain = step.values[step.move] - step.values[step.default_move]
-        assert f"worth {gain:.3f} of a win more than stay, what never-switch would do" in why(
-            bold, step
-        )
 
 
 def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
