@@ -1,11 +1,11 @@
-"""From a finished study to what the package ships: its networks, and what was chosen on its
-training races.
+"""Copy the networks and fits of a finished study into the data of the package.
 
     pcs-racing study paper --out out/paper
     python dev/tools/ship_study.py paper out/paper .
 
-The last argument is a checkout; networks go to ``pcs_racing_agents/data/networks``, choices to
-``data/fits``.
+The last argument is a checkout; networks go to ``pcs_racing_agents/data/networks``, fits to
+``pcs_racing_agents/data/fits``. ``--ppo FOLDER`` and ``--psro FOLDER`` add the result of
+``pcs-racing ppo`` and of ``pcs-racing learn psro`` to a study without such agents.
 """
 
 import argparse
@@ -14,51 +14,62 @@ from dataclasses import replace
 from pathlib import Path
 
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.networks import load_network, save_network
+from pcs_racing_agents.networks import (
+    load_network,
+    load_network_set,
+    save_network,
+    save_network_set,
+)
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.study import Study
 
 
-def ship(study: Study, checkout: Path) -> list[Path]:
-    """Copy a study's networks and choices to where the zoo looks for them; return what was written.
+def ship(study: Study, checkout: Path, **others: Path) -> list[Path]:
+    """Copy a study's networks and fits to the folders of the zoo; return the written paths.
 
-    The first response is what the agent "adaptive" asks: its network is called ``gain`` there.
+    ``others``: folders of networks from outside the study, by their kind in the zoo.
     """
-    spec = study.spec
-    stem = f"{spec.archive.name}-{spec.race}"
+    stem = f"{study.spec.archive.name}-{study.spec.race}"
     data = checkout / "pcs_racing_agents" / "data"
-    networks, written = data / "networks", []
-    targets = dict.fromkeys((*study.config.learning.targets, "regret"))
-    kinds = {target: target for target in targets if study.network(target).is_dir()}
+    folders = {kind: study.network(kind) for kind in ("regret", "nash", "ppo")}
+    folders["self-play"] = study.network("sampled-cfr")
     if study.config.learning.responses:
-        kinds["gain"] = study.config.learning.responses[0]
-    for kind, found in kinds.items():
-        name = f"{stem}-{kind}"
-        written.append(
-            save_network(replace(load_network(study.network(found)), name=name), networks / name)
-        )
-    if study.config.learning.ppo is not None:
-        name = f"{stem}-ppo"
-        place = save_network(
-            replace(load_network(study.network("ppo")), name=name), networks / name
-        )
-        shutil.copyfile(study.network("ppo") / "curve.csv", place / "curve.csv")
-        written.append(place)
-    folder = data / "fits"
-    folder.mkdir(exist_ok=True)
-    for file in sorted(study.folder.glob("open-loop/*.yaml")):
-        if file.name != "done.yaml":
-            written.append(save_fit(load_fit(file), folder / f"{stem}-{file.name}"))
+        folders["response"] = study.network(study.config.learning.responses[0])
+    folders |= others
+    written = [
+        _ship_network(folder, data / "networks" / f"{stem}-{kind}")
+        for kind, folder in folders.items()
+        if kind in others or folder.is_dir()
+    ]
+    (data / "fits").mkdir(exist_ok=True)
+    for file in sorted(study.folder.glob("open-loop/best-*.yaml")):
+        written.append(save_fit(load_fit(file), data / "fits" / f"{stem}-{file.name}"))
     return written
+
+
+def _ship_network(source: Path, place: Path) -> Path:
+    """Copy a network, with its learning curve if there is one, or a set of networks."""
+    if (source / "set.yaml").is_file():
+        return save_network_set(replace(load_network_set(source), name=place.name), place)
+    save_network(replace(load_network(source), name=place.name), place)
+    if (source / "curve.csv").is_file():
+        shutil.copyfile(source / "curve.csv", place / "curve.csv")
+    return place
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0], allow_abbrev=False)
-    parser.add_argument("config", help="of the study")
-    parser.add_argument("folder", type=Path, help="of the study")
-    parser.add_argument("checkout", type=Path, help="the folder that holds pcs_racing_agents")
+    parser.add_argument("config", help="configuration of the study")
+    parser.add_argument("folder", type=Path, help="folder of the study")
+    parser.add_argument("checkout", type=Path, help="folder that holds pcs_racing_agents")
+    parser.add_argument("--archive", help="archive of the study, in place of the configuration's")
+    parser.add_argument("--ppo", type=Path, help="folder of 'pcs-racing ppo'")
+    parser.add_argument("--psro", type=Path, help="folder 'agent' of 'pcs-racing learn psro'")
     given = parser.parse_args()
-    for path in ship(Study(load_study_config(given.config), given.folder), given.checkout):
+    others = {kind: place for kind in ("ppo", "psro") if (place := getattr(given, kind))}
+    changes = {} if given.archive is None else {"archive": given.archive}
+    config = load_study_config(given.config, **changes)
+    for path in ship(Study(config, given.folder), given.checkout, **others):
         print(path)
 
 

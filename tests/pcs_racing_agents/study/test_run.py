@@ -256,7 +256,7 @@ def test_what_was_found_can_be_shipped(finished, tmp_path):
     fits = tmp_path / "pcs_racing_agents" / "data" / "fits"
     fits.mkdir(parents=True)
     load_tool("ship_study").ship(finished, tmp_path)
-    kinds = ("advantage", "gain", "ppo", "regret")
+    kinds = ("ppo", "regret", "response", "self-play")
     expected = [f"default-paper-{kind}" for kind in kinds]
     assert sorted(path.name for path in (fits.parent / "networks").iterdir()) == expected
     assert len(list(fits.glob("default-paper-best-*.yaml"))) == 3
