@@ -175,7 +175,7 @@ def pages_of_data() -> dict[str, str]:
     circuits, gallery, zoo = (
         importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page")
     )
-    cards = read_cards([REPOSITORY / "dev" / "benchmarks" / "bench_v2"])
+    cards = read_cards([REPOSITORY / "studies" / "bench_v3"])
     return {
         "circuits.md": circuits.circuits_page(),
         "gallery.md": gallery.gallery_page(),

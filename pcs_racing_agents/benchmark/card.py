@@ -23,7 +23,7 @@ FORMAT = "pcs-racing card 1"
 MAX_BYTES = 1_000_000
 MAX_SCORES = 1000
 MAX_NAME = 200  # characters
-CIRCUITS = ("all", "seen", "unseen")
+CIRCUITS = ("all", "train", "test")
 SCORED = "Score: 1 for a race won, 0.5 for a tie, else 0; lines: 95 % intervals."
 
 S = TypeVar("S", bound=Settings)
@@ -91,7 +91,7 @@ class CardScore(_Estimate):
 
     value = "score"
     part: Annotated[str, NAME, 'Opponents: "all", a kind of them, or one.']
-    circuits: Annotated[str, NAME, 'Circuits: "seen", "unseen", "all", or one.']
+    circuits: Annotated[str, NAME, 'Circuits: "train", "test", "all", or one.']
     races: Annotated[int, COUNT, "Number of races."]
     score: Annotated[float, SHARE, "Mean score: 1 for a win, 0.5 for a tie, else 0."]
     low: Annotated[float, SHARE, "Lower limit of its 95 % interval."]
@@ -237,7 +237,7 @@ def read_card(path: Path) -> Card:
 def read_cards(paths: Iterable[Path]) -> list[Card]:
     """Read cards, ranked by their score over all races.
 
-    ``paths``: folders of cards, or parents of such folders.
+    ``paths``: folders of cards, files of cards, or folders of several cards.
     """
     cards: dict[str, Card] = {}
     for path in (card for folder in paths for card in _cards_in(folder)):
@@ -265,17 +265,19 @@ def read_cards(paths: Iterable[Path]) -> list[Card]:
 
 
 def _cards_in(path: Path) -> list[Path]:
-    """Return a card's folder, or all folders of cards in a folder."""
+    """Return a card's own place, or the places of all cards in a folder."""
+    if not path.is_dir() or (path / "card.json").exists():
+        return [path]
     inside = sorted(card.parent for card in path.glob("*/card.json"))
-    return inside if inside and not (path / "card.json").exists() else [path]
+    return inside or sorted(path.glob("*.json")) or [path]
 
 
 BOARD = (
     "agent",
     "score",
     "95 % interval",
-    "seen",
-    "unseen",
+    "train",
+    "test",
     "own crashes",
     "gain",
     "us",
@@ -294,8 +296,8 @@ def _board_row(card: Card) -> tuple[str, ...]:
         card.agent,
         f"{whole.score:.3f}",
         whole.interval,
-        f"{card.score('all', 'seen').score:.3f}",
-        f"{card.score('all', 'unseen').score:.3f}",
+        f"{card.score('all', 'train').score:.3f}",
+        f"{card.score('all', 'test').score:.3f}",
         f"{whole.own_crash:.1%}",
         "" if gain is None else f"{gain.gain:+.3f}",
         "" if card.cost_us is None else f"{card.cost_us:.0f}",

@@ -30,7 +30,7 @@ from pcs_racing_agents.tournament.play import game_rules
 KINDS = {
     "keeps": "keep one policy of the archive",
     "switches": "change their policy at random",
-    "planners": "planners other than the lattice",
+    "planners": "race with one policy, without moves",
     "agents": "agents that look at the race",
 }
 """Kinds of opponents, with descriptions."""
@@ -40,22 +40,22 @@ KINDS = {
 class ProtocolConfig(Settings):
     """A protocol: opponents by kind, tracks, number of races."""
 
-    name: Annotated[Text, "Name, with the version."] = "bench-v2"
+    name: Annotated[Text, "Name, with the version."] = "bench-v3"
     archive: Annotated[Text, "Archive of the agents."] = "contest"
     race: Annotated[Text, "Rules of the race."] = "contest"
-    seen: Annotated[Names, "Circuits that may be trained on."] = ("Pipkin", "Quillburg")
-    unseen: Annotated[Names, "Circuits that may not be trained on."] = ("Larkmoor", "Saltmere")
+    train: Annotated[Names, "Training tracks."] = ("Brackwater", "Pipkin")
+    test: Annotated[Names, "Test tracks, held out of training."] = ("Saltmere", "Larkmoor")
     keeps: Annotated[Names, "Opponents that keep one policy."] = ("never-switch",)
     switches: Annotated[Names, "Opponents that change it at random."] = ("random-moves",)
     planners: Annotated[
         Names,
-        "Planners other than the lattice; not to be trained on.",
+        "Planners, held out of training.",
     ] = (
-        "lane-switcher",
+        "line-ppo",
         "pure-pursuit",
         "gap-follower",
     )
-    agents: Annotated[Names, "Agents; not to be trained on."] = ("cfr-argmax", "response")
+    agents: Annotated[Names, "Agents, held out of training."] = ("cfr-argmax", "response")
     blind: Annotated[
         Names,
         "Baselines (open-loop, lead-conditioned) of the gain.",
@@ -63,8 +63,8 @@ class ProtocolConfig(Settings):
         "best-fixed",
         "best-schedule",
     )
-    egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the agent in each cell."] = 10
-    variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 10
+    egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the agent in each cell."] = 8
+    variants: Annotated[int, Interval(ge=2, le=1000), "Variants of the opponent in each cell."] = 5
     seed: Annotated[int, Interval(ge=0, le=2**62), "Seed of the starts, policies and noise."] = 71
     hashes: Annotated[OptionalNames, "Hashes of what the results depend on; () checks none."] = ()
 
@@ -73,7 +73,7 @@ class Cell(NamedTuple):
     """The races against one opponent on one track."""
 
     circuit: str
-    seen: bool  #: True for a training track.
+    train: bool  #: True for a training track.
     kind: str  #: Kind of the opponent, a key of :data:`KINDS`.
     opponent: str
 
@@ -90,11 +90,11 @@ class Protocol:
     @property
     def cells(self) -> Iterator[Cell]:
         """All cells: every opponent on every track."""
-        for circuits, seen in ((self.config.seen, True), (self.config.unseen, False)):
+        for circuits, train in ((self.config.train, True), (self.config.test, False)):
             for circuit in circuits:
                 for kind in KINDS:
                     for opponent in getattr(self.config, kind):
-                        yield Cell(circuit, seen, kind, opponent)
+                        yield Cell(circuit, train, kind, opponent)
 
     def game(self, circuit: str) -> RaceGame:
         """Return the game on a track."""
@@ -138,12 +138,12 @@ class Protocol:
                 )
 
 
-def load_protocol(source: str | ProtocolConfig = "bench_v2", **changes: Any) -> Protocol:
+def load_protocol(source: str | ProtocolConfig = "bench_v3", **changes: Any) -> Protocol:
     """Return a protocol from a shipped name, a YAML file or a config, with changed fields."""
     config = load_config("protocol", ProtocolConfig(), source, **changes)
     rules: GameConfig = game_rules(load_race_config(config.race))
     spec = make_game_spec(config.archive, rules)
-    circuits = dict.fromkeys([*config.seen, *config.unseen])
+    circuits = dict.fromkeys([*config.train, *config.test])
     rivals = dict.fromkeys([name for kind in (*KINDS, "blind") for name in getattr(config, kind)])
     protocol = Protocol(
         config,

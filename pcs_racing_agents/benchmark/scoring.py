@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.competitor import PolicySet, Turn, competitor_name
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.base.statistics import clustered_mean, compare, varied
 from pcs_racing_agents.benchmark.card import CardScore, Gain
-from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol
+from pcs_racing_agents.benchmark.protocol import KINDS, Cell, Protocol, ProtocolConfig
 from pcs_racing_agents.tournament.games import variant_count
 from pcs_racing_agents.tournament.pairings import Pairing, cross_pairing
 from pcs_racing_agents.tournament.races import RaceTable
@@ -37,8 +38,8 @@ def play_protocol(
 ) -> dict[str, list[CellRaces]]:
     """Simulate the same races for all agents and for the protocol's baselines.
 
-    A planner with fewer policies than the protocol's start policies drives the same number of
-    races, from more start lines.
+    A cell has the same number of races for every agent and opponent: a planner with fewer policies
+    than the protocol asks for races from more start lines.
 
     Parameters
     ----------
@@ -59,17 +60,9 @@ def play_protocol(
     arms |= {name: protocol.opponents[name] for name in protocol.config.blind if name not in arms}
     cells = [(name, cell) for name in arms for cell in protocol.cells]
     games = {name: protocol.game(name) for name in protocol.tracks}
-    config = protocol.config
-    # A planner has few policies or one, and gets more lines instead: as many races as the agents.
     pairings = [
-        cross_pairing(
-            games[cell.circuit],
-            arms[name],
-            protocol.opponents[cell.opponent],
-            egos=config.egos,
-            opponents=config.variants,
-            lines=max(1, config.egos // variant_count(games[cell.circuit], arms[name])),
-            seed=config.seed,
+        _pairing(
+            protocol.config, games[cell.circuit], arms[name], protocol.opponents[cell.opponent]
         )
         for name, cell in cells
     ]
@@ -78,6 +71,24 @@ def play_protocol(
     for (name, cell), pairing, races in zip(cells, pairings, played, strict=True):
         results[name].append(CellRaces(cell, pairing, races))
     return results
+
+
+def _pairing(
+    config: ProtocolConfig, game: RaceGame, agent: Competitor, opponent: Competitor
+) -> Pairing:
+    """Return the races of an agent against an opponent on one track."""
+    lines = max(1, config.egos // variant_count(game, agent)) * max(
+        1, config.variants // variant_count(game, opponent)
+    )
+    return cross_pairing(
+        game,
+        agent,
+        opponent,
+        egos=config.egos,
+        opponents=config.variants,
+        lines=lines,
+        seed=config.seed,
+    )
 
 
 class _Columns(NamedTuple):
@@ -105,15 +116,15 @@ def _columns(cells: Iterable[CellRaces]) -> _Columns:
 
 
 def _on(cells: Iterable[CellRaces], circuits: str) -> list[CellRaces]:
-    """Return the cells on "seen", "unseen" or "all" circuits."""
-    return [one for one in cells if circuits == "all" or one.cell.seen == (circuits == "seen")]
+    """Return the cells on "train", "test" or "all" circuits."""
+    return [one for one in cells if circuits == "all" or one.cell.train == (circuits == "train")]
 
 
 def summarise(races: Iterable[CellRaces]) -> list[CardScore]:
     """Return the scores of an agent: in total, by kind of opponent, and by cell."""
     cells = list(races)
     scores = []
-    for circuits in ("seen", "unseen", "all"):
+    for circuits in ("train", "test", "all"):
         for part in ("all", *KINDS):
             chosen = [one for one in _on(cells, circuits) if part in ("all", one.cell.kind)]
             if chosen:
@@ -125,16 +136,14 @@ def _score(part: str, circuits: str, cells: list[CellRaces]) -> CardScore:
     races = _columns(cells)
     # One policy against one policy: races differ only in their start lines.
     estimate = clustered_mean(races.score, *varied(races.ego, races.opponent))
-    return CardScore(
-        part,
-        circuits,
-        len(races.score),
+    values = (
         estimate.mean,
         max(estimate.low, 0.0),
         min(estimate.high, 1.0),
         float((races.crashed & races.own_fault).mean()),
         float((races.crashed & ~races.own_fault).mean()),
     )
+    return CardScore(part, circuits, len(races.score), *(round(value, 6) for value in values))
 
 
 def gain(results: Mapping[str, list[CellRaces]], agent: str, circuits: str = "all") -> Gain | None:
@@ -147,7 +156,7 @@ def gain(results: Mapping[str, list[CellRaces]], agent: str, circuits: str = "al
     ----------
     results : mapping
         Results of :func:`play_protocol`.
-    circuits : {"all", "seen", "unseen"}
+    circuits : {"all", "train", "test"}
         Tracks of the races.
     """
     cells = {name: _on(races, circuits) for name, races in results.items()}

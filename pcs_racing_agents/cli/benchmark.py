@@ -31,8 +31,7 @@ group = Command(
     "pcs-racing benchmark card my_model.zip --out out/cards/mine",
     "pcs-racing benchmark card my_package.my_module:make_agent --weights net.pt --out"
     " out/cards/mine",
-    "pcs-racing benchmark card ppo-drive --out out/cards/ppo-drive",
-    "pcs-racing benchmark card best-fixed psro self-play --out out/cards/zoo",
+    "pcs-racing benchmark card line-ppo cfr-argmax --out out/cards/several",
 )
 def run(
     agents: Annotated[
@@ -47,7 +46,7 @@ def run(
     *,
     weights: Annotated[Path | None, Option("weights for module:function", "FILE")] = None,
     name: Annotated[str | None, Option("name on the card (default: name of the agent)")] = None,
-    protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v2",
+    protocol: Annotated[str, Option("protocol: its name or a YAML file")] = "bench_v3",
     out: Annotated[Path, Option("folder of the card; an interrupted run resumes here", "DIR")],
     workers: Workers,
 ) -> None:
@@ -97,7 +96,7 @@ def _write(
     name, config = competitor_name(agent), protocol.config
     own = results[name]
     raced = {name: own, **{blind: results[blind] for blind in config.blind}}
-    compared = () if name in config.blind else ("seen", "unseen", "all")
+    compared = () if name in config.blind else ("train", "test", "all")
     found = {circuits: gain(raced, name, circuits) for circuits in compared}
     card = Card(
         protocol=config.name,
@@ -122,7 +121,8 @@ def _write(
 )
 def run_board(
     cards: Annotated[
-        Sequence[Path], Option("folders of cards, or folders that hold such folders", "FOLDER")
+        Sequence[Path],
+        Option("cards: their folders, their files, or folders of several cards", "CARDS"),
     ],
     *,
     out: Annotated[

@@ -127,13 +127,7 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
         )
     if unit.text == "" and values[step.move] == values[best]:
         text = f"the highest value of all moves, {text}"
-    return text + _unit_note(explanation)
-
-
-def _unit_note(explanation: Explanation) -> str:
-    """Return a note on values without a unit; empty for other values."""
-    assert explanation.unit is not None
-    return "" if explanation.unit.text else " (relative values, without a unit)"
+    return text if unit.text else f"{text} (relative values, without a unit)"
 
 
 def _difference(explanation: Explanation, difference: float) -> str:

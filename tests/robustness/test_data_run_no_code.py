@@ -88,8 +88,8 @@ WORDS = ("evil.py:main", "evil_module:main", "evil.py")
 PROTOCOL = {
     "race": "paper",
     "archive": "default",
-    "seen": ("Pipkin",),
-    "unseen": ("Pipkin",),
+    "train": ("Pipkin",),
+    "test": ("Pipkin",),
     "keeps": ("never-switch",),
     "switches": ("random-moves",),
     "planners": ("pure-pursuit",),
@@ -193,7 +193,7 @@ def study_folder(folder: Path) -> Path:
 def card(folder: Path) -> Path:
     scores = tuple(
         CardScore("all", circuits, 10, 0.5, 0.4, 0.6, 0.1, 0.0)
-        for circuits in ("all", "seen", "unseen")
+        for circuits in ("all", "train", "test")
     )
     gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
     return write_card(Card("p-v1", "ab" * 32, "mine", "cd" * 32, scores, gains), folder)[0]

@@ -1,6 +1,7 @@
 """The benchmark on a small protocol: races, scores, cards, and the leaderboard."""
 
 import json
+import shutil
 import sys
 from dataclasses import replace
 from types import SimpleNamespace
@@ -36,8 +37,8 @@ from pcs_racing_agents.cli.main import main
 SMALL = {
     "race": "paper",
     "archive": "default",
-    "seen": ("Pipkin",),
-    "unseen": ("Larkmoor",),
+    "train": ("Pipkin",),
+    "test": ("Larkmoor",),
     "keeps": ("never-switch",),
     "switches": ("random-moves",),
     "planners": ("pure-pursuit",),
@@ -66,6 +67,8 @@ def test_every_opponent_is_met_on_every_circuit_by_every_arm(protocol, results):
     assert list(results) == ["random-moves", "never-switch"]
     for races in results.values():
         assert [one.cell for one in races] == cells
+        # also against a planner, which has one policy
+        assert {len(one.races) for one in races} == {2 * 2 * 2}
     for own, blind in zip(*results.values(), strict=True):
         np.testing.assert_array_equal(own.races.start_s, blind.races.start_s)
         np.testing.assert_array_equal(own.races.variants, blind.races.variants)
@@ -78,7 +81,7 @@ def test_scores_and_gains_are_means_over_the_same_races(results):
         for races in results.values()
     )  # fmt: skip
     scores = {(score.part, score.circuits): score for score in summarise(results["random-moves"])}
-    for named, circuits in (("all", "all"), ("seen", "Pipkin"), ("unseen", "Larkmoor")):
+    for named, circuits in (("all", "all"), ("train", "Pipkin"), ("test", "Larkmoor")):
         mean, other = (
             np.concatenate([one.score for one in races[circuits]]).mean() for races in (own, blind)
         )
@@ -93,12 +96,15 @@ def test_scores_and_gains_are_means_over_the_same_races(results):
     assert scores[cell.opponent, cell.circuit].score == pytest.approx(races.score.mean())
 
 
-def test_a_protocol_of_another_installation_is_refused_also_on_the_leaderboard(protocol):
+def test_a_protocol_of_another_installation_is_refused(protocol):
     kept = ProtocolConfig(**SMALL, hashes=protocol.hashes)
     assert load_protocol(kept).content_hash == protocol.content_hash
     changed = ProtocolConfig(**SMALL, hashes=(protocol.hashes[0][:-1] + "x", *protocol.hashes[1:]))
     refused("archive default", load_protocol, changed)
-    cards = read_cards([REPOSITORY / "dev" / "benchmarks" / "bench_v2"])
+
+
+def test_the_cards_of_the_leaderboard_belong_to_the_shipped_protocol():
+    cards = read_cards([REPOSITORY / "studies" / "bench_v3"])
     assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
 
 
@@ -138,7 +144,7 @@ def test_entrants_of_several_kinds(protocol, tmp_path, monkeypatch):
 
 
 def card(name="mine", score=0.5, **changes):
-    parts = (("all", "all"), ("all", "seen"), ("all", "unseen"), ("keeps", "seen"))
+    parts = (("all", "all"), ("all", "train"), ("all", "test"), ("keeps", "train"))
     scores = tuple(
         CardScore(*part, 10 + k, score, score - 0.1, score + 0.1, 0.1, 0.0)
         for k, part in enumerate(parts)
@@ -154,8 +160,8 @@ def test_a_card_comes_back_as_it_was_written_and_a_damaged_one_is_refused(tmp_pa
     written = card("<b>mine</b>", cost_us=3.5)
     assert [path.name for path in write_card(written, tmp_path)] == ["card.json", "card.html"]
     assert read_card(tmp_path) == written
-    assert written.score("keeps", "seen").races == 13
-    refused("no score of 'keeps' on 'unseen' circuits", written.score, "keeps", "unseen")
+    assert written.score("keeps", "train").races == 13
+    refused("no score of 'keeps' on 'test' circuits", written.score, "keeps", "test")
     page = (tmp_path / "card.html").read_text()
     assert "<b>mine" not in page
     assert "&lt;b&gt;mine" in page
@@ -213,6 +219,10 @@ def test_the_leaderboard_ranks_cards_of_one_protocol(tmp_path):
     cards = read_cards(good)
     assert [row[0] for row in board_rows(cards)] == ["agent", "b", "a"]
     assert "p-v1" in board_page(cards)
+    (tmp_path / "files").mkdir()
+    for place in good:
+        shutil.copyfile(place / "card.json", tmp_path / "files" / f"{place.name}.json")
+    assert read_cards([tmp_path / "files"]) == cards
     others = {
         "v2": card("c", protocol="p-v2"),
         "hash": card("d", protocol_sha256="0" * 64),

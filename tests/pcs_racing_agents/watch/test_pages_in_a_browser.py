@@ -24,7 +24,7 @@ from pcs_racing_agents.watch.person_race import (
     play_page,
 )
 
-CARDS = [REPOSITORY / "dev" / "benchmarks" / "bench_v2"]
+CARDS = [REPOSITORY / "studies" / "bench_v3"]
 
 
 @pytest.fixture(scope="module")
