@@ -1,13 +1,12 @@
 """How strong every agent of the zoo is, and what a decision costs.
 
     python dev/benchmarks/zoo.py                     # measures and prints
-    python dev/benchmarks/zoo.py --write             # and writes agents/measured.csv and the pages
+    python dev/benchmarks/zoo.py --write             # and writes data/measured.csv
 
-Every agent that there is with its defaults, and two lattices, race six others, on a circuit that
-some agents learned on and on one that none learned on (but for the driver ppo-drive, which learned
-on Kestrelheim), once with the archive "default" in the paper's race and once with the archive
-"contest" in the contest. All drive the same races. What is left in --out of an earlier call
-is not driven again, unless an agent has changed.
+Every agent with its defaults, and three planners, race six others on a training track and on a test
+track, with the archive "default" in the paper's race and with the archive "contest" in the contest.
+All drive the same races. Races in --out of an earlier call are not driven again, unless an agent
+has changed.
 """
 
 import argparse
@@ -39,9 +38,8 @@ from pcs_racing_agents.tournament.runner import play_pairings
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page
 
-TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Kestrelheim")}
-# the planner of the archives: its first defaults, and two of them set by hand
-TUNED = ("lattice:early", "lattice:early,pace=0.7,pace_behind=0.2")
+TRACKS = {"paper": ("Tarnfjord", "Saltmere"), "contest": ("Pipkin", "Saltmere")}
+PLANNERS = ("lattice", "lattice:early", "line-ppo")  # planners of the archives
 FIELD = (
     "never-switch",
     "random-moves",
@@ -57,7 +55,7 @@ def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
     """Everything about the agents of one game."""
     spec = make_game_spec(archive, race)
     agents = {}
-    for name in (*names(archive, race), *TUNED):
+    for name in (*names(archive, race), *PLANNERS):
         try:
             agents[name] = build(name, spec)
         except UnknownNameError as error:

@@ -1,5 +1,4 @@
-"""The page of the zoo: all agents and drivers, with their options, and how strong they were
-measured to be.
+"""The page of the zoo: all agents and fixed policies, with their options and measured strength.
 
 ``dev/benchmarks/zoo.py --write`` measures, and writes the table of measurements (``measured.csv``).
 The page is made of this table and of the zoo whenever the site is built (``docs/site_pages.py``).
@@ -27,9 +26,7 @@ from pcs_racing_agents.agents.describe import (
 from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, entries
 
 SETTINGS = (("default", "paper"), ("contest", "contest"))
-"""Archive and rules of the games in which agents are measured: those that networks and choices are
-shipped for.
-"""
+"""Archive and rules of the measured games."""
 
 HEAD = """# The zoo
 
@@ -41,33 +38,29 @@ CONSTANT = f"{ALWAYS}MOVE"
 
 STRENGTH = """## Strength and cost
 
-`python dev/benchmarks/zoo.py --write` measures all agents and planners with their defaults, and the
-lattice, the planner of the archives' policies, with its defaults and with two parameters set by
-hand:
+`python dev/benchmarks/zoo.py --write` measures all agents with their defaults, and the planners of
+the archives' policies:
 
 - **score**: share of races won, where a tie counts half; the mean over six opponents (without the
-  agent itself), {field}, on two circuits ({tracks}). With either archive, some agents trained on
-  the first circuit and none on the second; the planner `ppo-drive` trained on all but
-  Saltmere. All drive the same races. With {races:.0f} races a score has a standard error of at
-  least {error:.3f};
+  agent itself), {field}, on a training track and a test track ({tracks}). All drive the same races.
+  With {races:.0f} races a score has a standard error of at least {error:.3f};
 - **rating**: Bradley-Terry with ties over the same races, with its 95 % interval. The mean is 0,
   and a difference of 400 means odds of ten to one. Crashes that pay neither car, as all in the
   paper's race, are left out. An agent that either wins or crashes therefore has a high rating; read
   the rating together with score and crashes;
 - **crash**: share of its races that ended in a crash by its own fault;
 - **cost**: microseconds of processor time of a decision, for one observation and for each of 1,000
-  at once, on a shared 2-core machine that had other work at the time. A driver plans ten times a
-  second, and its cost is that of one plan with 0.1 s of simulation;
+  at once, on a busy 2-core machine. For a fixed policy: one plan with 0.1 s of simulation;
 - **hash**: the beginning of the SHA-256 of everything that determines its behaviour: weights or
   fit, archive, rules. A measurement holds for the agent with this hash alone.
 """
 
 
 def zoo_page() -> str:
-    """Return the page: what each agent and driver is, and the tables of their strength."""
+    """Return the page: a description of each agent, and the tables of their strength."""
     shipped = {name: entries()[name] for name in SHIPPED}
     blocks = [HEAD.strip()]
-    for title, moves in (("Agents", True), ("Drivers", False)):
+    for title, moves in (("Agents", True), ("Fixed policies", False)):
         blocks.append(f"## {title}")
         for name, entry in shipped.items():
             if entry.moves is moves:

@@ -15,8 +15,8 @@ from pcs_racing_agents.cli.options import TRACK_HELP, Workers
     "pcs-racing study quick --out out/quick",
     "pcs-racing study paper --out out/paper",
     "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
-    "pcs-racing study contest-table --archive out/my-archive --seed 1 --out out/table",
-    "pcs-racing study contest-wide --test-track maps/Monza maps/Spielberg --out out/wide",
+    "pcs-racing study contest --archive out/my-archive --seed 1 --out out/contest",
+    "pcs-racing study contest --test-track maps/Monza maps/Spielberg --out out/real",
 )
 def run(
     config: Annotated[

@@ -133,7 +133,7 @@ def test_a_study_tells_its_stages_and_files(monkeypatch, tmp_path, printed):
     )
     out = printed(
         "study",
-        "contest-table",
+        "contest",
         "--out",
         "x",
         "--stage",
@@ -166,12 +166,12 @@ def begun(monkeypatch):
 
 
 def test_options_replace_archive_and_seed_and_add_circuits_to_the_table(begun, tmp_path, told):
-    options = ["--archive", "default", "--seed", 7, "--test-track", "Vellindra"]
-    assert "begun" in told("study", "contest-table", *options, "--out", tmp_path / "out")
+    options = ["--archive", "default", "--seed", 7, "--test-track", "Larkmoor"]
+    assert "begun" in told("study", "contest", *options, "--out", tmp_path / "out")
     (study,) = begun
     assert (study.archive, study.seed) == ("default", 7)
-    assert study.table.tracks[-1] == "Vellindra"
-    assert "Vellindra" not in study.learning.tracks
+    assert study.table.tracks[-1] == "Larkmoor"
+    assert "Larkmoor" not in study.learning.tracks
 
 
 def test_trees_are_played_and_taken_up(run, saved_archive, tmp_path):
