@@ -157,7 +157,7 @@ class Driver(PolicySet):
     @property
     def content_hash(self) -> str:
         """SHA-256 of the planner's name, parameters and network weights, without the own name."""
-        drives = (self.planner.drive, self.planner.plan)
+        drives = (self.planner.drive, self.planner.plan, self.planner.control)
         hashes = [getattr(one, "content_hash", None) for one in drives]
         weights = [one for one in hashes if one is not None]
         return fingerprint(
