@@ -44,8 +44,7 @@ def pin_hashes() -> None:
     """Write the hashes of the protocol's inputs into its file."""
     text = PROTOCOL.read_text(encoding="utf-8")
     head = re.split(r"^hashes:", text, flags=re.MULTILINE)[0]
-    write_atomically(PROTOCOL, head + "hashes: []\n")
-    lines = "".join(f"- {line}\n" for line in load_protocol(str(PROTOCOL)).hashes)
+    lines = "".join(f"- {line}\n" for line in load_protocol(str(PROTOCOL), hashes=()).hashes)
     write_atomically(PROTOCOL, f"{head}hashes:\n{lines}")
 
 
@@ -58,7 +57,7 @@ def main() -> int:
         pin_hashes()
     if given.out is None:
         return 0
-    agents = [*shipped_agents(load_protocol(str(PROTOCOL))), *PLANNERS]
+    agents = [*shipped_agents(load_protocol()), *PLANNERS]
     failed = run_command(["benchmark", "card", *agents, "--out", str(given.out)])
     CARDS.mkdir(exist_ok=True)
     for card in given.out.glob("*/card.json"):

@@ -4,12 +4,14 @@ import json
 import shutil
 import sys
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 from refusal import refused
-from repository import REPOSITORY
+from repository import REPOSITORY, load_tool
 from zoo_games import toy_archive
 
 from pcs_racing.game.archive_files import save_archive
@@ -282,3 +284,19 @@ def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_
     for wrong in (both[:1] * 2, [*both, "--name", "mine"], ["nobody"]):
         assert benchmark(*wrong, out="none") == 2
     assert not (tmp_path / "none" / "card.json").exists()
+
+
+def test_the_cards_of_the_leaderboard_are_of_all_shipped_agents_and_of_pinned_inputs(
+    protocol_file, tmp_path, monkeypatch
+):
+    cards = load_tool("cards")
+    file = tmp_path / "protocol.yaml"
+    settings = json.loads(Path(protocol_file).read_text())
+    file.write_text(f"{yaml.safe_dump(settings)}hashes:\n- archive toy 0\n")
+    refused("written for 'archive toy 0'", load_protocol, str(file))
+    monkeypatch.setattr(cards, "PROTOCOL", file)
+    cards.pin_hashes()
+    protocol = load_protocol(str(file))
+    assert protocol.config.hashes == protocol.hashes
+    untrained = ["never-switch", "random-moves", "random-policy", "lane-switcher"]
+    assert cards.shipped_agents(protocol) == untrained
