@@ -294,8 +294,10 @@ class PersonDrive:
 def drive_page(races: PersonDrive) -> str:
     """Return the page for the steering of a person; a server provides everything else."""
     title = f"You at the wheel against {races.opponent}"
-    options = {"title": title, "allowed": "connect-src 'self'", "step": TIME_STEP}
-    return rendered("pcs_racing_agents.watch", "drive.html", **options)
+    allowed = "connect-src 'self'"
+    return rendered(
+        "pcs_racing_agents.watch", "drive.html", title=title, allowed=allowed, step=TIME_STEP
+    )
 
 
 def make_person_drive(rival: Any, seed: int = 0, **arguments: Any) -> PersonDrive:
