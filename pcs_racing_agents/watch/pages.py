@@ -46,15 +46,16 @@ def rendered(
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {
-        "page": replay_page,
-        "json": lambda content: Markup(safe_json(content)),
-        **(filters or {}),
-    }
+    environment.filters |= {"page": replay_page, "json": _json, **(filters or {})}
     environment.tests["number"] = is_number
     shared = {part: Markup(text.strip()) for part, text in _SHARED.findall(player_page())}
     version = f"pcs-racing {package_version()}"
     return environment.get_template(name).render(version=version, **shared, **values)
+
+
+def _json(values: Any) -> Markup:
+    """Return values as JSON that needs no escaping."""
+    return Markup(safe_json(values))
 
 
 class Standing(NamedTuple):
