@@ -37,7 +37,7 @@ RULES = {40: load_game_config("contest"), 300: load_game_config("contest", **STE
 """Rules by the length of a race in s; moves of the long races are 8 s apart."""
 SEEDS = 5201, 5202
 """Seeds of the training and of the test races."""
-RACES, SMALL = (8, 32), (2, 2)
+RACES, SMALL = (4, 16), (2, 2)
 """Training and test races against each opponent on each circuit; the same in the small study."""
 
 
