@@ -89,7 +89,6 @@ NEEDS = {
         "learning",
     ),
     "a study": ('main(["study", "quick", "--out", "study"])', "learning"),
-    "a study's archive": ('main(["study", "paper", "--out", "study"])', "synthesis"),
     "a picture": ("from pcs_racing_agents.base.style import picture; picture(print)()", "plots"),
     "the command synthesize": ('main(["synthesize", "--out", "archive"])', "synthesis"),
     "a hypervolume": (
