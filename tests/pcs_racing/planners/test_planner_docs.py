@@ -12,17 +12,18 @@ from pcs_racing.planners.view import VIEW
 PAGE = (REPOSITORY / "docs" / "planners.md").read_text(encoding="utf-8")
 
 
-def test_the_page_has_the_table_of_the_view_and_every_shipped_planner():
+def test_the_page_names_elements_of_the_view_and_every_shipped_planner():
     section = PAGE.split("\n### The view\n")[1].split("\n#")[0]
-    constants = [
-        name
-        for row in re.findall(r"^\|.*", section, flags=re.M)
-        for name in re.findall(r"`(\w+)`", row)
-    ]
-    assert [name.removeprefix("OWN_") for name in constants] == list(VIEW)
-    assert [getattr(view, constant) for constant in constants] == list(range(len(VIEW)))
+    rows = re.findall(r"^\|.*", section, flags=re.M)
+    for name in re.findall(r"`(\w+?)(?:\.\.\.)?`", "".join(rows)):
+        assert any(element.startswith(name) for element in VIEW), name
     for name in SHIPPED:
         assert f"| `{name}` |" in PAGE
+
+
+def test_the_constants_are_the_indices_of_the_view():
+    constants = [name if hasattr(view, name) else f"OWN_{name}" for name in VIEW]
+    assert [getattr(view, constant) for constant in constants] == list(range(len(VIEW)))
 
 
 @pytest.mark.parametrize("code", python_blocks(PAGE))
