@@ -24,7 +24,7 @@ from pcs_racing_agents.tournament import (
 
 TRACKS = ["Tarnfjord", "Brackwater"]
 TRAIN_TRACKS = {"Tarnfjord"}
-# non-GT, random and unseen, in the words of the paper
+# the paper's non-GT agent, random agent and held-out planner
 OPPONENTS = ["never-switch", "random-policy", "lane-switcher"]
 # cfr-argmax is the paper's game-theoretic agent
 AGENTS = ["never-switch", "best-fixed", "cfr-argmax", "response"]
@@ -67,7 +67,7 @@ def main() -> None:
         races = concatenate_races(play_pairings(pairings, job=job, progress=show_progress()))
 
     # 2. The table: differences from the first agent, race by race, and the results of the paper.
-    table = study.make_table(races, seen=TRAIN_TRACKS)
+    table = study.make_table(races, train=TRAIN_TRACKS)
     print(study.table_text(table))
     print("table:", study.write_table(table, arguments.out / "table.csv"))
 

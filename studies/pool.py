@@ -49,7 +49,7 @@ def read_table(folder: Path) -> Table:
     further = folder / "table_further.csv"
     for row in [*read_csv(file).rows(), *(read_csv(further).rows() if further.is_file() else ())]:
         cell = row["track"], row["opponent"]
-        training[cell] = row["seen"] == "1"
+        training[cell] = row["train"] == "1"
         scores[cell, row["arm"]] = float(row["score"])
         crashes[cell, row["arm"]] = float(row["own_crash"])
         scores[cell, row["base"]] = float(row["score_base"])

@@ -20,7 +20,7 @@ def read_differences(study: Path) -> dict[tuple[str, str], list[Row]]:
         raise InputError(f"there is no {file}; give the folder of a finished study")
     found: dict[tuple[str, str], list[Row]] = {}
     for row in read_csv(file).rows():
-        circuit = f"{row['track']} ({'training' if row['seen'] == '1' else 'test'})"
+        circuit = f"{row['track']} ({'training' if row['train'] == '1' else 'test'})"
         found.setdefault((circuit, row["opponent"]), []).append(row)
     return found
 

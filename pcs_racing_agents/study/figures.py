@@ -27,7 +27,7 @@ def differences_picture(table: StudyTable) -> Any:
         axes = grid[tracks.index(row.track), opponents.index(row.opponent)]
         axes.set_visible(True)
         axes.set_title(
-            f"{short(row.track, 16)}{'' if row.seen else ' (unseen)'}, {short(row.opponent, 16)}",
+            f"{short(row.track, 16)}{'' if row.train else ' (test)'}, {short(row.opponent, 16)}",
             fontsize=8.5,
         )
         axes.axvline(0.0, color=INK, lw=0.8)

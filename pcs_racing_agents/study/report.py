@@ -92,7 +92,7 @@ def study_table(study: Study, races: RaceTable) -> StudyTable:
         best=config.best,
         # The second table may lack the baselines of the first.
         open_loop=open_loop if open_loop in races.agents.words else None,
-        seen={load_track(name).name for name in config.learning.tracks},
+        train={load_track(name).name for name in config.learning.tracks},
     )
     if config.game.race.name == "paper":
         return table

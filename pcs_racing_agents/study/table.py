@@ -41,18 +41,15 @@ class PaperRow(NamedTuple):
     p: float  #: p-value of the paired t-test.
 
 
-PAPER_OPPONENTS = {"never-switch": "Non-GT", "random-policy": "Random", "lane-switcher": "Unseen"}
-"""The paper's opponents, by name in the zoo."""
-
 PAPER_TABLE: dict[tuple[str, bool], PaperRow] = {
-    ("Non-GT", True): PaperRow(0.515, 0.251, 0.569, 0.213, 0.054, 0.0142),
-    ("Random", True): PaperRow(0.624, 0.225, 0.670, 0.199, 0.046, 0.00370),
-    ("Unseen", True): PaperRow(0.586, 0.101, 0.597, 0.089, 0.011, 0.0863),
-    ("Non-GT", False): PaperRow(0.553, 0.256, 0.628, 0.180, 0.075, 0.0124),
-    ("Random", False): PaperRow(0.625, 0.278, 0.738, 0.172, 0.113, 0.00276),
-    ("Unseen", False): PaperRow(0.556, 0.101, 0.565, 0.098, 0.009, 0.147),
+    ("never-switch", True): PaperRow(0.515, 0.251, 0.569, 0.213, 0.054, 0.0142),
+    ("random-policy", True): PaperRow(0.624, 0.225, 0.670, 0.199, 0.046, 0.00370),
+    ("lane-switcher", True): PaperRow(0.586, 0.101, 0.597, 0.089, 0.011, 0.0863),
+    ("never-switch", False): PaperRow(0.553, 0.256, 0.628, 0.180, 0.075, 0.0124),
+    ("random-policy", False): PaperRow(0.625, 0.278, 0.738, 0.172, 0.113, 0.00276),
+    ("lane-switcher", False): PaperRow(0.556, 0.101, 0.565, 0.098, 0.009, 0.147),
 }
-"""The paper's table, by (kind of opponent, True for a training track)."""
+"""The paper's table, by (opponent's name in the zoo, True for a training track)."""
 
 
 class ArmResult(NamedTuple):
@@ -86,7 +83,7 @@ class TableRow:
 
     track: str
     opponent: str
-    seen: bool  #: True for a training track.
+    train: bool  #: True for a training track.
     paper: PaperRow | None  #: Matching row of the paper's table.
     lines: int  #: Number of different start lines.
     #: True if intervals are clustered by start line; else each pair had its own, or too few.
@@ -98,7 +95,7 @@ class TableRow:
     @property
     def name(self) -> str:
         """Track and opponent as text."""
-        return f"{self.track} ({'seen' if self.seen else 'unseen'}) against {self.opponent}"
+        return f"{self.track} ({'train' if self.train else 'test'}) against {self.opponent}"
 
     @property
     def questions(self) -> list[tuple[str, Difference]]:
@@ -127,7 +124,7 @@ def make_table(
     *,
     best: str | None = None,
     open_loop: str | None = None,
-    seen: Collection[str] = (),
+    train: Collection[str] = (),
 ) -> StudyTable:
     """Compare the arms of every row.
 
@@ -140,7 +137,7 @@ def make_table(
         The agent of the adaptivity gain. It must be chosen before the races.
     open_loop : str, optional
         The best arm without observations, chosen on training races.
-    seen : collection of str
+    train : collection of str
         Training tracks.
     """
     pairs: dict[tuple[str, str, str], RaceTable] = {}
@@ -164,7 +161,7 @@ def make_table(
     if best == open_loop:
         open_loop = None  # the best agent is open-loop itself: no gain
     rows = [
-        _row(track, opponent, pairs, arms, best, open_loop, track in seen)
+        _row(track, opponent, pairs, arms, best, open_loop, track in train)
         for track, opponent in dict.fromkeys((track, opponent) for track, opponent, _ in pairs)
     ]
     return StudyTable(tuple(_adjusted(rows)), arms[0], best, open_loop)
@@ -186,7 +183,7 @@ def _row(
     arms: list[str],
     best: str | None,
     open_loop: str | None,
-    seen: bool,
+    train: bool,
 ) -> TableRow:
     label = f"{track} against {opponent}"
     raced = {arm: pairs[track, opponent, arm] for arm in arms if (track, opponent, arm) in pairs}
@@ -220,8 +217,8 @@ def _row(
     return TableRow(
         track=track,
         opponent=opponent,
-        seen=seen,
-        paper=PAPER_TABLE.get((PAPER_OPPONENTS.get(opponent, ""), seen)),
+        train=train,
+        paper=PAPER_TABLE.get((opponent, train)),
         lines=len(np.unique(lines)),
         lines_drawn=start is not None,
         arms=tuple(results),

@@ -62,7 +62,7 @@ def overview_rows(
         paper = "" if row.paper is None else f"{row.paper.difference:+.3f}"
         lines.append(
             (
-                f"{row.track} ({'seen' if row.seen else 'unseen'})",
+                f"{row.track} ({'train' if row.train else 'test'})",
                 row.opponent,
                 *([paper] if papers else []),
                 f"{row.arms[0].score:.3f}",
@@ -153,7 +153,7 @@ def table_text(table: StudyTable) -> str:
 CSV_COLUMNS = (
     "kind",
     "track",
-    "seen",
+    "train",
     "opponent",
     "arm",
     "base",
@@ -214,7 +214,7 @@ def _csv_row(kind: str, row: TableRow, difference: Difference) -> list[object]:
         ("",) * 4 if paper is None else (paper.non_gt, paper.gt, paper.difference, paper.p)
     )
     counts = (result.units, result.egos, result.opponents, row.lines)
-    names = (kind, row.track, int(row.seen), row.opponent, difference.arm, difference.base)
+    names = (kind, row.track, int(row.train), row.opponent, difference.arm, difference.base)
     return [*names, *counts, *(f"{value:.6g}" for value in numbers), *paper_cells]
 
 

@@ -173,8 +173,8 @@ def cross_pairing(
     ----------
     ego, opponent : Agent, Driver, Policy, or object with ``act`` or ``predict``
         Competitors in car 0 and car 1. In the paper "never-switch" is the non-GT agent,
-        "random-policy" the random agent, "lane-switcher" the unseen agent. The draws depend only on
-        the numbers of variants: all agents drive the same races.
+        "random-policy" the random agent, "lane-switcher" the held-out agent. The draws depend only
+        on the numbers of variants: all agents drive the same races.
     egos, opponents : int or sequence of int
         Number of variants, drawn without repetition (at most all variants), or a list of variants.
     lines : int

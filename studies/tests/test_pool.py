@@ -6,7 +6,7 @@ from pcs_racing_agents.base.tables import write_csv
 from studies.__main__ import main
 from studies.pool import gain_rows, pool, read_table
 
-HEAD = ("kind", "track", "seen", "opponent", "arm", "base", "score", "score_base", "own_crash")
+HEAD = ("kind", "track", "train", "opponent", "arm", "base", "score", "score_base", "own_crash")
 
 
 def study(folder, gain):
@@ -14,9 +14,9 @@ def study(folder, gain):
     folder.mkdir()
     for name, opponent in (("table", "random-moves"), ("table_further", "stanley")):
         rows = [HEAD]
-        for track, seen, more in (("Pipkin", 1, 0.0), ("Monza", 0, 0.1)):
+        for track, train, more in (("Pipkin", 1, 0.0), ("Monza", 0, 0.1)):
             for arm, score in (("best-fixed", 0.6), ("response", 0.6 + gain + more)):
-                cell = track, seen, opponent
+                cell = track, train, opponent
                 rows.append(("difference", *cell, arm, "never-switch", score, 0.4, 0.05))
             rows.append(("adaptivity gain", *cell, "response", "best-fixed", score, 0.6, 0.05))
         write_csv(rows, folder / f"{name}.csv")

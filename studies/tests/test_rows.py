@@ -7,7 +7,7 @@ from studies.__main__ import main
 from studies.rows import read_differences
 
 HEAD = (
-    *("kind", "track", "seen", "opponent", "arm", "base", "difference", "low", "high"),
+    *("kind", "track", "train", "opponent", "arm", "base", "difference", "low", "high"),
     *("score_base", "paper_difference"),
 )
 LINES = (

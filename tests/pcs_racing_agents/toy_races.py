@@ -108,7 +108,7 @@ def toy_table() -> StudyTable:
             "Tarnfjord",
             "never-switch",
             True,
-            PAPER_TABLE["Non-GT", True],
+            PAPER_TABLE["never-switch", True],
             5,
             True,
             (still, ours, plan),

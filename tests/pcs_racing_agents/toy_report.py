@@ -20,7 +20,7 @@ def toy_report(archive, watched) -> ReportContent:
         races,
         best="our-best",
         open_loop="best-fixed",
-        seen={"Tarnfjord"},
+        train={"Tarnfjord"},
     )
     return ReportContent(
         title=f"A study {NASTY}",

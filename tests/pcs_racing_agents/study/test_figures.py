@@ -16,7 +16,7 @@ from pcs_racing_agents.tournament.table import payoffs_picture, ratings_picture
 @pytest.fixture(scope="module")
 def table():
     cells = toy_races(egos=5, variants=4, opponents=("never-switch", "somebody"))
-    return make_table(cells, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
+    return make_table(cells, best="our-best", open_loop="best-fixed", train={"Tarnfjord"})
 
 
 def curves(seed=0):
@@ -102,7 +102,7 @@ def test_pictures_of_a_table_hold_its_numbers_each_in_the_place_of_its_agent():
     ]
     assert labels(first) == {0: "ours", -1: "cfr-argmax", -2: "adaptivity gain"}
     titles = (first.get_title(loc="left"), second.get_title(loc="left"))
-    assert titles == ("Tarnfjord, never-switch", "Hut (unseen), somebody")
+    assert titles == ("Tarnfjord, never-switch", "Hut (test), somebody")
     bare = replace(toy, rows=tuple(replace(row, paper=None, gain=None) for row in toy.rows))
     assert labels(figures.differences_picture(bare).axes[0]) == {0: "ours", -1: "cfr-argmax"}
     assert [

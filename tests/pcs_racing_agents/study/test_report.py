@@ -223,7 +223,7 @@ def raced_study(tmp_path):
 def test_a_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(raced_study, tmp_path):
     study, cells = raced_study
     races, further = report.races_of(cells), report.races_of(cells, "further")
-    known = {"best": "cfr-argmax", "seen": {"Tarnfjord"}}
+    known = {"best": "cfr-argmax", "train": {"Tarnfjord"}}
     expected = make_table(races, **known)
     assert report.study_table(study, races) == expected
     assert [row.track for row in report.study_table(study, further).rows] == ["Pipkin"]

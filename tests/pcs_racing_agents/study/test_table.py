@@ -30,7 +30,7 @@ def races():
 
 @pytest.fixture(scope="module")
 def table(races):
-    return make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
+    return make_table(races, best="our-best", open_loop="best-fixed", train={"Tarnfjord"})
 
 
 def test_every_row_says_what_the_statistics_say(races, table):
@@ -55,12 +55,7 @@ def test_every_row_says_what_the_statistics_say(races, table):
             for arm, base in (*((arm, first) for arm in others), ("our-best", "best-fixed")):
                 result = compare(cells[arm].score, cells[base].score, *labels, start=start)
                 differences.append(Difference(arm, base, result))
-            paper = PAPER_TABLE.get(
-                (
-                    {"never-switch": "Non-GT", "random-policy": "Random"}.get(rival, ""),
-                    len(rows) < 3,
-                )
-            )
+            paper = PAPER_TABLE.get((rival, len(rows) < 3))
             rows.append(
                 TableRow(
                     track,
@@ -133,7 +128,7 @@ def test_the_order_of_the_races_and_a_file_between_do_not_matter(races, tmp_path
     order[ours] = np.concatenate(
         [np.random.default_rng(1).permutation(piece) for piece in np.split(ours, 6)]
     )
-    options = {"best": "our-best", "open_loop": "best-fixed", "seen": {"Tarnfjord"}}
+    options = {"best": "our-best", "open_loop": "best-fixed", "train": {"Tarnfjord"}}
     assert make_table(races.take(order), **options) == make_table(races, **options)
     some = races.take(np.arange(0, len(races), 5))  # of each start line both sides or none
     rounded = replace(some, start_s=some.start_s + 1e-7)
@@ -191,11 +186,11 @@ def test_rows_may_lack_an_arm_and_an_open_loop_best_agent_a_gain(races):
 
 TEXT = """\
 circuit opponent paper: GT still ours cfr-argmax ours - cfr-argmax
-Tarnfjord (seen) never-switch +0.054 0.500 +0.250* +0.125 +0.125
-Hut (unseen) somebody 0.500 -0.250*
+Tarnfjord (train) never-switch +0.054 0.500 +0.250* +0.125 +0.125
+Hut (test) somebody 0.500 -0.250*
 *: p (Holm) below 0.05
 
-Tarnfjord (seen) against never-switch
+Tarnfjord (train) against never-switch
 paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142
 agent score sd crash own fault difference 95 % interval p p (Holm) paired t
 still 0.500 0.125 25.0% 12.5%
@@ -203,7 +198,7 @@ ours 0.750 0.062 50.0% 0.0% +0.250 [+0.125, +0.375] 2.5e-03 5.0e-03 2.5e-04
 cfr-argmax 0.625 0.000 0.0% 0.0% +0.125 [-0.125, +0.375] 0.500 0.500 0.050
 ours minus cfr-argmax +0.125 [-0.125, +0.375] 0.125 0.050 0.013
 
-Hut (unseen) against somebody
+Hut (test) against somebody
 agent score sd crash own fault difference 95 % interval p p (Holm) paired t
 still 0.500 0.125 25.0% 12.5%
 ours 0.750 0.062 50.0% 0.0% -0.250 [-0.312, -0.188] < 1e-99 1.0e-06 < 1e-99
@@ -211,7 +206,7 @@ ours 0.750 0.062 50.0% 0.0% -0.250 [-0.312, -0.188] < 1e-99 1.0e-06 < 1e-99
 Each agent drove 8 to 16 races in each row, the same ones"""
 
 CSV = """\
-kind,track,seen,opponent,arm,base,races,egos,opponents,lines,score,score_base,score_sd,crash,own_crash,difference,\
+kind,track,train,opponent,arm,base,races,egos,opponents,lines,score,score_base,score_sd,crash,own_crash,difference,\
 low,high,p,p_holm,paired_t_p,cohen_d,paper_non_gt,paper_gt,paper_difference,paper_p
 difference,Tarnfjord,1,never-switch,ours,still,8,2,4,5,0.75,0.5,0.0625,0.5,0,0.25,0.125,0.375,0.0025,0.005,\
 0.00025,2,0.515,0.569,0.054,0.0142
@@ -259,7 +254,7 @@ def test_text_and_csv_hold_every_number(table, tmp_path, races):
     p_values = (0.5, 0.0142, 0.01, 0.0099, 3e-9, 1e-99, 0.0, np.nan)
     words = ["0.500", "0.014", "0.010", "9.9e-03", "3.0e-09", "1.0e-99", "< 1e-99", "-"]
     assert [texts.p_text(p) for p in p_values] == words
-    again = make_table(races, best="our-best", open_loop="best-fixed", seen={"Tarnfjord"})
+    again = make_table(races, best="our-best", open_loop="best-fixed", train={"Tarnfjord"})
     one, two = (
         texts.write_table(made, tmp_path / name)
         for made, name in ((table, "a.csv"), (again, "b.csv"))
