@@ -34,9 +34,9 @@ class Agent(nn.Module):
         self.value = network(observations, 1, 1.0)
         self.log_spread = nn.Parameter(torch.full((actions,), -0.5))
 
-    def action(self, seen: torch.Tensor) -> Normal:
+    def action(self, observations: torch.Tensor) -> Normal:
         """Return the distribution of the action."""
-        return Normal(self.mean(seen), self.log_spread.exp())
+        return Normal(self.mean(observations), self.log_spread.exp())
 
 
 def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
@@ -66,7 +66,7 @@ def main() -> None:
     optimiser = torch.optim.Adam(agent.parameters(), lr=a.learning_rate, eps=1e-5)
     # Most elements vary in a small part of [-1, 1]: a running scale normalizes them.
     scale = RunningScale(size)
-    seen = torch.as_tensor(envs.reset(seed=a.seed)[0])
+    observations = torch.as_tensor(envs.reset(seed=a.seed)[0])
     updates = max(1, a.steps // (a.envs * a.rollout))
     ended: list[tuple[float, bool]] = []  # progress and crash of the episodes since the last line
     for update in range(updates):
@@ -81,14 +81,14 @@ def main() -> None:
         dones, beyond = torch.zeros(rows), torch.zeros(rows)
         for t in range(a.rollout):
             with torch.no_grad():
-                states[t] = scale(seen, learn=True)
+                states[t] = scale(observations, learn=True)
                 action = agent.action(states[t])
                 moves[t] = action.sample()
                 log_probs[t] = action.log_prob(moves[t]).sum(-1)
                 values[t] = agent.value(states[t]).squeeze(-1)
-            observation, reward, terminated, truncated, info = envs.step(moves[t].numpy())
-            seen, rewards[t] = (
-                torch.as_tensor(observation),
+            following, reward, terminated, truncated, info = envs.step(moves[t].numpy())
+            observations, rewards[t] = (
+                torch.as_tensor(following),
                 torch.as_tensor(reward, dtype=torch.float32),
             )
             done = terminated | truncated
@@ -99,7 +99,7 @@ def main() -> None:
                     with torch.no_grad():
                         beyond[t, i] = agent.value(scale(torch.as_tensor(info["final_obs"][i])))[0]
         with torch.no_grad():
-            values[-1] = agent.value(scale(seen)).squeeze(-1)
+            values[-1] = agent.value(scale(observations)).squeeze(-1)
         advantages, last = torch.zeros(rows), torch.zeros(a.envs)
         for t in reversed(range(a.rollout)):
             going = 1.0 - dones[t]
@@ -141,12 +141,12 @@ def drive(agent: Agent, scale: "RunningScale", a: argparse.Namespace, opponent: 
     """Drive ten episodes with the mean of the policy."""
     env = gym.make("pcs_racing/Drive-v1", track=a.track, opponent=opponent, normalize=True)
     for episode in range(10):
-        seen, _ = env.reset(seed=1_000_000 + episode)
+        observation, _ = env.reset(seed=1_000_000 + episode)
         over = False
         while not over:
             with torch.no_grad():
-                move = agent.mean(scale(torch.as_tensor(seen))).numpy()
-            seen, _, terminated, truncated, info = env.step(np.clip(move, -1.0, 1.0))
+                move = agent.mean(scale(torch.as_tensor(observation))).numpy()
+            observation, _, terminated, truncated, info = env.step(np.clip(move, -1.0, 1.0))
             over = terminated or truncated
         crash = env.unwrapped.outcome()["crash"]
         print(
@@ -160,17 +160,17 @@ class RunningScale:
     def __init__(self, size: int) -> None:
         self.mean, self.variance, self.count = torch.zeros(size), torch.ones(size), 1e-4
 
-    def __call__(self, seen: torch.Tensor, learn: bool = False) -> torch.Tensor:
+    def __call__(self, observations: torch.Tensor, learn: bool = False) -> torch.Tensor:
         """Normalize observations, after an update of the scale if ``learn``."""
         if learn:
-            count, total = len(seen), self.count + len(seen)
-            shift = seen.mean(0) - self.mean
+            count, total = len(observations), self.count + len(observations)
+            shift = observations.mean(0) - self.mean
             between = shift**2 * self.count * count / total
             self.variance = (
-                self.variance * self.count + seen.var(0, correction=0) * count + between
+                self.variance * self.count + observations.var(0, correction=0) * count + between
             ) / total
             self.mean, self.count = self.mean + shift * count / total, total
-        return ((seen - self.mean) / (self.variance + 1e-8).sqrt()).clamp(-10.0, 10.0)
+        return ((observations - self.mean) / (self.variance + 1e-8).sqrt()).clamp(-10.0, 10.0)
 
 
 def parse() -> argparse.Namespace:

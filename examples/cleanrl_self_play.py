@@ -69,7 +69,7 @@ def main() -> None:
     optimiser = torch.optim.Adam(
         [*actor.parameters(), *critic.parameters()], lr=LEARNING_RATE, eps=1e-5
     )
-    seen = torch.as_tensor(envs.reset(seed=given.seed)[0])
+    observations = torch.as_tensor(envs.reset(seed=given.seed)[0])
     updates = max(1, given.steps // (ENVS * ROLLOUT))
     for update in range(updates):
         optimiser.param_groups[0]["lr"] = LEARNING_RATE * (1.0 - update / updates)
@@ -78,18 +78,18 @@ def main() -> None:
         log_probs, rewards, dones = torch.zeros(rows), torch.zeros(rows), torch.zeros(rows)
         values = torch.zeros((ROLLOUT + 1, ENVS))
         for t in range(ROLLOUT):
-            states[t] = seen
+            states[t] = observations
             with torch.no_grad():
-                choice = Categorical(logits=actor(seen))
-                actions[t], values[t] = choice.sample(), critic(seen).squeeze(-1)
+                choice = Categorical(logits=actor(observations))
+                actions[t], values[t] = choice.sample(), critic(observations).squeeze(-1)
                 log_probs[t] = choice.log_prob(actions[t])
-            observation, reward, terminated, _, _ = envs.step(actions[t].numpy())
-            seen = torch.as_tensor(observation)
+            following, reward, terminated, _, _ = envs.step(actions[t].numpy())
+            observations = torch.as_tensor(following)
             rewards[t], dones[t] = (
                 torch.as_tensor(x, dtype=torch.float32) for x in (reward, terminated)
             )
         with torch.no_grad():
-            values[-1] = critic(seen).squeeze(-1)
+            values[-1] = critic(observations).squeeze(-1)
         advantages, last = torch.zeros(rows), torch.zeros(ENVS)
         for t in reversed(range(ROLLOUT)):
             going = 1.0 - dones[t]

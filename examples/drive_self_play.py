@@ -97,10 +97,10 @@ class UnequalCars(VecEnvWrapper):
 class Progress(BaseCallback):
     """Prints a line for every tenth of the training: time left, and races won."""
 
-    def __init__(self, steps: int, races: int, seen: dict[str, Any]) -> None:
+    def __init__(self, steps: int, races: int, task: dict[str, Any]) -> None:
         super().__init__()
         self.steps, self.said, self.began = steps, 0, time.monotonic()
-        self.rivals = [archive_races(race, races, seen) for race in RULES]
+        self.rivals = [archive_races(race, races, task) for race in RULES]
 
     def _on_step(self) -> bool:
         return True
@@ -128,7 +128,7 @@ class Progress(BaseCallback):
 def main() -> None:
     arguments = parse()
     torch.set_num_threads(arguments.threads)
-    seen = {
+    task = {
         "track": arguments.track,
         "time_step": 0.1,
         "look_ahead": (0.0, 1.0, 2.0, 4.0, 6.0, 9.0, 12.0),
@@ -141,7 +141,7 @@ def main() -> None:
             rivalry=arguments.rivalry,
             autoreset_mode="SAME_STEP",
             threads=1,
-            **seen,
+            **task,
         )
         for race in RULES
     ]
@@ -159,13 +159,13 @@ def main() -> None:
         policy_kwargs={"log_std_init": -1.0},
         device="cpu",
     )
-    model.learn(arguments.steps, callback=Progress(arguments.steps, min(40, arguments.races), seen))
+    model.learn(arguments.steps, callback=Progress(arguments.steps, min(40, arguments.races), task))
 
     print(f"{'opponent':28} {'rules':8} {'won':>6} {'lead':>7} {'own crash':>9}")
     for race, archive in RULES.items():
         rivals = {
-            f"archive {archive}": archive_races(race, arguments.races, seen),
-            "ppo-drive": DriveVectorEnv(arguments.races, opponent="ppo-drive", race=race, **seen),
+            f"archive {archive}": archive_races(race, arguments.races, task),
+            "ppo-drive": DriveVectorEnv(arguments.races, opponent="ppo-drive", race=race, **task),
         }
         for name, against in rivals.items():
             ends = race_against(model, against)
@@ -177,11 +177,11 @@ def main() -> None:
             )
 
 
-def archive_races(race: str, count: int, seen: dict[str, Any]) -> DriveVectorEnv:
+def archive_races(race: str, count: int, task: dict[str, Any]) -> DriveVectorEnv:
     """Make races against the archive of the rules; the opponent's policy is drawn for each race."""
     archive = load_archive(RULES[race])
     return DriveVectorEnv(
-        count, opponent=[archive.policy(k) for k in range(len(archive))], race=race, **seen
+        count, opponent=[archive.policy(k) for k in range(len(archive))], race=race, **task
     )
 
 

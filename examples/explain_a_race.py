@@ -63,14 +63,14 @@ def main() -> None:
     while not game.done(state)[0]:
         if arguments.wait:
             input("Enter: next move ")
-        seen = game.observation(state)  # (1, 2, D): an observation for each car
-        point = observing.opponent(seen[:, 0], axes)[0]
+        observations = game.observation(state)  # (1, 2, D): an observation for each car
+        point = observing.opponent(observations[:, 0], axes)[0]
         about = ", ".join(
             f"{name} {value:.2f}"
             for name, value in zip(game.archive.characteristics, point, strict=True)
         )
-        moves = [int(car.act(seen[:, i])[0]) for i, car in enumerate(cars)]
-        chances = cars[0].probabilities(seen[:, 0])[0]
+        moves = [int(car.act(observations[:, i])[0]) for i, car in enumerate(cars)]
+        chances = cars[0].probabilities(observations[:, 0])[0]
         before = state.leads[0, state.step[0]]
         state = game.step(state, np.array([moves]))
         made = [game.move_names[move] for move in moves]

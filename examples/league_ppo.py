@@ -97,10 +97,12 @@ def copies(league: learning.League) -> int:
 
 def test(model: PPO, races: DriveVectorEnv) -> float:
     """Share of races that the policy wins without exploration noise: the first of each env."""
-    seen, _ = races.reset(seed=1_000_000)
+    observations, _ = races.reset(seed=1_000_000)
     over, won = np.zeros(races.num_envs, bool), np.zeros(races.num_envs, bool)
     while not over.all():
-        seen, _, ended, late, info = races.step(model.predict(seen, deterministic=True)[0])
+        observations, _, ended, late, info = races.step(
+            model.predict(observations, deterministic=True)[0]
+        )
         won |= (ended | late) & ~over & (info["result"] == Result.WIN)
         over |= ended | late
     return won.mean()

@@ -57,10 +57,12 @@ print(f"{'opponent':28} {'utility':>8} {'+-':>6} {'won':>6}")
 names = [f"always-{move}" for move in envs.get_attr("game")[0].move_names]
 for opponent in ("random-moves", "never-switch", *names):
     duels = DuelVectorEnv(arguments.games, opponent=opponent, **game)
-    seen, _ = duels.reset(seed=1_000_000 + arguments.seed)
+    observations, _ = duels.reset(seed=1_000_000 + arguments.seed)
     returns = np.full(arguments.games, np.nan)
     while np.isnan(returns).any():
-        seen, rewards, done, _, info = duels.step(model.predict(seen, deterministic=False)[0])
+        observations, rewards, done, _, info = duels.step(
+            model.predict(observations, deterministic=False)[0]
+        )
         ended = done & np.isnan(returns)  # the first game of each environment counts
         returns[ended] = rewards[ended]
     error = returns.std() / np.sqrt(len(returns))

@@ -79,10 +79,10 @@ def main() -> None:
     rng = np.random.default_rng(arguments.seed)
     moves = len(constant)
     players = {
-        "PPO": lambda seen: model.predict(seen, deterministic=True)[0],
-        "random moves": lambda seen: rng.integers(moves, size=len(seen)),
+        "PPO": lambda observations: model.predict(observations, deterministic=True)[0],
+        "random moves": lambda observations: rng.integers(moves, size=len(observations)),
         **{
-            name: lambda seen, move=move: np.full(len(seen), move)
+            name: lambda observations, move=move: np.full(len(observations), move)
             for name, move in constant.items()
         },
     }
@@ -104,11 +104,11 @@ def main() -> None:
 def measure(player, arguments: argparse.Namespace, game: dict) -> tuple[np.ndarray, np.ndarray]:
     """Play test games, with the same starts for every player; give their returns and results."""
     envs = DuelVectorEnv(arguments.games, **game)
-    seen, _ = envs.reset(seed=1_000_000 + arguments.seed)
+    observations, _ = envs.reset(seed=1_000_000 + arguments.seed)
     returns, results = np.zeros(arguments.games), np.zeros(arguments.games, int)
     going = np.ones(arguments.games, bool)
     while going.any():
-        seen, rewards, done, _, info = envs.step(player(seen))
+        observations, rewards, done, _, info = envs.step(player(observations))
         ended = going & done
         returns[ended] = rewards[ended]
         if ended.any():

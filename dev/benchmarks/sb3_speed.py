@@ -61,10 +61,12 @@ def learn(name: str, seconds: float) -> str:
     while time.process_time() - begun < seconds:
         model.learn(model.n_steps * model.n_envs, reset_num_timesteps=False)
     races = DriveVectorEnv(200, **LESSON)
-    seen, _ = races.reset(seed=1_000_000)
+    observations, _ = races.reset(seed=1_000_000)
     over, ends = np.zeros(200, bool), np.zeros((3, 200))
     while not over.all():
-        seen, _, ended, late, info = races.step(model.predict(seen, deterministic=True)[0])
+        observations, _, ended, late, info = races.step(
+            model.predict(observations, deterministic=True)[0]
+        )
         new = (ended | late) & ~over
         ends[:, new] = np.stack([info["progress"], info["result"] == Result.WIN, info["fault"]])[
             :, new

@@ -40,8 +40,8 @@ class Duel(gym.Env):
 
     def __init__(self) -> None:
         self.env = gymnasium.make("pcs_racing/Duel-v1")
-        seen, moves = self.env.observation_space, self.env.action_space
-        self.observation_space = gym.spaces.Box(seen.low, seen.high, dtype=seen.dtype)
+        space, moves = self.env.observation_space, self.env.action_space
+        self.observation_space = gym.spaces.Box(space.low, space.high, dtype=space.dtype)
         self.action_space = gym.spaces.Discrete(int(moves.n))
         self._seed: int | None = None
 
@@ -52,14 +52,14 @@ class Duel(gym.Env):
 
     def reset(self, **_: Any) -> Any:
         """Begin a game."""
-        seen, _ = self.env.reset(seed=self._seed)
+        observation, _ = self.env.reset(seed=self._seed)
         self._seed = None
-        return seen
+        return observation
 
     def step(self, action: Any) -> tuple[Any, float, bool, dict[str, Any]]:
         """Make a move."""
-        seen, reward, terminated, truncated, info = self.env.step(action)
-        return seen, float(reward), terminated or truncated, info
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, float(reward), terminated or truncated, info
 
 
 def download(folder: Path) -> Path:

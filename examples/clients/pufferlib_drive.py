@@ -57,8 +57,8 @@ class Races(pufferlib.PufferEnv):
 
     def step(self, actions: NDArray[np.float32]) -> tuple[Any, ...]:
         """Make a step in every race, and write the results into the buffers."""
-        seen, rewards, terminated, truncated, info = self.races.step(actions)
-        self.observations[:], self.rewards[:] = seen, rewards
+        observations, rewards, terminated, truncated, info = self.races.step(actions)
+        self.observations[:], self.rewards[:] = observations, rewards
         self.terminals[:], self.truncations[:] = terminated, truncated
         ended = terminated | truncated
         infos = []
@@ -87,13 +87,15 @@ def main() -> None:
     envs.async_reset(seed=0)
     begun, steps, ends = time.process_time(), 0, []
     for _ in range(200):
-        seen, *_, infos, _, _ = envs.recv()  # of any version
-        assert seen is envs.observations, "the races write into the buffers"
+        observations, *_, infos, _, _ = envs.recv()  # of any version
+        assert observations is envs.observations, "the races write into the buffers"
         ends += infos
         envs.send(envs.action_space.sample())
         steps += envs.num_agents
     rate = steps / (time.process_time() - begun)
-    print(f"{steps} steps, {rate:.0f} a second of processor time; observations {seen.shape}")
+    print(
+        f"{steps} steps, {rate:.0f} a second of processor time; observations {observations.shape}"
+    )
     print(
         "mean progress of the races that ended:", round(np.mean([e["progress"] for e in ends]), 1)
     )

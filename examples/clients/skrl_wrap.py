@@ -25,13 +25,13 @@ def main() -> None:
             "pcs_racing/Drive-v1", num_envs=4, opponents=DRIVERS[: cars - 1], beams=9
         )
         vector = wrap_env(made, wrapper="gymnasium", verbose=False)
-        seen, _ = vector.reset()
+        observations, _ = vector.reset()
         for _ in range(20):
-            actions = seen.new_tensor(made.action_space.sample())
-            seen, rewards, terminated, *_ = vector.step(actions)
+            actions = observations.new_tensor(made.action_space.sample())
+            observations, rewards, terminated, *_ = vector.step(actions)
         print(
             f"{cars} cars, vector:",
-            tuple(seen.shape),
+            tuple(observations.shape),
             tuple(rewards.shape),
             tuple(terminated.shape),
         )

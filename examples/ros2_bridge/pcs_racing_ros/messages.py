@@ -66,5 +66,5 @@ def ranges_at(scan: Any, angles: np.ndarray, max_range: float) -> np.ndarray | N
     valid = (found > 0.0) & (found >= scan.range_min)
     if 2 * np.count_nonzero(valid) < len(angles):
         return None
-    seen = np.where(valid, np.minimum(found, max_range), max_range)
-    return np.where(np.isneginf(found), scan.range_min, seen)
+    clipped = np.where(valid, np.minimum(found, max_range), max_range)
+    return np.where(np.isneginf(found), scan.range_min, clipped)

@@ -73,7 +73,7 @@ class Simulation:
         cars = np.zeros((len(poses), 7))
         cars[:, [0, 1, 4]], cars[:, [3, 5, 6]] = poses, velocities
         ranges = [self.lidar.scan(poses[car], poses[1 - car]) for car in range(2)]
-        scans = [watch.scan_message(self.lidar, seen, car, time) for car, seen in enumerate(ranges)]
+        scans = [watch.scan_message(self.lidar, row, car, time) for car, row in enumerate(ranges)]
         return [*scans, *watch.pose_messages(cars, time)]
 
     def map(self) -> watch.RosMessage:
