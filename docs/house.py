@@ -25,7 +25,7 @@ FLOORS = [
     ("environment", "game/", "rules, characteristics, archive, moves in the PCS"),
     ("environment", "identification/", "a car's parameters from its log"),
     ("environment", "race/", "two cars: start, kernel, state, recording, replay"),
-    ("environment", "planners/", "what a driver is; lattice, lane switcher, ..."),
+    ("environment", "planners/", "interface; lattice, lane switcher, ..."),
     ("environment", "car/", "vehicle, contacts, lidar, time to collision"),
     ("environment", "track/", "lines, walls, Frenet coordinates; how they are built"),
     ("environment", "base/", "errors, files, checks, seeds, compilation"),

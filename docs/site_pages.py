@@ -1,7 +1,7 @@
 """Pages of the documentation that are made from something else, so that nothing is said twice.
 
 The environments' pages are the docstrings of their classes; changelog, contribution guide,
-archives, drivers and networks are files that live elsewhere in the repository; the reference is
+archives, planners and networks are files that live elsewhere in the repository; the reference is
 made of all public modules; circuits, gallery, zoo and leaderboard are made of data files. All of
 them are written to ``docs/generated``, which git ignores, whenever the site is built.
 """
@@ -50,7 +50,7 @@ COPIES = {
     "contributing": "CONTRIBUTING.md",
     "examples": "examples/README.md",
     "shipped_archives": "pcs_racing/data/archives/README.md",
-    "shipped_drivers": "pcs_racing/data/planners/README.md",
+    "shipped_planners": "pcs_racing/data/planners/README.md",
     "shipped_networks": "pcs_racing_agents/data/networks/README.md",
 }
 REFERENCE = {

@@ -55,7 +55,7 @@ class Expert:
 
 
 def record(
-    name: str, driver: str, opponent: str | None, races: int, seed: int, **options
+    name: str, planner: str, opponent: str | None, races: int, seed: int, **options
 ) -> minari.MinariDataset:
     """Drive races with an expert in car 0 and save them as a dataset."""
     env = gymnasium.make(
@@ -66,7 +66,7 @@ def record(
         top_speed=TOP_SPEED,
         **options,
     )
-    expert = Expert(env, pcs_racing.parse_policy(driver))
+    expert = Expert(env, pcs_racing.parse_policy(planner))
     episodes = []
     for race in range(races):
         observation, _ = env.reset(seed=seed + race)
@@ -89,9 +89,9 @@ def record(
         episodes.append(
             EpisodeBuffer(id=race, seed=seed + race, observations=np.array(observations), **columns)
         )
-    about = f"{driver} against {opponent}, {options}"
+    about = f"{planner} against {opponent}, {options}"
     dataset = minari.create_dataset_from_buffers(
-        name, episodes, env=env, algorithm_name=driver, description=about
+        name, episodes, env=env, algorithm_name=planner, description=about
     )
     env.close()
     return dataset

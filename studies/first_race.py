@@ -5,7 +5,7 @@
 
 A line for each seed whose race 0 ends without a crash and with an overtake, the closest first. Seed
 0, the default of all commands, must be one of these for `EGO` and `OPPONENT` in
-pcs_racing_agents/cli/race.py; start places that change may ask for other drivers.
+pcs_racing_agents/cli/race.py; start places that change may need other planners.
 """
 
 import argparse

@@ -1,5 +1,5 @@
 """How well the lattice drives: alone beside pure pursuit, and in races against the house's other
-drivers and itself.
+planners and itself.
 
     python dev/benchmarks/driving.py                                  # the circuits that ship
     python dev/benchmarks/driving.py --maps ../shared/maps --only alone smooth

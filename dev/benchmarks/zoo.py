@@ -117,7 +117,7 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     once.
     """
     if isinstance(agent, Driver):
-        # A driver plans within the race: its cost is that of whole races, divided by their plans.
+        # A fixed policy plans within the race: cost of whole races, divided by their plans.
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
         rules = game.setup.config
         spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))

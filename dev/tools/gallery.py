@@ -1,4 +1,4 @@
-"""Write the GIFs of the gallery, the table of its scenes, scenes.csv, and the sheet of drivers to
+"""Write the GIFs of the gallery, the table of its scenes, scenes.csv, and the sheet of planners to
 docs/images/gallery.
 
     python dev/tools/gallery.py
@@ -35,7 +35,7 @@ FAST, SLOW = "lattice:pace=0.95,overtaking=1", "lattice:pace=0.55"
 SEED = 1
 RACES = 300
 MAX_GIF = 600_000  # bytes of a GIF
-# For the sheet of drivers: they begin 4 m behind a car with 0.6 of their speed.
+# For the sheet of planners: they begin 4 m behind a car with 0.6 of their speed.
 BEHIND = RaceConfig(
     start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.66, 1.1), steering_noise=0.01
 )
@@ -155,10 +155,10 @@ class Clip(NamedTuple):
 
 def find_clips(circuit: str) -> list[tuple[Clip, Replay]]:
     """Return the first scene of each kind on a circuit, with the race that it is taken from."""
-    track, drivers = load_track(circuit), (parse_policy(FAST), parse_policy(SLOW))
+    track, planners = load_track(circuit), (parse_policy(FAST), parse_policy(SLOW))
     found: dict[str, tuple[Clip, Replay]] = {}
     for race in range(RACES):
-        replay = record_race(track, *drivers, CONTEST, seed=SEED, index=race, candidates=False)
+        replay = record_race(track, *planners, CONTEST, seed=SEED, index=race, candidates=False)
         for kind in SCENES.keys() - found.keys():
             time = SCENES[kind].find(replay)
             if time is not None:
@@ -191,8 +191,8 @@ def cut(replay: Replay, time: float) -> Replay:
     )
 
 
-def drivers_sheet() -> Image.Image:
-    """Each driver and its plan where it comes nearest to a slower car in front, in the first race
+def planners_sheet() -> Image.Image:
+    """Each planner and its plan where it comes nearest to a slower car in front, in the first race
     that it passes in.
     """
     names, (width, height), columns = sorted(planner_names()), (400, 280), 3
@@ -279,7 +279,7 @@ def main() -> None:
             clips.append(clip)
     write_scenes(clips)
     print(TABLE)
-    drivers_sheet().save(DOCS / FOLDER / "drivers.png", optimize=True)
+    planners_sheet().save(DOCS / FOLDER / "planners.png", optimize=True)
 
 
 if __name__ == "__main__":

@@ -16,13 +16,13 @@ from pcs_racing.envs import drive
 
 gym.register_envs(pcs_racing)
 
-DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
+OPPONENTS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
 
 
 def main() -> None:
     for cars in (1, 2, 4):
         made = gym.make_vec(
-            "pcs_racing/Drive-v1", num_envs=4, opponents=DRIVERS[: cars - 1], beams=9
+            "pcs_racing/Drive-v1", num_envs=4, opponents=OPPONENTS[: cars - 1], beams=9
         )
         vector = wrap_env(made, wrapper="gymnasium", verbose=False)
         observations, _ = vector.reset()

@@ -133,13 +133,13 @@ class Driver(PolicySet):
         object.__setattr__(self, "policies", tuple(self.policies))
         object.__setattr__(self, "facts", dict(self.facts))
         if len(self.policies) == 0:
-            raise InputError(f"driver {self.name!r} has no policy; it needs at least one")
+            raise InputError(f"fixed policy {self.name!r} has no policy; it needs at least one")
         others = {
             policy.planner.name for policy in self.policies if policy.planner is not self.planner
         }
         if others:
             raise InputError(
-                f"driver {self.name!r} has policies of planner {self.planner.name!r} and of "
+                f"fixed policy {self.name!r} has policies of planner {self.planner.name!r} and of "
                 f"{', '.join(map(repr, sorted(others)))}; all must be of one planner"
             )
 

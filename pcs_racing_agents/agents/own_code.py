@@ -1,4 +1,4 @@
-"""User code as an agent or a driver: ``package.module:name``, ``file.py:name`` or ``model.zip``.
+"""User code as an agent or a planner: ``package.module:name``, ``file.py:name`` or ``model.zip``.
 
 Functions here run user code. Call them with arguments of the command line or of a program, never
 with names from files.
@@ -30,10 +30,10 @@ def is_code(text: str) -> bool:
 def own_code(text: str, *given: Any) -> Any:
     """Return the object that a text names, or None if it names no code.
 
-    A driver's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or
+    A planner's class becomes its policy (:func:`pcs_racing.drivers_from`). Any other class or
     function is called; it gets the ``given`` arguments if it needs an argument or if several are
     given. The search for a module includes the working directory. A policy's name is the text, so
-    another process can find the code. A file without a name means its first driver.
+    another process can find the code. A file without a name means its first planner.
     """
     with one_line(text):
         return _made(text, *given)
@@ -62,7 +62,7 @@ def _made(text: str, *given: Any) -> Any:
     made: Any = getattr(module, name, None)
     if made is None:
         raise InputError(
-            f"{text} is no driver and no agent: {place} has no class and no function {name!r}"
+            f"{text} is no planner and no agent: {place} has no class and no function {name!r}"
         )
     if is_driver(made):
         # The planner has the path as given, as on a command line that names the file.
@@ -74,7 +74,7 @@ def _made(text: str, *given: Any) -> Any:
         ]
         made = made(*given) if len(given) > 1 else made(*given[: len(needed)])
     if made is None:
-        raise InputError(f"{text} gives None; it must give a driver or an agent")
+        raise InputError(f"{text} gives None; it must give a planner or an agent")
     made = made.policy() if isinstance(made, Planner) else made
     return replace(made, name=text) if isinstance(made, Policy) else made
 
@@ -102,6 +102,6 @@ def parse_own_policy(text: str) -> Policy:
         return parse_policy(text)
     if not isinstance(made, Policy):
         raise InputError(
-            f"{text} gives {type(made).__name__!r}; here it must be a driver, not an agent"
+            f"{text} gives {type(made).__name__!r}; here it must be a planner, not an agent"
         )
     return made

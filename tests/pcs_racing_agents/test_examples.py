@@ -281,7 +281,7 @@ def test_bad_input_is_reported_before_the_training(tmp_path, arguments, message)
 
 
 def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):
-    """Its return is the progress of that driver in that race, from the same start."""
+    """Its return is the progress of the planner in that race, from the same start."""
     for library in ("minari", "h5py"):
         pytest.importorskip(library, reason=f"{library}, of the extra test, is not installed")
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))

@@ -19,7 +19,7 @@ def toy_archive(policies: int = 12) -> PolicyArchive:
     rng = np.random.default_rng(0)
     lattice = REFERENCE
     pace = np.linspace(0.2, 0.9, policies)
-    drivers = [lattice.policy({"pace": value}).parameters for value in pace]
+    parameters = [lattice.policy({"pace": value}).parameters for value in pace]
     explored = [lattice.policy({"pace": value}).parameters for value in np.linspace(0.0, 1.0, 30)]
     coordinates = np.stack([20.0 * pace - 10.0, 4.0 - 3.0 * pace], axis=1) + rng.normal(
         0.0, [1.5, 0.5], (policies, 2)
@@ -28,7 +28,7 @@ def toy_archive(policies: int = 12) -> PolicyArchive:
         "toy",
         "lattice",
         lattice.parameter_names,
-        np.array(drivers),
+        np.array(parameters),
         ("aggressiveness", "restraint"),
         coordinates,
         explored_parameters=np.array(explored),

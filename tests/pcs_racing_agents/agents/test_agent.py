@@ -69,14 +69,14 @@ def test_draws_follow_the_chances_and_rounding_never_draws_what_is_impossible():
         assert (np.array(chances)[draw(np.tile(chances, (5000, 1)), rows, 3)] > 0.0).all()
 
 
-def test_agents_and_drivers_travel_to_other_processes(spec, seen):
+def test_agents_and_fixed_policies_travel_to_other_processes(spec, seen):
     agent = pickle.loads(pickle.dumps(random_moves(spec, seed=7)))
     np.testing.assert_array_equal(agent.act(seen[1]), random_moves(spec, seed=7).act(seen[1]))
     assert agent.content_hash == random_moves(spec, seed=7).content_hash
-    driver = pickle.loads(pickle.dumps(make("lane-switcher")))
-    assert driver.planner is get_planner("lane-switcher")
-    assert [policy.name for policy in driver.policies] == [f"lane-switcher:{i}" for i in range(20)]
-    assert driver.content_hash == make("lane-switcher").content_hash
+    fixed = pickle.loads(pickle.dumps(make("lane-switcher")))
+    assert fixed.planner is get_planner("lane-switcher")
+    assert [policy.name for policy in fixed.policies] == [f"lane-switcher:{i}" for i in range(20)]
+    assert fixed.content_hash == make("lane-switcher").content_hash
 
 
 def test_digests_tell_what_somebody_does_and_nothing_is_kept_of_whom_they_can_not(spec, network):
@@ -112,19 +112,19 @@ def test_weights_inside_compiled_code_are_part_of_the_hash(tmp_path):
     assert len(hashes) == 4
 
 
-def test_bad_agents_drivers_and_observations_are_refused(spec):
+def test_bad_agents_fixed_policies_and_observations_are_refused(spec):
     assert as_agent(Model()).name == "Model"
     assert as_agent(Model(), "mine").name == "mine"
-    driver = as_agent(get_planner("lattice").policy(), "L")
-    assert isinstance(driver, Driver)
-    assert (driver.name, len(driver.policies)) == ("L", 1)
+    fixed = as_agent(get_planner("lattice").policy(), "L")
+    assert isinstance(fixed, Driver)
+    assert (fixed.name, len(fixed.policies)) == ("L", 1)
     agent = random_moves(spec)
     assert as_agent(agent) is as_agent(agent, "random-moves") is agent
     assert isinstance(as_agent(agent, "other"), Agent)
-    renamed = as_agent(driver, "M")
-    assert (renamed.name, renamed.policies) == ("M", driver.policies)
+    renamed = as_agent(fixed, "M")
+    assert (renamed.name, renamed.policies) == ("M", fixed.policies)
     assert repr(agent) == "<Agent 'random-moves': archive 'toy', paper rules>"
-    assert repr(driver) == "<Driver 'L': 1 policies of planner 'lattice'>"
+    assert repr(fixed) == "<Driver 'L': 1 policies of planner 'lattice'>"
     for wrong in ("never-switch", 3, Model):
         refused("is not a competitor", as_agent, wrong)
     for wrong in (len, RandomMoves()):

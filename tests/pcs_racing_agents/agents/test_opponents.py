@@ -96,15 +96,15 @@ def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():
             break
 
 
-def test_names_are_known_with_their_options_and_a_driver_draws_one_of_its_variants(game):
+def test_names_are_known_with_their_options_and_a_fixed_policy_draws_one_of_its_variants(game):
     assert set(NAMES) <= {"".join(name.split()) for name in competitor_names(game)}
     agent = make_competitor("cfr-argmax:network=default-paper-regret", game)
     assert agent.name == "cfr-argmax:network=default-paper-regret"
     with pytest.raises(UnknownNameError, match="'cfr-argmx' is unknown; did you mean 'cfr-argmax'"):
         make_competitor("cfr-argmx", game)
-    driver = pcs_racing_agents.make("lane-switcher")
+    opponent = pcs_racing_agents.make("lane-switcher")
     envs = gym.make_vec(
-        "pcs_racing/Duel-v1", num_envs=60, opponent=driver, step_seconds=0.1, moves=1
+        "pcs_racing/Duel-v1", num_envs=60, opponent=opponent, step_seconds=0.1, moves=1
     )
     envs.reset(seed=0)
     drawn = {tuple(theta) for theta in envs.unwrapped.batch.state.theta[:, 1]}

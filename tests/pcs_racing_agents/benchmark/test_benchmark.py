@@ -110,7 +110,7 @@ def test_the_cards_of_the_leaderboard_belong_to_the_shipped_protocol():
     assert {card.protocol_sha256 for card in cards} == {load_protocol().content_hash}
 
 
-def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_driver_nothing(protocol):
+def test_a_decision_is_timed_as_often_as_asked_for_and_costs_a_fixed_policy_nothing(protocol):
     asked = []
     agent = SimpleNamespace(act=lambda observations, turn: asked.append(len(observations)))
     assert decision_cost(protocol, agent, repeats=3) > 0.0
@@ -270,9 +270,9 @@ def test_the_command_writes_cards_that_the_leaderboard_takes(protocol_file, tmp_
     one, two = read_card(tmp_path / "card"), read_card(tmp_path / "two" / both[0])
     # an agent drives the same races alone and beside others
     assert replace(two, cost_us=one.cost_us) == one
-    driver = read_card(tmp_path / "two" / "pure-pursuit")
-    assert driver.score().races == one.score().races  # one policy, so more start lines
-    assert driver.gains == {}  # on other races than those of the baseline
+    card = read_card(tmp_path / "two" / "pure-pursuit")
+    assert card.score().races == one.score().races  # one policy, so more start lines
+    assert card.gains == {}  # on other races than those of the baseline
     capsys.readouterr()
     assert (
         main(["benchmark", "leaderboard", str(tmp_path / "two"), "--out", str(tmp_path / "board")])

@@ -275,7 +275,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         (["race", "--track", "pipkn"], "did you mean 'Pipkin'?"),
         (["race", *PAIR, "--video", "race.avi"], "must end in .mp4 or .gif"),
         (["race", "--ego", "os.path:nothing"], "os.path has no class and no function 'nothing'"),
-        (["race", "--ego", "random:Random"], "here it must be a driver, not an agent"),
+        (["race", "--ego", "random:Random"], "here it must be a planner, not an agent"),
         (["play", "--opponent", "nahs"], "did you mean 'nash'?"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
         (
@@ -482,9 +482,9 @@ def last(spec):
 """
 
 
-def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monkeypatch):
-    """A driver's class, an agent's class and a function of the game spec, of a file and of a module
-    beside it.
+def test_own_code_is_named_alike_wherever_a_planner_or_an_agent_is(tmp_path, monkeypatch):
+    """A planner's class, an agent's class and a function of the game spec, in a file and in a
+    module next to it.
     """
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
@@ -496,9 +496,9 @@ def test_own_code_is_named_alike_wherever_a_driver_or_an_agent_is(tmp_path, monk
         for name in ("Straight", "First", "last"):
             assert parse_agent(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
         assert parse_agent(f"{place}:last", spec, code=True).model.name == "default"
-        nobody = "no driver and no agent: .* has no class and no function 'Nobody'"
+        nobody = "no planner and no agent: .* has no class and no function 'Nobody'"
         refused(nobody, parse_agent, f"{place}:Nobody", spec, code=True)
-        refused("here it must be a driver, not an agent", parse_own_policy, f"{place}:First")
+        refused("here it must be a planner, not an agent", parse_own_policy, f"{place}:First")
 
 
 def test_own_code_races_in_other_processes_and_commands_find_it_again(

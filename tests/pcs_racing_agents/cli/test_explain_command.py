@@ -18,7 +18,7 @@ def test_a_race_is_told_and_drawn(tournament_folder, tmp_path, printed):
     assert replay.lead[-1] == pytest.approx(tournament.races[1].lead, abs=0.002)
 
 
-def test_drivers_are_left_to_the_other_car(tournament_folder, printed):
+def test_fixed_policies_are_left_to_the_other_car(tournament_folder, printed):
     place, tournament = tournament_folder
     number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
     assert printed("explain", place, "--index", number).startswith(

@@ -44,7 +44,7 @@ def games_of(contest, starts):
         ego, opponent = as_agent(ego), as_agent(opponent)
         variants = np.random.default_rng(3).integers(0, 12, (GAMES, 2))
         for car, competitor in enumerate((ego, opponent)):
-            # a driver may have a single one
+            # a fixed policy may have one variant
             variants[:, car] %= len(getattr(competitor, "policies", range(12)))
         return Pairing(contest, ego, opponent, variants, starts, race_seeds(6, GAMES), 0)
 
@@ -60,5 +60,5 @@ def tournament(oval) -> Tournament:
 
 @pytest.fixture(scope="session")
 def mixed(oval, archive) -> Tournament:
-    """Agents, a driver with variants, and a policy."""
+    """Agents, a fixed policy with variants, and a policy."""
     return play_tournament(oval, MIXED, CONTEST, archive=archive, races_per_pair=8, seed=1)

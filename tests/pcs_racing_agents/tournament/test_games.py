@@ -82,9 +82,9 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, 
             {name: column[rows] for name, column in expected.items()},
             strict=False,
         )
-    drivers = [name in ("random-policy", "pure-pursuit") for name in pair]
+    fixed = [name in ("random-policy", "pure-pursuit") for name in pair]
     for name in ("moves", "path"):
-        assert ((expected[name] < 0).all(axis=(0, 2)) == drivers).all()
+        assert ((expected[name] < 0).all(axis=(0, 2)) == fixed).all()
 
 
 def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, zoo, games_of):

@@ -94,8 +94,8 @@ def test_races_of_a_pairing_in_words_and_of_chosen_variants(contest, zoo):
 def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(
     contest, zoo, tmp_path, monkeypatch
 ):
-    """Two pairings against one opponent are driven together, a driver's alone; each gets its own
-    races back.
+    """Two pairings against one opponent are driven together, a fixed policy's alone; each gets its
+    own races back.
     """
     pairings = [
         cross_pairing(contest, zoo[ego], zoo["lane-switcher"], **SIZE)
@@ -113,7 +113,7 @@ def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(
             told = {"progress": lambda done, total, _: counts.append((done, total))}
             races = play_pairings(pairings, job=job, executor=executor, **told)
         assert list(map(list, races)) == expected
-    # Blocks of 10 races of two agents, and of 20 of the driver: eight tasks, none of them driven
+    # Blocks of 10 races of two agents, and of 20 of the policy: eight tasks, none of them driven
     # twice.
     assert counts == [(144 * task // 8, 144) for task in (*range(9), 8)]
 

@@ -52,13 +52,13 @@ def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
             other.ego_variant,
         )
         assert (one.side, other.side) == (0, 1)
-    drivers = [
+    fixed = [
         row for row in mixed.races if (row.ego, row.opponent) == ("random-moves", "lane-switcher")
     ]
-    assert [row.ego_variant for row in drivers] == [row.ego_variant for row in rows]
-    assert all(0 <= row.opponent_variant < 20 for row in drivers)
-    assert len({row.opponent_variant for row in drivers}) > 2
-    assert all(row.opponent_path == row.opponent_moves == () for row in drivers)
+    assert [row.ego_variant for row in fixed] == [row.ego_variant for row in rows]
+    assert all(0 <= row.opponent_variant < 20 for row in fixed)
+    assert len({row.opponent_variant for row in fixed}) > 2
+    assert all(row.opponent_path == row.opponent_moves == () for row in fixed)
 
 
 def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, tournament):

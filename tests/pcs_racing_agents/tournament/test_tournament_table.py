@@ -27,9 +27,11 @@ def race(ego: str, opponent: str, **result: object) -> RaceRow:
 
 
 def played(*rows: RaceRow, config=CONTEST) -> Tournament:
-    drivers = tuple(Driver(name, (parse_policy("lattice"),)) for name in "ab")
+    competitors = tuple(Driver(name, (parse_policy("lattice"),)) for name in "ab")
     tracks = SimpleNamespace(name="oval"), SimpleNamespace(name="Pipkin")
-    plan = TournamentPlan(drivers, tracks, make_game_spec("default", game_rules(config)), (), 2, 0)
+    plan = TournamentPlan(
+        competitors, tracks, make_game_spec("default", game_rules(config)), (), 2, 0
+    )
     return Tournament(plan, race_table(rows))
 
 

@@ -94,7 +94,7 @@ def test_putting_far_races_together_changes_no_bit_nor_do_threads(far, noisy, mo
     assert_same(build_tree(replace(noisy, threads=1), (2, 6), place, [7]).arrays(), tree.arrays())
 
 
-def test_cars_within_sight_and_drivers_that_promise_none_are_driven_together(track, archive):
+def test_cars_within_sight_and_planners_that_promise_none_are_driven_together(track, archive):
     """The car behind is the faster one: what can be put together must end where it comes within
     sight.
     """

@@ -239,7 +239,7 @@ def test_the_training_of_a_network_decides_the_unit_of_its_values(spec):
     assert value_unit(network_of(spec, "regret"), "win") == Unit(1.0, "")
 
 
-def test_open_loop_agents_drivers_and_whoever_answers_predict(contest, spec):
+def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, spec):
     race = explained(contest, build("always-aggressiveness+", spec), build("lane-switcher", spec))
     assert "makes open-loop moves" in story(race)
     assert "why:" not in story(race)

@@ -38,7 +38,7 @@ def races():
     return PersonRaces(game, make("random-moves", archive=archive, race=CONFIG), seed=3)
 
 
-def test_a_person_is_told_what_every_move_leads_to_and_may_race_drivers(races):
+def test_a_person_is_told_what_every_move_leads_to_and_may_race_fixed_policies(races):
     told = races.situation(0, ())
     game = races.game
     assert [choice["name"] for choice in told["choices"]] == list(game.competitor_moves)

@@ -24,15 +24,15 @@ from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_pa
 
 
 @pytest.fixture(scope="module")
-def driver(tournament_folder):
+def repeater(tournament_folder):
     return RaceRepeater(open_results(tournament_folder[0]))
 
 
-def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path):
+def test_a_race_is_a_replay_with_less_in_it(repeater, tournament_folder, tmp_path):
     _, tournament = tournament_folder
-    race = driver.drive(1)
+    race = repeater.drive(1)
     recording = record_row(tournament, tournament.races[1], candidates=False)
-    values = {**driver.circuits[race.circuit], **race.values}
+    values = {**repeater.circuits[race.circuit], **race.values}
     space = values.pop("space")
     path = tmp_path / "race.json"
     path.write_text(json.dumps(values))
@@ -52,11 +52,11 @@ def test_a_race_is_a_replay_with_less_in_it(driver, tournament_folder, tmp_path)
 
 
 def test_places_are_where_the_archive_and_the_other_car_saw_them(
-    driver, tournament_folder, archive
+    repeater, tournament_folder, archive
 ):
     """In 4000 steps across the picture, which holds the archive and most of what was explored."""
     _, tournament = tournament_folder
-    race = driver.drive(1)
+    race = repeater.drive(1)
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     low, high = points.min(axis=0), points.max(axis=0)
     tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
@@ -80,7 +80,7 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
     # A step of what a car saw: two own coordinates, two of the other, the lead, and whether it was
     # over.
     for number in (1, 9):
-        race, row = driver.drive(number), tournament.races[number]
+        race, row = repeater.drive(number), tournament.races[number]
         blocks = (
             record_row(tournament, row, candidates=False)
             .played.observations[0, :, :-1]
@@ -97,11 +97,11 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
     assert race.values["space"]["ends"] == (1.0, 2.0, 3.0, 4.0, 5.0)
 
 
-def test_a_race_is_small_and_races_of_a_pair_come_together(driver):
-    values = driver.drive(0).values
+def test_a_race_is_small_and_races_of_a_pair_come_together(repeater):
+    values = repeater.drive(0).values
     seconds = values["cars"]["shape"][0] * values["frame_dt"]
     assert len(json.dumps(values)) < 3000 + 1300 * seconds  # 40 s in at most 55 kB
-    order = [race.race for race in driver.drive_all([13, 0, 7, 1, 12])]
+    order = [race.race for race in repeater.drive_all([13, 0, 7, 1, 12])]
     assert sorted(order) == [0, 1, 7, 12, 13]
     assert abs(order.index(0) - order.index(1)) == 1
     assert abs(order.index(12) - order.index(13)) == 1

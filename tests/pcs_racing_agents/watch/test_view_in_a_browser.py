@@ -143,8 +143,8 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
         for row in results.races
     ]
     races = race_table(rows)
-    driver = RaceRepeater(results)
-    race = driver.drive(0)
+    repeater = RaceRepeater(results)
+    race = repeater.drive(0)
     texts = dict.fromkeys(("title", "track_name", "outcome"), NASTY) | {"car_names": [NASTY, NASTY]}
     hostile = {
         **race.values,
@@ -157,8 +157,8 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
         results="$(touch /tmp/never) <b>",
         picks=[SelectedRace(0, NASTY)],
         driven=[race._replace(values=hostile)],
-        circuits={NASTY: driver.circuits[race.circuit]},
-        space={**driver.space, "archive": NASTY, "moves": [NASTY] * len(driver.space["moves"])},
+        circuits={NASTY: repeater.circuits[race.circuit]},
+        space={**repeater.space, "archive": NASTY, "moves": [NASTY] * len(repeater.space["moves"])},
     )
     path = tmp_path / "hostile.html"
     path.write_text(view_page(content), encoding="utf-8")

@@ -85,9 +85,9 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
     assert reply_to(always(spec, "aggressiveness -"), games, spec, folder).loss == first.loss
 
 
-def test_a_driver_with_one_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path):
+def test_a_fixed_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path):
     pytest.importorskip("torch", reason="torch is not installed")
-    reply = reply_to(make("pure-pursuit"), games, spec, tmp_path / "driver", races=40)
+    reply = reply_to(make("pure-pursuit"), games, spec, tmp_path / "reply", races=40)
     assert set(reply.races.variants[:, 1]) == {0}
     assert len(reply.loss.clusters) == 2  # start policies of the reply, and start lines
     refused("races is 39", reply_to, never_switch(spec), games, spec, tmp_path / "few", races=39)
@@ -167,8 +167,8 @@ def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_brin
         assert there.sum() == back.sum() == 10
         even[k] -= 0.5 * (excess[there].mean() - excess[back].mean())
     same(races, clustered_mean(even, ego, opponent, line, same_pool=True))
-    drivers = replace(races, path=np.full_like(races.path, -1))
-    same(drivers, clustered_mean(excess, ego, opponent, line, same_pool=False))
+    fixed = replace(races, path=np.full_like(races.path, -1))
+    same(fixed, clustered_mean(excess, ego, opponent, line, same_pool=False))
     single = replace(races, variants=races.variants * [1, 0])
     same(single, clustered_mean(excess, ego, line))
     uneven = races.take(np.arange(len(races)) > 0)

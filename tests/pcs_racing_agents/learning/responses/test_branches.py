@@ -68,7 +68,7 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, spec):
             assert len(np.unique(outcomes[policies == policy])) == 1
 
 
-def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(game, spec):
+def test_branches_do_not_depend_on_the_batch_and_a_fixed_policy_may_be_the_opponent(game, spec):
     keys = race_seeds(5, 6)
     rest = ([random_moves(spec), never_switch(spec)], always(spec, "restraint +"))
     rival = random_moves(spec, seed=2)
@@ -86,7 +86,7 @@ def test_branches_do_not_depend_on_the_batch_and_a_driver_may_be_the_opponent(ga
         game, rival, race_seeds(0, 3), 0, [never_switch(spec)], never_switch(spec)
     )
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
-    # By hand: each key chooses the driver's policy.
+    # By hand: each key chooses the opponent's policy.
     chosen = [rival.policies[int(key) % 20] for key in race_seeds(0, 3)]
     for move in range(len(game.move_names)):
         state = game.reset(race_seeds(0, 3), opponents=chosen)

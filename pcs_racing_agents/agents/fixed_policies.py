@@ -47,6 +47,6 @@ LANE_SWITCHER = Entry(
     lane_switcher,
     "race line or overtaking lane; 20 variants. In the paper's race `response` learned against all"
     " of them, and `ppo` against four (1, 6, 11, 16)",
-    "after the winner of the F1TENTH race at ICRA 2022, which is the unseen opponent in the paper",
+    "after the winner of the F1TENTH race at ICRA 2022, the paper's held-out opponent",
     moves=False,
 )

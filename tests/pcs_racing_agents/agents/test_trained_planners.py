@@ -1,4 +1,4 @@
-"""Trained drivers as competitors."""
+"""Trained planners as competitors."""
 
 import pickle
 
@@ -38,9 +38,9 @@ def test_a_trained_planner_races_by_its_name_or_its_folder_with_a_hash_of_its_we
     assert len(hashes) == 4
 
 
-def test_the_shipped_driver_drives_away_from_slower_cars_on_a_circuit_that_it_has_never_seen():
+def test_the_shipped_planner_drives_away_from_slower_cars_on_a_held_out_circuit():
     game = make_game("Saltmere", "default", "contest", threads=1)
-    # the shipped driver was trained against slower ones than there are now
+    # the shipped planner was trained against slower planners
     slow = make("gap-follower:top_speed=5")
     pairing = cross_pairing(game, make("ppo-drive"), slow, egos=1, opponents=1, lines=4, seed=5)
     races = play_pairing(pairing)
