@@ -60,6 +60,22 @@ def read_table(folder: Path) -> Table:
     return Table(baseline, training, scores, crashes)
 
 
+def won_in_front(folder: Path, opponent: str = "never-switch") -> float | None:
+    """Return the share of races of `never-switch` won by the car that starts in front.
+
+    The result is None for a study without its races.
+    """
+    file = folder / "results.csv"
+    if not file.is_file():
+        return None
+    races = [
+        row["winner"] == ("ego" if row["side"] == "0" else "opponent")
+        for row in read_csv(file).rows()
+        if row["ego"] == "never-switch" and row["opponent"] == opponent
+    ]
+    return float(np.mean(races)) if races else None
+
+
 def groups(table: Table, cells: Sequence[Cell]) -> dict[str, list[Cell]]:
     """Return groups of cells by kind of opponent, on training and on test circuits."""
     found: dict[str, list[Cell]] = {}
@@ -126,6 +142,9 @@ def run(
     tables = [read_table(folder) for folder in studies]
     for folder, table in zip(studies, tables, strict=True):
         print(f"{folder.name}: best baseline in training {table.baseline}")
+        front = won_in_front(folder)
+        if front is not None:
+            print(f"  of never-switch against itself, the car in front wins {front:.3f}")
     pooled, folder = pool(tables), output_folder(out)
     rows = gain_rows(pooled)
     print("\n".join(["", *markdown(rows)]))

@@ -4,9 +4,12 @@ from refusal import refused
 
 from pcs_racing_agents.base.tables import write_csv
 from studies.__main__ import main
-from studies.pool import gain_rows, pool, read_table
+from studies.pool import gain_rows, pool, read_table, won_in_front
 
 HEAD = ("kind", "track", "train", "opponent", "arm", "base", "score", "score_base", "own_crash")
+
+FRONT = (("0", "ego"), ("1", "ego"), ("0", "none"), ("1", "opponent"))
+"""Start side of the ego (0 is in front) and winner; the car in front wins the first and last."""
 
 
 def study(folder, gain):
@@ -50,3 +53,11 @@ def test_unfinished_studies_and_a_single_one_are_refused(tmp_path, capsys):
     refused("there is no .*table.csv; give folders of finished studies", read_table, tmp_path)
     assert main(["pool", str(one), "--out", str(tmp_path / "out")]) == 2
     assert "at least two studies" in capsys.readouterr().err
+
+
+def test_races_won_by_the_car_in_front(tmp_path):
+    assert won_in_front(tmp_path) is None
+    races = [("never-switch", "never-switch", side, winner) for side, winner in FRONT]
+    other = ("never-switch", "stanley", "0", "opponent")
+    write_csv([("ego", "opponent", "side", "winner"), *races, other], tmp_path / "results.csv")
+    assert won_in_front(tmp_path) == 0.5
