@@ -9,12 +9,17 @@ is a file in the folder; a stopped run goes on from there.
 
 import argparse
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from learned import LINE, OWN, REAL, WON, Races, estimate, maps_of
 
-from pcs_racing.car.vehicle import load_vehicle
+from pcs_racing import load_track, run_races
+from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle
+from pcs_racing.race.config import load_race_config
+from pcs_racing_agents.agents.own_code import parse_own_policy
+from pcs_racing_agents.base.fingerprint import fingerprint
+from pcs_racing_agents.base.statistics import clustered_mean
 
 CARS = {
     "perfect": {},
@@ -31,7 +36,75 @@ PLANNERS = (
 )
 RIVALS = ("lattice:early", "pure-pursuit")
 SLOW_TO_COMPUTE = ("mpcc",)  # a 25th of the races
-TRACKS = ("Saltmere", "Vellindra", "Austin", "Monza")
+REAL = ("Austin", "Monza")
+TRACKS = ("Saltmere", "Vellindra", *REAL)
+SEED = 4049
+WON, OWN, WORSE, OVERTAKES, SPEED, LINE = range(6)
+"""Columns of a race."""
+
+
+class Races:
+    """Races of pairs, kept in a folder."""
+
+    def __init__(self, folder: Path, maps: Path, threads: int) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self.folder, self.maps, self.threads = folder, maps, threads
+
+    def on(
+        self,
+        track: str,
+        ego: str,
+        rival: str,
+        rules: str,
+        races: int,
+        vehicles: tuple[VehicleParams, ...] = (),
+    ) -> np.ndarray:
+        """Return a row for each race: score, own crash, the rival's, overtakes, speed, line."""
+        circuit = load_track(str(self.maps / track) if track in REAL else track)
+        policies = [parse_own_policy(text) for text in (ego, rival)]
+        config = load_race_config(rules)
+        # Weights, rules, cars or circuits that changed are other races.
+        mark = fingerprint(policies, config, circuit.content_hash, SEED, *vehicles)[:12]
+        pair = f"{ego} {rival}".replace("/", "-")
+        file = self.folder / f"{pair} {rules} {track} {races} {mark}.npy"
+        if not file.exists():
+            result = run_races(
+                circuit,
+                [policies[0]] * races,
+                policies[1],
+                config,
+                seed=SEED,
+                vehicle=vehicles or F1TENTH,
+                threads=self.threads,
+            )
+            state = result.state
+            won = np.where(result.winner == -1, 0.5, result.winner == 0)
+            speed = state.progress[:, 0] / np.maximum(result.time, 0.1)
+            line = np.arange(races) // 2 % config.start_lines
+            columns = [won, *result.own_crash.T, state.overtakes[:, 0], speed, line]
+            new = file.with_suffix(".new.npy")
+            np.save(new, np.stack(columns, axis=1).astype(float))
+            new.replace(file)
+        return np.load(file)
+
+
+def estimate(found: Sequence[np.ndarray], column: int, shares: bool = True) -> str:
+    """Return the mean of a column, with its interval: of shares, or of differences of shares."""
+    labels = [f"{k} {line}" for k, rows in enumerate(found) for line in rows[:, LINE]]
+    mean = clustered_mean(np.concatenate(found)[:, column], labels)
+    low, high = mean.low, mean.high
+    if shares:
+        low, high = max(low, 0.0), min(high, 1.0)
+    return f"{mean.mean:.3f} [{low:.3f}, {high:.3f}]"
+
+
+def maps_of(names: Sequence[str]) -> Path:
+    """Return the folder of real circuits, which has these names."""
+    maps = Path(os.environ.get("PCS_RACING_MAPS", "../shared/maps"))
+    missing = [name for name in names if not (maps / name).is_dir()]
+    if missing:
+        raise SystemExit(f"{maps} lacks {', '.join(missing)}; set PCS_RACING_MAPS to the circuits")
+    return maps
 
 
 def main() -> None:
@@ -47,9 +120,7 @@ def main() -> None:
     if arguments.races < 8 or arguments.threads < 1:
         said = f"--races {arguments.races} must be at least 8"
         parser.error(f"{said}, --threads {arguments.threads} at least 1")
-    kept = Races(
-        arguments.out, maps_of([track for track in TRACKS if track in REAL]), arguments.threads
-    )
+    kept = Races(arguments.out, maps_of(REAL), arguments.threads)
     print("| planner | car | score [95 %] | own crashes [95 %] | races |")
     print("|---|---|---|---|---|")
     rows = {}

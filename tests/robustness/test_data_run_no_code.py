@@ -391,6 +391,7 @@ NAMELESS = {
     "_game",
     "_section",
     "check",
+    "write_model_card",  # texts of a manifest
     "parse_agent",  # a text, in which an option's value is no name of code
 }
 """Functions that call a reader of files, and need no row."""
