@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 from pcs_racing.base.errors import InputError, choices
+from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import output_folder
 
@@ -129,4 +130,6 @@ def run(
             raise InputError(f"step is {name!r}; {choices(name, known)}")
     options = [f"--workers={workers}"] if workers is not None else []
     options += [f"--scheduler={scheduler}"] if scheduler is not None else []
-    run_steps([known[name] for name in step or known], output_folder(out), options)
+    # A folder belongs to one size and to one folder of circuits.
+    with claim_folder(output_folder(out), "results", {"small": small, "maps": str(maps)}):
+        run_steps([known[name] for name in step or known], out, options)

@@ -18,9 +18,11 @@ from pcs_racing_agents.base.tables import markdown, read_csv, with_interval, wri
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import can_draw, output_folder
 from studies.intervals import draw_intervals
+from studies.tables import read_comparisons
 
 Cell = tuple[str, str]
 """Circuit and opponent."""
+SHARES = ("score", "score_base", "own_crash")
 TRAINING_PLANNERS = ("lattice", "iterated-best-response", "gap-follower")
 """Planners among the training opponents of the study ``contest``."""
 
@@ -42,12 +44,10 @@ class Table(NamedTuple):
 
 def read_table(folder: Path) -> Table:
     """Read the tables of a finished study: the main one, and the one of further opponents."""
-    file = folder / "table.csv"
-    if not file.is_file():
-        raise InputError(f"there is no {file}; give folders of finished studies")
+    file, further = folder / "table.csv", folder / "table_further.csv"
     baseline, training, scores, crashes = "", {}, {}, {}
-    further = folder / "table_further.csv"
-    for row in [*read_csv(file).rows(), *(read_csv(further).rows() if further.is_file() else ())]:
+    files = (file, further) if further.is_file() else (file,)
+    for row in [row for one in files for row in read_comparisons(one, SHARES)]:
         cell = row["track"], row["opponent"]
         training[cell] = row["train"] == "1"
         scores[cell, row["arm"]] = float(row["score"])
@@ -98,6 +98,8 @@ class Pooled(NamedTuple):
 def pool(tables: Sequence[Table]) -> Pooled:
     """Return the gains of the agents in each group of cells, in what all studies have."""
     common = [cell for cell in tables[0].training if all(cell in one.training for one in tables)]
+    if not common:
+        raise InputError("the studies have no circuit and opponent in common")
     agents = [
         agent
         for agent in dict.fromkeys(agent for _, agent in tables[0].scores)
@@ -140,6 +142,9 @@ def run(
     if len(studies) < 2:
         raise InputError("give at least two studies: the interval is over them")
     tables = [read_table(folder) for folder in studies]
+    for k, table in enumerate(tables):
+        if table in tables[:k]:
+            raise InputError(f"{studies[k]} has the table of another one; give each study once")
     for folder, table in zip(studies, tables, strict=True):
         print(f"{folder.name}: best baseline in training {table.baseline}")
         front = won_in_front(folder)

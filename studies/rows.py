@@ -5,23 +5,24 @@ from pathlib import Path
 from typing import Annotated
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.base.tables import markdown, read_csv, with_interval, write_csv
+from pcs_racing_agents.base.tables import markdown, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import can_draw, output_folder
 from studies.intervals import draw_intervals
-
-Row = dict[str, str]
+from studies.tables import Row, read_comparisons
 
 
 def read_differences(study: Path) -> dict[tuple[str, str], list[Row]]:
     """Return the lines of a study's table by circuit and opponent."""
     file = study / "table.csv"
-    if not file.is_file():
-        raise InputError(f"there is no {file}; give the folder of a finished study")
     found: dict[tuple[str, str], list[Row]] = {}
-    for row in read_csv(file).rows():
+    for row in read_comparisons(file, ("score_base",), ("difference", "low", "high")):
         circuit = f"{row['track']} ({'training' if row['train'] == '1' else 'test'})"
         found.setdefault((circuit, row["opponent"]), []).append(row)
+    names = [[name_of(row) for row in own] for own in found.values()]
+    for cell, own in zip(found, names, strict=True):
+        if own != names[0]:
+            raise InputError(f"{file}: {', '.join(cell)} compares other agents than the first row")
     return found
 
 

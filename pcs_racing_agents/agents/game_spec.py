@@ -76,9 +76,12 @@ def shipped_name(spec: GameSpec, kind: str, known: Sequence[str], agent: str, ho
     """Return ``ARCHIVE-RACE-KIND``, the name of a shipped training result for a game."""
     name = f"{spec.archive.name}-{spec.race}-{kind}"
     if name not in known:
+        end = f"-{spec.race}-{kind}"
+        other = next((one.removesuffix(end) for one in known if one.endswith(end)), "")
+        hint = f"give archive={other!r}, or " if other else ""
         raise UnknownNameError(
             f"{agent} needs {name!r}, which is not shipped (there are:"
-            f" {', '.join(known) or 'none'}); {how}"
+            f" {', '.join(known) or 'none'}); {hint}{how}"
         )
     return name
 

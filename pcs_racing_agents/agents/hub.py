@@ -3,6 +3,7 @@
 A repository holds one folder as this package saves it. No code of a downloaded file runs.
 """
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.planners.learned import LOADERS, folder_format, load_planner
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 
+REPO = re.compile(r"[\w.-]{1,96}/[\w.-]{1,96}", re.ASCII)
 FILES = [MANIFEST, "*.npz", "*.safetensors"]
 """Names of the downloaded files; all other files of a repository stay on the hub."""
 
@@ -61,15 +63,22 @@ def load_from_hub(repo_id: str, *, revision: str | None = None) -> Any:
     PolicyArchive, RegretNetwork or Planner
         Object of the format that the manifest names.
     """
+    _check_repo(repo_id)
+    if not isinstance(revision, str | None):
+        raise InputError(f"revision is {revision!r}; it must be a text")
     require("huggingface_hub", extra="hub")
     from huggingface_hub import snapshot_download
 
-    try:
-        folder = Path(snapshot_download(repo_id, revision=revision, allow_patterns=FILES))
-    except (OSError, ValueError) as error:
-        reason = str(error).strip().partition("\n")[0]
-        raise InputError(f"can't download {repo_id!r} from the hub: {reason}") from None
-    return KINDS[_format(folder, repo_id)](folder)
+    def download(*names: str) -> Path:
+        try:
+            return Path(snapshot_download(repo_id, revision=revision, allow_patterns=list(names)))
+        except (OSError, ValueError) as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise InputError(f"can't download {repo_id!r} from the hub: {reason}") from None
+
+    # The manifest alone comes first: large files of a foreign repository stay on the hub.
+    first = _format(download(MANIFEST), repo_id)
+    return KINDS[first](download(*FILES))
 
 
 def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") -> Path:  # noqa: A002
@@ -84,6 +93,7 @@ def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") 
     license : str
         Licence of the folder, as the hub abbreviates it.
     """
+    _check_repo(repo_id)
     folder = Path(folder)
     first = _format(folder, folder)
     KINDS[first](folder)  # a damaged folder is refused
@@ -93,7 +103,7 @@ def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") 
     head = {"license": license, "library_name": "pcs-racing", "tags": tags}
     card = CARD.format(
         head=yaml.safe_dump(head, sort_keys=False),
-        name=manifest["name"],
+        name=_cell(manifest["name"]),
         form=form,
         noun=form.split()[-1],
         repo=repo_id,
@@ -101,6 +111,12 @@ def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") 
     )
     write_atomically(folder / "README.md", card)
     return folder / "README.md"
+
+
+def _check_repo(repo_id: str) -> None:
+    """Check that a name of a repository is ``owner/name``, since it stands in a card's code."""
+    if not isinstance(repo_id, str) or not REPO.fullmatch(repo_id):
+        raise InputError(f"repo_id is {repo_id!r:.80}; it must be 'owner/name'")
 
 
 def _format(folder: Path, name: str | Path) -> str:

@@ -123,12 +123,15 @@ def run(
         for seconds, rules in RULES.items()
         for name in archives
     }
+    hashes = [spec.archive.content_hash for spec in specs.values()]
+    if len(set(hashes)) < len(archives):
+        raise InputError("two archives are the same one; give each archive once")
     real = [str(maps / name) for name in REAL if maps is not None]
     own, others = ([load_track(name) for name in names] for names in (TRAINING, (*TEST, *real)))
     settings = {
         "races": [training, test],
         "seeds": list(SEEDS),
-        "archives": [spec.archive.content_hash for spec in specs.values()],
+        "archives": hashes,
         "tracks": [track.content_hash for track in (*own, *others)],
     }
     results: list[Outcome] = []

@@ -61,3 +61,9 @@ def test_races_won_by_the_car_in_front(tmp_path):
     other = ("never-switch", "stanley", "0", "opponent")
     write_csv([("ego", "opponent", "side", "winner"), *races, other], tmp_path / "results.csv")
     assert won_in_front(tmp_path) == 0.5
+
+
+def test_a_study_counts_once(tmp_path, capsys):
+    folders = [study(tmp_path / name, 0.0) for name in "ab"]
+    assert main(["pool", *map(str, folders), "--out", str(tmp_path / "out")]) == 2
+    assert "give each study once" in capsys.readouterr().err

@@ -35,4 +35,4 @@ def test_a_line_has_the_paper_s_difference_and_ours(tmp_path):
 
 
 def test_an_unfinished_study_is_refused(tmp_path):
-    refused("there is no .*table.csv; give the folder", read_differences, tmp_path)
+    refused("there is no .*table.csv; give folders of", read_differences, tmp_path)

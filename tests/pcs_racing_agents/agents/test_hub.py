@@ -25,12 +25,18 @@ SHIPPED = {
 }
 
 
+asked = []  # patterns of each download
+
+
 @pytest.fixture
 def hub(tmp_path, monkeypatch):
     """Stand-in for the library of the hub: repositories are folders below ``tmp_path``."""
 
+    asked.clear()
+
     def snapshot_download(repo_id, *, revision=None, allow_patterns=None):
-        assert allow_patterns == FILES
+        assert allow_patterns in (["manifest.yaml"], FILES)
+        asked.append(allow_patterns)
         folder = tmp_path / repo_id / (revision or "main")
         if not folder.is_dir():
             raise OSError(f"404 Client Error: no repository {repo_id}\n\nSee the documentation")
@@ -57,8 +63,18 @@ def test_a_missing_repository_and_another_format_are_one_line(hub):
     other = hub / "somebody" / "fit" / "main"
     other.mkdir(parents=True)
     (other / "manifest.yaml").write_text("format: pcs-racing fit\n")
+    asked.clear()
     with pytest.raises(InputError, match=r"somebody/fit: .* begins with 'format: pcs-racing fit'"):
         load_from_hub("somebody/fit")
+    assert asked == [["manifest.yaml"]]  # its large files stay on the hub
+
+
+@pytest.mark.parametrize("name", [None, "model", "a/b/c", "../b/c", 'o/n")\nimport os #'])
+def test_a_name_that_is_no_repository_is_refused(hub, tmp_path, name):
+    with pytest.raises(InputError, match="must be 'owner/name'"):
+        load_from_hub(name)
+    with pytest.raises(InputError, match="must be 'owner/name'"):
+        write_model_card(tmp_path, name)
 
 
 @pytest.mark.parametrize("kind", SHIPPED)
