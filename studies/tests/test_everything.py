@@ -3,6 +3,8 @@
 import pytest
 from refusal import refused
 
+from pcs_racing_agents.policies.config import load_archive_config
+from pcs_racing_agents.study.config import load_study_config
 from studies import __main__, everything
 from studies.everything import GAME, STUDIES, Step, run_steps, steps
 
@@ -79,3 +81,10 @@ def test_unknown_steps_and_folders_without_maps_are_refused(tmp_path, capsys):
     assert __main__.main(given) == 2
     assert "lacks the circuits Austin, Monza" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_configurations_of_the_studies_load():
+    for name in ("small_study", "table"):
+        assert load_study_config(everything.FIVE / f"{name}.yaml").learning.responses
+    for name in ("small_archive", "reacts"):
+        assert load_archive_config(everything.FIVE / f"{name}.yaml").planner == "line-ppo"
