@@ -10,6 +10,7 @@ from pcs_racing.base.errors import InputError, choices
 from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import output_folder
+from studies.circuits import real_circuits
 
 GAME, STUDIES = ("-m", "pcs_racing_agents"), ("-m", "studies")
 """Command lines of the package and of the studies, as arguments of Python."""
@@ -121,9 +122,7 @@ def run(
     scheduler: Annotated[str | None, Option("address of a dask scheduler", "ADDRESS")] = None,
 ) -> None:
     """Make all archives, studies and tables; finished steps are kept."""
-    missing = [name for name in REAL if not (maps / name).is_dir()]
-    if missing:
-        raise InputError(f"{maps} lacks the circuits {', '.join(missing)}")
+    real_circuits(REAL, maps)  # a wrong folder is refused before the first step
     known = {one.name: one for one in steps(maps, out, small)}
     for name in step:
         if name not in known:

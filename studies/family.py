@@ -10,6 +10,7 @@ from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.policies.tuning import policy_text
+from studies.circuits import real_circuits
 from studies.judge import judge
 
 LATTICE = Path(__file__).with_name("lattice_archive.txt")
@@ -60,7 +61,7 @@ def run(
     out: Annotated[Path, Option("folder for family.csv", "DIR")],
 ) -> None:
     """Race champions and all policies of two archives against each other on held-out circuits."""
-    tracks = (*CIRCUITS, *(str(maps / name) for name in REAL if maps is not None))
+    tracks = (*CIRCUITS, *([] if maps is None else real_circuits(REAL, maps)))
     ours, lattice = archive_policies(archive), LATTICE.read_text(encoding="utf-8").split()
     folder, limit = output_folder(out), 4 if small else None
     pair, each = SMALL if small else RACES

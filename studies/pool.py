@@ -23,6 +23,7 @@ from studies.tables import read_comparisons
 Cell = tuple[str, str]
 """Circuit and opponent."""
 SHARES = ("score", "score_base", "own_crash")
+"""Columns of shares in a study's table."""
 TRAINING_PLANNERS = ("lattice", "iterated-best-response", "gap-follower")
 """Planners among the training opponents of the study ``contest``."""
 

@@ -4,11 +4,9 @@ Race k of a circuit has the same start line, side and noise for every pair with 
 races. Every start line is raced from both sides.
 """
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from pcs_racing.base.errors import InputError, say_once
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
@@ -19,6 +17,7 @@ from pcs_racing_agents.policies.tuning import TUNING_TRACKS
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.play import game_rules
 from pcs_racing_agents.tournament.races import RaceTable
+from studies.circuits import real_circuits
 from studies.field.entrants import SEED, Entrant, Size
 
 ARCHIVE = "contest"
@@ -47,17 +46,12 @@ def circuits(size: Size, maps: Path | None) -> Tracks:
 
     ``maps``: folder of the real circuits; by default ``$PCS_RACING_MAPS``.
     """
-    folder = maps or Path(os.environ.get("PCS_RACING_MAPS", ""))
-    missing = [name for name in REAL if not (folder / name).is_dir()]
-    if maps is not None and missing:
-        raise InputError(f"{maps} lacks the circuits {', '.join(missing)}")
-    if missing:
-        say_once(f"without {', '.join(missing)}: give their folder as --maps")
     shipped = [name for name in list_tracks() if name not in TUNING_TRACKS]
-    real = [str(folder / name) for name in REAL if name not in missing]
     return {
         kind: tuple(load_track(name) for name in names[: size.circuits])
-        for kind, names in zip(CIRCUITS, (TUNING_TRACKS, (*shipped, *real)), strict=True)
+        for kind, names in zip(
+            CIRCUITS, (TUNING_TRACKS, (*shipped, *real_circuits(REAL, maps))), strict=True
+        )
     }
 
 

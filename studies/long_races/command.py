@@ -22,6 +22,7 @@ from pcs_racing_agents.cli.options import Workers, output_folder
 from pcs_racing_agents.tournament.fitting import TrainingRaces
 from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.runner import play_pairings
+from studies.circuits import real_circuits
 from studies.long_races.plans import Plan, fit_plans, plan_agent
 
 OPPONENTS = ("never-switch", "random-moves", "lattice", "iterated-best-response", "gap-follower")
@@ -126,7 +127,7 @@ def run(
     hashes = [spec.archive.content_hash for spec in specs.values()]
     if len(set(hashes)) < len(archives):
         raise InputError("two archives are the same one; give each archive once")
-    real = [str(maps / name) for name in REAL if maps is not None]
+    real = [] if maps is None else real_circuits(REAL, maps)
     own, others = ([load_track(name) for name in names] for names in (TRAINING, (*TEST, *real)))
     settings = {
         "races": [training, test],

@@ -4,11 +4,9 @@ Race k of a circuit has the same start line, side, noise and start policies for 
 start line is raced from both sides.
 """
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from pcs_racing.base.errors import InputError, say_once
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import planner_names
 from pcs_racing.race.config import load_race_config
@@ -18,6 +16,7 @@ from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.play import game_rules
+from studies.circuits import real_circuits
 
 CONTROL = ("line-ppo", "ppo-drive", "lidar-ppo")
 """Planners trained by PPO; a name that is not registered is left out."""
@@ -76,14 +75,7 @@ def circuits(rules: str, small: bool, maps: Path | None) -> dict[str, tuple[Trac
 
     ``maps``: folder of the real circuits; by default ``$PCS_RACING_MAPS``.
     """
-    folder = maps or Path(os.environ.get("PCS_RACING_MAPS", ""))
-    missing = [name for name in REAL if not (folder / name).is_dir()]
-    if maps is not None and missing:
-        raise InputError(f"{maps} lacks the circuits {', '.join(missing)}")
-    if missing:
-        say_once(f"without {', '.join(missing)}: give their folder as --maps")
-    real = [str(folder / name) for name in REAL if name not in missing]
-    names = TRAINING[rules], (*HELD_OUT[rules], *real)
+    names = TRAINING[rules], (*HELD_OUT[rules], *real_circuits(REAL, maps))
     return {
         kind: tuple(load_track(name) for name in own[: 1 if small else None])
         for kind, own in zip(CIRCUITS, names, strict=True)
