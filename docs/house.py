@@ -23,7 +23,6 @@ FLOORS = [
     ("environment", "f1tenth/", "the F1TENTH gym's interface, for its programs"),
     ("environment", "envs/", "PettingZoo, Gymnasium, Stable-Baselines3"),
     ("environment", "game/", "rules, characteristics, archive, moves in the PCS"),
-    ("environment", "identification/", "a car's parameters from its log"),
     ("environment", "race/", "two cars: start, kernel, state, recording, replay"),
     ("environment", "planners/", "interface; lattice, lane switcher, ..."),
     ("environment", "car/", "vehicle, contacts, lidar, time to collision"),

@@ -63,7 +63,6 @@ REFERENCE = {
     "pcs_racing.planners": "Planners",
     "pcs_racing.planners.field": "Planners of the literature",
     "pcs_racing.race": "Races",
-    "pcs_racing.identification": "Identification of a car",
     "pcs_racing.game": "The game",
     "pcs_racing.envs": "Environments",
     "pcs_racing.f1tenth": "Programs of the F1TENTH gym",

@@ -20,7 +20,6 @@ SMALL = {
     "driving": ("--only stability", "stability"),
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
     "imperfect_cars": ("--out out --races 2", "error: --races 2"),
-    "identification": ("--cars forzaeth-nuc2 --seeds 1 --seconds 8", "| forzaeth-nuc2 | 1 |"),
     "race_speed": ("--track Pipkin --races 2", "ms"),
     "record": ("--show", "race"),
     "sb3_speed": ("--steps 64", "limit by the products"),

@@ -123,7 +123,8 @@ def test_commands_are_those_of_the_command_line(page, line):
 def test_commands_within_lines_exist_and_impossible_ones_are_found():
     named = {
         name
-        for text in TEXTS.values()
+        for page, text in TEXTS.items()
+        if page != "CHANGELOG.md"  # its commands are of their versions
         for name in re.findall(r"`(?:[\w./]*/)?pcs-racing ([a-z-]+)", text)
     }
     assert {"train", "study", "track"} <= named

@@ -1,4 +1,4 @@
-"""A newcomer meets few names: 27 in the two packages, and nine places to import from."""
+"""A newcomer meets few names: 27 in the two packages, and eight places to import from."""
 
 import ast
 import importlib
@@ -14,7 +14,6 @@ PLACES = {
     "pcs_racing",
     "pcs_racing.envs",
     "pcs_racing.game",
-    "pcs_racing.identification",
     "pcs_racing.planners",
     "pcs_racing.testing",
     "pcs_racing_agents",
@@ -44,7 +43,7 @@ def imports(text: str) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(REPOSITORY).as_posix())
-def test_pages_and_examples_import_public_names_from_nine_places(page):
+def test_pages_and_examples_import_public_names_from_eight_places(page):
     for place, name in imports(page.read_text(encoding="utf-8")):
         assert place in PLACES, f"{page.name} imports from {place}; offer the name in {PLACES}"
         module = importlib.import_module(place)

@@ -31,7 +31,6 @@ FILES = {
         "race every pair of agents and policies, and print a table",
     ),
     "track": ("track", "list, show, import, generate and calibrate circuits"),
-    "identify": ("identify", "find tyres, lags and limits of a car from its log"),
     "agents": (
         "agents",
         "list all agents, or describe one of them: options, training, strength, cost, hash",

@@ -241,16 +241,6 @@ def test_ppo_against_cfr(tmp_path):
     assert (created / "race.html").is_file()
 
 
-def test_a_car_comes_back_from_its_log(tmp_path):
-    out = run_python(EXAMPLES / "identify_a_car.py", "--duration", 8, folder=tmp_path)
-    found = {line.split()[0]: line.split()[1:3] for line in out.splitlines()}
-    for name in ("d_f", "d_r", "steer_lag"):
-        true, value = map(float, found[name])
-        assert value == pytest.approx(true, rel=0.15), name
-    kept = {path.name for path in (tmp_path / "out" / "identify_a_car").iterdir()}
-    assert kept == {"drive.csv", "my_car.yaml"}
-
-
 def test_a_tree_in_openspiel(tmp_path):
     pytest.importorskip("pyspiel", reason="OpenSpiel is not installed")
     out = run_python(

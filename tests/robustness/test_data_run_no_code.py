@@ -36,7 +36,6 @@ from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
-from pcs_racing.identification import read_log, record_test_drive, write_log
 from pcs_racing.planners.field.lidar_networks import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.planners.trained import load_trained
@@ -354,11 +353,6 @@ KINDS = {
     "race": config(load_race_config, RaceConfig()),
     "game": config(load_game_config, RaceConfig()),
     "vehicle": config(load_vehicle, F1TENTH),
-    "log": Kind(
-        lambda folder: write_log(record_test_drive(F1TENTH, 6.0), folder / "log.csv"),
-        read_log,
-        "read_csv_log",
-    ),
     "obstacles": config(load_obstacles, Obstacles()),
     "randomization": config(
         load_randomization, {"mu": [0.7, 1.1], "each": {"m": {"normal": [3.7, 0.2]}}}
