@@ -23,26 +23,20 @@ REPOSITORY = Path(__file__).resolve().parent.parent
 
 ENVIRONMENTS = {
     "head_to_head": ("pcs_racing.envs.duel", "HeadToHeadEnv", "Head to head: two agents"),
-    "head_to_head_match": ("pcs_racing.envs.match", "HeadToHeadMatchEnv", "Match of two agents"),
     "drive_head_to_head": (
         "pcs_racing.envs.drive",
         "DriveHeadToHeadEnv",
         "Drive head to head: two agents steer",
     ),
     "duel": ("pcs_racing.envs.duel", "DuelEnv", "Duel: one agent's moves"),
-    "match": ("pcs_racing.envs.match", "MatchEnv", "Match: a policy for each race"),
     "drive": ("pcs_racing.envs.drive", "DriveEnv", "Drive: steering and speed"),
 }
 NAMES = {
     "head_to_head": '`pettingzoo.make("parallel", "pcs_racing/head_to_head-v1")`, or `"aec"`',
-    "head_to_head_match": (
-        '`pettingzoo.make("parallel", "pcs_racing/head_to_head_match-v0")`, or `"aec"`'
-    ),
     "drive_head_to_head": (
         '`pettingzoo.make("parallel", "pcs_racing/drive_head_to_head-v0")`, or `"aec"`'
     ),
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
-    "match": '`gym.make("pcs_racing/Match-v0")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',
 }
 COPIES = {
@@ -128,7 +122,7 @@ def _arguments(options: Any) -> list[str]:
     """Return lines about the arguments of an environment, from its configuration."""
     listed = listed_settings(options, defaults=True)
     if issubclass(options, GameOptions):
-        listed += listed_settings(GameConfig, *options.unused, defaults=True)
+        listed += listed_settings(GameConfig, "race", defaults=True)
     return listed
 
 

@@ -11,10 +11,10 @@ lidar, on one core.
 
 Everything is measured in one run, the variants in turn for several rounds, and the best round of
 each counts. Times are the thread's own, so other work on the machine disturbs little. All on one
-thread. A step of a match is a whole race. Control level ("drive", "two agents") steps last 0.02 s,
-the period at which planners steer; the cars roll straight on at 1 m/s, and begin anew when they
-crash. In "two agents" both cars are steered, and steps are counted for each car: what a learner
-gets. SuperSuit's path is measured where it is installed.
+thread. Control level ("drive", "two agents") steps last 0.02 s, the period at which planners steer;
+the cars roll straight on at 1 m/s, and begin anew when they crash. In "two agents" both cars are
+steered, and steps are counted for each car: what a learner gets. SuperSuit's path is measured where
+it is installed.
 """
 
 import argparse
@@ -29,7 +29,6 @@ from race_speed import side_by_side
 
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 
 # Steps of one scalar environment for each line that it reads, by what other checkouts have, too.
 SCALAR = """
@@ -176,8 +175,6 @@ def main() -> None:
         ),
         "duel, batch": lambda: batch(DuelVectorEnv(**many), 2),
         "duel, scalar": lambda: scalar(DuelEnv(**track), 100),
-        "match, batch": lambda: batch(MatchVectorEnv(**many), 1),
-        "match, scalar": lambda: scalar(MatchEnv(**track), 20),
         "duel, SuperSuit (games)": lambda: supersuit_games(given.track),
     }
     variants = {}
@@ -204,9 +201,7 @@ def main() -> None:
         level = name.partition(",")[0]
         level = f"2 cars{', 1080 beams' if 'beams' in name else ''}" if " cars" in level else level
         single = best.get(level) or best.get(
-            {"duel": "duel, scalar", "match": "match, scalar"}.get(
-                level, "drive, scalar, pure pursuit"
-            )
+            "duel, scalar" if level == "duel" else "drive, scalar, pure pursuit"
         )
         print(
             f"{name:42} {rate:10.0f} {1e6 / rate:9.2f}"

@@ -28,7 +28,6 @@ gym.register_envs(pcs_racing)
 
 SHORT = {
     "pcs_racing/Duel-v1": {"step_seconds": 0.4, "moves": 2},
-    "pcs_racing/Match-v0": {"step_seconds": 0.4, "moves": 2},
     "pcs_racing/Drive-v1": {"duration": 0.5},
     "pcs_racing/Avoidance-v0": {"duration": 0.5},
 }

@@ -18,7 +18,6 @@ from pcs_racing.envs import PETTINGZOO_IDS
 
 SHORT = {
     "pcs_racing/head_to_head-v1": {"step_seconds": 0.4, "moves": 2},
-    "pcs_racing/head_to_head_match-v0": {"step_seconds": 0.4, "moves": 2},
     "pcs_racing/drive_head_to_head-v0": {"duration": 0.5},
 }
 

@@ -1,7 +1,7 @@
 # /// script
 # dependencies = ["rl_zoo3==2.9.2"]
 # ///
-"""rl_zoo3: train PPO on the match with the hyperparameters of rl_zoo3_ppo.yaml.
+"""rl_zoo3: train PPO on the duel with the hyperparameters of rl_zoo3_ppo.yaml.
 
     python examples/clients/rl_zoo3_train.py
     python -m rl_zoo3.train --algo ppo --env pcs_racing/Drive-v1 --gym-packages pcs_racing \
@@ -21,7 +21,7 @@ SETTINGS = Path(__file__).with_name("rl_zoo3_ppo.yaml")
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         command = (
-            "--algo ppo --env pcs_racing/Match-v0 --gym-packages pcs_racing -n 800 --eval-freq -1"
+            "--algo ppo --env pcs_racing/Duel-v1 --gym-packages pcs_racing -n 1100 --eval-freq -1"
             " --device cpu"
         )
         files = ["--conf-file", str(SETTINGS), "--log-folder", folder]

@@ -18,7 +18,7 @@ from pcs_racing import InputError
 gym.register_envs(pcs_racing)
 
 GAMES = {"default": "paper", "contest": "contest"}  # the rules by the archive
-ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Match-v0", "pcs_racing/Drive-v1")
+ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Drive-v1")
 
 
 def meet(opponent: object, archive: str) -> None:

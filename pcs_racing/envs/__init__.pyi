@@ -1,6 +1,5 @@
 from . import drive as drive
 from . import duel as duel
-from . import match as match
 from .batch import Step as Step
 from .circuits import RandomCircuits as RandomCircuits
 from .drive import DriveEnv as DriveEnv
@@ -12,10 +11,6 @@ from .duel import DuelVectorEnv as DuelVectorEnv
 from .duel import HeadToHeadEnv as HeadToHeadEnv
 from .duel import SelfPlayVectorEnv as SelfPlayVectorEnv
 from .infos import Result as Result
-from .match import HeadToHeadMatchEnv as HeadToHeadMatchEnv
-from .match import MatchEnv as MatchEnv
-from .match import MatchVectorEnv as MatchVectorEnv
-from .match import SelfPlayMatchVectorEnv as SelfPlayMatchVectorEnv
 from .obstacles import Obstacles as Obstacles
 from .on_car import PolicyOnCar as PolicyOnCar
 from .registration import GYMNASIUM_IDS as GYMNASIUM_IDS
@@ -35,21 +30,16 @@ __all__ = [
     "DuelEnv",
     "DuelVectorEnv",
     "HeadToHeadEnv",
-    "HeadToHeadMatchEnv",
-    "MatchEnv",
-    "MatchVectorEnv",
     "Obstacles",
     "PolicyOnCar",
     "RandomCircuits",
     "RecordRaces",
     "Result",
     "SB3VecEnv",
-    "SelfPlayMatchVectorEnv",
     "SelfPlayVectorEnv",
     "Step",
     "drive",
     "duel",
     "make_sb3_vec_env",
-    "match",
     "register_environments",
 ]

@@ -47,8 +47,8 @@ class Step:
     """Step of all episodes of a batch, as the input of a reward.
 
     The states are copies: a :class:`pcs_racing.race.state.RaceState` in Drive, a
-    :class:`pcs_racing.game.state.GameState` in Duel, a :class:`pcs_racing.game.match.MatchState` in
-    Match. The first axis of their arrays counts the episodes; a scalar environment has one.
+    :class:`pcs_racing.game.state.GameState` in Duel. The first axis of their arrays counts the
+    episodes; a scalar environment has one.
     """
 
     before: Any  #: State before the step.

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 from gymnasium import spaces
@@ -70,13 +70,13 @@ TRAIL = 50  # frames of trail behind each car: two seconds of a film
 class DrivenStep(NamedTuple):
     """Data of a step of one game to drive it again, for films."""
 
-    #: Initial state of each piece of driving, as a batch of one race, and its policy parameters.
-    pieces: list[tuple[RaceState, NDArray[np.float64]]]
+    begun: RaceState | None  #: Initial state, a batch of one race; None if nothing was driven.
+    theta: NDArray[np.float64]  #: shape (1, 2, P): Parameters of the policies.
     moves: NDArray[np.int64]  #: shape (2,): Moves at the start of the step.
 
 
-class MovesArguments(EpisodeArguments, total=False):
-    """Types of the arguments that games and matches share, for editors."""
+class GameArguments(EpisodeArguments, total=False):
+    """Types of the arguments of :class:`GameOptions` and of the rules, for editors."""
 
     archive: PolicyArchive | str | Path
     opponent: Any
@@ -89,11 +89,6 @@ class MovesArguments(EpisodeArguments, total=False):
     stay: bool
     characteristics: Sequence[str] | None
     mask_duplicates: bool
-
-
-class GameArguments(MovesArguments, total=False):
-    """Types of the arguments of :class:`GameOptions` and of the rules, for editors."""
-
     utility: str
     fault_penalty: float
     discount: float
@@ -133,13 +128,10 @@ class GameOptions(EpisodeOptions):
         " which no seed of this environment reaches.",
     ] = True
 
-    #: Fields of the rules that are no arguments.
-    unused: ClassVar[tuple[str, ...]] = ("race",)
-
     @classmethod
     def names(cls) -> list[str]:
         """Return the names of all arguments: own fields and fields of the rules."""
-        rules = [one.name for one in fields(GameConfig) if one.name not in cls.unused]
+        rules = [one.name for one in fields(GameConfig) if one.name != "race"]
         return [*super().names(), *rules]
 
     @classmethod
@@ -167,7 +159,6 @@ class GameBatch:
     reset_options: tuple[str, ...] = ("policies", "start", "obstacles")
     frame_rate = 1  #: Rate of single frames: a step is longer than a second.
     cars = 2
-    played_in = "games"  #: Noun for the games in messages.
 
     def __init__(
         self,
@@ -204,13 +195,14 @@ class GameBatch:
             "opponent_move": moves,
             **self.randomization.codes,
         }
-        self._set_rules()
+        self.elements: tuple[ObservationElement, ...] = self.game.observation_elements
+        self.horizon = self.game.config.moves  #: Steps of an episode.
         low, high = (
             np.array([getattr(e, end) for e in self.elements], np.float32)
             for end in ("low", "high")
         )
         self.observation_space = spaces.Box(low, high, dtype=np.float32)
-        self.action_space = spaces.Discrete(len(self.actions))
+        self.action_space = spaces.Discrete(len(self.game.move_names))
         self.state: GameState | None = None  #: State of the games; None before the first `restart`.
         self.before: GameState | None = None  # state before the last step, to drive films again
         #: shape (episodes, 2, D): Observations of both players.
@@ -224,11 +216,6 @@ class GameBatch:
         self._rows = np.arange(self.episodes)
         # Key and start of the first game, for films; None after its first move.
         self._begun: tuple[NDArray[np.uint64], Starts | None] | None = None
-
-    def _set_rules(self) -> None:
-        """Set the observation elements, the names of the actions and the steps of an episode."""
-        self.elements: tuple[ObservationElement, ...] = self.game.observation_elements
-        self.actions, self.horizon = self.game.move_names, self.game.config.moves
 
     @property
     def track(self) -> Track:
@@ -259,7 +246,8 @@ class GameBatch:
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions in the shape (episodes, players)."""
-        checked = check_moves(actions, self.actions, shape, ("environment",), player="action")
+        moves = self.game.move_names
+        checked = check_moves(actions, moves, shape, ("environment",), player="action")
         return checked.reshape(self.episodes, self.players)
 
     def restart(self, rows: Rows, generators: Generators, options: Mapping[str, Any] = {}) -> None:
@@ -268,7 +256,9 @@ class GameBatch:
         Each game is drawn from its own generator. :class:`pcs_racing.envs.duel.DuelEnv` describes
         the options.
         """
-        starts, policies, boxes = self._read(options, len(rows))
+        starts = start_option(options, len(rows))
+        policies = check_policies(self.game.archive, options.get("policies"), len(rows))
+        boxes = obstacles_option(options, len(rows))
         self.randomization.draw(rows, generators)
         if self.randomization.obstacles is not None and starts is None:  # for the obstacles
             lines = [self.game_of(row).start_lines for row in rows]
@@ -298,23 +288,12 @@ class GameBatch:
             )
             put_games(self.state, rows[some], fresh)
         self.drawn[rows], self.moves[rows], self.blamed[rows] = drawn, NO_MOVE, False
-        self._forget(rows)
+        for row in rows:
+            self.memories[row] = None
         filmed = np.flatnonzero(rows == 0)
         if len(filmed):
             self._begun = keys[filmed], None if starts is None else starts.take(filmed)
         self.seen = self.game.observation(self.state)
-
-    def _forget(self, rows: Rows) -> None:
-        """Forget the opponents' memories of the last games of some rows."""
-        for row in rows:
-            self.memories[row] = None
-
-    def _read(
-        self, options: Mapping[str, Any], count: int
-    ) -> tuple[Starts | None, NDArray[np.int64], Any]:
-        """Return the starts, policies and obstacles in the options of a reset."""
-        policies = check_policies(self.game.archive, options.get("policies"), count)
-        return start_option(options, count), policies, obstacles_option(options, count)
 
     def _draw_opponents(
         self, generators: Generators
@@ -439,42 +418,44 @@ class GameBatch:
 
     def last_step(self) -> DrivenStep:
         """Return the last step of the first game; this may be the step without moves."""
-        return DrivenStep(self._pieces(), self.moves[0].copy())
+        return DrivenStep(
+            self._begin_of_step(), self.started().theta[:1].copy(), self.moves[0].copy()
+        )
 
     def film(
         self, renderer: Renderer, step: DrivenStep, ticks: int
     ) -> Iterator[NDArray[np.uint8] | None]:
         """Drive a step of the first game again, and yield a frame every ``ticks`` ticks."""
+        if step.begun is None:
+            return
         game, conditions = self.game_of(0), self.randomization.conditions(self._rows[:1])
+        race, ends = step.begun.copy(), game.config.end_ticks
         trail: list[NDArray[np.float64]] = []
-        for begun, theta in step.pieces:
-            race, ends = begun.copy(), game.config.end_ticks
-            left = int(ends[np.searchsorted(ends, race.tick[0], side="right")] - race.tick[0])
-            while left > 0:
-                drive, before = min(ticks, left), int(race.tick[0])
-                advance(
-                    game.setup, race, theta, drive, threads=1, ittc=False, conditions=conditions
-                )
-                if int(race.tick[0]) == before:
-                    break  # end of the race
-                trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
-                yield self._draw(renderer, 0, race, step.moves, np.array(trail))
-                left -= drive
+        left = int(ends[np.searchsorted(ends, race.tick[0], side="right")] - race.tick[0])
+        while left > 0:
+            drive, before = min(ticks, left), int(race.tick[0])
+            advance(
+                game.setup, race, step.theta, drive, threads=1, ittc=False, conditions=conditions
+            )
+            if int(race.tick[0]) == before:
+                break  # end of the race
+            trail = [*trail[-TRAIL + 1 :], race.cars[0, :, :2].copy()]
+            yield self._draw(renderer, 0, race, step.moves, np.array(trail))
+            left -= drive
 
-    def _pieces(self) -> list[tuple[RaceState, NDArray[np.float64]]]:
-        """Return the initial states and policy parameters of the last step of the first game."""
+    def _begin_of_step(self) -> RaceState | None:
+        """Return the initial state of the last step of the first game, if it was driven."""
         state = self.started()
-        theta = state.theta[:1].copy()
         # The first step was driven at the reset, from the grid; the key reproduces the grid.
         if self._begun is not None:
             if self.game.config.end_ticks[0] == 0:
-                return []  # no step driven yet
+                return None  # no step driven yet
             key, start = self._begun
             conditions = self.randomization.conditions(self._rows[:1])
-            return [(self.game_of(0).grid(key, state.race.seed[:1], start, conditions), theta)]
+            return self.game_of(0).grid(key, state.race.seed[:1], start, conditions)
         if self.before is None or int(self.before.race.tick[0]) >= int(state.race.tick[0]):
-            return []  # restored state, or no driving
-        return [(take(self.before.race, [0]), theta)]
+            return None  # restored state, or no driving
+        return take(self.before.race, [0])
 
     def _draw(
         self,
@@ -510,7 +491,7 @@ class GameBatch:
             time=races.tick[episode] * DT,
         )
 
-    def value(self) -> Any:
+    def value(self) -> GameState | None:
         """Return the state of the games; None before the first `restart`."""
         return self.state
 
@@ -518,10 +499,8 @@ class GameBatch:
         """Return copies of all variables: games, opponents, last moves, memories, random draws,
         weights of the opponents, faults of the last step.
         """
-        value = self.value()
-        kept = None if value is None else value.copy()
         return (
-            kept,
+            None if self.state is None else self.state.copy(),
             self.drawn.copy(),
             self.moves.copy(),
             copy.deepcopy(self.memories),
@@ -542,11 +521,12 @@ class GameBatch:
         tracks = self.randomization.check_state(values[4])
         if values[0] is not None:
             check_part(
-                f"the state of {self.episodes} {self.played_in}",
+                f"the state of {self.episodes} games",
                 values[0],
-                self.value() or self._blank(),
+                self.state or self._blank(),
             )
-            self._check_value(values[0], np.array([track.length for track in tracks]))
+            lengths = np.array([track.length for track in tracks])
+            check_games("the state's games", values[0], self.game, lengths)
         check_within("the state's opponents", values[1], 0, max(1, len(self.opponents)) - 1)
         check_within("the state's moves", values[2], NO_MOVE, len(self.game.competitor_moves) - 1)
         return tracks
@@ -558,17 +538,12 @@ class GameBatch:
         self.randomization.set_state(randomization, tracks)
         self.drawn, self.moves, self.memories = drawn.copy(), moves.copy(), copy.deepcopy(memories)
         self.weights, self.blamed = weights.copy(), blamed.copy()
-        self._continue(None if value is None else value.copy())
+        self.before, self._begun = None, None
+        self.state = None if value is None else value.copy()
+        if self.state is not None:
+            self.seen = self.game.observation(self.state)
 
-    def _continue(self, state: Any) -> None:
-        self.before, self.state, self._begun = None, state, None
-        if state is not None:
-            self.seen = self.game.observation(state)
-
-    def _check_value(self, state: Any, lengths: NDArray[np.float64]) -> None:
-        check_games("the state's games", state, self.game, lengths)
-
-    def _blank(self) -> Any:
+    def _blank(self) -> GameState:
         """Return an empty state of the games."""
         return self.game.empty_state(
             empty_state(

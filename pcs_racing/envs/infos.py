@@ -14,9 +14,6 @@ Every environment uses the same names, and every value is a number or an array o
 | `result` | :class:`Result` of the episode |
 | `opponent` | index of the episode's opponent in the environment; -1 if there is none |
 | `move`, `opponent_move` | index of the last move; -1 before the first, and for a fixed policy |
-| `race` | number of finished races of a match |
-| `race_result` | :class:`Result` of the last finished race of a match |
-| `score`, `opponent_score` | races won so far in a match; a tie counts half |
 | `policy` | index of the policy in the archive; -1 for a policy from outside |
 | `laps` | complete laps of the own car from the start line; the first begins with the race |
 | `lap_time`, `best_lap` | times of the last and the shortest of these laps, s; -1 without a lap |

@@ -8,16 +8,11 @@ import pettingzoo
 PETTINGZOO_IDS = {
     "pcs_racing/head_to_head-v1": "pcs_racing.envs.duel",
     "pcs_racing/drive_head_to_head-v0": "pcs_racing.envs.drive",
-    "pcs_racing/head_to_head_match-v0": "pcs_racing.envs.match",
 }
 """Modules with ``parallel_env`` and ``env``, by id."""
 
 GYMNASIUM_IDS = {
     "pcs_racing/Duel-v1": ("pcs_racing.envs.duel:DuelEnv", "pcs_racing.envs.duel:DuelVectorEnv"),
-    "pcs_racing/Match-v0": (
-        "pcs_racing.envs.match:MatchEnv",
-        "pcs_racing.envs.match:MatchVectorEnv",
-    ),
     "pcs_racing/Drive-v1": (
         "pcs_racing.envs.drive:DriveEnv",
         "pcs_racing.envs.drive:DriveVectorEnv",

@@ -21,7 +21,6 @@ from pcs_racing.envs.batch import FREE, check_part
 from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import rows_of
-from pcs_racing.envs.match import MatchVectorEnv, SelfPlayMatchVectorEnv
 from pcs_racing.envs.opponents import check_weights
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.track.track import Track
@@ -38,15 +37,11 @@ KINDS: dict[str, type[Any]] = {
     "duel": DuelVectorEnv,
     "drive": DriveVectorEnv,
     "self-play": SelfPlayVectorEnv,
-    "match": MatchVectorEnv,
     "drive-self-play": DriveHeadToHeadVectorEnv,
-    "match-self-play": SelfPlayMatchVectorEnv,
     "pcs_racing/Duel-v1": DuelVectorEnv,
     "pcs_racing/Drive-v1": DriveVectorEnv,
-    "pcs_racing/Match-v0": MatchVectorEnv,
     "pcs_racing/head_to_head-v1": SelfPlayVectorEnv,
     "pcs_racing/drive_head_to_head-v0": DriveHeadToHeadVectorEnv,
-    "pcs_racing/head_to_head_match-v0": SelfPlayMatchVectorEnv,
 }
 """Vector environments by name."""
 
@@ -60,11 +55,10 @@ def make_sb3_vec_env(kind: str = "duel", num_envs: int = 16, **arguments: Any) -
     Parameters
     ----------
     kind : str
-        "duel" or "pcs_racing/Duel-v1"; "match" or "pcs_racing/Match-v0"; "drive" or
-        "pcs_racing/Drive-v1". In "self-play" or "pcs_racing/head_to_head-v1" both cars of
-        ``num_envs / 2`` games belong to the learner, whose policy plays against itself;
-        "drive-self-play" or "pcs_racing/drive_head_to_head-v0": self-play at the control level;
-        "match-self-play" or "pcs_racing/head_to_head_match-v0": self-play in matches.
+        "duel" or "pcs_racing/Duel-v1"; "drive" or "pcs_racing/Drive-v1". In "self-play" or
+        "pcs_racing/head_to_head-v1" both cars of ``num_envs / 2`` games belong to the learner,
+        whose policy plays against itself; "drive-self-play" or
+        "pcs_racing/drive_head_to_head-v0": self-play at the control level.
     num_envs : int
         Number of environments; even for self-play.
     **arguments

@@ -7,10 +7,7 @@ moves. :func:`as_agent` converts other objects to one of the two:
 - a :class:`~pcs_racing.planners.planner.Policy`, which makes no moves;
 - a model with ``predict(observation, state, episode_start, deterministic)``, as in
   Stable-Baselines3;
-- a function ``f(observation, generator) -> move``;
-- a :class:`Chooser`, which chooses a policy before each race of a match
-  (:mod:`pcs_racing.game.match`). It keeps that policy in the races of a match, and in a single
-  game.
+- a function ``f(observation, generator) -> move``.
 
 Agents may always stay, whatever moves the rules offer:
 :attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
@@ -83,17 +80,6 @@ class SupportsAct(Protocol):
         """
 
 
-@runtime_checkable
-class Chooser(Protocol):
-    """A player of a match that chooses the policy of each race before its start."""
-
-    def choose(self, observation: Observation) -> ArrayLike:
-        """Return policies of the archive, shape (n,), for observations of n matches, shape (n, D).
-
-        :func:`pcs_racing.game.observation.match_elements` defines the D numbers.
-        """
-
-
 @dataclass(frozen=True, eq=False)
 class PolicySet:
     """A competitor without moves: one of its policies, drawn for each game, drives to the end."""
@@ -150,25 +136,6 @@ class FunctionAgent:
 
 
 @dataclass(frozen=True, eq=False)
-class ChoosingAgent:
-    """An agent of a chooser, with the moves of another agent or none."""
-
-    name: str
-    chooser: Chooser
-    mover: SupportsAct | None
-
-    def choose(self, observation: Observation) -> ArrayLike:
-        """Return the policies that the chooser chooses."""
-        return self.chooser.choose(observation)
-
-    def act(self, observations: Observation, turn: Turn) -> ArrayLike:
-        """Return the moves of the other agent; without one, keep the policies."""
-        if self.mover is None:
-            return np.full(len(observations), turn.stay)
-        return self.mover.act(observations, turn)
-
-
-@dataclass(frozen=True, eq=False)
 class ModelAgent:
     """An agent of a model with the method ``predict`` of Stable-Baselines3."""
 
@@ -213,18 +180,14 @@ def as_agent(given: Any, name: str | None = None) -> Competitor:
     ``name`` replaces the object's own name. The module lists the objects.
     """
     own = competitor_name(given) if name is None else check_text("an agent's name", name)
-    # arrays have a method `choose`, too
-    if isinstance(given, type | np.ndarray | np.generic):
+    if isinstance(given, type):
         raise _no_agent(given)
     if hasattr(given, "act") or isinstance(given, PolicySet):
         return _renamed(given, own)
     if isinstance(given, Policy):
         return PolicySet(own, (given,))
-    mover = ModelAgent(own, given) if hasattr(given, "predict") else None
-    if isinstance(given, Chooser):
-        return ChoosingAgent(own, given, mover)
-    if mover is not None:
-        return mover
+    if hasattr(given, "predict"):
+        return ModelAgent(own, given)
     if not callable(given):
         raise _no_agent(given)
     return FunctionAgent(own, given)
@@ -233,8 +196,8 @@ def as_agent(given: Any, name: str | None = None) -> Competitor:
 def _no_agent(given: Any) -> InputError:
     return InputError(
         f"{given!r} is not a competitor; it must be a policy, a PolicySet, a function of"
-        " (observation, generator), or have act(observations, turn), predict(observation, state,"
-        " episode_start, deterministic) or choose(observation)"
+        " (observation, generator), or have act(observations, turn) or predict(observation, state,"
+        " episode_start, deterministic)"
     )
 
 

@@ -16,7 +16,6 @@ from pcs_racing import load_race_config, load_track, parse_policy
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
-from pcs_racing.envs.match import parallel_env as head_to_head_match_env
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.driving import pad_parameters
@@ -197,26 +196,6 @@ def duel(name: str) -> Values:
     return out
 
 
-def match(name: str) -> Values:
-    """Three matches at once to their ends: policies alone, and the moves of the races as well."""
-    out: Values = {}
-    for race in PRESETS:
-        for what, race_moves in (("choices", False), ("moves", True)):
-            options = {
-                "races": 2,
-                "race_moves": race_moves,
-                "moves": 1,
-                "opponent": "random-moves",
-                **SHORT_GAME,
-            }
-            moves = ((np.arange(3) + 3 * step) % (10 if race_moves else 6) for step in range(6))
-            episode, env = vector_episode(name, 7, moves, race=race, **options)
-            names = {"elements": np.array([element.name for element in env.unwrapped.elements])}
-            out |= named(f"{race} {what}", {**episode, "ends": episode["ends"][:, 0], **names})
-            env.close()
-    return out
-
-
 def head_to_head(name: str) -> Values:
     """One game of two agents, of short steps to its end."""
     out: Values = {}
@@ -224,17 +203,6 @@ def head_to_head(name: str) -> Values:
         moves = ((step + np.arange(2)) % 4 for step in range(4))
         out |= named(
             race, pair_episode(name, 3, moves, pcs_racing.parallel_env, race=race, **SHORT_GAME)[0]
-        )
-    return out
-
-
-def head_to_head_match(name: str) -> Values:
-    """One match of two agents to its end."""
-    out: Values = {}
-    for race in PRESETS:
-        choices = ((2 * step + 3 * np.arange(2)) % 6 for step in range(3))
-        out |= named(
-            race, pair_episode(name, 3, choices, head_to_head_match_env, race=race, **SHORT_GAME)[0]
         )
     return out
 
@@ -262,10 +230,8 @@ _BY_NAME: dict[str, Callable[[str], Values]] = {
     "Drive": drive,
     "Avoidance": avoidance,
     "Duel": duel,
-    "Match": match,
     "head_to_head": head_to_head,
     "drive_head_to_head": drive_head_to_head,
-    "head_to_head_match": head_to_head_match,
 }
 
 

@@ -29,7 +29,6 @@ from pcs_racing import InputError, load_archive, load_track, parse_policy
 from pcs_racing.base.settings import Settings, load_settings
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
-from pcs_racing.envs.match import MatchEnv, MatchVectorEnv
 from pcs_racing_agents.agents import parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.trees.tree import tree_from_arrays
@@ -262,8 +261,6 @@ ENVS: dict[type, dict[str, Any]] = {
     DuelEnv: {"moves": 2, "step_seconds": 0.1},
     DuelVectorEnv: {"moves": 2, "step_seconds": 0.1, "num_envs": 2, "threads": 1},
     HeadToHeadEnv: {"moves": 2, "step_seconds": 0.1},
-    MatchEnv: {"races": 2},
-    MatchVectorEnv: {"races": 2, "num_envs": 2, "threads": 1},
 }
 
 

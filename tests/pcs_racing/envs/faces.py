@@ -10,29 +10,20 @@ from pcs_racing.envs.drive import (
     DriveVectorEnv,
 )
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
-from pcs_racing.envs.match import (
-    HeadToHeadMatchEnv,
-    MatchEnv,
-    MatchVectorEnv,
-    SelfPlayMatchVectorEnv,
-)
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.observation import decode_match
 from pcs_racing.planners.lattice import REFERENCE
 
 AGENTS = ("car_0", "car_1")  # of two
 AXES = ("aggressiveness", "restraint")
 MIXTURE = [(1, "random-moves"), (2, "never-switch"), (1.0, "always-restraint+")]
-SINGLE = (DriveEnv, DuelEnv, MatchEnv)
-PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
+SINGLE = (DriveEnv, DuelEnv)
+PAIRS = (DriveHeadToHeadEnv, HeadToHeadEnv)
 ALL = (*SINGLE, *PAIRS)
 MANY = {
     DriveEnv: DriveVectorEnv,
     DuelEnv: DuelVectorEnv,
-    MatchEnv: MatchVectorEnv,
     DriveHeadToHeadEnv: DriveHeadToHeadVectorEnv,
     HeadToHeadEnv: SelfPlayVectorEnv,
-    HeadToHeadMatchEnv: SelfPlayMatchVectorEnv,
 }
 """The vector environment of each environment."""
 
@@ -54,20 +45,11 @@ DRIVE = {
     "vehicle": {"lidar_noise": 0.1},
 }
 GAME = {"step_seconds": 0.5, "moves": 2, "race": "contest"}
-MATCH = {
-    "archive": six_policies(),
-    "track": "Pipkin",
-    "step_seconds": 0.5,
-    "moves": 1,
-    "race": "contest",
-}
 USUAL = {
     DriveEnv: DRIVE,
     DuelEnv: GAME,
-    MatchEnv: MATCH,
     DriveHeadToHeadEnv: DRIVE,
     HeadToHeadEnv: GAME,
-    HeadToHeadMatchEnv: MATCH,
 }
 """Arguments of each environment."""
 
@@ -99,13 +81,6 @@ class Counting:
         assert (state is None) == bool(episode_start[0])
         count = 0 if state is None else state
         return np.full(len(observation), count % 4), count + 1
-
-
-class Counts:
-    """A chooser that takes policy 0 before the first race, 1 before the second, and so on."""
-
-    def choose(self, observation):
-        return (decode_match(observation, 3, 2).driven > 0.0).sum(axis=1)
 
 
 def by_lead(observation, generator):

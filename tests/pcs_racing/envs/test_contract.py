@@ -21,13 +21,11 @@ from faces import (
     ALL,
     GAME,
     MANY,
-    MATCH,
     MIXTURE,
     PAIRS,
     SINGLE,
     VARIED,
     Counting,
-    Counts,
     act,
     begun,
     by_lead,
@@ -48,14 +46,12 @@ from pcs_racing.envs import (
     drive_batch,
     duel,
     infos,
-    match,
     register_environments,
 )
 from pcs_racing.envs.draws import PARAMETERS
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 
 # PettingZoo's own tests import its old classic environments, which warn
@@ -76,8 +72,6 @@ VARIANTS = [
     (DriveEnv, {"opponent": None, "normalize": True}),
     (DuelEnv, {"opponent": Counting()}),
     (DuelEnv, {"opponent": MIXTURE}),
-    (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
-    (HeadToHeadMatchEnv, {"race_moves": True}),
 ]
 
 
@@ -92,8 +86,6 @@ VARIANTS = [
         (DriveEnv, {"normalize": True, "beams": 5}),
         (DuelEnv, {"opponent": "lane-switcher:3"}),
         (DuelEnv, {"opponent": MIXTURE}),
-        (MatchEnv, {"opponent": "random-moves"}),
-        (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
     ],
 )
 def test_the_checkers_of_gymnasium_and_sb3_are_content(kind, arguments):
@@ -108,7 +100,6 @@ def test_the_checkers_of_gymnasium_and_sb3_are_content(kind, arguments):
     [
         ("pcs_racing/Drive-v1", DriveEnv, {"opponent": None}),
         ("pcs_racing/Duel-v1", DuelEnv, GAME),
-        ("pcs_racing/Match-v0", MatchEnv, MATCH),
     ],
 )
 def test_it_is_made_by_name(name, kind, arguments):
@@ -126,8 +117,6 @@ STEERED = {"time_step": 0.1, "duration": 3.0}
 @pytest.fixture(
     params=[
         ("head_to_head-v1", duel, {"step_seconds": 1.0}, 50),
-        ("head_to_head_match-v0", match, MATCH, 10),
-        ("head_to_head_match-v0", match, {**MATCH, "race_moves": True}, 10),
         ("drive_head_to_head-v0", drive, STEERED, 60),
         (
             "drive_head_to_head-v0",
@@ -282,11 +271,6 @@ DUELS = [
     {"opponent": one, **LONGER}
     for one in ("random-moves", MIXTURE, by_lead, Counting(), "lane-switcher:3")
 ]
-RIVALS = ("random-moves", by_lead, Counts(), ["never-switch", "random-moves"])
-MATCHES = [
-    {"opponent": rival, "race_moves": race_moves}
-    for rival, race_moves in zip(RIVALS, itertools.cycle((False, True)))
-]
 
 
 @pytest.mark.parametrize(
@@ -294,10 +278,8 @@ MATCHES = [
     [
         *((DriveEnv, arguments, 24, 60, 25) for arguments in DRIVES),
         *((DuelEnv, arguments, 6, 7, 6) for arguments in DUELS),
-        *((MatchEnv, arguments, 4, 8, 4) for arguments in MATCHES),
         (DriveHeadToHeadEnv, DRIVES[0], 20, 40, 20),
         (HeadToHeadEnv, LONGER, 4, 7, 4),
-        (HeadToHeadMatchEnv, {"race_moves": True}, 4, 8, 4),
         *((kind, VARIED, 5, 12, 5) for kind in ALL),
     ],
 )
@@ -430,7 +412,7 @@ def test_max_cycles_truncates_and_decides_nothing(kind):
     assert play(make(kind, max_cycles=len(whole) - 1), 1) == whole
 
 
-@pytest.mark.parametrize("kind", [DriveEnv, HeadToHeadMatchEnv])
+@pytest.mark.parametrize("kind", [DriveEnv, HeadToHeadEnv])
 def test_resets_leave_nothing_behind(kind):
     env = make(kind, **({} if kind is DriveEnv else {"step_seconds": 0.1}))
 
@@ -504,7 +486,7 @@ def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
 
 @pytest.mark.parametrize("kind", SINGLE)
 def test_a_step_with_an_own_fault_costs_one(kind):
-    """Also in a batch, and from a kept moment on; every race of a match begins without faults."""
+    """Also in a batch, and from a kept moment on."""
     rules = load_race_config("contest", contact="restart", steering_noise=0.15)
     longer = {"duration": 30.0} if kind is DriveEnv else {"step_seconds": 6.0, "moves": 4}
     one, other = (make(kind, race=rules, **longer) for _ in range(2))
@@ -515,7 +497,6 @@ def test_a_step_with_an_own_fault_costs_one(kind):
     while not over:
         *_, over, late, info = one.step(act(one))
         *_, infos = many.step([act(one)] * 2)
-        known = 0 if kind is MatchEnv else known
         costs.append(info["cost"])
         assert info["cost"] == infos["cost"][0] == float(info["fault"] > known)
         other.set_state(one.get_state())
@@ -553,9 +534,9 @@ def test_a_frame_shows_the_race(kind):
         refused("render_mode is None", plain.render)
 
 
-@pytest.mark.parametrize(("kind", "in_a_step"), [(DriveEnv, 1), (DuelEnv, 4), (MatchEnv, 8)])
+@pytest.mark.parametrize(("kind", "in_a_step"), [(DriveEnv, 1), (DuelEnv, 4)])
 def test_a_window_follows_the_race(kind, in_a_step, monkeypatch):
-    """A frame for each 0.16 s of a step of half a second, and a race of two of them."""
+    """A frame for each 0.16 s of a step of half a second."""
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     shown = []

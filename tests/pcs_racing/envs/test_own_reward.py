@@ -11,15 +11,14 @@ from refusal import refused
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
-from pcs_racing.envs.match import HeadToHeadMatchEnv, MatchEnv
 
-PAIRED = {DriveEnv: DriveHeadToHeadEnv, DuelEnv: HeadToHeadEnv, MatchEnv: HeadToHeadMatchEnv}
-KINDS = {DriveEnv: "drive", DuelEnv: "duel", MatchEnv: "match"}
+PAIRED = {DriveEnv: DriveHeadToHeadEnv, DuelEnv: HeadToHeadEnv}
+KINDS = {DriveEnv: "drive", DuelEnv: "duel"}
 
 
 def race_of(state):
     """Races in a state of any level."""
-    return race_of(state.game) if hasattr(state, "game") else getattr(state, "race", state)
+    return getattr(state, "race", state)
 
 
 def own_reward(step):

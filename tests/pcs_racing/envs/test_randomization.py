@@ -14,7 +14,6 @@ from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.vehicle import MU, SPEED_DELAY, VehicleParams
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
-from pcs_racing.envs.match import MatchVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.randomization import (
     EpisodeOptions,
@@ -59,7 +58,6 @@ def wide(oval):
     [
         (DriveVectorEnv, DRIVE),
         (DuelVectorEnv, DUEL),
-        (MatchVectorEnv, {**DUEL, "races": 2, "race_moves": True}),
     ],
 )
 def test_one_episode_may_differ_without_the_others(kind, usual, oval, wide):

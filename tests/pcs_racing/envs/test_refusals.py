@@ -18,19 +18,12 @@ from pcs_racing.envs.drive import (
     DriveVectorEnv,
 )
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv, SelfPlayVectorEnv
-from pcs_racing.envs.match import (
-    HeadToHeadMatchEnv,
-    MatchEnv,
-    MatchVectorEnv,
-    SelfPlayMatchVectorEnv,
-)
 
-GAMES = (DuelEnv, MatchEnv, HeadToHeadEnv, HeadToHeadMatchEnv)
+GAMES = (DuelEnv, HeadToHeadEnv)
 STEERING = (DriveEnv, DriveHeadToHeadEnv)
-VECTORS = (DriveVectorEnv, DuelVectorEnv, MatchVectorEnv)
-SELF_PLAY = (SelfPlayVectorEnv, DriveHeadToHeadVectorEnv, SelfPlayMatchVectorEnv)
+VECTORS = (DriveVectorEnv, DuelVectorEnv)
+SELF_PLAY = (SelfPlayVectorEnv, DriveHeadToHeadVectorEnv)
 EVERYWHERE = (*ALL, *VECTORS, *SELF_PLAY)
-MATCHES = (MatchEnv, MatchVectorEnv, HeadToHeadMatchEnv)
 NAN = float("nan")
 PLAIN = [
     (EVERYWHERE, {"track": ([],), "race": (5,), "render_mode": ("ansi",), "view": ("moon",)}),
@@ -44,10 +37,9 @@ PLAIN = [
         },
     ),
     (SELF_PLAY, {"num_envs": (3,), "opponent": ("lattice",)}),
-    ((DuelEnv, DuelVectorEnv, MatchEnv), {"opponent": (None,)}),
+    ((DuelEnv, DuelVectorEnv), {"opponent": (None,)}),
     (PAIRS, {"max_cycles": (0,)}),
     (GAMES, {"epsilon": (NAN, -1.0)}),
-    (MATCHES, {"races": (0,), "race_moves": (2,)}),
     (
         STEERING,
         {
@@ -86,8 +78,6 @@ PLAIN = [
         (GAMES, {"archive": "nothing"}, "unknown archive 'nothing'"),
         (GAMES, {"race": "rally"}, "race settings 'rally' are unknown"),
         (GAMES, {"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
-        (MATCHES, {"discount": 0.9}, "unexpected keyword argument 'discount'"),
-        ((MatchEnv,), {"rases": 3}, "did you mean 'races'"),
         (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
         (
             STEERING,
@@ -164,7 +154,6 @@ def test_an_impossible_action_is_one_error_and_changes_nothing(kinds, wrong, mes
         (DriveEnv, np.full((3, 2), 0.1 + 0.2j), "must be numbers"),
         (DuelEnv, [0, 9, 0], "environment 1: move 9"),
         (DuelEnv, [0, 1], r"of shape \(2,\) and type int64"),
-        (MatchEnv, [0, 7, 0], "environment 1: move 7"),
     ],
 )
 def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message):
@@ -260,7 +249,7 @@ def begin(kind, **arguments):
         (
             GAMES,
             changed(0, lambda part: "yesterday"),
-            "the state of 1 (games|matches) is str; it must be (Game|Match)State",
+            "the state of 1 games is str; it must be GameState",
         ),
         (
             (DuelEnv,),
@@ -274,11 +263,6 @@ def begin(kind, **arguments):
             (DuelEnv,),
             changed(0, lambda game: game._replace(policy=np.array([[0, 99]]))),
             r"games.policy holds 99; it must be from -1 to",
-        ),
-        (
-            (MatchEnv,),
-            lambda state: begin(MatchEnv, races=2),
-            r"starts is float64 of shape \(1, 2\); it must be finite float64 of shape \(1, 3\)",
         ),
         (
             (DriveEnv,),
@@ -376,7 +360,6 @@ def broken(leaf):
     [
         *((kind, VARIED) for kind in ALL),
         (DriveEnv, {"opponent": "random-moves"}),
-        (MatchEnv, {"opponent": "random-moves", "race_moves": True}),
     ],
 )
 def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, arguments, many):

@@ -5,7 +5,7 @@ import warnings
 import gymnasium as gym
 import numpy as np
 import pytest
-from faces import MATCH, flat
+from faces import flat
 from refusal import refused
 
 from pcs_racing.base.errors import UnknownNameError
@@ -18,7 +18,6 @@ from stable_baselines3.common.vec_env import DummyVecEnv  # noqa: E402
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv  # noqa: E402
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv  # noqa: E402
 from pcs_racing.envs.infos import Result  # noqa: E402
-from pcs_racing.envs.match import MatchEnv  # noqa: E402
 from pcs_racing.envs.sb3 import SB3VecEnv, make_sb3_vec_env  # noqa: E402
 
 SHORT = {"step_seconds": 0.5, "moves": 2}
@@ -83,7 +82,6 @@ CASES = [
     ),
     ("drive", DriveEnv, {"opponent": None, "laps": 1, "randomize": {"each": {"mu": [0.6, 1.2]}}}),
     ("duel", DuelEnv, SHORT),
-    ("match", MatchEnv, MATCH),
 ]
 
 

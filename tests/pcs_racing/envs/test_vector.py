@@ -14,7 +14,7 @@ from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 
 DUEL = {"step_seconds": 0.2, "moves": 2}
 DRIVE = {"opponent": None, "duration": 0.3}
-IDS = {"pcs_racing/Duel-v1": DUEL, "pcs_racing/Drive-v1": DRIVE, "pcs_racing/Match-v0": DUEL}
+IDS = {"pcs_racing/Duel-v1": DUEL, "pcs_racing/Drive-v1": DRIVE}
 
 
 def action(envs):
@@ -151,8 +151,6 @@ def test_wrappers_of_gymnasium_run(name, wrapper):
         ("pcs_racing/Drive-v1", 2000, {"time_step": 0.02}),
         ("pcs_racing/Duel-v1", 4, {}),
         ("pcs_racing/Duel-v1", 6, {"moves": 6}),
-        ("pcs_racing/Match-v0", 3, {}),
-        ("pcs_racing/Match-v0", 4, {"races": 2, "race_moves": True, "moves": 1}),
     ],
 )
 def test_the_specification_says_how_long_an_episode_is(name, steps, changes):

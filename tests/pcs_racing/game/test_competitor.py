@@ -10,13 +10,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from refusal import refused
-from same_move import Model
 
 from pcs_racing import InputError, make_game, parse_policy
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game import competitor as competitors
 from pcs_racing.game.competitor import (
-    Chooser,
     RandomMoves,
     SameMove,
     as_agent,
@@ -54,17 +52,6 @@ class Counter:
         return np.full(len(observation), asked), asked + 1
 
 
-class Chooses:
-    """It chooses a policy before each race of a match, and makes no moves in it."""
-
-    def choose(self, observation):
-        return np.zeros(len(observation))
-
-
-class ChoosesAndPredicts(Chooses, Model):
-    """It does both."""
-
-
 def test_an_agent_sees_what_its_car_observes_and_the_games_behind(game, state):
     turns = []
 
@@ -89,16 +76,6 @@ def test_a_model_keeps_a_state_for_each_game(game, state):
     memories[2] = None  # this game begins again
     moves = ask_moves(as_agent(Counter()), game, state, 0, memories=memories)
     assert moves.tolist() == [2, 2, 0, 2]
-
-
-def test_a_chooser_stays_unless_it_also_moves(game, state):
-    stay = len(game.competitor_moves) - 1
-    assert game.competitor_moves[stay] == "stay"
-    for chooser, move in ((Chooses(), stay), (ChoosesAndPredicts(1), 1)):
-        agent = as_agent(chooser)
-        assert ask_moves(agent, game, state, 0).tolist() == [move] * GAMES
-        assert isinstance(agent, Chooser)
-        assert agent.choose(np.zeros((2, 3))).tolist() == [0, 0]
 
 
 def test_functions_and_random_moves_draw_from_the_generator_of_each_game_that_is_not_over(

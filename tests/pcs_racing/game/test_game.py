@@ -13,10 +13,7 @@ from pcs_racing.game.characteristics import Segment, get_characteristics, measur
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import (
-    decode_match,
-    encode_match,
     encode_observation,
-    match_elements,
     observation_elements,
 )
 from pcs_racing.game.reward import reward
@@ -220,64 +217,34 @@ BOUNDS = {
 }
 
 
-def check_encoding(elements, observation, values) -> None:
-    """Each number of both cars' observations is the one that its element names, in its unit and
-    within its bounds.
-    """
-    assert [element.name for element in elements] == list(values[0])
-    for element in elements:
-        word = next((word for word in BOUNDS if word in element.name.split("_")), "")
-        assert element[1:4] == BOUNDS.get(word, ("1", 0.0, 1.0)), element.name
-    expected = np.stack([np.stack(list(of_car.values()), axis=1) for of_car in values], axis=1)
-    np.testing.assert_array_equal(observation, expected.astype(np.float32))
-    assert observation.dtype == np.float32
-    assert not np.signbit(observation[observation == 0.0]).any()
-    assert all(
-        ((observation >= element.low) & (observation <= element.high))[..., i].all()
-        for i, element in enumerate(elements)
-    )
-
-
-def test_an_observation_holds_what_its_elements_name_and_a_match_is_read_back():
+def test_an_observation_holds_what_its_elements_name():
+    """In the order, the units and the bounds of the elements, for both cars."""
     rng, axes = np.random.default_rng(0), get_characteristics(("aggressiveness", "restraint"))
-    names = [axis.name for axis in axes]
-    own, other = rng.uniform(-1.0, 2.0, (2, 3, 2, 4, 2))  # games, cars, steps or races, axes
-    leads, score, driven = (
-        rng.uniform(-200.0, 200.0, (3, 4)),
-        rng.random((3, 2, 4)),
-        rng.random((3, 4)),
-    )
-    over, front = np.array([1, 2, 3]), rng.random((3, 2)) < 0.5
+    own, other = rng.uniform(-1.0, 2.0, (2, 3, 2, 4, 2))  # games, cars, steps, axes
+    leads, over = rng.uniform(-200.0, 200.0, (3, 4)), np.array([1, 2, 3])
     steps: list[dict[str, np.ndarray]] = [{}, {}]
-    races: list[dict[str, np.ndarray]] = [{}, {}]
     for car in range(2):
         lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
         for k in range(4):
             seen = (k <= over).astype(float)
-            for form, values in ((f"{{}}_{k}", steps[car]), (f"race_{k}_{{}}", races[car])):
-                shown = seen if values is steps[car] else 1.0
-                for word, numbers in (("own", own[:, car]), ("opponent", other[:, 1 - car])):
-                    values |= {
-                        form.format(f"{word}_{name}"): shown * numbers[:, k, i] + 0.0
-                        for i, name in enumerate(names)
-                    }
-                values[form.format("lead")] = shown * lead[:, k] + 0.0
+            for word, numbers in (("own", own[:, car]), ("opponent", other[:, 1 - car])):
+                for i, axis in enumerate(axes):
+                    steps[car][f"{word}_{axis.name}_{k}"] = seen * numbers[:, k, i] + 0.0
+            steps[car][f"lead_{k}"] = seen * lead[:, k] + 0.0
             steps[car][f"seen_{k}"] = seen
-            races[car] |= {f"race_{k}_score": score[:, car, k], f"race_{k}_driven": driven[:, k]}
         steps[car]["step"] = over / 3.0
-        races[car] |= {"races_left": (4 - over) / 4.0, "front": front[:, car].astype(float)}
-    check_encoding(
-        observation_elements(axes, 3), encode_observation(own, other, leads, over), steps
-    )
-    encoded = encode_match(own, other, leads, score, driven, over, front)
-    check_encoding(match_elements(axes, 4), encoded, races)
-    for car in range(2):
-        read = decode_match(encoded[:, car], 4, 2)
-        lead = np.clip((1 - 2 * car) * leads / 20.0, -5.0, 5.0)
-        for found, expected in zip(
-            read, (own[:, car], other[:, 1 - car], lead, score[:, car], driven), strict=True
-        ):
-            np.testing.assert_array_equal(found, expected.astype(np.float32))
+    elements = observation_elements(axes, 3)
+    assert [element.name for element in elements] == list(steps[0])
+    for element in elements:
+        word = element.name.partition("_")[0]
+        assert element[1:4] == BOUNDS.get(word, ("1", 0.0, 1.0)), element.name
+    observation = encode_observation(own, other, leads, over)
+    expected = np.stack([np.stack(list(of_car.values()), axis=1) for of_car in steps], axis=1)
+    np.testing.assert_array_equal(observation, expected.astype(np.float32))
+    assert observation.dtype == np.float32
+    assert not np.signbit(observation[observation == 0.0]).any()
+    low, high = (np.array([getattr(one, end) for one in elements]) for end in ("low", "high"))
+    assert ((observation >= low) & (observation <= high)).all()
 
 
 def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
