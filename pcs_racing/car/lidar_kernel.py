@@ -188,44 +188,9 @@ def _draw_walls(track, beams, x, y, cos, sin, s, work, out):
     """Draw the walls and obstacles visible from arc length s into a buffer of inverse ranges."""
     corners, start = track.corners, track.corners_start
     lists = track.seen_middle.shape[0]
-    last = start[start.shape[0] - 1]
     stretch = int(wrap_s(track, s) / track.seen_stretch) % lists
     _draw_list(corners, beams, x, y, cos, sin, start[stretch], start[stretch + 1], work, out)
-    _draw_list(corners, beams, x, y, cos, sin, last, corners.shape[1], work, out)
-
-
-@inner_kernel
-def _pass_holes(track, beams, x, y, cos, sin, work, out):
-    """Let the beams that meet a hole in a wall pass, to the next wall behind the hole."""
-    corners, start = track.corners, track.corners_start
-    lists = track.seen_middle.shape[0]
-    holes, walls, obstacles = start[lists], start[lists + 1], start[lists + 2]
-    least = 1.0 / beams.max_range
-    for first in range(0, out.shape[0], work.shape[1]):
-        stop = min(first + work.shape[1], out.shape[0])
-        some = Beams(
-            beams.first + first * beams.step,
-            beams.step,
-            beams.max_range,
-            beams.cos[first:stop],
-            beams.sin[first:stop],
-        )
-        hole, behind = work[2, : stop - first], work[3, : stop - first]
-        hole[:] = least
-        _draw_list(corners, some, x, y, cos, sin, holes, walls, work, hole)
-        met = 0
-        for k in range(stop - first):
-            # The grid may have put a nearer edge on the beam.
-            hole[k] = hole[k] if 1.0 / out[first + k] > 1.0 / hole[k] - AGREEMENT else least
-            met += hole[k] > least
-        if met == 0:
-            continue
-        behind[:] = least
-        _draw_list(corners, some, x, y, cos, sin, walls, obstacles, work, behind)
-        _draw_list(corners, some, x, y, cos, sin, obstacles, corners.shape[1], work, behind)
-        for k in range(stop - first):
-            if hole[k] > behind[k]:
-                out[first + k] = behind[k]
+    _draw_list(corners, beams, x, y, cos, sin, start[lists], corners.shape[1], work, out)
 
 
 @inner_kernel
@@ -365,8 +330,6 @@ def scan_walls(track, beams, x, y, psi, s, work, out):
     for k in range(out.shape[0]):
         out[k] = out[k] if out[k] > least else least
     _settle_edges(track, beams, x, y, cos, sin, out)
-    if track.corners_start.shape[0] > track.seen_middle.shape[0] + 1:
-        _pass_holes(track, beams, x, y, cos, sin, work, out)
     return True
 
 

@@ -61,7 +61,6 @@ _AHEAD = ((1.85, 0.0), (1.25, 0.8), (1.42, 0.0), (1.25, -0.8))
 _WHEELS = ((0.55, 0.8), (0.55, -0.8), (-0.57, 0.8), (-0.57, -0.8))
 _MIN_CAR = 8.0  # pixels of half a length: a smaller car is drawn as an arrow of _ARROW_SIZE
 _ARROW_SIZE = 11.0
-_DASH, _MIN_DASH = 0.2, 4.0  # m, pixels: length of a dash of a wall with a hole
 _NAME = 24  # max characters of a name
 _HALO = 3  # pixels around the letters of a name
 
@@ -117,17 +116,6 @@ def paint_track(
             joint="curve",
         )
     return image
-
-
-def paint_holes(image: Image.Image, camera: Camera, holes: Sequence[np.ndarray]) -> None:
-    """Interrupt the walls (polylines) that have a hole: they become dashed."""
-    pen, dash = ImageDraw.Draw(image), max(_DASH, _MIN_DASH * FINER / camera.scale)
-    for wall in holes:
-        along = np.append(0.0, np.cumsum(np.hypot(*np.diff(wall, axis=0).T)))
-        for begin in np.arange(0.0, along[-1], 2.0 * dash):
-            at = (begin, min(begin + dash, along[-1]))
-            ends = np.column_stack([np.interp(at, along, one) for one in wall.T])
-            pen.line(_flat(camera.pixels(ends)), fill=COLOURS["asphalt"], width=2 * FINER)
 
 
 def paint_trails(pen: ImageDraw.ImageDraw, camera: Camera, trails: np.ndarray) -> None:

@@ -21,7 +21,6 @@ from pcs_racing.race.painting import (
     Camera,
     paint_candidates,
     paint_car,
-    paint_holes,
     paint_names,
     paint_obstacle,
     paint_plan,
@@ -31,7 +30,6 @@ from pcs_racing.race.painting import (
 from pcs_racing.race.replay import Replay
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.frenet import SPEED
-from pcs_racing.track.holes import hole_segments
 from pcs_racing.track.moving import moving_outlines
 
 if TYPE_CHECKING:
@@ -103,7 +101,6 @@ class Renderer:
             walls, self._line, self._line_speed, self._half_sizes = _scene(scene)
             self._walls = join_segments(walls)
             self._track = None if isinstance(scene, Replay) else scene.arrays
-            self._holes = [] if self._track is None else join_segments(hole_segments(self._track))
             corners = np.vstack([self._line, *self._walls])
             self._low, self._high = corners.min(axis=0), corners.max(axis=0)
             self._ground: tuple[tuple[float, ...], Image.Image] | None = None
@@ -229,7 +226,6 @@ class Renderer:
             at = middle[0] / camera.scale, middle[1] / camera.scale
             region = Camera(*at, camera.scale, width + step_x, height + step_y)
             painted = paint_track(region, self._walls, self._line, self._line_speed)
-            paint_holes(painted, region, self._holes)
             self._ground = key, painted
         if self.view == "track":
             return self._ground[1].copy()

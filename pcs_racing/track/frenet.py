@@ -44,8 +44,6 @@ class TrackArrays(NamedTuple):
     seen_middle: np.ndarray
     seen_stretch: float  #: Length of a stretch in m (``length / M``).
     #: shape (M + 1,), int32: Start of each stretch's list in ``corners``, and end of the last list.
-    #: Two more ends if the walls have holes: of the list of walls in holes, and of the list of all
-    #: other walls, each in both directions (:mod:`pcs_racing.track.holes`).
     corners_start: np.ndarray
     #: shape (2, C), float64: Corners (x, y in m) of the walls in the ``seen`` list of each stretch,
     #: along the walls. There is a wall segment between two successive corners, and none between a

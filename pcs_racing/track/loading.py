@@ -19,8 +19,6 @@ from pcs_racing.track.building.curves import sample_closed
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.grid import distance_to_walls
-from pcs_racing.track.holes import with_holes
-from pcs_racing.track.map_files import check_holes
 from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 from pcs_racing.track.track import Track, build_track, calibration_from_values, calibration_values
 
@@ -129,10 +127,9 @@ def _build(files: MapFiles, contents: dict[str, bytes]) -> tuple[Track, str]:
             },
             folder=content.folder,
         )
-        holes = check_holes(content.info.get("holes", []), track.length, error=MapError)
     except MapError as error:
         raise MapError(f"{files.yaml}: {error}") from error
-    return with_holes(track, holes), note
+    return track, note
 
 
 def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
@@ -202,7 +199,7 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
         "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
         "columns": np.asarray(track.arrays.distance.shape[1]),
         "centerline": track.centerline,
-        "text": np.array(json.dumps([note, track.content_hash, track.solid_hash, own])),
+        "text": np.array(json.dumps([note, track.content_hash, own])),
     }
 
 
@@ -215,11 +212,11 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
     values: dict[str, Any] = {
         key: value if value.ndim else value.item() for key, value in stored.items()
     }
-    note, content_hash, solid_hash, own = json.loads(values.pop("text"))
+    note, content_hash, own = json.loads(values.pop("text"))
     center = values.pop("centerline")
     center.flags.writeable = False  # as in every Track
     drivable = np.unpackbits(values.pop("drivable"), axis=1, count=values.pop("columns"))
     distance = distance_to_walls(drivable.view(np.bool_), values["cell"])
     arrays = TrackArrays(distance=distance, **values)
     calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
-    return Track(name, arrays, center, calibration, folder, content_hash, solid_hash), note
+    return Track(name, arrays, center, calibration, folder, content_hash), note

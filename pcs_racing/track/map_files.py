@@ -8,7 +8,6 @@ import contextlib
 import io
 import math
 import warnings
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +17,13 @@ from PIL import Image, UnidentifiedImageError
 
 from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, is_number
-from pcs_racing.base.errors import InputError, MapError, say
+from pcs_racing.base.errors import MapError, say
 from pcs_racing.track.building.causes import at_cell
 
 Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
 MAX_PIXELS = 25_000_000  # 5,000 x 5,000, at some 40 bytes of memory each
-MAX_HOLES = 1000
-SIDES = ("left", "right")
 MAX_POINTS = 100_000  # points of a line: 10 km, one per 0.1 m
 PICTURE_FORMATS = ("PNG", "PPM", "BMP")
 CENTERLINE_COLUMNS = ("x_m", "y_m", "w_tr_right_m", "w_tr_left_m")
@@ -45,7 +42,6 @@ INFO_KEYS = {
     "width": "of the track in m, for the generator",
     "length_range": "shortest and longest length in m, for the generator",
     "resolution": "of the grid in m, for the generator",
-    "holes": "stretches of walls that beams pass: [left or right, first, last] in m along the line",
     "calibration": "for each race preset speed_range, start_spacing, start_places and left_share",
 }
 """Allowed keys of ``NAME_track.yaml``."""
@@ -112,7 +108,6 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
         raise MapError(
             f"{file}: unknown {', '.join(map(repr, unknown))}; the keys are {', '.join(INFO_KEYS)}"
         )
-    check_holes(values.get("holes", []), label=f"{file}: holes", error=MapError)
     calibration = values.get("calibration", {})
     if not isinstance(calibration, dict) or not all(isinstance(name, str) for name in calibration):
         raise MapError(
@@ -306,23 +301,3 @@ def _grey(file: Path, data: bytes) -> NDArray[np.uint8]:
     if (channels[..., 1] != red).any() or (channels[..., 2] != red).any():
         raise MapError(f"{file} has coloured pixels: save it as an 8-bit grey picture")
     return red
-
-
-def check_holes(
-    holes: Any,
-    length: float = np.inf,
-    label: str = "holes",
-    error: type[InputError] = InputError,
-) -> list[tuple[str, float, float]]:
-    """Return holes on a race line of this length (m) as tuples; refuse impossible ones."""
-    end = f"{length:.2f}" if np.isfinite(length) else "length"
-    wanted = f'[side, first, last]: "left" or "right", and two arc lengths in [0, {end})'
-    listed = list(holes) if isinstance(holes, Iterable) and not isinstance(holes, str) else None
-    if listed is None or len(listed) > MAX_HOLES:
-        raise error(f"{label} are {holes!r:.80}; they must be a list of up to {MAX_HOLES} {wanted}")
-    for one in listed:
-        fine = isinstance(one, list | tuple) and len(one) == 3 and str(one[0]) in SIDES
-        fine = fine and all(is_number(end) and 0.0 <= end < length for end in one[1:])
-        if not fine or one[1] == one[2]:
-            raise error(f"{label} hold {one!r:.80}; a hole is {wanted}, which differ")
-    return [(side, float(first), float(last)) for side, first, last in listed]

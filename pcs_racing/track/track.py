@@ -76,7 +76,6 @@ class Track:
     #: SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes,
     #: even if their files differ.
     content_hash: str = ""
-    solid_hash: str = ""  #: ``content_hash`` without the holes in the walls; empty without holes.
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.length:.1f} m, content_hash={self.content_hash[:12]!r})"

@@ -385,7 +385,6 @@ REFUSED = {
     ],
     "track.yaml": [
         ("sead: 5", "unknown 'sead'"),
-        ("holes: [[left, 3]]", r"holes hold \['left', 3\]"),
         ("calibration: 1.0", "calibration must"),
         ("calibration: {contest: {speed_range: [0.5, 1.0]}}", "must have speed_range"),
         (calibration(speeds="[.nan, 1.0]"), "line 1 holds .nan"),
