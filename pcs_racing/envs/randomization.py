@@ -73,8 +73,7 @@ class EpisodeOptions(Settings):
         ANYTHING,
         "Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each"
         ' episode; with "random" each episode is driven on a newly generated circuit, or as'
-        " :class:`pcs_racing.race.random_circuits.RandomCircuits` says. All races of a match are on"
-        " the same circuit.",
+        " :class:`pcs_racing.race.random_circuits.RandomCircuits` says.",
     ] = "Tarnfjord"
     vehicle: Annotated[
         Any,
