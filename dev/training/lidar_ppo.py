@@ -17,6 +17,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -55,10 +56,10 @@ from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
 from pcs_racing import InputError, parse_policy
-from pcs_racing.planners.field.lidar_networks import flat_weights, save_lidar_planner
-from pcs_racing.planners.field.lidar_ppo import LAYERS, SEEN
+from pcs_racing.base.dense import DenseLayers
+from pcs_racing.planners.field.lidar_ppo import SEEN, SIZES, save_lidar_planner
 
-RIVALS = ("pure-pursuit", "residual", "gap-follower", "lattice:early")
+RIVALS = ("pure-pursuit", "gap-follower", "lattice:early")
 FIRST_CHECK = 100_000  # first number of the random circuits of the evaluations
 SPREAD = (0.12, 0.4)  # first standard deviations of the exploration: turn, push
 UNIT = (0.15, 0.4)  # errors of the imitation are counted in these
@@ -69,7 +70,7 @@ class Driver(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in LAYERS)
+        self.layers = nn.ModuleList(nn.Linear(*pair) for pair in pairwise(SIZES))
         for layer in self.layers[:-1]:
             nn.init.orthogonal_(layer.weight, 2.0**0.5)
             nn.init.zeros_(layer.bias)
@@ -197,12 +198,13 @@ class LidarLearner(Learner):
         names = ("kl", "error", "actor", "apart")
         return dict(zip(names, (sums / count).tolist(), strict=True))
 
-    def layers(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return weights and biases of the averaged actor's layers."""
-        return [
-            (one.weight.detach().cpu().numpy().copy(), one.bias.detach().cpu().numpy().copy())
-            for one in self.averaged.layers
-        ]
+    def layers(self) -> DenseLayers:
+        """Return the averaged actor's layers."""
+        weights, biases = (
+            tuple(getattr(one, name).detach().cpu().numpy() for one in self.averaged.layers)
+            for name in ("weight", "bias")
+        )
+        return DenseLayers(weights, biases)
 
 
 @dataclass
@@ -366,7 +368,7 @@ class Run:
 
     def _evaluate(self) -> None:
         a, layers = self.arguments, self.learner.layers()
-        numbers = np.concatenate([[1.0], flat_weights(layers)])
+        numbers = np.concatenate([[1.0], layers.flat()])
         policy = BY_THETA.policy(numbers, "lidar-ppo")
         rows = evaluate(policy, a.rivals, self.checked, a.races, a.threads, a.randomize)
         found, training = merit(rows), about(a, self.learner.choices, self.updates)
@@ -376,7 +378,7 @@ class Run:
             self.best = found
             folders.append(self.folder / "best")
         for folder in folders:
-            save_lidar_planner(folder, "ppo", layers, name="lidar-ppo", training=training)
+            save_lidar_planner(folder, layers, name="lidar-ppo", training=training)
         self._save()
 
     def _save(self) -> None:

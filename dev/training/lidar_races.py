@@ -59,9 +59,8 @@ FAMILIES = {
     "lattice": 5,
     "stanley": 2,
     "spliner": 2,
-    "gap-follower": 3,
+    "gap-follower": 7,
     "disparity-extender": 2,
-    "residual": 4,
 }
 """Families of opponents, with the number of their groups of 40."""
 OF_LINES = ("pure-pursuit", "lattice", "stanley", "spliner")
@@ -290,8 +289,6 @@ def opponents(family: str) -> list[Policy]:
         + [f"gap-follower:top_speed={top}" for top in (3.0, 4.0, 5.0, 6.0)],
         "disparity-extender": ["disparity-extender", "disparity-extender:calm"]
         + [f"disparity-extender:top_speed={top}" for top in (3.0, 4.5)],
-        "residual": ["residual", "residual", "residual:calm", "residual:speed_share=1.05"]
-        + [f"residual:speed_share={share}" for share in (0.6, 0.75)],
     }
     return [parse_policy(text) for text in texts[family]]
 

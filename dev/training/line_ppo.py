@@ -78,7 +78,6 @@ RIVALS = (
     "iterated-best-response",
     "pure-pursuit",
     "gap-follower",
-    "residual",
 )
 DEFAULT_STYLE = [one.default for one in PARAMETERS]
 

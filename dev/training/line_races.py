@@ -69,9 +69,8 @@ FAMILIES = {
     "spliner": 2,
     "stanley": 1,
     "pure-pursuit": 2,
-    "gap-follower": 4,
+    "gap-follower": 6,
     "disparity-extender": 2,
-    "residual": 2,
 }
 """Families of opponents, with the number of their groups of 42."""
 EXTRA = 3 + len(FAMILIES)  # features of the critic: time left, lead twice, family

@@ -6,7 +6,7 @@ from pathlib import Path
 from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import MAX_YAML, read_limited
-from pcs_racing.planners.field.lidar_networks import LIDAR_FORMAT, load_lidar_planner
+from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT, load_lidar_planner
 from pcs_racing.planners.line_ppo import LINE_FORMAT, load_line_planner
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.trained import PLANNER_FORMAT, load_trained

@@ -12,7 +12,7 @@ from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.envs.drive_options import drive_elements
 from pcs_racing.envs.models import ModelDriver, model_policy
-from pcs_racing.planners.field.lidar_networks import LIDAR_FORMAT
+from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT
 from pcs_racing.planners.learned import folder_format, is_planner_folder
 from pcs_racing.planners.line_ppo import LINE_FORMAT
 from pcs_racing.planners.planner import Policy
@@ -39,8 +39,8 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
     """Write the network of a policy, a planner or an agent as an ONNX file, and return its path.
 
     The command of a policy or planner is a steering angle (rad) and a speed (m/s); planners drive
-    the F1TENTH car. The file of ``line-ppo`` chooses a candidate of its lattice, ``residual``
-    corrects its potential field, and an agent makes a move.
+    the F1TENTH car. The file of ``line-ppo`` chooses a candidate of its lattice, and an agent
+    makes a move.
 
     Parameters
     ----------

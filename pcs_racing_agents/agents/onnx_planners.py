@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.car.tyres import GRAVITY
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.planners.field import lidar_ppo, residual
-from pcs_racing.planners.field.lidar_networks import read_lidar_planner
+from pcs_racing.planners.field import lidar_ppo
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
@@ -70,25 +69,11 @@ def trained_graph(folder: Path) -> OnnxGraph:
 
 
 def lidar_graph(folder: Path) -> OnnxGraph:
-    """Return the network of a lidar planner: an arc from ranges, or a correction."""
-    name, network, flat = read_lidar_planner(folder)
+    """Return the network of a lidar planner, from ranges to an arc as `lidar_ppo.plan_by`, and the
+    arc's command.
+    """
+    name, layers = lidar_ppo.read_lidar_planner(folder)
     graph = OnnxGraph(name, PERIOD)
-    (_add_lidar_ppo if network == "ppo" else _add_residual)(graph, flat)
-    return graph
-
-
-def _add_residual(graph: OnnxGraph, flat: NDArray[np.float64]) -> None:
-    sector = f"2 sqrt(r / {MAX_RANGE:g}) - 1 of the min range r (m), from right to left"
-    own = ["speed / 8 m/s", "yaw rate / 4 rad/s", "steering angle / max"]
-    field = ["field's steering angle / max", "field's speed / 8 m/s"]
-    inputs = [{"name": one} for one in (*[sector] * residual.SECTORS, *own, *field)]
-    x = graph.input("observation", residual.SEEN, about=inputs)
-    x = graph.layers(x, _layers(flat, residual.LAYERS), "Tanh", "Tanh")
-    graph.output("correction", x * [residual.STEERING, residual.SPEED], 2, about=COMMAND)
-
-
-def _add_lidar_ppo(graph: OnnxGraph, flat: NDArray[np.float64]) -> None:
-    """Add the planner from ranges to an arc, as `lidar_ppo.plan_by`, and the arc's command."""
     angle, size, sectors = 0.5 * FIELD_OF_VIEW, lidar_ppo.MEMORY, lidar_ppo.SECTORS
     beams = {"beams": BEAMS, "angle_min": -angle, "angle_max": angle, "max_range": MAX_RANGE}
     ranges = graph.input("ranges", BEAMS, about={"unit": "m", **beams})
@@ -105,11 +90,12 @@ def _add_lidar_ppo(graph: OnnxGraph, flat: NDArray[np.float64]) -> None:
     change = ((both - before) * lidar_ppo.CHANGE).clip(-1.0, 1.0)
     scaled = own / [8.0, 4.0, F1TENTH.steer_max]
     x = graph.add("Concat", now, change, scaled, memory[1:3], axis=1)
-    x = graph.layers(x, _layers(flat, lidar_ppo.LAYERS), "Relu", "Tanh")
+    x = graph.layers(x, layers, "Relu", "Tanh")
     kept = memory[0:1] * 0.0 + 1.0, x, now, before[0:sectors]
     graph.output("next_memory", graph.add("Concat", *kept, axis=1), size)
     graph.about |= {"state": {"memory": "next_memory"}, "vehicle": CAR}
     _add_command(graph, own[0:1], x[0:1], x[1:2])
+    return graph
 
 
 def _add_command(graph: OnnxGraph, v: Value, turn: Value, push: Value) -> None:

@@ -61,9 +61,8 @@ def race_rules(
     """Race all entrants under some rules, and return the lines of the table."""
     spec = races.spec_of(rules)
     planners = entrants.planner_entrants(entrants.read_tuned(out, size), size)
-    first = rules == races.RULES[0]
-    agents = entrants.agent_entrants(spec) if first else []
-    every = [one for one in planners if first or one.divisor == 1] + agents
+    agents = entrants.agent_entrants(spec) if rules == races.RULES[0] else []
+    every = planners + agents
     opponents = [entrants.Entrant(name, "default", name) for name in races.OPPONENTS]
     heats, number = spec.config.race_rules.heats, size.races[rules]
     settings = {"seed": entrants.SEED, "races": number, "tracks": races.hashes(tracks)}

@@ -12,7 +12,7 @@ from pcs_racing.race.races import run_races
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.tables import read_csv
 from studies.field.entrants import AGENTS, POOL, Entrant, Size, tunable, tuning_races
-from studies.field.races import ARCHIVE, OPPONENTS, race_count
+from studies.field.races import ARCHIVE, OPPONENTS
 
 REPEATS, RACES = 3, 2
 
@@ -48,8 +48,7 @@ def minutes(
         total = 0.0
         for one in entrants:
             count = 1 + (one.name in tunable(size))  # a default and a tuned policy
-            raced = 0 if one.divisor > 1 and rules != "contest" else race_count(races, one)
-            total += count * raced * (costs[one.text] + opponents)
+            total += count * races * (costs[one.text] + opponents)
         if rules == "contest":
             total += len(AGENTS) * ((agent + opponents) * races + 2.0 * agent * size.title / 5)
         found[rules] = total * (len(OPPONENTS) + 1) * circuits

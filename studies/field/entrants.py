@@ -26,8 +26,6 @@ SAME = ("line-ppo-robust",)
 """Planners that are another planner of the table with other weights, trained for other cars."""
 PAPER = "lattice:early"
 """Lattice planner with the parameters of the paper; ``lattice`` is tuned by a full search."""
-FEWER = {"mpcc": 25}
-"""Planners that are not tuned and race a part of the races, by the divisor: a plan costs 4 ms."""
 AGENTS = ("cfr-argmax", "response", "best-fixed", "never-switch", "ppo")
 """Agents of the archive; an agent without a shipped network or fit is left out."""
 POOL = ("lattice", PAPER, "iterated-best-response", "gap-follower")
@@ -65,11 +63,6 @@ class Entrant(NamedTuple):
         """Name in races and tables."""
         return f"{self.name}, tuned" if self.kind == "tuned" else self.name
 
-    @property
-    def divisor(self) -> int:
-        """Divisor of the number of races."""
-        return FEWER.get(self.name, 1)
-
     def competitor(self, spec: GameSpec) -> Competitor:
         """Return the agent or policy."""
         if self.kind == "agent":
@@ -84,11 +77,9 @@ def default_texts(size: Size) -> dict[str, str]:
 
 
 def tunable(size: Size) -> list[str]:
-    """Return the planners with enough parameters to tune that are not too expensive."""
+    """Return the planners with enough parameters to tune."""
     return [
-        name
-        for name in default_texts(size)
-        if len(get_planner(name).parameters) >= MIN_PARAMETERS and name not in FEWER
+        name for name in default_texts(size) if len(get_planner(name).parameters) >= MIN_PARAMETERS
     ]
 
 

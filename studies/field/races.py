@@ -60,11 +60,6 @@ def spec_of(rules: str) -> GameSpec:
     return make_game_spec(ARCHIVE, game_rules(load_race_config(rules)))
 
 
-def race_count(races: int, entrant: Entrant) -> int:
-    """Return the number of races of an entrant against an opponent on a circuit, an even number."""
-    return max(2, races // entrant.divisor // 2 * 2)
-
-
 def play_all(
     spec: GameSpec,
     tracks: Tracks,
@@ -80,11 +75,9 @@ def play_all(
     cars = {one: one.competitor(spec) for one in (*entrants, *opponents)}
     for kind, track in [(kind, track) for kind, several in tracks.items() for track in several]:
         game = RaceGame(track, spec.archive, spec.config)
-        counts = {race_count(races, one) for one in entrants}
-        schedules = {n: draw_schedule(track, spec.config.race_rules, n, SEED) for n in counts}
+        schedule = draw_schedule(track, spec.config.race_rules, races, SEED)
         for opponent in opponents:
             for one in entrants:
-                schedule = schedules[race_count(races, one)]
                 pairing = schedule_pairing(game, cars[one], cars[opponent], schedule, SEED)
                 pairings.append(pairing)
                 keys.append((kind, one.label, opponent.label))

@@ -13,7 +13,7 @@ from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.car.vehicle import F1TENTH, MU, STEER_DELAY
 from pcs_racing.envs.draws import load_randomization
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.field.lidar_networks import read_lidar_planner
+from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
 from pcs_racing.planners.line_ppo import read_line_planner
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
@@ -223,7 +223,7 @@ def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
         "lidar_ppo.py", *size, rival="pure-pursuit", folder=tmp_path
     )
     assert whole["choices"] == parts["choices"] > 0
-    assert read_lidar_planner(tmp_path / "whole" / "last")[:2] == ("lidar-ppo", "ppo")
+    assert read_lidar_planner(tmp_path / "whole" / "last")[0] == "lidar-ppo"
 
 
 def test_ppo_against_cfr(tmp_path):

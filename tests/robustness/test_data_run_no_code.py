@@ -36,7 +36,7 @@ from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.f1tenth.maps import load_map
 from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
-from pcs_racing.planners.field.lidar_networks import load_lidar_planner
+from pcs_racing.planners.field.lidar_ppo import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig

@@ -19,18 +19,38 @@ References
    for image-based robot learning", RSS 2018, arXiv:1710.06542.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.compilation import compiled, identified
-from pcs_racing.base.dense import dense_forward, weight_count
+from pcs_racing.base.dense import (
+    DenseLayers,
+    dense_forward,
+    layers_from_bytes,
+    layers_to_bytes,
+    weight_count,
+)
 from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.errors import InputError
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter
+from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import steady_course
-from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan, use_odometry, write_arc
+from pcs_racing.planners.scanning import (
+    BEAMS,
+    MAX_RANGE,
+    SCAN_SIZE,
+    follow_scan,
+    scan,
+    use_odometry,
+    write_arc,
+)
+from pcs_racing.planners.trained import PLANNER_FORMAT
 
 EDGES = np.concatenate([np.arange(0, 90, 6), np.arange(90, 180, 2), np.arange(180, 271, 6)])
 """First beam of each sector, from right to left, and the end of the last one."""
@@ -39,8 +59,8 @@ FRAMES = 3  # scans: the present scan and two before, 0.1 s apart
 OWN = 5  # speed, yaw rate, steering angle, last command
 SEEN = FRAMES * SECTORS + OWN  # inputs
 WIDTH = 128
-SIZES = (SEEN, WIDTH, WIDTH, 2)
-LAYERS = ((SEEN, WIDTH), (WIDTH, WIDTH), (WIDTH, 2))  # ReLU, ReLU, tanh
+SIZES = (SEEN, WIDTH, WIDTH, 2)  # ReLU, ReLU, tanh
+MAX_WEIGHT = 100.0
 WEIGHTS = weight_count(SIZES)
 MEMORY = 3 + (FRAMES - 1) * SECTORS  # 1 after the first scan, last command, earlier scans
 SCRATCH = SCAN_SIZE + 2 * SEEN
@@ -137,3 +157,73 @@ def frozen_plan(frozen: bytes) -> Any:
         plan_by(constant, track, theta[0], view, memory, scratch, path)
 
     return identified(plan, frozen)
+
+
+# Folders
+
+LIDAR_FORMAT = replace(
+    PLANNER_FORMAT,
+    noun="lidar driver",
+    keys=("name", "beams", "training", "weights_sha256"),
+    writer="save_lidar_planner",
+)
+
+
+def save_lidar_planner(
+    folder: str | Path, layers: DenseLayers, *, name: str, training: Mapping[str, Any]
+) -> Path:
+    """Save a lidar planner in a folder, created if missing.
+
+    ``training`` describes the training: texts and numbers by name.
+    """
+    _check_layers(folder, layers)
+    fields = {"name": name, "beams": BEAMS, "training": dict(training)}
+    return LIDAR_FORMAT.save(folder, fields, layers_to_bytes(layers))
+
+
+def read_lidar_planner(source: str | Path) -> tuple[str, DenseLayers]:
+    """Return the name and network of a lidar planner, from its shipped name or its folder."""
+    folder = LIDAR_FORMAT.find(source)
+    fields, content = LIDAR_FORMAT.load(folder)
+    layers, _ = layers_from_bytes(folder / LIDAR_FORMAT.data_file, content, list(SIZES[1:-1]))
+    _check_layers(folder, layers)
+    if (
+        not isinstance(fields["name"], str)
+        or fields["beams"] != BEAMS
+        or not isinstance(fields["training"], dict)
+    ):
+        raise InputError(
+            f"{folder / MANIFEST}: name must be a text, beams {BEAMS} and training a mapping"
+        )
+    return fields["name"], layers
+
+
+def load_lidar_planner(source: str | Path) -> Planner:
+    """Return a lidar planner; source and errors as for :func:`read_lidar_planner`."""
+    name, layers = read_lidar_planner(source)
+    return Planner(
+        name=name,
+        parameters=PARAMETERS,
+        plan=frozen_plan(layers.flat().astype(np.float64).tobytes()),
+        control=follow_scan,
+        memory_size=MEMORY,
+        scratch_size=SCRATCH,
+        variants=VARIANTS,
+    )
+
+
+def _check_layers(folder: str | Path, layers: DenseLayers) -> None:
+    largest = np.abs(layers.flat()).max()
+    if layers.sizes != SIZES or largest > MAX_WEIGHT:
+        raise InputError(
+            f"{folder}: the network has sizes {layers.sizes} and weights up to {largest:g}; a lidar"
+            f" planner's has sizes {SIZES} and weights up to {MAX_WEIGHT:g}"
+        )
+
+
+def __getattr__(name: str) -> Any:
+    """Return ``LIDAR_PPO``, the shipped planner, loaded at first use."""
+    if name != "LIDAR_PPO":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    globals()[name] = load_lidar_planner("lidar-ppo")
+    return globals()[name]

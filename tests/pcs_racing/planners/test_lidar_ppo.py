@@ -1,10 +1,15 @@
-"""The lidar planner that PPO trained: what its network sees, and how its command is driven."""
+"""The lidar planner that PPO trained: what its network sees, how its command is driven, and its
+folders.
+"""
 
 import numpy as np
 import pytest
+import yaml
 from random_layers import random_layers
+from refusal import refused
 
-from pcs_racing.planners.field import lidar_networks as networks
+from pcs_racing.base.dense import DenseLayers
+from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners.field import lidar_ppo
 from pcs_racing.planners.field.lidar_ppo import (
     CHANGE,
@@ -14,6 +19,10 @@ from pcs_racing.planners.field.lidar_ppo import (
     SCRATCH,
     SECTORS,
     SEEN,
+    SIZES,
+    load_lidar_planner,
+    read_lidar_planner,
+    save_lidar_planner,
 )
 from pcs_racing.planners.scanning import BEAMS, MAX_RANGE, SCAN_SIZE, scan
 from pcs_racing.planners.view import OWN_PSI_DOT, OWN_V, PATH_POINTS
@@ -61,10 +70,10 @@ def test_a_car_at_half_its_speed_commands_half_of_what_it_would_at_full_speed(ov
 
 
 def test_the_plan_is_the_network(oval, view_at):
-    layers = [random_layers(*sizes, seed=i) for i, sizes in enumerate(networks.LAYERS["ppo"])]
-    pairs = [(layer.weights[0], layer.biases[0]) for layer in layers]
+    layers = random_layers(*SIZES)
+    pairs = list(zip(layers.weights, layers.biases, strict=True))
     view, path, memory = view_at(oval, 3.0, speed=4.0), np.zeros((PATH_POINTS, 4)), np.zeros(MEMORY)
-    plan = lidar_ppo.frozen_plan(networks.flat_weights(pairs).tobytes())
+    plan = lidar_ppo.frozen_plan(layers.flat().astype(np.float64).tobytes())
     plan(oval.arrays, np.ones(1), view, memory, np.zeros(SCRATCH), path)
     x = seen_from(oval, view, np.zeros(MEMORY))
     for weight, bias in pairs[:2]:
@@ -74,3 +83,46 @@ def test_the_plan_is_the_network(oval, view_at):
     assert path[0, 2:] == pytest.approx(
         [max(view[OWN_V] + push, 0.5), turn * lidar_ppo.max_curvature(view[OWN_V])], rel=1e-6
     )
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return save_lidar_planner(
+        tmp_path / "mine", random_layers(*SIZES), name="mine", training={"rounds": 7}
+    )
+
+
+def test_what_is_written_is_read(folder):
+    name, layers = read_lidar_planner(folder)
+    assert name == "mine"
+    np.testing.assert_array_equal(layers.flat(), random_layers(*SIZES).flat())
+    planner = load_lidar_planner(folder)
+    assert planner.plan is load_lidar_planner(folder).plan  # compiled once
+    assert planner.parameter_names == ("speed_share",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": "pcs-racing driver"}, "no manifest of a lidar driver"),
+        ({"beams": 108}, "beams 271"),
+        ({"name": 3}, "name must be a text"),
+        ({"training": "long"}, "training a mapping"),
+    ],
+)
+def test_manifests_that_do_not_fit_are_refused(folder, changes, message):
+    file = folder / "manifest.yaml"
+    file.write_text(yaml.safe_dump({**yaml.safe_load(file.read_text()), **changes}))
+    refused(message, load_lidar_planner, folder)
+
+
+def test_networks_that_do_not_fit_are_refused(tmp_path):
+    layers = random_layers(*SIZES)
+    large = DenseLayers(layers.weights, (*layers.biases[:-1], np.array([0.0, 101.0])))
+    for wrong, said in (
+        (large, "weights up to 101"),
+        (random_layers(SEEN, 2), r"sizes \(230, 2\)"),
+    ):
+        refused(said, save_lidar_planner, tmp_path / "x", wrong, name="x", training={})
+    assert not (tmp_path / "x").exists()
+    refused("unknown lidar driver 'nobody'", load_lidar_planner, "nobody", error=UnknownNameError)

@@ -13,8 +13,6 @@ from pcs_racing.base.dense import dense_forward
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs import DriveEnv, DuelEnv, PolicyOnCar
 from pcs_racing.planners import PATH_KAPPA, PATH_SPEED, VIEW, Lidar
-from pcs_racing.planners.field import residual
-from pcs_racing.planners.field.lidar_networks import read_lidar_planner
 from pcs_racing.planners.lattice import GOALS, SPEEDS
 from pcs_racing.planners.line_ppo import (
     FIRST,
@@ -82,15 +80,6 @@ def test_a_trained_planner(tmp_path, rng):
     assert [one["name"] for one in network.about["inputs"]["observation"]] == fields["inputs"]
     assert network.about["period"] == 0.04
     assert [one["unit"] for one in network.about["outputs"]["command"]] == ["rad", "m/s"]
-
-
-def test_a_correction(tmp_path, rng):
-    network, rows = opened("residual", tmp_path), rng.normal(size=(50, residual.SEEN))
-    _, _, flat = read_lidar_planner("residual")
-    own = forward(flat, (residual.SEEN, 64, 64, 2), rows)
-    close(
-        network.outputs(observation=rows)["correction"], own * [residual.STEERING, residual.SPEED]
-    )
 
 
 def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng):
@@ -246,18 +235,18 @@ def test_a_policy_of_moves(tmp_path, rng, sb3):
 
 
 def test_the_command_writes_a_file_and_refuses_early(tmp_path, capsys):
-    file = tmp_path / "residual.onnx"
-    assert main(["export", "residual", "--out", str(file)]) == 0
+    file = tmp_path / "line.onnx"
+    assert main(["export", "line-ppo", "--out", str(file)]) == 0
     assert capsys.readouterr().out == f"written: {file}\n"
     for words, said in {
-        f"export residual --out {tmp_path / 'file.zip'}": "its name must end in .onnx",
+        f"export line-ppo --out {tmp_path / 'file.zip'}": "its name must end in .onnx",
         f"export line-pp --out {file}": "there is no network 'line-pp'; did you mean 'line-ppo'?",
         f"export lattice --out {file}": "there is no network 'lattice'",
         f"export {tmp_path / 'model.zip'} --out {file}": "model.zip",
     }.items():
         assert main(words.split()) == 2
         assert said in capsys.readouterr().err
-    assert [one.name for one in tmp_path.iterdir()] == ["residual.onnx"]
+    assert [one.name for one in tmp_path.iterdir()] == ["line.onnx"]
 
 
 def test_what_has_no_network_is_refused(tmp_path):
