@@ -9,7 +9,6 @@ from pathlib import Path
 INK, LINE, PAPER = "#1f2933", "#52606d", "#ffffff"
 FLOORS = [
     ("agents", "cli/", "the commands of pcs-racing"),
-    ("agents", "benchmark/", "a fixed protocol, score cards, a leaderboard"),
     ("agents", "study/", "the paper's study: stages, table, report"),
     ("agents", "watch/", "races to watch; why an agent made a move"),
     ("agents", "learning/", "PPO, responses, PSRO, self-play"),

@@ -2,8 +2,8 @@
 
 The environments' pages are the docstrings of their classes; changelog, contribution guide,
 archives, planners and networks are files that live elsewhere in the repository; the reference is
-made of all public modules; circuits, gallery, zoo and leaderboard are made of data files. All of
-them are written to ``docs/generated``, which git ignores, whenever the site is built.
+made of all public modules; circuits, gallery and zoo are made of data files. All of them are
+written to ``docs/generated``, which git ignores, whenever the site is built.
 """
 
 import ast
@@ -73,7 +73,6 @@ REFERENCE = {
     "pcs_racing_agents.learning.ppo": "PPO baselines",
     "pcs_racing_agents.learning.responses": "Responses learned from branched games",
     "pcs_racing_agents.study": "The study",
-    "pcs_racing_agents.benchmark": "The benchmark",
     "pcs_racing_agents.watch": "Explanations and the race viewer",
 }
 """Packages with a page of the reference each: their own modules, not those of packages inside them.
@@ -157,24 +156,16 @@ def _numpydoc_section(heading: str, body: str) -> str:
 
 
 def pages_of_data() -> dict[str, str]:
-    """Return the pages of circuits, gallery and zoo, and the leaderboard as a table and as a page
-    with bars.
-    """
-    from pcs_racing_agents.base.tables import markdown
-    from pcs_racing_agents.benchmark.card import board_page, board_rows, read_cards
-
+    """Return the pages of circuits, gallery and zoo."""
     if str(REPOSITORY / "dev" / "tools") not in sys.path:
         sys.path.append(str(REPOSITORY / "dev" / "tools"))
     circuits, gallery, zoo = (
         importlib.import_module(name) for name in ("circuits_page", "gallery", "zoo_page")
     )
-    cards = read_cards([REPOSITORY / "studies" / "bench_v3"])
     return {
         "circuits.md": circuits.circuits_page(),
         "gallery.md": gallery.gallery_page(),
         "zoo.md": zoo.zoo_page(),
-        "leaderboard.txt": "\n".join(markdown(board_rows(cards))) + "\n",
-        "leaderboard.html": board_page(cards),
     }
 
 

@@ -1,11 +1,10 @@
-r"""Train self-play PPO in one file, in the style of CleanRL, and enter the benchmark.
+"""Train self-play PPO in one file, in the style of CleanRL, and race it by a protocol.
 
     python examples/cleanrl_self_play.py
-    pcs-racing benchmark card examples.cleanrl_self_play:make_agent \
-        --weights out/cleanrl/actor.safetensors --out out/card
+    pcs-racing tournament --protocol bench-v4 --agents examples.cleanrl_self_play:make_agent
 
 One network moves both cars of every game and learns from both sides, on the training tracks of the
-benchmark. Run the second command in the folder that contains ``examples``. Tested with torch
+protocol. Run the second command in the folder that contains ``examples``. Tested with torch
 2.13.0.
 """
 
@@ -22,6 +21,7 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f'this example needs {error.name}: pip install ".[learning]"') from None
 
+OUT = Path("out/cleanrl")
 ENVS, ROLLOUT, EPOCHS, MINIBATCH = 64, 16, 8, 256
 GAE_LAMBDA, CLIP, ENTROPY, LEARNING_RATE = 0.95, 0.2, 0.02, 1e-3
 # A game has four moves and one reward at its end: no discount.
@@ -37,12 +37,12 @@ def network(inputs: int, outputs: int, gain: float) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-def make_agent(spec, weights):
-    """Return the trained agent; the benchmark calls this function."""
+def make_agent(spec):
+    """Return the trained agent; the tournament calls this function."""
     from pcs_racing_agents.agents import TorchPolicy
 
     actor = network(len(spec.elements), spec.offered, 0.01)
-    load_model(actor, weights)
+    load_model(actor, OUT / "actor.safetensors")
     return TorchPolicy(actor, "cleanrl-self-play")
 
 
@@ -54,14 +54,11 @@ def main() -> None:
         "--steps", type=int, default=60_000, help="training moves of both cars together"
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/cleanrl"), help="folder of actor.safetensors"
-    )
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
+    OUT.mkdir(parents=True, exist_ok=True)
     torch.manual_seed(given.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-    # of the benchmark
+    # of the protocol
     game = {"track": ["Brackwater", "Pipkin"], "archive": "contest", "race": "contest"}
     envs = SelfPlayVectorEnv(ENVS, autoreset_mode="SAME_STEP", **game)
     size, moves = envs.single_observation_space.shape[0], int(envs.single_action_space.n)
@@ -120,8 +117,8 @@ def main() -> None:
             with torch.no_grad():
                 entropy = Categorical(logits=actor(flat[0])).entropy().mean()
             print(f"{(update + 1) * ENVS * ROLLOUT:8d} moves: entropy {entropy:.3f}", flush=True)
-    save_model(actor, str(given.out / "actor.safetensors"))
-    print(given.out / "actor.safetensors")
+    save_model(actor, str(OUT / "actor.safetensors"))
+    print(OUT / "actor.safetensors")
 
 
 if __name__ == "__main__":

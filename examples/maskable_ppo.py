@@ -1,12 +1,11 @@
-r"""Train MaskablePPO of sb3-contrib, and enter it in the benchmark.
+"""Train MaskablePPO of sb3-contrib, and race it by a protocol.
 
     python examples/maskable_ppo.py
-    pcs-racing benchmark card examples.maskable_ppo:make_agent \
-        --weights out/maskable_ppo/model.zip --out out/cards/maskable
+    pcs-racing tournament --protocol bench-v4 --agents examples.maskable_ppo:make_agent
 
 Two moves that lead to the same policy are one choice: the training masks the second one, and a race
 computes the mask from the observation. The training uses the tracks and opponents that the
-benchmark allows. Run the second command in the folder that contains ``examples``. Tested with
+protocol allows. Run the second command in the folder that contains ``examples``. Tested with
 sb3-contrib 2.9.2.
 """
 
@@ -30,12 +29,13 @@ except ModuleNotFoundError as error:
         f'this example needs {error.name}: pip install ".[learning]" sb3-contrib'
     ) from None
 
+OUT = Path("out/maskable_ppo")
 WORLD = {"archive": "contest", "race": "contest"}
-"""Archive and rules of the benchmark."""
+"""Archive and rules of the protocol."""
 TRACKS = ["Brackwater", "Pipkin"]
-"""Training tracks of the benchmark."""
+"""Training tracks of the protocol."""
 OPPONENTS = ["never-switch", "random-moves"]
-"""Training opponents of the benchmark: one keeps its policy, one draws every move."""
+"""Training opponents of the protocol: one keeps its policy, one draws every move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +55,9 @@ class MaskedAgent:
         return self.policy.predict(observations, deterministic=True, action_masks=masks)[0]
 
 
-def make_agent(spec: GameSpec, weights: Path) -> MaskedAgent:
-    """What the benchmark calls."""
-    return MaskedAgent(MaskablePPO.load(weights, device="cpu").policy, spec)
+def make_agent(spec: GameSpec) -> MaskedAgent:
+    """Return the trained agent; the tournament calls this function."""
+    return MaskedAgent(MaskablePPO.load(OUT / "model.zip", device="cpu").policy, spec)
 
 
 def main() -> None:
@@ -66,12 +66,9 @@ def main() -> None:
     )
     parser.add_argument("--steps", type=int, default=60_000, help="training moves")
     parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/maskable_ppo"), help="folder of model.zip"
-    )
     given = parser.parse_args()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-    given.out.mkdir(parents=True, exist_ok=True)
+    OUT.mkdir(parents=True, exist_ok=True)
     envs = make_sb3_vec_env("duel", 64, track=TRACKS, opponent=OPPONENTS, **WORLD)
     model = MaskablePPO(
         "MlpPolicy",
@@ -90,8 +87,8 @@ def main() -> None:
     model.learn(given.steps)
     games = [episode["r"] for episode in model.ep_info_buffer]
     print(f"mean return of the last {len(games)} training games: {np.mean(games):+.3f}")
-    model.save(given.out / "model.zip")
-    print(given.out / "model.zip")
+    model.save(OUT / "model.zip")
+    print(OUT / "model.zip")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 The folders in the order of the method: ``policies`` (search of archives), ``trees``, ``solvers``,
 ``networks``, ``agents``, ``learning``, ``tournament``. The other folders serve it: ``study``,
-``benchmark``, ``watch``, ``base`` and ``cli``.
+``watch``, ``base`` and ``cli``.
 
 Examples
 --------

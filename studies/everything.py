@@ -20,6 +20,13 @@ REACTING = 1, 3
 REAL = "Austin", "Monza"
 """Real circuits added to the tests of the contest."""
 
+ENTRANTS = (
+    *("never-switch", "random-moves", "best-fixed", "best-schedule", "best-lead-plan"),
+    *("cfr-argmax", "cfr-regret-matching", "response", "ppo", "psro", "self-play"),
+    *("line-ppo", "lidar-ppo", "lattice", "iterated-best-response", "gap-follower"),
+)
+"""Agents and planners raced by the shipped protocol."""
+
 
 class Step(NamedTuple):
     """A command that writes into a folder of its own."""
@@ -40,7 +47,7 @@ def steps(maps: Path, out: Path, small: bool) -> list[Step]:
         paper,
         *(contest_step(seed, maps, out, small) for seed in seeds),
         *table_steps(seeds, maps, out, small),
-        *benchmark_steps(out, small),
+        protocol_step(small),
     ]
 
 
@@ -81,14 +88,11 @@ def table_steps(seeds: Sequence[int], maps: Path, out: Path, small: bool) -> lis
     ]
 
 
-def benchmark_steps(out: Path, small: bool) -> list[Step]:
-    """Return the score cards, in the small run of two agents, and the leaderboard."""
-    cards = Step("cards", ("dev/tools/cards.py",), (), "spliner/card.json", parallel=False)
-    if small:
-        few = "never-switch", "random-moves"
-        cards = Step("cards", GAME, ("benchmark", "card", *few), f"{few[-1]}/card.json")
-    board = ("benchmark", "leaderboard", str(out / "cards"))
-    return [cards, Step("leaderboard", GAME, board, "leaderboard.html", parallel=False)]
+def protocol_step(small: bool) -> Step:
+    """Return the races by the shipped protocol, in the small run of two agents."""
+    agents = ENTRANTS[:2] if small else ENTRANTS
+    given = ("tournament", "--protocol", "bench-v4", "--agents", *agents)
+    return Step("protocol", GAME, given, "results.csv")
 
 
 def run_steps(chosen: Sequence[Step], out: Path, workers: Sequence[str]) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 import pcs_racing_agents
 from pcs_racing.base.settings import DIFFERENT, Settings, options_of
 from pcs_racing.race.config import PRESETS, RaceConfig
-from pcs_racing_agents.benchmark.protocol import ProtocolConfig
 from pcs_racing_agents.learning.ppo.settings import LEVELS
 from pcs_racing_agents.learning.psro import PSROSettings
 from pcs_racing_agents.learning.responses.learner import ResponseSettings
@@ -20,6 +19,7 @@ from pcs_racing_agents.learning.self_play import SelfPlaySettings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.policies.config import ArchiveConfig
 from pcs_racing_agents.study.config import StudyConfig
+from pcs_racing_agents.tournament.protocol import ProtocolConfig
 
 FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
 KINDS: dict[str, type[Settings]] = {

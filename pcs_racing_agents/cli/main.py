@@ -28,7 +28,7 @@ FILES = {
     "race": ("race", "simulate one race between two or more policies"),
     "tournament": (
         "tournament",
-        "race every pair of agents and policies, and print a table",
+        "race every pair of agents and policies, or all by a protocol, and print a table",
     ),
     "track": ("track", "list, show, import, generate and calibrate circuits"),
     "agents": (
@@ -49,7 +49,6 @@ FILES = {
         "headroom",
         "race all pairs of an archive's policies, and print the value of knowing the opponent",
     ),
-    "benchmark": ("benchmark", "race agents by a fixed protocol, and rank their score cards"),
     "tree": (
         "trees",
         "build game trees: simulate all moves of both players, for pairs of starting policies",

@@ -1,13 +1,14 @@
-"""``pcs-racing tournament``: race all pairs of competitors; table, results and payoff matrix."""
+"""``pcs-racing tournament``: races of competitors; table, results and payoff matrix."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.own_code import parse_own_policy
-from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.jobs import Job, open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
@@ -22,6 +23,12 @@ from pcs_racing_agents.cli.options import (
     can_draw,
 )
 
+if TYPE_CHECKING:
+    from pcs_racing_agents.tournament import Protocol, TournamentPlan
+    from pcs_racing_agents.tournament.play import Entrant
+
+RACES = 20
+
 
 @command(
     "tournament",
@@ -30,6 +37,7 @@ from pcs_racing_agents.cli.options import (
     " --races 40",
     "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --rules contest --out"
     " out/mine",
+    "pcs-racing tournament --protocol bench-v4 --agents best-fixed model.zip --out out/bench",
 )
 def run(
     *,
@@ -39,9 +47,16 @@ def run(
         Option(f"agent or planner: {AGENT_HELP}", "AGENT"),
     ] = (),
     policies: Annotated[Sequence[str], Option(POLICY_HELP, "POLICY")] = (),
+    protocol: Annotated[
+        str | None,
+        Option(
+            "protocol (bench-v4 or a YAML file): fixed opponents, tracks, rules, races and seed",
+            "P",
+        ),
+    ] = None,
     rules: Rules,
     archive: ArchiveName = None,
-    races: Annotated[int, Option("number of races of each pair on each track, even")] = 20,
+    races: Annotated[int, Option("number of races of each pair on each track, even")] = RACES,
     out: Annotated[
         Path | None,
         Option(
@@ -51,41 +66,70 @@ def run(
     ] = None,
     workers: Workers,
 ) -> None:
-    """Race every pair of agents and policies, and print a table."""
+    """Race every pair of agents and policies, or all by a protocol, and print a table."""
     from pcs_racing_agents.tournament import (
+        load_protocol,
         plan_tournament,
         play_plan,
-        tournament_settings,
+        play_protocol,
+        protocol_text,
         tournament_text,
         write_results,
     )
 
-    if len(agents) + len(policies) < 2:
+    if len(agents) + len(policies) < (2 if protocol is None else 1):
         raise InputError(
-            "a tournament needs at least 2 competitors: name them after --agents or --policies"
+            "a tournament needs at least 2 competitors, by a protocol 1: name them after --agents"
+            " or --policies"
         )
-    config = rules.config()
-    plan = plan_tournament(
-        [load_track(name) for name in track],
-        [*agents, *(parse_own_policy(text) for text in policies)],
-        config,
-        archive=archive_for(archive, config),
-        races_per_pair=races,
-        seed=rules.seed,
-        code=True,
-    )
-    with workers.start() as executor:
-        if out is None:
-            print(tournament_text(play_plan(plan, executor=executor, progress=show_progress())))
-            return
-        # The table is printed within the job, which locks the folder against other writers.
-        with open_job(out, "tournament", tournament_settings(plan)) as job:
+    entrants: list[Entrant] = [*agents, *(parse_own_policy(text) for text in policies)]
+    fixed = None
+    if protocol is None:
+        config = rules.config()
+        plan = plan_tournament(
+            [load_track(name) for name in track],
+            entrants,
+            config,
+            archive=archive_for(archive, config),
+            races_per_pair=races,
+            seed=rules.seed,
+            code=True,
+        )
+    elif (*track, rules, archive, races) != (DEFAULT_TRACK, Rules(), None, RACES):
+        raise InputError(
+            "a protocol fixes tracks, rules, duration, seed, archive and races: leave these"
+            " options out, or write your own protocol"
+        )
+    else:
+        fixed = load_protocol(protocol, entrants)
+        plan = fixed.plan
+    # The table is printed within the job, which locks the folder against other writers.
+    with workers.start() as executor, _job(out, plan, fixed) as job:
+        if fixed is not None:
+            table = play_protocol(fixed, job=job, executor=executor, progress=show_progress())
+            print(protocol_text(fixed, table))
+        else:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
+            table = tournament.races
             print(tournament_text(tournament))
-            print(f"results: {write_results(tournament.races, out / 'results.csv')}")
-            if can_draw("the payoff matrix"):
-                from pcs_racing_agents.base.style import save_picture
-                from pcs_racing_agents.tournament.table import payoffs_picture
+        if out is None:
+            return
+        print(f"results: {write_results(table, out / 'results.csv')}")
+        if fixed is None and can_draw("the payoff matrix"):
+            from pcs_racing_agents.base.style import save_picture
+            from pcs_racing_agents.tournament.table import payoffs_picture
 
-                figure = payoffs_picture(plan.names, tournament.summary.scores)
-                print(f"picture: {save_picture(figure, out / 'payoffs.png')}")
+            figure = payoffs_picture(plan.names, tournament.summary.scores)
+            print(f"picture: {save_picture(figure, out / 'payoffs.png')}")
+
+
+def _job(
+    out: Path | None, plan: "TournamentPlan", protocol: "Protocol | None"
+) -> AbstractContextManager[Job | None]:
+    """Return the job of a folder, as a context; without a folder no job."""
+    from pcs_racing_agents.tournament import tournament_settings
+
+    if out is None:
+        return nullcontext()
+    settings = tournament_settings(plan) if protocol is None else protocol.settings
+    return open_job(out, "tournament", settings)

@@ -26,6 +26,13 @@ from pcs_racing_agents.tournament.play import (
     record_row,
     tournament_settings,
 )
+from pcs_racing_agents.tournament.protocol import (
+    Protocol,
+    ProtocolConfig,
+    load_protocol,
+    play_protocol,
+    protocol_text,
+)
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.tournament.races import (
     RaceRow,
@@ -39,6 +46,8 @@ from pcs_racing_agents.tournament.table import standings, tournament_text
 
 __all__ = [
     "Pairing",
+    "Protocol",
+    "ProtocolConfig",
     "RaceRow",
     "RaceTable",
     "RoundRobin",
@@ -56,13 +65,16 @@ __all__ = [
     "fit_best_schedule",
     "game_rules",
     "holm",
+    "load_protocol",
     "make_executor",
     "open_job",
     "plan_tournament",
     "play_pairing",
     "play_pairings",
     "play_plan",
+    "play_protocol",
     "play_tournament",
+    "protocol_text",
     "rate",
     "read_results",
     "record_row",

@@ -19,7 +19,7 @@ from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import own
-from pcs_racing_agents.agents.zoo import load_entrant
+from pcs_racing_agents.agents.zoo import parse_agent
 
 EXAMPLES = REPOSITORY / "examples"
 
@@ -93,20 +93,15 @@ def test_what_the_readme_shows(tmp_path, number):
 
 
 @pytest.mark.parametrize(
-    ("script", "libraries", "file"),
-    [
-        ("maskable_ppo.py", ("sb3_contrib",), "model.zip"),
-        ("cleanrl_self_play.py", ("torch",), "actor.safetensors"),
-    ],
+    ("script", "library"), [("maskable_ppo.py", "sb3_contrib"), ("cleanrl_self_play.py", "torch")]
 )
-def test_a_trained_agent_enters_the_benchmark(tmp_path, monkeypatch, script, libraries, file):
-    for library in libraries:
-        pytest.importorskip(library)
-    run_python(EXAMPLES / script, "--steps", 1, "--out", "made", folder=tmp_path)
+def test_a_trained_agent_enters_a_tournament(tmp_path, monkeypatch, script, library):
+    pytest.importorskip(library)
+    run_python(EXAMPLES / script, "--steps", 1, folder=tmp_path)
     monkeypatch.syspath_prepend(REPOSITORY)
+    monkeypatch.chdir(tmp_path)
     spec = make_game_spec("contest", "contest")
-    entrant = f"examples.{Path(script).stem}:make_agent"
-    agent = load_entrant(entrant, spec, weights=tmp_path / "made" / file)
+    agent = parse_agent(f"examples.{Path(script).stem}:make_agent", spec, code=True)
     game = RaceGame(load_track("Pipkin"), spec.archive, spec.config)
     seen = game.observation(game.reset(games=6, seed=1))[0]
     moves = agent.act(seen)

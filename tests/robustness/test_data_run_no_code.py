@@ -45,15 +45,6 @@ from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import export_onnx, make, parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy
-from pcs_racing_agents.benchmark.card import (
-    Card,
-    CardScore,
-    Gain,
-    board_page,
-    read_cards,
-    write_card,
-)
-from pcs_racing_agents.benchmark.protocol import ProtocolConfig, load_protocol
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
 from pcs_racing_agents.learning.league import League, Member, load_league, save_league
@@ -69,6 +60,7 @@ from pcs_racing_agents.study.config import StudyConfig, load_study_config
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.study.run import stage_seconds
 from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.tournament.protocol import ProtocolConfig, load_protocol
 from pcs_racing_agents.trees import load_trees
 
 EVIL = """
@@ -85,15 +77,11 @@ class Main:
 """
 WORDS = ("evil.py:main", "evil_module:main", "evil.py")
 PROTOCOL = {
-    "race": "paper",
+    "rules": "paper",
     "archive": "default",
     "train": ("Pipkin",),
-    "test": ("Pipkin",),
-    "keeps": ("never-switch",),
-    "switches": ("random-moves",),
-    "planners": ("pure-pursuit",),
-    "agents": ("random-moves",),
-    "blind": ("never-switch",),
+    "test": ("Larkmoor",),
+    "opponents": ("random-moves", "lattice:pace=0.4"),
 }
 STUDY = {
     "learning": {"tracks": ("Pipkin",), "responses": ("response-quick",), "ppo": "study-paper"},
@@ -187,15 +175,6 @@ def study_folder(folder: Path) -> Path:
     }
     (place / "job.yaml").write_text(yaml.safe_dump(manifest))
     return place
-
-
-def card(folder: Path) -> Path:
-    scores = tuple(
-        CardScore("all", circuits, 10, 0.5, 0.4, 0.6, 0.1, 0.0)
-        for circuits in ("all", "train", "test")
-    )
-    gains = {"all": Gain("best-fixed", 0.1, 0.0, 0.2)}
-    return write_card(Card("p-v1", "ab" * 32, "mine", "cd" * 32, scores, gains), folder)[0]
 
 
 def model(folder: Path) -> Path:
@@ -294,8 +273,11 @@ KINDS = {
         StudyConfig(**STUDY),
         lambda one: study_agents(Study(one, Path("none"), quiet=True)),
     ),
-    "protocol": config(load_protocol, ProtocolConfig(**PROTOCOL)),
-    "score card": Kind(card, lambda file: board_page(read_cards([file])), "read_card"),
+    "protocol": Kind(
+        settings("settings.yaml", ProtocolConfig(**PROTOCOL)),
+        lambda file: load_protocol(file, ["never-switch"]),
+        "load_protocol",
+    ),
     "archive": Kind(
         shipped("pcs_racing/data/archives", "default/manifest.yaml"),
         lambda file: load_archive(file.parent).family(),
@@ -488,10 +470,10 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/agents/own_code.py": {"drivers_from", "own_code", "run_file"},
         "pcs_racing_agents/agents/zoo.py": {"own_code", "parse_agent True"},
         "pcs_racing_agents/tournament/play.py": {"parse_agent code"},
+        "pcs_racing_agents/tournament/protocol.py": {"plan_tournament True"},
         "pcs_racing_agents/study/results.py": {"parse_agent name in code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
-        "pcs_racing_agents/cli/benchmark.py": {"load_entrant"},
         "pcs_racing_agents/cli/explain.py": {"plan_tournament True"},
         "pcs_racing_agents/cli/headroom.py": {"parse_own_policy"},
         "pcs_racing_agents/cli/learn.py": {"parse_agent True"},
@@ -545,7 +527,7 @@ def calls() -> list[tuple[str, str, str, ast.Call]]:
 COMMANDS = {
     "view": "view files/raced --no-open",
     "explain": "explain files/raced",
-    "benchmark": "benchmark card random-moves --protocol files/settings.yaml --out out",
+    "tournament": "tournament --protocol files/settings.yaml --agents random-moves",
 }
 
 
@@ -554,8 +536,8 @@ COMMANDS = {
 def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command, word, capsys):
     """The digests beside a job are no signatures: whoever writes the names can write them, too."""
     place = made(evil / "files")
-    if command == "benchmark":
-        settings("settings.yaml", {**PROTOCOL, "blind": [word]})(place)
+    if command == "tournament":
+        settings("settings.yaml", {**PROTOCOL, "opponents": ["random-moves", word]})(place)
     else:
         raced = tournament(place)
         for file in (raced / "results.csv", raced / "job.yaml"):

@@ -44,8 +44,6 @@ from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import load_model
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.benchmark.card import read_cards
-from pcs_racing_agents.benchmark.protocol import load_protocol
 from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
@@ -53,6 +51,7 @@ from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import ArchiveConfig
 from pcs_racing_agents.study.config import LearningConfig, StudyConfig, load_study_config
 from pcs_racing_agents.study.results import open_results
+from pcs_racing_agents.tournament.protocol import load_protocol
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
@@ -92,9 +91,8 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
         lambda: load_trees(folder),
         lambda: read_results(file("csv")),
         lambda: open_results(folder),
-        lambda: read_cards([folder]),
         lambda: load_ppo_settings(file("yaml")),
-        lambda: load_protocol(file("yaml")),
+        lambda: load_protocol(file("yaml"), []),
         lambda: load_study_config(file("yaml")),
         lambda: load_trained(folder),
         lambda: save_archive(archive, folder),

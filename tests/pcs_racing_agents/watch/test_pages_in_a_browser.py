@@ -7,14 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from recorded_races import race_on_a_circle
-from repository import REPOSITORY
 from toy_report import toy_report
 from zoo_games import CONFIG
 
 from pcs_racing import make_game
 from pcs_racing.race.replay import read_replay, save_replay
 from pcs_racing_agents import make
-from pcs_racing_agents.benchmark.card import board_page, read_cards, write_card
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.report_page import ExplainedRace, report_page
 from pcs_racing_agents.watch.person_race import (
@@ -23,8 +21,6 @@ from pcs_racing_agents.watch.person_race import (
     make_person_drive,
     play_page,
 )
-
-CARDS = [REPOSITORY / "studies" / "bench_v3"]
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +67,6 @@ def report(get):
     return page
 
 
-def card(get):
-    return write_card(read_cards(CARDS)[0], get("tmp_path"))[1]
-
-
-def leaderboard(get):
-    page = get("tmp_path") / "leaderboard.html"
-    page.write_text(board_page(read_cards(CARDS)), encoding="utf-8")
-    return page
-
-
 def play(get):
     archive = get("archive")
     rival = make("random-moves", archive=archive, race=CONFIG)
@@ -100,8 +86,6 @@ PAGES = {
     "an explained race": (lambda get: get("explained"), "document.documentElement.dataset.drawn"),
     "a report": (report, "document.images.length"),
     "a list of races": (lambda get: get("page"), "document.body.dataset.played"),
-    "a card": (card, "document.querySelector('table')"),
-    "the leaderboard": (leaderboard, "document.querySelector('table')"),
     "play": (play, "document.querySelector('#choices button:enabled')"),
     "play at the wheel": (drive, "race || document.querySelector('#begin').click()"),
 }

@@ -1,1 +1,0 @@
-"""The benchmark: a fixed protocol, score cards of agents, and a leaderboard."""
