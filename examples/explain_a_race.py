@@ -4,7 +4,7 @@
     python examples/explain_a_race.py --track Brackwater --ego response --seed 3 --wait
 
 The race advances by one pair of moves at a time. At the end the same race is written as a replay
-page with the moves marked. ``pcs-racing explain`` does so for a race of a results folder.
+page with the moves marked. ``pcs-racing view --explain`` explains a race of a results folder.
 """
 
 import argparse

@@ -124,6 +124,7 @@ EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
     "clients/openspiel_tree": ("pyspiel", '".[games]"'),
     "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
+    "play_a_race": ("pygame", '".[window]"'),
     "ppo_against_cfr": ("stable_baselines3", '".[learning]"'),
     "train_ppo": ("torch", '".[learning,plots]"'),
 }

@@ -192,7 +192,7 @@ def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False)
         if is_code(text) and name not in planner_names() and not code:
             raise UnknownNameError(
                 f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or"
-                f" name it on the command line (view and explain: --agents {shlex.quote(text)})"
+                f" name it on the command line (view: --agents {shlex.quote(text)})"
             )
         return build(text, spec, seed=seed)
     options: dict[str, Any] = {}

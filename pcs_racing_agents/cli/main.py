@@ -73,14 +73,9 @@ FILES = {
         "study",
         "run a complete study: archive, game trees, networks, agents, races and report",
     ),
-    "explain": (
-        "explain",
-        "explain the moves of an agent in a race: its observations, its moves and their effect",
-    ),
-    "view": ("view", "write a page that lists the races of a tournament or a study and plays them"),
-    "play": (
+    "view": (
         "view",
-        "make the moves of one car yourself, or steer it, on a local page, against an agent",
+        "write a page that lists and plays the races of a tournament or study, or explain a race",
     ),
     "compile": (
         "compilation",
@@ -96,8 +91,6 @@ NAMING = {
     "tune": {"": "planner", "--against": "planner"},
     "policies": {"": "planner"},
     "learn": {"--pool": "agent"},
-    "explain": {"--agents": "agent"},
-    "play": {"--opponent": "agent"},
 }
 """Kind of names after an option, by command; "" means the words before all options.
 

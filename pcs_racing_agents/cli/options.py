@@ -34,7 +34,6 @@ ArchiveName = Annotated[
     str | None, Option("policy archive: a name or a folder (default: the one for --rules)", "A")
 ]
 RulesName = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
-NoOpen = Annotated[bool, Option("do not open the page in a browser")]
 
 
 class Terminated(KeyboardInterrupt):

@@ -1,4 +1,4 @@
-"""``pcs-racing view`` and ``play``: pages that replay a tournament, and pages to race yourself."""
+"""``pcs-racing view``: a page that replays the races of a tournament or study; moves explained."""
 
 import os
 import sys
@@ -8,34 +8,18 @@ from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from pcs_racing.base.checks import check_seed
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import (
-    AGENT_HELP,
-    DEFAULT_TRACK,
-    RACED_CODE,
-    ArchiveName,
-    Circuit,
-    NoOpen,
-    Rules,
-    Terminated,
-    archive_for,
-    output_file,
-)
+from pcs_racing_agents.cli.options import RACED_CODE, Terminated, can_draw, output_file
 
 if TYPE_CHECKING:
     from pcs_racing_agents.tournament.races import RaceTable
-    from pcs_racing_agents.watch.race_choice import SelectedRace
     from pcs_racing_agents.watch.results_folder import ResultsFolder
-    from pcs_racing_agents.watch.view_page import ViewContent
 
 
 REPLAYS = 60
 MAX_REPLAYS = 2000
-
-Port = Annotated[int | None, Option("port of the page on this machine (default: a free port)", "P")]
 
 
 @command(
@@ -43,15 +27,35 @@ Port = Annotated[int | None, Option("port of the page on this machine (default: 
     "pcs-racing view out/mine",
     "pcs-racing view out/mine --index 12 40 --out chosen.html",
     "pcs-racing view out/mine --serve",
+    "pcs-racing view out/mine --explain 12",
+    "pcs-racing view out/mine --explain 12 --car 1 --out race-12.png",
 )
 def run(
     results: Annotated[
         Path, Option("folder of a tournament, of a study, or of the ratings in a study", "RESULTS")
     ],
     *,
+    explain: Annotated[
+        int | None,
+        Option(
+            "number of a race; instead of a page, print an agent's observations, moves and their"
+            " effect",
+            "K",
+        ),
+    ] = None,
+    car: Annotated[
+        int | None,
+        Option(
+            "with --explain: explained car (default: the first that makes moves)", choices=(0, 1)
+        ),
+    ] = None,
     out: Annotated[
         Path | None,
-        Option("file for the page (default: view.html in the folder of the results)", "FILE"),
+        Option(
+            "file for the page (default: view.html in the folder of the results); with --explain,"
+            " for a picture (.png, .svg or .pdf)",
+            "FILE",
+        ),
     ] = None,
     replays: Annotated[
         int | None,
@@ -65,13 +69,16 @@ def run(
         bool,
         Option("write no file; serve the page from this machine, where any race can be watched"),
     ] = False,
-    port: Port = None,
+    port: Annotated[
+        int | None, Option("port of the page on this machine (default: a free port)", "P")
+    ] = None,
     agents: Annotated[Sequence[str], Option(RACED_CODE, "AGENT")] = (),
-    no_open: NoOpen = False,
+    track: Annotated[
+        Sequence[str], Option("map folder that was moved since the races were driven", "T")
+    ] = (),
+    no_open: Annotated[bool, Option("do not open the page in a browser")] = False,
 ) -> None:
-    """Write a page that lists the races of a tournament or a study and plays them."""
-    from dataclasses import replace
-
+    """Write a page that lists and plays the races of a tournament or study, or explain a race."""
     from pcs_racing.base.files import write_atomically
     from pcs_racing_agents.study.results import open_results
     from pcs_racing_agents.watch.race_replays import RaceRepeater
@@ -86,114 +93,71 @@ def run(
         raise InputError(f"--replays is {replays}; it must be from 0 to {MAX_REPLAYS}")
     if len(index) > MAX_REPLAYS:
         raise InputError(f"--index names {len(index)} races; a page holds at most {MAX_REPLAYS}")
+    if explain is not None and (serve or index or replays is not None):
+        raise InputError("--explain goes without --index, --replays and --serve: it makes no page")
+    if car is not None and explain is None:
+        raise InputError("--car goes with --explain")
     if not results.is_dir():
         raise InputError(f"there is no folder {results}; give one of a tournament or a study")
-    target = output_file(out or results / "view.html", ".html")
-    folder = open_results(results, agents)
-    table = folder.races
-    picks = _picks(table, index, (0 if index or serve else REPLAYS) if replays is None else replays)
-    content = _content(folder, picks)
-    if serve:
-        served = view_page(replace(content, serve=True))
-        with make_server(served, RaceRepeater(folder).answer, port or 0) as server:
-            run_server(server, f"{len(table)} races", open_it=not no_open)
+    if explain is not None:
+        picture = None if out is None else output_file(out, ".png", ".svg", ".pdf")
+        _explain(open_results(results, agents, track), explain, car, picture)
         return
-    page = view_page(content).encode()
-    write_atomically(target, page)
-    print(f"{len(table)} races, {len(picks)} of them to be watched, {len(page) / 1e6:.1f} MB")
+    target = output_file(out or results / "view.html", ".html")
+    folder = open_results(results, agents, track)
+    default = 0 if index or serve else REPLAYS
+    picks = _picks(folder.races, index, default if replays is None else replays)
+    repeater = RaceRepeater(folder)
+    try:
+        driven = repeater.drive_all(picks, show_progress())
+    except InputError as error:
+        raise InputError(
+            f"{error} (--replays 0 lists the races without any to be watched)"
+        ) from None
+    page = view_page(repeater, picks, driven, serve=serve)
+    if serve:
+        with make_server(page, repeater.answer, port or 0) as server:
+            run_server(server, f"{len(folder.races)} races", open_it=not no_open)
+        return
+    write_atomically(target, page.encode())
+    size = f"{target.stat().st_size / 1e6:.1f} MB"
+    print(f"{len(folder.races)} races, {len(picks)} of them to be watched, {size}")
     print(f"page: {target}")
     if not no_open:
         open_page(target.resolve().as_uri())
 
 
-def _picks(table: "RaceTable", numbers: Sequence[int], count: int) -> "list[SelectedRace]":
-    """Return the races with replays: requested races, then ``count`` races selected by a rule."""
-    from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
+def _explain(results: "ResultsFolder", number: int, car: int | None, picture: Path | None) -> None:
+    """Print the explanation of a race, and draw it if a file is given."""
+    from pcs_racing_agents.agents.agent import Driver
+    from pcs_racing_agents.watch.explain import explain_race
+    from pcs_racing_agents.watch.words import story
+
+    row = results.row(number)
+    pairing = results.pairing(row)
+    if car is None:
+        # A planner has no moves to explain: then the other car is explained.
+        car = int(isinstance(pairing.ego, Driver))
+    explanation = explain_race(pairing, row.race, car=car)
+    results.check_lead(number, explanation.played.lead[0])
+    print(story(explanation))
+    if picture is not None and can_draw("the picture of the race"):
+        from pcs_racing_agents.base.style import save_picture
+        from pcs_racing_agents.watch.pictures import explanation_picture
+
+        print(f"picture: {save_picture(explanation_picture(explanation), picture)}")
+
+
+def _picks(races: "RaceTable", numbers: Sequence[int], count: int) -> dict[int, str]:
+    """Return the races to include with reasons: requested races, then ``count`` by a rule."""
+    from pcs_racing_agents.watch.race_choice import choose_races
 
     for number in numbers:
-        if not 0 <= number < len(table):
-            raise InputError(f"--index names {number}; there are races 0 to {len(table) - 1}")
-    requested = {number: SelectedRace(number, "a race that was asked for") for number in numbers}
-    selected = {pick.race: pick for pick in choose_races(table, count)}
+        if not 0 <= number < len(races):
+            raise InputError(f"--index names {number}; there are races 0 to {len(races) - 1}")
+    requested = dict.fromkeys(numbers, "a race that was asked for")
     # Order of the first, reason of the last: requested races come first, and are marked as such.
-    return list({**requested, **selected, **requested}.values())
-
-
-def _content(results: "ResultsFolder", picks: "Sequence[SelectedRace]") -> "ViewContent":
-    """Simulate the selected races, and return the content of the page."""
-    from pcs_racing_agents.watch.race_replays import RaceRepeater
-    from pcs_racing_agents.watch.view_page import ViewContent
-
-    repeater, progress = RaceRepeater(results), show_progress()
-    driven = []
-    try:
-        for race in repeater.drive_all([pick.race for pick in picks]):
-            driven.append(race)
-            progress(len(driven), len(picks), race.circuit)
-    except InputError as error:
-        raise InputError(
-            f"{error} (--replays 0 lists the races without any to be watched)"
-        ) from None
-    return ViewContent(
-        results.folder.resolve().name,
-        results.races,
-        str(results.folder),
-        start=results.start,
-        picks=picks,
-        driven=driven,
-        circuits=repeater.circuits,
-        space=repeater.space,
-    )
-
-
-@command(
-    "play",
-    "pcs-racing play",
-    "pcs-racing play --opponent response --rules contest --track Pipkin",
-    "pcs-racing play --drive --opponent lattice:pace=0.4 --no-open",
-)
-def run_play(
-    *,
-    opponent: Annotated[
-        str, Option(f"agent or planner in the other car: {AGENT_HELP}", "AGENT")
-    ] = "cfr-argmax",
-    track: Circuit = DEFAULT_TRACK,
-    rules: Rules,
-    archive: ArchiveName = None,
-    drive: Annotated[
-        bool, Option("steer the car yourself, with keys or a gamepad, instead of making its moves")
-    ] = False,
-    port: Port = None,
-    no_open: NoOpen = False,
-) -> None:
-    """Make the moves of one car yourself, or steer it, on a local page, against an agent."""
-    from pcs_racing.game.archive_files import load_archive
-    from pcs_racing.game.make import make_game
-    from pcs_racing.track.loading import load_track
-    from pcs_racing_agents.agents.game_spec import make_game_spec
-    from pcs_racing_agents.agents.zoo import parse_agent
-    from pcs_racing_agents.watch.person_race import PersonRaces, play_page
-    from pcs_racing_agents.watch.view_server import make_server
-
-    check_seed(rules.seed)
-    config = rules.config()
-    loaded = load_archive(archive_for(archive, config))
-    rival = parse_agent(opponent, make_game_spec(loaded, config), seed=rules.seed, code=True)
-    if drive:
-        from pcs_racing_agents.watch.person_race import drive_page, make_person_drive
-
-        wheel = make_person_drive(
-            rival, rules.seed, track=load_track(track), race=config, archive=loaded
-        )
-        wheel.answer("/begin/0")  # report errors now
-        with make_server(drive_page(wheel), wheel.answer, port or 0, method="POST") as server:
-            run_server(server, "play", open_it=not no_open)
-        return
-    races = PersonRaces(make_game(load_track(track), loaded, config, stay=True), rival, rules.seed)
-    # Report an unsuitable competitor now, and compile kernels before the page opens.
-    races.situation(0, ())
-    with make_server(play_page(races), races.answer, port or 0) as server:
-        run_server(server, "play", open_it=not no_open)
+    return {**requested, **choose_races(races, count), **requested}
 
 
 def open_page(address: str) -> None:

@@ -36,8 +36,14 @@ from pcs_racing_agents.tournament import (
 from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder
 
 
-def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
-    """Open a tournament's or study's folder; agents named in ``code`` may be code, which is run."""
+def open_results(
+    folder: str | Path, code: Sequence[str] = (), maps: Sequence[str] = ()
+) -> ResultsFolder:
+    """Open a tournament's or study's folder.
+
+    Agents named in ``code`` may be code, which is run. ``maps`` are the folders of maps that were
+    moved since the races were driven.
+    """
     path = Path(folder)
     kind, settings = _read_manifest(path)
     if kind not in ("tournament", "study"):
@@ -52,20 +58,22 @@ def open_results(folder: str | Path, code: Sequence[str] = ()) -> ResultsFolder:
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file)
+    moved = {load_track(place).name: place for place in maps}
+    for names, known in ((code, races.agents.words), (moved, races.track.words)):
+        for name in names:
+            if name not in known:
+                raise InputError(
+                    f"{name!r} is not in the races of {folder}; there are"
+                    f" {', '.join(sorted(known))}"
+                )
     make: Callable[[RaceRow], Pairing]
     if kind == "study":
         whole = _study(path, settings)
-        rules, make = whole.config.game, partial(_of_study, whole, races)
+        rules, make = whole.config.game, partial(_of_study, whole, moved, races)
     else:
         rules = _game_config(path, settings)
         study = _study(above, _read_manifest(above)[1]) if is_rating else None
-        make = partial(_of_tournament, settings, rules, study, code)
-    for name in code:
-        if name not in races.agents.words:
-            raise InputError(
-                f"{name!r} did not race in {folder}; there are"
-                f" {', '.join(sorted(races.agents.words))}"
-            )
+        make = partial(_of_tournament, settings, rules, study, code, moved)
     return ResultsFolder(path, file, races, rules.race.start, make)
 
 
@@ -99,12 +107,12 @@ def _game_config(folder: Path, settings: Mapping[str, Any]) -> GameConfig:
         raise InputError(f"{folder / MANIFEST} is damaged: {error!r}") from None
 
 
-def _of_study(study: Study, races: RaceTable, row: RaceRow) -> Pairing:
+def _of_study(study: Study, moved: Mapping[str, str], races: RaceTable, row: RaceRow) -> Pairing:
     # All races of a pairing together determine its variants and number of lines.
     rows = races.pairs[row.track, row.ego, row.opponent, str(row.seed)]
     egos, opponents = (np.unique(races.variants[rows, car]).tolist() for car in range(2))
     return cross_pairing(
-        study.game(row.track),
+        study.game(moved.get(row.track, row.track)),
         study.agent(row.ego),
         study.agent(row.opponent),
         egos=egos,
@@ -119,12 +127,17 @@ def _of_tournament(
     rules: GameConfig,
     study: Study | None,
     code: Sequence[str],
+    moved: Mapping[str, str],
     row: RaceRow,
 ) -> Pairing:
     # All inputs of a race are compared by hash: other inputs give another race.
     archive: PolicyArchive = load_archive(settings["archive"]) if study is None else study.archive
     _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
-    track = load_track(row.track)
+    place = {**settings.get("maps", {}), **moved}.get(row.track, row.track)
+    try:
+        track = load_track(place)
+    except InputError as error:
+        raise InputError(f"{error}; if the map was moved, --track names its folder") from None
     _check_same(f"track {row.track!r}", track.content_hash, settings["tracks"][row.track])
     seed, spec = int(settings["seed"]), make_game_spec(archive, rules)
 

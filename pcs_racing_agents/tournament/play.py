@@ -17,6 +17,7 @@ from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Competitor, as_agent, competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
@@ -208,6 +209,11 @@ def play_plan(plan: TournamentPlan, **run: Unpack[Run]) -> Tournament:
 def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
     """Return all inputs of a tournament, for :func:`pcs_racing_agents.base.jobs.open_job`."""
     spec = plan.spec
+    own_maps = {
+        track.name: str(track.folder)
+        for track in plan.tracks
+        if track.folder is not None and not _is_shipped(track)
+    }
     return {
         "seed": plan.seed,
         "races_per_pair": plan.races_per_pair,
@@ -215,11 +221,16 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "archive": plan.archive,
         "archive_sha256": spec.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},
+        **({"maps": own_maps} if own_maps else {}),
         "agents": {
             competitor_name(competitor): competitor_hash(competitor)
             for competitor in plan.competitors
         },
     }
+
+
+def _is_shipped(track: Track) -> bool:
+    return track.name in list_tracks() and find_shipped(track.name) == track.folder
 
 
 def record_row(tournament: Tournament, row: RaceRow, *, candidates: bool = True) -> Recording:

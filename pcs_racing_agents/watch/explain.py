@@ -73,14 +73,8 @@ class Explanation:
         return self.replay.lead if self.car == 0 else -self.replay.lead
 
 
-def explain_race(
-    pairing: Pairing, race: int, *, car: int = 0, candidates: bool = False
-) -> Explanation:
-    """Repeat a race of a pairing and explain the moves of one car.
-
-    ``race``, ``candidates``: as for :func:`pcs_racing_agents.tournament.repeat_race`. ``car``: the
-    explained car, 0 or 1.
-    """
+def explain_race(pairing: Pairing, race: int, *, car: int = 0) -> Explanation:
+    """Repeat a race of a pairing and explain the moves of one car, 0 or 1."""
     cars = (pairing.ego, pairing.opponent)
     competitor = cars[car]
     if isinstance(competitor, Driver):
@@ -91,7 +85,7 @@ def explain_race(
             f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain;"
             f" {other}"
         )
-    recording = repeat_race(pairing, race, candidates=candidates)
+    recording = repeat_race(pairing, race, candidates=False)
     played, game = recording.played, recording.game
     names = recording.replay.car_names
     config, strategy = game.config, getattr(competitor, "strategy", None)

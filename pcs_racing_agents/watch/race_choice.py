@@ -8,7 +8,6 @@ races are closer than typical races; the tournament's table gives the typical re
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,13 +24,6 @@ OUTCOMES = (
     "a crash of the other's",
     "a tie, or a no-contest",
 )
-
-
-class SelectedRace(NamedTuple):
-    """A selected race."""
-
-    race: int  #: Line of the results, counted from 0.
-    why: str  #: Agent and outcome, e.g. ``"cfr-argmax: a win by switching"``.
 
 
 def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
@@ -69,8 +61,12 @@ def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
     return np.array([tuple(key) in lost for key in keys.tolist()], np.bool_)
 
 
-def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
-    """Return races to show, by a deterministic rule, in order of selection."""
+def choose_races(races: RaceTable, count: int) -> dict[int, str]:
+    """Return races to show, by a deterministic rule, in order of selection.
+
+    The keys are lines of the results, counted from 0, and the values agent and outcome, e.g.
+    ``"cfr-argmax: a win by switching"``.
+    """
     agents = range(len(races.agents.words))
     by_car = np.array([outcomes(races, car) for car in range(2)])
     # Outcomes outside, agents inside: each outcome goes through all agents before the next outcome.
@@ -83,7 +79,7 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
         for outcome in range(len(OUTCOMES))
         for agent in agents
     ]
-    picks: dict[int, SelectedRace] = {}
+    picks: dict[int, str] = {}
     while piles and len(picks) < min(count, len(races)):
         remaining = []
         for agent, outcome, pile in piles:
@@ -91,11 +87,11 @@ def choose_races(races: RaceTable, count: int) -> list[SelectedRace]:
             if race is None:
                 continue
             remaining.append((agent, outcome, pile))
-            picks[race] = SelectedRace(race, f"{races.agents.words[agent]}: {OUTCOMES[outcome]}")
+            picks[race] = f"{races.agents.words[agent]}: {OUTCOMES[outcome]}"
             if len(picks) >= count:
                 break
         piles = remaining
-    return list(picks.values())
+    return picks
 
 
 def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator[int]:

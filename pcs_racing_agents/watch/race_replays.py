@@ -6,9 +6,9 @@ omitted.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,7 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import Replay, plain_parts, safe_json
 from pcs_racing_agents.agents.observing import opponent, step_count
+from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.tournament import Pairing, RaceRow, repeat_race
 from pcs_racing_agents.watch.explain import mark_moves
 from pcs_racing_agents.watch.pcs_picture import axis_limits, in_units, plane
@@ -32,14 +33,6 @@ MAX_ANSWERS = 200  # cached in memory, some 40 kB each
 _RACE = re.compile(r"/race/([0-9]{1,7})")
 
 Floats = NDArray[np.float64]
-
-
-class RepeatedRace(NamedTuple):
-    """A repeated race as data for the page."""
-
-    race: int  #: Line of the results, counted from 0.
-    circuit: str  #: Name of the track.
-    values: dict[str, Any]  #: Data of the race (:func:`race_values`).
 
 
 class RaceRepeater:
@@ -65,16 +58,15 @@ class RaceRepeater:
             return error_answer(409, str(error))
 
     def _make_json(self, number: int) -> bytes:
-        race = self.drive(number)
-        circuit = [race.circuit, self.circuits[race.circuit]]
-        values = {"race": race.values, "circuit": circuit, "space": self.space}
-        return safe_json(values).encode()
+        race, track = self.drive(number), self.results.row(number).track
+        circuit = [track, self.circuits[track]]
+        return safe_json({"race": race, "circuit": circuit, "space": self.space}).encode()
 
     def _make_pairing(self, track: str, ego: str, opponent: str, seed: int) -> Pairing:
         return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))
 
-    def drive(self, number: int) -> RepeatedRace:
-        """Repeat the race on a line of the results."""
+    def drive(self, number: int) -> dict[str, Any]:
+        """Repeat the race on a line of the results, and return its data for the page."""
         row = self.results.row(number)
         pairing = self._pairing(*_pair(row))
         recording = repeat_race(pairing, row.race, candidates=False)
@@ -106,14 +98,20 @@ class RaceRepeater:
                 self.space, in_units(game.archive, estimates)[..., list(plane(game.archive))]
             ),
         }
-        return RepeatedRace(number, row.track, values)
+        return values
 
-    def drive_all(self, numbers: Sequence[int]) -> Iterator[RepeatedRace]:
-        """Repeat the races of several lines and yield them, grouped by pair."""
+    def drive_all(
+        self, numbers: Iterable[int], progress: Progress | None = None
+    ) -> dict[int, dict[str, Any]]:
+        """Repeat the races of several lines, grouped by pair, and return their data."""
         rows = self.results.row
         order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
+        races = {}
         for number in order:
-            yield self.drive(number)
+            races[number] = self.drive(number)
+            if progress is not None:
+                progress(len(races), len(order), rows(number).track)
+        return races
 
 
 def _pair(row: RaceRow) -> tuple[str, str, str, int]:

@@ -5,8 +5,7 @@ frame) and ``beside.html`` (the player's panel next to the track).
 """
 
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
@@ -16,61 +15,67 @@ from pcs_racing.base.packing import pack
 from pcs_racing_agents.tournament import RaceTable
 from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.pages import player_page, rendered
-from pcs_racing_agents.watch.race_choice import SelectedRace
-from pcs_racing_agents.watch.race_replays import RepeatedRace
+from pcs_racing_agents.watch.race_replays import RaceRepeater
 
 
-@dataclass(frozen=True)
-class ViewContent:
-    """Content of a page."""
-
-    title: str
-    races: RaceTable
-    results: str = ""  #: Path of the results, as written in a command.
-    start: str = "side-by-side"  #: ``"side-by-side"``, or a kind of start with one car in front.
-    picks: Sequence[SelectedRace] = ()  #: Races with replays.
-    driven: Sequence[RepeatedRace] = ()  #: Replays of ``picks``.
-    circuits: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  #: Tracks by name.
-    space: Mapping[str, Any] | None = None  #: Policy Characteristic Space.
-    serve: bool = False  #: True if :mod:`pcs_racing_agents.watch.view_server` repeats other races.
-
-
-def view_page(content: ViewContent) -> str:
+def view_page(
+    repeater: RaceRepeater,
+    picks: Mapping[int, str],
+    races: Mapping[int, Mapping[str, Any]],
+    *,
+    serve: bool = False,
+) -> str:
     """Return the page.
 
     A link may name filters, a race and a time, e.g.
     ``view.html#agent=response&crash=own&race=12&t=9.5``.
+
+    Parameters
+    ----------
+    repeater : RaceRepeater
+        Results, tracks and Policy Characteristic Space.
+    picks : mapping
+        Reason for each race with a replay, by its line of the results.
+    races : mapping
+        Data of these races (:meth:`RaceRepeater.drive_all`).
+    serve : bool
+        True if :mod:`pcs_racing_agents.watch.view_server` repeats other races.
     """
     beside = files("pcs_racing_agents.watch").joinpath("beside.html").read_text(encoding="utf-8")
-    driven = {race.race: race for race in content.driven}
-    table, path = content.races, shlex.quote(content.results)
-    commands = [f"pcs-racing view {path} --serve", f"pcs-racing view {path} --index {{race}}"]
-    tracks, races = len(table.track.words), len(table)
-    agents = len(table.agents.words)
+    results = repeater.results
+    title, table, path = (
+        results.folder.resolve().name,
+        results.races,
+        shlex.quote(f"{results.folder}"),
+    )
+    parts = [
+        _count(len(table), "race"),
+        _count(len(table.agents.words), "agent"),
+        _count(len(table.track.words), "circuit"),
+    ]
     rules = ", ".join(word for word in table.preset.words if word)
     data = {
-        "title": content.title,
-        "about": (
-            f"{races:,} race{_s(races)}, {agents} agent{_s(agents)}, {tracks} circuit{_s(tracks)}"
-            + (f", {rules} rules" if rules else "")
-        ),
+        "title": title,
+        "about": ", ".join([*parts, f"{rules} rules"] if rules else parts),
         **packed_races(table),
-        "sides": ["left", "right"] if content.start == "side-by-side" else ["front", "rear"],
-        "replays": [[pick.race, pick.why] for pick in content.picks if pick.race in driven],
-        "circuits": [[name, dict(values)] for name, values in content.circuits.items()],
-        "space": None if content.space is None else dict(content.space),
-        "serve": content.serve,
-        "commands": commands,
+        "sides": ["left", "right"] if results.start == "side-by-side" else ["front", "rear"],
+        "replays": list(picks.items()),
+        "circuits": list(repeater.circuits.items()),
+        "space": repeater.space,
+        "serve": serve,
+        "commands": [
+            f"pcs-racing view {path} {option}" for option in ("--serve", "--index {race}")
+        ],
     }
-    source = "'self'" if content.serve else "'none'"
+    source = "'self'" if serve else "'none'"
     return rendered(
         "pcs_racing_agents.watch",
         "view.html",
-        title=content.title,
+        title=title,
         allowed=f"img-src data:; connect-src {source}",
         data=data,
         player=player_page().replace("<!--beside-->", beside),
-        replays={number: race.values for number, race in driven.items()},
+        replays=races,
     )
 
 
@@ -132,5 +137,5 @@ def _joined(moves: Categorical) -> Categorical:
     )
 
 
-def _s(count: int) -> str:
-    return "" if count == 1 else "s"
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

@@ -32,9 +32,7 @@ def error_answer(status: int, text: str) -> Answer:
     return Answer(status, safe_json({"error": " ".join(text.split())}).encode())
 
 
-def make_server(
-    page: str, answer: Callable[[str], Answer], port: int = 0, *, method: str = "GET"
-) -> ThreadingHTTPServer:
+def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> ThreadingHTTPServer:
     """Return a server on 127.0.0.1, ready for ``serve_forever``.
 
     Parameters
@@ -46,8 +44,6 @@ def make_server(
         called one at a time.
     port : int
         Port; 0 takes a free port.
-    method : {"GET", "POST"}
-        Method of these addresses: "POST" if an answer changes something.
     """
     check_whole("port", port, 0, 65535)  # 0 takes a free port
     # Each request has its own thread, but the service holds shared data of the races.
@@ -80,10 +76,6 @@ def make_server(
                 [f"http://{hosts[0]}"],
             ):
                 self._send(error_answer(403, "another site's page asked for this"))
-            elif self.command != ("GET" if self.path == "/" else method):
-                self._send(
-                    error_answer(405, f"{self.path:.{MAX_PATH}} is asked for by another method")
-                )
             elif self.path == "/":
                 self._send(Answer(200, content, "text/html; charset=utf-8"))
             elif len(self.path) > MAX_PATH:
@@ -93,8 +85,6 @@ def make_server(
                     found = None if self._left() else answer(self.path)
                 if found is not None:
                     self._send(found)
-
-        do_POST = do_GET  # noqa: N815
 
         def _left(self) -> bool:
             """Return whether the viewer has closed the connection while the request waited."""

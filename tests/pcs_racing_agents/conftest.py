@@ -161,8 +161,8 @@ def served():
     """Serve a page until the test ends; returns its address."""
     running = []
 
-    def serve(page, answer, **options):
-        server = make_server(page, answer, **options)
+    def serve(page, answer):
+        server = make_server(page, answer)
         running.append((server, threading.Thread(target=server.serve_forever)))
         running[0][1].start()
         return f"http://127.0.0.1:{server.server_address[1]}/"

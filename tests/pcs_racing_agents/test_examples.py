@@ -81,6 +81,22 @@ def test_a_race_is_explained_move_by_move(tmp_path):
     assert (tmp_path / "out" / "explain_a_race" / "race.html").is_file()
 
 
+def test_a_car_is_steered_with_keys(tmp_path, monkeypatch):
+    pygame = pytest.importorskip("pygame", reason="pygame-ce is not installed")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    next_action = importlib.import_module("play_a_race").next_action
+    still = np.array([0.0, -1.0], np.float32)
+    left = next_action(next_action(still, {pygame.K_LEFT}), {pygame.K_LEFT, pygame.K_UP})
+    assert left == pytest.approx([0.3, -0.97])
+    assert next_action(left, {pygame.K_RIGHT, pygame.K_DOWN}) == pytest.approx([0.15, -1.0])
+    assert next_action(left, set()) == pytest.approx([0.15, -0.97])  # back towards the middle
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    (tmp_path / "short.yaml").write_text("duration: 0.4\n")
+    script = EXAMPLES / "play_a_race.py"
+    out = run_python(script, "--rules", "short.yaml", "--races", 2, folder=tmp_path)
+    assert [line.split(":")[0] for line in out.splitlines()] == ["race 0", "race 1"]
+
+
 @pytest.mark.parametrize(
     "number", range(len(re.findall("```python\n", (REPOSITORY / "README.md").read_text())))
 )

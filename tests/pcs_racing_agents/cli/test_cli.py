@@ -276,7 +276,6 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         (["race", *PAIR, "--video", "race.avi"], "must end in .mp4 or .gif"),
         (["race", "--ego", "os.path:nothing"], "os.path has no class and no function 'nothing'"),
         (["race", "--ego", "random:Random"], "here it must be a planner, not an agent"),
-        (["play", "--opponent", "nahs"], "did you mean 'nash'?"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
         (
             ["tournament", "--agents", "random-moves", "nash", "--archive", "x"],
@@ -301,7 +300,6 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         (["learn", "self-play", "--pool", "nash", "--out", "x"], "leave out --pool"),
         (["learn", "psro", "--races", "10", "--out", "x"], "--races goes with best-reply"),
         (["solve", "nowhere", "--export", "t.gbt"], "must end in .efg"),
-        (["play", "--opponent", "nobody"], "'nobody'"),
         (["ppo", "--config", "nonsense", "--out", "x"], "ppo settings 'nonsense' are unknown"),
         ([*DRIVE, "--steps", "0"], "steps is 0"),
         ([*DRIVE, "--seeds", "-1"], "seeds is (-1,)"),
@@ -437,10 +435,7 @@ def test_a_race_begins_without_what_other_commands_need():
     }
 
 
-UNKNOWN = (
-    "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup|play"
-    " --opponent x"
-)
+UNKNOWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup"
 
 
 def test_an_unknown_name_is_told_before_compiled_code_is_imported():
@@ -508,15 +503,13 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
     (tmp_path / "own_racers.py").write_text(OWN)
     cars = ["own_racers.py:Straight", "own_racers.py:First", "own_racers.py"]
     races = ["--races", 2, "--executor", "processes", "--workers", 1, "--out", "out"]
-    view, explain = (
-        ["view", "out", "--no-open", "--agents", *cars],
-        ["explain", "out", "--agents", *cars],
-    )
+    view = ["view", "out", "--no-open", "--agents", *cars]
+    explain = [*view, "--explain"]
     for line in (
         ["tournament", "--agents", *cars, *races],
         ["view", "out", "--no-open"],
         view,
-        explain,
+        [*explain, 0],
     ):
         # each command in a process that does not know them yet
         with monkeypatch.context() as patch:
@@ -524,14 +517,12 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
             code, text, error = run(*line)
         assert code == (2 if len(line) == 3 else 0)
         # A folder alone makes no command run code: the user does.
-        assert ("(view and explain: --agents own_racers.py" in error) == (len(line) == 3)
+        assert ("(view: --agents own_racers.py" in error) == (len(line) == 3)
     assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
-    assert (
-        "makes no moves, so there is nothing to explain; nor does" in run(*explain, "--index", 2)[2]
-    )
+    assert "makes no moves, so there is nothing to explain; nor does" in run(*explain, 2)[2]
     assert "variants: Straight" in printed("policies", "own_racers.py")
-    assert "'lattice' did not race in out; there are own_racers.py" in told(
-        "explain", "out", "--agents", "lattice"
+    assert "'lattice' is not in the races of out; there are own_racers.py" in told(
+        "view", "out", "--agents", "lattice"
     )
 
 

@@ -1,4 +1,4 @@
-"""``pcs-racing view``: what it writes, what it serves, and what it refuses."""
+"""``pcs-racing view``: what it writes, serves, explains and refuses."""
 
 import json
 import shutil
@@ -7,16 +7,15 @@ import threading
 from http.client import HTTPConnection
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
-import yaml
 from refusal import refused
 
+from pcs_racing import load_track
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
-from pcs_racing_agents.watch.race_replays import MAX_ANSWERS, RaceRepeater, RepeatedRace
+from pcs_racing_agents.watch.race_choice import choose_races
+from pcs_racing_agents.watch.race_replays import MAX_ANSWERS, RaceRepeater
 from pcs_racing_agents.watch.view_server import Answer, make_server
 
 
@@ -53,16 +52,11 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
 def test_what_is_asked_for_stands_first_and_then_what_the_rule_selects(tournament_folder):
     races = open_results(tournament_folder[0]).races
     chosen = choose_races(races, 4)
-    first, other = (
-        chosen[2].race,
-        next(k for k in range(18) if k not in [pick.race for pick in chosen]),
-    )
-    asked = [SelectedRace(number, "a race that was asked for") for number in (other, first)]
-    assert view._picks(races, [other, first], 4) == [
-        *asked,
-        *(pick for pick in chosen if pick.race != first),
-    ]
-    assert view._picks(races, [], 0) == []
+    first, other = list(chosen)[2], next(k for k in range(18) if k not in chosen)
+    picks = view._picks(races, [other, first], 4)
+    assert list(picks) == [other, first, *(race for race in chosen if race != first)]
+    assert picks == {**chosen, **dict.fromkeys([other, first], "a race that was asked for")}
+    assert view._picks(races, [], 0) == {}
 
 
 def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):
@@ -105,26 +99,130 @@ def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed)
         (["{folder}", "--index", "18"], "--index names 18; there are races 0 to 17"),
         (["{folder}", "--index", "-1"], "--index names -1"),
         (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
+        (
+            ["{folder}", "--explain", "18"],
+            "there is no race 18 in {folder}; it holds races 0 to 17",
+        ),
+        (["{folder}", "--explain", "0", "--index", "1"], "--explain goes without --index"),
+        (["{folder}", "--explain", "0", "--out", "a.html"], "must end in .png or .svg or .pdf"),
+        (["{folder}", "--car", "0"], "--car goes with --explain"),
+        (["{folder}", "--explain", "{fixed}", "--car", "0"], "'lane-switcher' in car 0 makes no"),
+        (["{folder}", "--agents", "nash"], "'nash' is not in the races of {folder}; there are"),
+        (
+            ["{folder}", "--track", "Tarnfjord"],
+            "'Tarnfjord' is not in the races of {folder}; there",
+        ),
+        (["{folder}", "--track", "Tarnfjordd"], "unknown track 'Tarnfjordd'"),
     ],
 )
-def test_what_is_asked_for_wrongly_is_named(folder, arguments, message, told):
-    assert message in told("view", *(text.format(folder=folder) for text in arguments), "--no-open")
+def test_what_is_asked_for_wrongly_is_named(folder, tournament_folder, arguments, message, told):
+    rows = tournament_folder[1].races
+    fixed = next(i for i, row in enumerate(rows) if row.ego == "lane-switcher")
+    named = {"folder": folder, "fixed": fixed}
+    given = [text.format(**named) for text in arguments]
+    assert message.format(**named) in told("view", *given, "--no-open")
     assert not (folder / "view.html").exists()
 
 
-def another_agent(folder):
-    manifest = yaml.safe_load((folder / "job.yaml").read_text())
-    manifest["settings"]["agents"] = dict.fromkeys(manifest["settings"]["agents"], "0" * 64)
-    (folder / "job.yaml").write_text(yaml.safe_dump(manifest))
+CHANGES = [
+    ("  never-switch: ", "  never-switch: 0000", "agent 'never-switch' has changed"),
+    ("  Pipkin: ", "  Pipkin: 0000", "track 'Pipkin' has changed"),
+    ("archive_sha256: ", "archive_sha256: 0000", "has changed since the races were driven"),
+    ("kind: tournament", "kind: fitting", "holds no races"),
+    ("format:", "- format:", "is damaged"),
+]
 
 
-def test_a_changed_folder_is_one_clear_error_and_its_races_can_still_be_listed(folder, run):
-    another_agent(folder)
-    code, _, error = run("view", folder, "--replays", 4, "--no-open")
+@pytest.mark.parametrize(("old", "new", "message"), CHANGES)
+def test_what_has_changed_is_one_clear_error(folder, run, old, new, message):
+    manifest = folder / "job.yaml"
+    manifest.write_text(manifest.read_text().replace(old, new))
+    code, _, error = run("view", folder, "--index", 17, "--no-open")
     assert code == 2
-    assert "has changed since the races were driven" in error
-    assert "--replays 0 lists the races" in error
-    assert run("view", folder, "--replays", 0, "--no-open")[0] == 0
+    assert message in error
+    assert run("view", folder, "--explain", 17)[0] == 2
+    if "has changed" in message:
+        assert "--replays 0 lists the races" in error
+        assert run("view", folder, "--replays", 0, "--no-open")[0] == 0
+
+
+def test_a_race_with_another_end_is_refused(folder, run):
+    rows = (folder / "results.csv").read_text().splitlines()
+    lead = rows[1].split(",")[8]
+    rows[1] = rows[1].replace(lead, "99.0000")
+    (folder / "results.csv").write_text("\n".join(rows))
+    for option in ("--index", "--explain"):
+        code, _, error = run("view", folder, option, 0, "--no-open")
+        assert code == 2
+        assert "race 0 came out otherwise" in error
+        assert "instead of 99.0000 m" in error
+
+
+def test_a_race_is_explained_and_drawn(folder, printed, tmp_path):
+    text = printed("view", folder, "--explain", 1, "--out", tmp_path / "race.png")
+    assert text.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
+    assert (tmp_path / "race.png").read_bytes().startswith(b"\x89PNG")
+    assert not (folder / "view.html").exists()
+
+
+def test_fixed_policies_are_left_to_the_other_car(tournament_folder, printed):
+    place, tournament = tournament_folder
+    number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
+    assert printed("view", place, "--explain", number).startswith(
+        "never-switch (car 1) against lane-switcher"
+    )
+
+
+def test_a_picture_that_is_left_out_is_told(folder, run, tmp_path, monkeypatch):
+    monkeypatch.setattr("pcs_racing_agents.cli.options.find_spec", lambda name: None)
+    code, out, err = run("view", folder, "--explain", 1, "--out", tmp_path / "race.svg")
+    assert code == 0
+    assert "picture: " not in out
+    assert 'the picture of the race is not drawn: pip install "pcs-racing[plots]" draws it' in err
+    assert not (tmp_path / "race.svg").exists()
+
+
+def test_races_of_a_study_are_found_again(study_folder, printed):
+    """Another race than the one of the results is an error."""
+    place, pairings = study_folder
+    races = len(pairings[1])
+    text = printed("view", place, "--explain", races + 3)
+    assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
+    printed("view", place, "--explain", 2 * races + 2)
+
+
+def test_settings_of_another_version_are_named(study_folder, tmp_path, told):
+    place, _ = study_folder
+    (tmp_path / "results.csv").write_text((place / "results.csv").read_text())
+    (tmp_path / "job.yaml").write_text(
+        (place / "job.yaml").read_text().replace("  egos:", "  drivers:")
+    )
+    assert "unknown table setting 'drivers'" in told("view", tmp_path, "--explain", 0)
+
+
+def test_races_on_an_own_map_are_found_by_its_path_and_after_it_moved(
+    tmp_path, monkeypatch, printed, run
+):
+    circuit = tmp_path / "my maps" / "Home"
+    shutil.copytree(load_track("Pipkin").folder, circuit)
+    for file in circuit.iterdir():
+        file.rename(circuit / file.name.replace("Pipkin", "Home"))
+    picture = circuit / "Home_map.yaml"
+    picture.write_text(picture.read_text().replace("Pipkin", "Home"))
+    race = ["--agents", "never-switch", "random-moves", "--duration", 5, "--races", 2]
+    results = tmp_path / "results"
+    monkeypatch.chdir(tmp_path)
+    printed("tournament", "--track", "my maps/Home", *race, "--out", results)
+    monkeypatch.chdir(results)
+    page = ("view", results, "--index", 0, "--no-open")
+    assert "2 races, 1 of them" in printed(*page)
+    circuit.rename(tmp_path / "moved")
+    code, _, error = run(*page)
+    assert code == 2
+    assert "Home" in error
+    assert "if the map was moved, --track names its folder" in error
+    assert "2 races, 1 of them" in printed(*page, "--track", tmp_path / "moved")
+    assert " on Home, " in printed("view", results, "--explain", 0, "--track", tmp_path / "moved")
 
 
 @pytest.fixture
@@ -187,52 +285,39 @@ def test_the_server_answers_nothing_else(ask, path, headers, status):
 
 
 def test_the_server_is_for_reading(ask):
-    for method, status in (("POST", 405), ("PUT", 501), ("DELETE", 501)):
-        assert ask("/race/1", method)[0].status == status
+    for method in ("POST", "PUT", "DELETE"):
+        assert ask("/race/1", method)[0].status == 501
 
 
 def test_a_race_that_can_not_be_driven_is_told(folder):
-    another_agent(folder)
+    manifest = folder / "job.yaml"
+    manifest.write_text(manifest.read_text().replace(*CHANGES[2][:2]))
     answer = RaceRepeater(open_results(folder)).answer("/race/3")
     assert answer.status == 409
     assert "has changed since the races were driven" in json.loads(answer.body)["error"]
 
 
-def exchange(server, *requests):
-    """Send requests on a connection each, all before the first answer is read; return the answers'
-    first lines.
-    """
-    host = f"127.0.0.1:{server.server_address[1]}"
-    lines = []
-    for request in requests:
-        with socket.create_connection(server.server_address, 60) as one:
-            one.sendall(request.format(host=host).replace("\n", "\r\n").encode())
-            lines.append(one.makefile("rb").readline().decode().strip())
-    return lines
-
-
-def test_what_changes_something_is_asked_for_by_post_and_two_origins_are_none():
+def test_two_origins_or_hosts_are_none_and_a_body_is_no_request():
     asked = []
-    with make_server(
-        "", lambda path: asked.append(path) or Answer(200, b"{}"), method="POST"
-    ) as server:
+    with make_server("", lambda path: asked.append(path) or Answer(200, b"{}")) as server:
         threading.Thread(target=server.serve_forever).start()
-        head, end = "/begin/1 HTTP/1.1\nHost: {host}\n", "Connection: close\n\n"
-        own, other = "Origin: http://{host}\n", "Origin: http://evil.example\n"
-        answers = exchange(
-            server,
-            f"GET {head}{end}",
-            f"POST / HTTP/1.1\nHost: {{host}}\n{end}",
-            f"POST {head}{own}{other}{end}",
-            f"POST {head}{own}{own}{end}",
-            f"POST {head}Host: evil\n{own}{end}",
-            f"POST {head}{own}{end}",
-        )
-        # What follows as the body of a request is no request of its own.
-        exchange(server, f"POST {head}Content-Length: 5\n\nPOST {head}{end}")
+        host = f"127.0.0.1:{server.server_address[1]}"
+        head, own = f"GET /race/1 HTTP/1.1\nHost: {host}\n", f"Origin: http://{host}\n"
+        end = "Connection: close\n\n"
+        answers = []
+        for request in (
+            f"{head}{own}Origin: http://evil.example\n{end}",
+            f"{head}{own}{own}{end}",
+            f"{head}Host: evil\n{own}{end}",
+            f"{head}{own}{end}",
+            f"{head}Content-Length: 5\n\n{head}{end}",
+        ):
+            with socket.create_connection(server.server_address, 60) as one:
+                one.sendall(request.replace("\n", "\r\n").encode())
+                answers.append(one.makefile("rb").readline().decode().split()[1])
         server.shutdown()
-    assert [line.split()[1] for line in answers] == ["405", "405", "403", "403", "403", "200"]
-    assert asked == ["/begin/1"] * 2
+    assert answers == ["403", "403", "403", "200", "200"]
+    assert asked == ["/race/1"] * 2
 
 
 def test_no_race_is_driven_for_a_viewer_who_has_left():
@@ -268,9 +353,12 @@ def test_answers_are_kept_but_not_for_ever():
 
     def drive(number):
         asked.append(number)
-        return RepeatedRace(number, "c", {})
+        return {}
 
-    repeater = RaceRepeater(SimpleNamespace(races=range(MAX_ANSWERS + 10)))
+    def row(number):
+        return SimpleNamespace(track="c")
+
+    repeater = RaceRepeater(SimpleNamespace(races=range(MAX_ANSWERS + 10), row=row))
     repeater.circuits["c"], repeater.drive = {}, drive
     for number in (0, 1, 0, *range(2, MAX_ANSWERS + 1)):
         assert repeater.answer(f"/race/{number}").status == 200
@@ -281,27 +369,7 @@ def test_answers_are_kept_but_not_for_ever():
     assert asked[-1] == 1
 
 
-@pytest.mark.parametrize(
-    ("arguments", "what"),
-    [
-        (["view", "{folder}", "--serve"], "18 races"),
-        (["play", "--opponent", "never-switch", "--track", "Pipkin"], "play"),
-        (
-            [
-                "play",
-                "--drive",
-                "--opponent",
-                "random-moves",
-                "--track",
-                "Pipkin",
-                "--rules",
-                "contest",
-            ],
-            "play",
-        ),
-    ],
-)
-def test_a_command_serves_until_it_is_ended(folder, arguments, what, capsys, monkeypatch):
+def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):
     addresses = []
 
     def end(self, *_):
@@ -310,14 +378,14 @@ def test_a_command_serves_until_it_is_ended(folder, arguments, what, capsys, mon
 
     monkeypatch.setattr(view, "open_page", addresses.append)
     monkeypatch.setattr("http.server.ThreadingHTTPServer.serve_forever", end)
-    assert main([text.format(folder=folder) for text in arguments]) == 0
+    assert main(["view", str(folder), "--serve"]) == 0
     assert addresses[0] == f"http://127.0.0.1:{addresses[1][1]}/"
     assert addresses[1][0] == "127.0.0.1"
-    assert f"{what} at {addresses[0]}" in capsys.readouterr().out
+    assert f"18 races at {addresses[0]}" in capsys.readouterr().out
     assert not (folder / "view.html").exists()
 
 
 def test_a_port_that_is_taken_is_named():
     with make_server("", lambda path: Answer(200, b"")) as server:
-        taken = int(np.int64(server.server_address[1]))
+        taken = server.server_address[1]
         refused("can't listen on port", make_server, "", lambda path: Answer(200, b""), port=taken)

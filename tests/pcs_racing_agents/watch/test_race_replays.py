@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from html import unescape
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +16,9 @@ from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.tournament.races import Categorical
-from pcs_racing_agents.watch.race_choice import SelectedRace
-from pcs_racing_agents.watch.race_replays import (
-    RaceRepeater,
-    RepeatedRace,
-    space_values,
-)
-from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
+from pcs_racing_agents.watch.race_replays import RaceRepeater, space_values
+from pcs_racing_agents.watch.results_folder import ResultsFolder
+from pcs_racing_agents.watch.view_page import packed_races, view_page
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +30,7 @@ def test_a_race_is_a_replay_with_less_in_it(repeater, tournament_folder, tmp_pat
     _, tournament = tournament_folder
     race = repeater.drive(1)
     recording = record_row(tournament, tournament.races[1], candidates=False)
-    values = {**repeater.circuits[race.circuit], **race.values}
+    values = {**repeater.circuits["Pipkin"], **race}
     space = values.pop("space")
     path = tmp_path / "race.json"
     path.write_text(json.dumps(values))
@@ -57,7 +54,6 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
 ):
     """In 4000 steps across the picture, which holds the archive and most of what was explored."""
     _, tournament = tournament_folder
-    race = repeater.drive(1)
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     low, high = points.min(axis=0), points.max(axis=0)
     tails, reach = np.quantile(explored, [0.02, 0.98], axis=0), high - low
@@ -94,15 +90,17 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
             [place.tolist() if there else None for place, there in zip(*rows, strict=True)]
             for rows in zip(places, over, strict=True)
         ]
-        assert race.values["space"]["seen"] == expected
-    assert race.values["space"]["ends"] == (1.0, 2.0, 3.0, 4.0, 5.0)
+        assert race["space"]["seen"] == expected
+    assert race["space"]["ends"] == (1.0, 2.0, 3.0, 4.0, 5.0)
 
 
 def test_a_race_is_small_and_races_of_a_pair_come_together(repeater):
-    values = repeater.drive(0).values
+    values = repeater.drive(0)
     seconds = values["cars"]["shape"][0] * values["frame_dt"]
     assert len(json.dumps(values)) < 3000 + 1300 * seconds  # 40 s in at most 55 kB
-    order = [race.race for race in repeater.drive_all([13, 0, 7, 1, 12])]
+    told = []
+    order = list(repeater.drive_all([13, 0, 7, 1, 12], lambda *words: told.append(words)))
+    assert told == [(done, 5, "Pipkin") for done in range(1, 6)]
     assert sorted(order) == [0, 1, 7, 12, 13]
     assert abs(order.index(0) - order.index(1)) == 1
     assert abs(order.index(12) - order.index(13)) == 1
@@ -154,46 +152,31 @@ def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournam
 
 def test_the_page_says_what_it_holds(tournament_folder):
     races = read_results(tournament_folder[0] / "results.csv")
-    picks, driven = (
-        [SelectedRace(2, "why"), SelectedRace(3, "no")],
-        [RepeatedRace(2, "Pipkin", {"a": 1})],
-    )
-    content = ViewContent(
-        "a title",
-        races,
-        "my folder",
-        "front",
-        picks,
-        driven,
-        {"Pipkin": {"b": 2}},
-        {"c": 3},
-        serve=True,
-    )
+    results = ResultsFolder(Path("my folder"), Path(), races, "front", None)
     first = races.take([0])
-    other = {"start": "side-by-side", "space": None, "serve": False}
-    rows = [
-        replace(content, races=first, **other),
-        replace(content, races=replace(first, preset=Categorical.constant("", 1))),
+    cases = [
+        (results, {"c": 3}, True),
+        (replace(results, races=first, start="side-by-side"), None, False),
+        (
+            replace(results, races=replace(first, preset=Categorical.constant("", 1))),
+            {"c": 3},
+            True,
+        ),
     ]
-    pages = [view_page(one) for one in (content, *rows)]
+    pages = []
+    for one, space, serve in cases:
+        repeater = RaceRepeater(one)
+        repeater.circuits["Pipkin"], repeater.space = {"b": 2}, space
+        pages.append(view_page(repeater, {2: "why"}, {2: {"a": 1}}, serve=serve))
     data = [json.loads(re.search(r'id="races">(.*?)</script>', page)[1]) for page in pages]
     commands = ["pcs-racing view 'my folder' --serve", "pcs-racing view 'my folder' --index {race}"]
-    keys = (
-        "title",
-        "about",
-        "sides",
-        "replays",
-        "circuits",
-        "space",
-        "serve",
-        "commands",
-    )
+    keys = ("title", "about", "sides", "replays", "circuits", "space", "serve", "commands")
     several, one = "18 races, 3 agents, 1 circuit, contest rules", "1 race, 3 agents, 1 circuit"
     same = [[2, "why"]], [["Pipkin", {"b": 2}]]
     assert [[one[key] for key in keys] for one in data] == [
-        ["a title", several, ["front", "rear"], *same, {"c": 3}, True, commands],
-        ["a title", f"{one}, contest rules", ["left", "right"], *same, None, False, commands],
-        ["a title", one, ["front", "rear"], *same, {"c": 3}, True, commands],
+        ["my folder", several, ["front", "rear"], *same, {"c": 3}, True, commands],
+        ["my folder", f"{one}, contest rules", ["left", "right"], *same, None, False, commands],
+        ["my folder", one, ["front", "rear"], *same, {"c": 3}, True, commands],
     ]
     assert ["connect-src 'self'" in unescape(page) for page in pages] == [True, False, True]
     assert all(

@@ -3,6 +3,7 @@ only names.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,10 @@ from toy_races import toy_races
 from pcs_racing.base.packing import unpack
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.race_files import race_table, read_results
-from pcs_racing_agents.watch.race_choice import SelectedRace, choose_races
+from pcs_racing_agents.watch.race_choice import choose_races
 from pcs_racing_agents.watch.race_replays import RaceRepeater
-from pcs_racing_agents.watch.view_page import ViewContent, packed_races, view_page
+from pcs_racing_agents.watch.results_folder import ResultsFolder
+from pcs_racing_agents.watch.view_page import packed_races, view_page
 
 NASTY = (
     "</script><script>document.title='taken'</script><img src=x onerror=\"document.title='taken'\">"
@@ -48,7 +50,7 @@ def test_the_page_lists_the_races_and_reads_what_was_packed(browser, page, tourn
         assert browser.run(f"Array.from(columns.{name})") == pytest.approx(
             unpack(packed).tolist(), abs=1e-9
         ), name
-    assert browser.run("[...replays.keys()]") == [pick.race for pick in choose_races(races, 5)]
+    assert browser.run("[...replays.keys()]") == list(choose_races(races, 5))
 
 
 def test_filters_leave_the_races_that_they_name(browser, page, tournament_folder):
@@ -142,30 +144,22 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
         row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>")
         for row in results.races
     ]
-    races = race_table(rows)
     repeater = RaceRepeater(results)
     race = repeater.drive(0)
     texts = dict.fromkeys(("title", "track_name", "outcome"), NASTY) | {"car_names": [NASTY, NASTY]}
-    hostile = {
-        **race.values,
-        **texts,
-        "events": [[*event[:3], NASTY] for event in race.values["events"]],
-    }
-    content = ViewContent(
-        NASTY,
-        races,
-        results="$(touch /tmp/never) <b>",
-        picks=[SelectedRace(0, NASTY)],
-        driven=[race._replace(values=hostile)],
-        circuits={NASTY: repeater.circuits[race.circuit]},
-        space={**repeater.space, "archive": NASTY, "moves": [NASTY] * len(repeater.space["moves"])},
+    events = [[*event[:3], NASTY] for event in race["events"]]
+    repeater.results = replace(
+        results, races=race_table(rows), folder=Path("$(touch /tmp/never) <b>")
     )
+    repeater.circuits = {NASTY: repeater.circuits["Pipkin"]}
+    repeater.space |= {"archive": NASTY, "moves": [NASTY] * len(repeater.space["moves"])}
+    page = view_page(repeater, {0: NASTY}, {0: {**race, **texts, "events": events}})
     path = tmp_path / "hostile.html"
-    path.write_text(view_page(content), encoding="utf-8")
+    path.write_text(page, encoding="utf-8")
     browser.open(path)
     played(browser)
-    assert browser.run("document.title") == NASTY
-    assert browser.run("document.getElementById('title').innerText") == NASTY
+    assert browser.run("document.title") == "never) <b>"
+    assert browser.run("document.getElementById('title').innerText") == "never) <b>"
     assert browser.run("document.querySelectorAll('img, b:not(.told b, #which b)').length") == 0
     assert NASTY in browser.run("document.querySelector('#pane .line .first').textContent")
     browser.run("choose(1, false)")
@@ -183,7 +177,9 @@ def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
     races = toy_races(("t",), ("a", "b"), egos=50, variants=50)
     races = replace(races, overtakes=np.random.default_rng(0).integers(0, 3, (200_000, 2)))
     path = tmp_path / "many.html"
-    path.write_text(view_page(ViewContent("many", races)))
+    path.write_text(
+        view_page(RaceRepeater(ResultsFolder(Path("many"), Path(), races, "", None)), {}, {})
+    )
     browser.open(f"{path.as_uri()}#show=list&sort=lead")
     assert browser.run("Number(document.body.dataset.shown)") == 200_000
     assert browser.run("document.querySelectorAll('#pane .line').length") < 60
@@ -223,8 +219,9 @@ def test_a_phone_shows_the_list_and_then_the_race_or_how_to_watch_it(
 def test_a_served_page_drives_any_race(browser, tournament_folder, served):
     place, _ = tournament_folder
     results = open_results(place)
-    page = view_page(ViewContent("served", results.races, str(place), serve=True))
-    browser.open(served(page, RaceRepeater(results).answer) + "#race=7")
+    repeater = RaceRepeater(results)
+    page = view_page(repeater, {}, {}, serve=True)
+    browser.open(served(page, repeater.answer) + "#race=7")
     assert played(browser)[1] > 0.1
     assert browser.complaints == []
     assert browser.run("space.archive") == "toy"
