@@ -15,7 +15,7 @@ over that of pure pursuit laps       best lap alone at pace 1 of the contest's r
 or the car left its path search     the best of 110 random weight vectors against pure pursuit, lane
 switcher and gap follower default    the default lattice against the default pure pursuit, `paper`
 and `contest` paces      16 paces of the default lattice against each other: overtakes, places kept,
-gaps, headroom
+gaps
 """
 
 import argparse
@@ -42,7 +42,6 @@ from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import KAPPA, SPEED, X, Y
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
-from pcs_racing_agents.policies.headroom import headroom
 
 # Pace 1 of the contest until commit a58241f: the 50 % hazard of the planner of that time, with half
 # of today's noise.
@@ -294,8 +293,6 @@ def paces(track: Track) -> Row:
     )
     shape = (PACES, PACES, PACE_RACES)
     won = ((result.winner == 0) + 0.5 * (result.winner < 0)).reshape(shape)
-    folds = np.stack([won[:, :, k::4].mean(axis=2) - 0.5 for k in range(4)])
-    value = headroom(0.5 * (folds - np.swapaxes(folds, 1, 2)))
     ratings = won.mean(axis=(1, 2))
     close = np.broadcast_to((np.abs(ratings[:, None] - ratings) < 0.1)[:, :, None], shape).ravel()
     front = np.where(result.starts.side == 0, result.winner == 0, result.winner == 1)
@@ -307,8 +304,6 @@ def paces(track: Track) -> Row:
         "gap": np.median(np.abs(result.lead[finished])),
         "change of lead": (overtakes[close] > 0).mean(),
         "crash": result.crashed.mean(),
-        "headroom": value.value,
-        "best pace": value.best_fixed / (PACES - 1.0),
     }
 
 

@@ -45,10 +45,6 @@ FILES = {
         "synthesize",
         "search for an archive of policies that drive differently",
     ),
-    "headroom": (
-        "headroom",
-        "race all pairs of an archive's policies, and print the value of knowing the opponent",
-    ),
     "tree": (
         "trees",
         "build game trees: simulate all moves of both players, for pairs of starting policies",
@@ -87,7 +83,6 @@ FILES = {
 NAMING = {
     "race": {"--ego": "planner", "--opponent": "planner"},
     "tournament": {"--policies": "planner", "--agents": "agent"},
-    "headroom": {"--policies": "planner"},
     "tune": {"": "planner", "--against": "planner"},
     "policies": {"": "planner"},
     "learn": {"--pool": "agent"},

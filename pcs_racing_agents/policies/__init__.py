@@ -1,4 +1,4 @@
-"""Policy archives: search for Pareto sets, of any function and of policies; payoffs of pools."""
+"""Policy archives: search for Pareto sets, of any function and of policies."""
 
 from pcs_racing_agents.policies.archive_run import ArchiveProgress, synthesize
 from pcs_racing_agents.policies.config import (
@@ -7,20 +7,5 @@ from pcs_racing_agents.policies.config import (
     load_archive_config,
 )
 from pcs_racing_agents.policies.diverse import select_diverse
-from pcs_racing_agents.policies.headroom import (
-    CyclicPlane,
-    Headroom,
-    cyclic_part,
-    cyclic_planes,
-    headroom,
-    ratings,
-    transitive_share,
-)
-from pcs_racing_agents.policies.policy_pool import (
-    PolicyPool,
-    pool_payoffs,
-    slot_payoffs,
-    spanning_policies,
-)
 from pcs_racing_agents.policies.search import Search
 from pcs_racing_agents.policies.tuning import Tuned, TuningConfig, tune

@@ -13,7 +13,6 @@
    holds policies far apart.
 4. **Measurement.** The remaining policies race once more in new scenarios. The coordinates come
    from these races alone, since the maximum of many noisy values is biased.
-5. **Judgement**, only of policies far apart: their headroom in new races.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -29,7 +28,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
@@ -46,11 +44,9 @@ from pcs_racing_agents.policies.evaluate import (
     summarise,
 )
 from pcs_racing_agents.policies.pareto import Scale, hypervolume
-from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
 from pcs_racing_agents.policies.search import Search, latin_hypercube
 from pcs_racing_agents.policies.selection import (
     clearly_beaten,
-    headroom_notes,
     spread_first,
     spread_out,
     thin_out,
@@ -62,14 +58,12 @@ Indices = NDArray[np.int64]
 Notes = Mapping[str, str | float]
 
 BLOCK = 2  # policies per task: a generation of 32 keeps 16 cores busy
-MAX_FOLDS = 16
 
 
 class ArchiveProgress(NamedTuple):
     """Progress of a synthesis."""
 
-    #: Stage of the latest work: ``"champions"``, ``"search"``, ``"choice"``, ``"measurement"`` or
-    #: ``"judgement"``.
+    #: Stage of the latest work: ``"champions"``, ``"search"``, ``"choice"`` or ``"measurement"``.
     stage: str
     #: ``generation``, ``generations``: Numbers of finished and requested generations.
     generation: int
@@ -110,12 +104,7 @@ def synthesize(
         Called with the :class:`ArchiveProgress` during the run.
     """
     folder = Path(folder)
-    tracks = (*config.tracks, *(config.judging_tracks or ()))
-    hashes = {name: load_track(name).content_hash for name in tracks}
-    searched = {hashes[name] for name in config.tracks}
-    for name in config.judging_tracks or ():
-        if hashes[name] in searched:
-            raise InputError(f"judging_tracks names {name!r}, a circuit of the search")
+    hashes = {name: load_track(name).content_hash for name in config.tracks}
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     stage_scenarios(config)
     _check_folder(folder)
@@ -128,10 +117,9 @@ def synthesize(
         run.search(search)
         candidates, notes = run.choose(choice)
         kept, raced, more = run.measure(candidates, final)
-        judged = run.judge(kept) if config.selection == "spread" else {}
         content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
         champions = {f"champion_{k}": text for k, text in enumerate(run.champions, 1)}
-        notes = {**champions, **notes, **more, **judged, "track_hashes": content}
+        notes = {**champions, **notes, **more, "track_hashes": content}
         steps = [step for step in run.history if step.stage == "search"]
         return write_archive(folder, config, run.explored(), run.scale, kept, raced, steps, notes)
 
@@ -187,9 +175,9 @@ def draw_policies(config: ArchiveConfig, count: int, root: np.random.SeedSequenc
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
     """Return the root seeds of all random parts of a synthesis.
 
-    The parts are the three stages, the initial sample, the search, the champions and the judgement.
+    The parts are the three stages, the initial sample, the search and the champions.
     """
-    return np.random.SeedSequence(config.seed).spawn(7)
+    return np.random.SeedSequence(config.seed).spawn(6)
 
 
 def _number(root: np.random.SeedSequence) -> int:
@@ -378,18 +366,6 @@ class ArchiveRun:
         }
         return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
 
-    def judge(self, parameters: Floats) -> Notes:
-        """Race all pairs of an archive's policies in new races, and report headroom on each track.
-
-        Tracks of ``config.judging_tracks`` are not used for the choice.
-        """
-        config = self.config
-        tracks = (*config.tracks, *(config.judging_tracks or ()))
-        seed = _number(_roots(config)[6])
-        payoffs = self._payoffs("judgement", parameters, tracks, config.judging_races, seed)
-        self.callback(self.history[-1]._replace(stage="judgement", done=1.0))
-        return headroom_notes(dict(zip(tracks, payoffs, strict=True)), config.tracks)
-
     def _choose_front(self, allowed: Indices, scenarios: Scenarios) -> tuple[Floats, Notes]:
         """Race the best allowed policies in new scenarios; choose policies not clearly beaten."""
         config = self.config
@@ -452,26 +428,6 @@ class ArchiveRun:
             name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress
         )
         return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
-
-    def _payoffs(
-        self, stage: str, parameters: Floats, tracks: tuple[str, ...], races: int, seed: int
-    ) -> Floats:
-        """Race all pairs of policies or load results of an earlier run, shape (T, F, N, N).
-
-        The number of folds is an even divisor of the number of start lines, up to 16.
-        """
-        planner = get_planner(self.config.planner)
-        policies = tuple(
-            Policy(planner, theta, f"policy {k}") for k, theta in enumerate(parameters)
-        )
-        # An even number, since equally many folds are added and subtracted.
-        folds = max(k for k in range(2, MAX_FOLDS + 1, 2) if races // 2 % k == 0)
-        rules = self.config.rules_of(self.config.final_duration)
-        pool = PolicyPool(policies, tracks, rules, races=races, folds=folds, seed=seed)
-        progress = self._progress(stage)
-        return pool_payoffs(
-            pool, name=stage, job=self.job, executor=self.executor, progress=progress
-        )
 
     def _progress(self, stage: str) -> Progress:
         """Return a callback for the tasks of a stage."""

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
-from math import comb
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,7 +21,7 @@ CHOICES = ("pareto", "spread")
 """Rules of selection: policies that no other policy clearly beats, or policies far apart."""
 
 KIND = "archive"
-SPREAD_SETTINGS = ("margin", "judging_races", "judging_tracks")
+SPREAD_SETTINGS = ("margin",)
 """Options that only matter with ``selection: spread``."""
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
 
@@ -144,16 +143,6 @@ class ArchiveConfig(Settings):
         "A policy is dominated if another one is better on all axes by more than this number of"
         " standard errors of the difference.",
     ] = 1.0
-    judging_races: Annotated[
-        int,
-        Interval(ge=4, le=100_000),
-        "With selection: spread, races of each pair of the chosen policies on each track, whose"
-        " headroom the manifest states.",
-    ] = 64
-    judging_tracks: Annotated[
-        Names | None,
-        "With selection: spread, circuits of the judgement only.",
-    ] = None
     spacing: Annotated[
         float,
         Interval(ge=0.0, le=0.5),
@@ -231,11 +220,6 @@ class ArchiveConfig(Settings):
                 raise ConfigError(
                     f"{key} is {getattr(self, key)}; policies far apart are at least 3"
                 )
-        if self.judging_races % 4:
-            raise ConfigError(f"judging_races is {self.judging_races}; it must be a multiple of 4")
-        both = set(self.tracks) & set(self.judging_tracks or ())
-        if both:
-            raise ConfigError(f"judging_tracks names {sorted(both)[0]!r}, a circuit of the search")
 
     @property
     def rules(self) -> RaceConfig:
@@ -323,10 +307,6 @@ class ArchiveConfig(Settings):
             policies = one.generations * one.population
             races = met * (len(self.rivals) + self.champions / 2) * one.starts
             work = {"champions": self.champions * policies * races * self.final_duration, **work}
-        if self.selection == "spread":
-            judging = len(self.tracks) + len(self.judging_tracks or ())
-            pairs = comb(self.max_policies, 2)
-            work["judgement"] = pairs * judging * self.judging_races * self.final_duration
         return work
 
 

@@ -8,14 +8,11 @@ A Pareto front of two axes is a line, on which less of one axis is more of the o
 policies remain, they may be as far from each other as possible instead, in all directions.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.policies.evaluate import summarise
-from pcs_racing_agents.policies.headroom import headroom, transitive_share
 from pcs_racing_agents.policies.pareto import front_layers
 
 Floats = NDArray[np.float64]
@@ -93,31 +90,3 @@ def spread_out(points: Floats, count: int, first: int = 1) -> Indices:
         kept.append(int(away.argmax()))
         away = np.minimum(away, np.sum((points - points[kept[-1]]) ** 2, axis=1))
     return np.array(kept, np.int64)
-
-
-# Headroom
-
-
-def headroom_notes(
-    payoffs: Mapping[str, Floats], searched_on: Sequence[str]
-) -> dict[str, str | float]:
-    """Return the headroom of a pool on each track, and means over the tracks of the search and over
-    all other tracks.
-
-    ``payoffs``: payoffs by track, shape (F, N, N) each.
-    """
-    estimates = {track: headroom(folds) for track, folds in payoffs.items()}
-    notes: dict[str, str | float] = {}
-    elsewhere = [track for track in payoffs if track not in searched_on]
-    for suffix, tracks in (("", searched_on), ("_elsewhere", elsewhere)):
-        if tracks:
-            values = [estimates[track].value for track in tracks]
-            lows = [estimates[track].low for track in tracks]
-            shares = np.array([transitive_share(payoffs[track]) for track in tracks])
-            known = shares[np.isfinite(shares)]
-            notes[f"headroom{suffix}"] = float(np.mean(values))
-            notes[f"headroom_low{suffix}"] = float(np.mean(lows))
-            notes[f"transitive_share{suffix}"] = float(known.mean()) if len(known) else "unknown"
-    for track, estimate in estimates.items():
-        notes[f"headroom_{track}"] = f"{estimate.value:+.3f} +- {estimate.opponents_error:.3f}"
-    return notes

@@ -474,7 +474,6 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/study/results.py": {"parse_agent name in code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
-        "pcs_racing_agents/cli/headroom.py": {"parse_own_policy"},
         "pcs_racing_agents/cli/learn.py": {"parse_agent True"},
         "pcs_racing_agents/cli/race.py": {"parse_own_policy"},
         "pcs_racing_agents/cli/tournament.py": {"parse_own_policy", "plan_tournament True"},

@@ -289,8 +289,6 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         ),
         (["policies", "latice"], "did you mean 'lattice'?"),
         (["agents", "robot"], "agent 'robot' is unknown; there are: "),
-        (["headroom", "--size", "2", "--out", "x"], "2"),
-        (["headroom", "--races", "33", "--out", "x"], "33"),
         (["study", "contest", "--test-track", "Nowhere", "--out", "x"], "Nowhere"),
         (["study", "contest", "--test-track", "Pipkin", "--out", "x"], "Pipkin"),
         (["solve", "nowhere"], "holds no game trees"),

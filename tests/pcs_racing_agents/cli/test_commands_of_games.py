@@ -1,96 +1,19 @@
-"""``pcs-racing headroom``, ``tree``, ``solve`` and ``study``."""
+"""``pcs-racing tree``, ``solve`` and ``study``."""
 
-import csv
 import re
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from pcs_racing import InputError, load_archive, make_game
-from pcs_racing_agents.cli.headroom import (
-    PoolOptions,
-    headroom_row,
-    mean_row,
-    pool_settings,
-    write_payoffs,
-)
-from pcs_racing_agents.cli.options import Rules
+from pcs_racing import InputError, make_game
 from pcs_racing_agents.cli.trees import solve_table, tree_table
-from pcs_racing_agents.policies.headroom import Headroom
 from pcs_racing_agents.solvers import METHODS
 from pcs_racing_agents.solvers.compare import MethodRow
 from pcs_racing_agents.trees import build_trees, load_trees
 from pcs_racing_agents.trees.tree import TreeStatistics
 
 TREES = ["tree", "--track", "Tarnfjord", "--moves", 2, "--step", 2, "--workers", 1]
-
-
-def rows_of(file):
-    return list(csv.DictReader(file.read_text().splitlines()))
-
-
-def test_the_figures_of_a_headroom_are_those_of_the_estimates(tmp_path):
-    """By hand, and the errors of means over circuits by definition."""
-    one = Headroom(0.1, 0.05, 0.02, np.array([0.1, 0.2, 0.3]), np.array([0.0, 0.1, 0.2]), 1)
-    other = Headroom(0.3, 0.15, 0.04, np.array([0.3, 0.2, 0.1]), np.array([0.1, 0.3, 0.5]), 0)
-    assert headroom_row("t", one, 0.256) == (
-        "t",
-        "+0.100",
-        "+0.050",
-        "0.020",
-        f"{one.pool_error:.3f}",
-        "0.26",
-    )
-    error = np.std([0.05, 0.2, 0.35], ddof=1) / np.sqrt(3.0)
-    assert mean_row([one, other]) == ("mean", "+0.200", "+0.100", f"{error:.3f}", "0.000", "")
-    payoffs = np.array([[[[0.0, 0.25], [-0.25, 0.0]], [[0.0, 0.5], [-0.5, 0.0]]]])
-    rows = csv.reader(
-        write_payoffs(["t"], payoffs, ["a", "b"], tmp_path / "payoffs.csv").read_text().splitlines()
-    )
-    assert list(rows) == [
-        ["track", "policy", "opponent", "payoff", "error"],
-        ["t", "a", "b", "0.375000", "0.125000"],
-        ["t", "b", "a", "-0.375000", "0.125000"],
-    ]
-
-
-def test_two_circuits_have_a_mean_and_a_pool_the_size_that_is_asked_for(tmp_path, printed):
-    short = [
-        "--duration",
-        "2",
-        "--races",
-        "32",
-        "--track",
-        "Tarnfjord",
-        "Pipkin",
-        "--workers",
-        "1",
-    ]
-    text = printed("headroom", "--size", 3, *short, "--seed", 4, "--out", tmp_path)
-    lines = {line.split()[0]: line.split() for line in text.splitlines() if line}
-    found = {row["track"]: row for row in rows_of(tmp_path / "headroom.csv")}
-    assert list(found) == ["Tarnfjord", "Pipkin"]
-    for name, row in found.items():
-        assert lines[name][1:5] == [
-            f"{float(row[key]):{'+' * (key in 'Hlow')}.3f}" for key in list(row)[1:5]
-        ]
-        assert f"{name}: the best fixed policy is {row['best_fixed']}" in text
-    assert lines["mean"][1] == f"{np.mean([float(row['H']) for row in found.values()]):+.3f}"
-    assert len(rows_of(tmp_path / "payoffs.csv")) == 2 * 6
-    assert len(load_archive("default")) > 16 > (small := len(load_archive("contest")))
-    names, pool = PoolOptions(
-        track=("Pipkin",), archive="default", rules=Rules(rules="contest", seed=4), races=32
-    ).pool()
-    assert (len(names), pool.races, pool.seed, pool.config.name) == (16, 32, 4, "contest")
-    assert len(PoolOptions(rules=Rules(rules="contest")).pool()[0]) == small
-    stated = pool_settings(pool)
-    assert (stated["races"], stated["folds"], stated["seed"], len(stated["policies"])) == (
-        32,
-        pool.folds,
-        4,
-        16,
-    )
 
 
 def test_tables_of_trees_hold_their_figures_and_means():

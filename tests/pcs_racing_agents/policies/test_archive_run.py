@@ -21,9 +21,7 @@ from pcs_racing_agents.policies.archive_report import front_picture, hypervolume
 from pcs_racing_agents.policies.archive_run import ArchiveRun, stage_scenarios, synthesize
 from pcs_racing_agents.policies.config import ArchiveConfig, load_archive_config
 from pcs_racing_agents.policies.evaluate import Evaluation, race_policies, summarise
-from pcs_racing_agents.policies.headroom import headroom
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume, non_dominated
-from pcs_racing_agents.policies.policy_pool import PolicyPool, pool_payoffs
 
 pytest.importorskip("cma")
 pytest.importorskip("moocore")
@@ -76,8 +74,6 @@ SPREAD = ArchiveConfig(
     candidates=8,
     choice_opponents=0,
     choice_starts=1,
-    judging_races=32,
-    judging_tracks=("Tarnfjord",),
     final_opponents=0,
     final_starts=2,
     min_policies=3,
@@ -147,7 +143,7 @@ def test_the_manifest_states_settings_versions_and_what_each_stage_left_out(made
         "search_hypervolume_without_crash_limit": hypervolume(points),
     }
     assert {key: settings[key] for key in facts} == stated(facts)
-    assert not {*settings} & {"margin", "judging_races", "judging_tracks"}
+    assert not {*settings} & {"margin"}
     assert "Tarnfjord " in settings["track_hashes"]
     reasons = ("choice_outside_limits", "choice_beaten", "choice_too_near_another")
     reasons += ("measurement_outside_limits", "measurement_beaten")
@@ -215,7 +211,7 @@ def test_the_coordinates_come_from_races_of_their_own(made):
     assert {key: archive.settings[key] for key in facts} == stated(facts)
 
 
-def test_policies_far_apart_lie_around_the_champion_and_are_judged_by_payoffs(spread):
+def test_policies_far_apart_lie_around_the_champion(spread):
     archive, folder, progress = spread
     check_archive(load_archive(folder))
     assert 3 <= len(archive) <= 4
@@ -225,16 +221,10 @@ def test_policies_far_apart_lie_around_the_champion_and_are_judged_by_payoffs(sp
     np.testing.assert_array_equal(explored[0], champion)
     assert any((theta == champion).all() for theta in archive.parameters)
     assert (settings["selection"], settings["margin"]) == ("spread", 0.5)
-    assert set(settings["track_hashes"].replace(",", "").split()) >= {"Pipkin", "Tarnfjord"}
     assert [*dict.fromkeys(step.stage for step in progress)] == [*SPREAD.work]
-    assert progress[-1] == progress[-2]._replace(done=1.0)
     met = 2 * 3  # both sides, two rivals and a champion
     work = (2 * 16 * 2 * 2.5 * 2 * 4.0, 24 * met * 4.0, 8 * met * 4.0, 4 * 2 * met * 4.0)
-    assert tuple(SPREAD.work.values()) == (*work, 6 * 2 * 32 * 4.0)
-    policies = tuple(archive.policy(k) for k in range(len(archive)))
-    again = PolicyPool(policies, ("Tarnfjord",), SPREAD.rules_of(4.0), races=32, seed=3)
-    elsewhere = headroom(pool_payoffs(again)[0]).value
-    assert abs(elsewhere - settings["headroom_elsewhere"]) < 0.3
+    assert tuple(SPREAD.work.values()) == work
 
 
 def test_a_champion_is_the_result_of_a_tuning_and_meets_the_champions_before_it(spread, tmp_path):
@@ -325,7 +315,6 @@ def test_the_executor_has_no_influence(made, spread, tmp_path):
 def test_a_finished_run_races_nothing_again(made, spread, monkeypatch, tmp_path):
     folder = Path(shutil.copytree(made[1], tmp_path / "copy"))
     monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
-    monkeypatch.setattr("pcs_racing_agents.policies.policy_pool.advance", None)
     np.testing.assert_array_equal(synthesize(SPREAD, spread[1]).parameters, spread[0].parameters)
     # of a run that was killed while it wrote
     (folder / ".archive.npz.0123abcd").write_bytes(b"half")
@@ -412,8 +401,6 @@ def test_impossible_settings_are_refused():
     for changes, message in [
         ({"rivals": (), "champions": 0, "opponents": 1}, "selection is 'spread', but"),
         ({"max_policies": 2, "min_policies": 2}, "max_policies is 2; policies far apart"),
-        ({"judging_races": 50}, "judging_races is 50"),
-        ({"judging_tracks": ("Pipkin",)}, "judging_tracks names 'Pipkin'"),
         ({"selection": "luck"}, "luck"),
     ]:
         refused(message, load_archive_config, SPREAD, **changes)

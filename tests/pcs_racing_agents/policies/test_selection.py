@@ -7,12 +7,10 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pcs_racing_agents.policies.evaluate import summarise
-from pcs_racing_agents.policies.headroom import headroom, transitive_share
 from pcs_racing_agents.policies.pareto import front_layers
 from pcs_racing_agents.policies.selection import (
     clearly_beaten,
     difference_errors,
-    headroom_notes,
     spread_first,
     spread_out,
     thin_out,
@@ -103,24 +101,3 @@ def test_points_far_apart_are_chosen_one_by_one(points, count, first):
         assert away[chosen[k]] == away.max() > 0.0
     if len(chosen) < count:  # all other points lie on chosen ones
         assert all((points[chosen] == point).all(axis=1).any() for point in points)
-
-
-def test_headroom_is_reported_for_each_track_for_the_tracks_of_the_choice_and_elsewhere():
-    rng = np.random.default_rng(0)
-    half = rng.uniform(-0.25, 0.25, (16, 4, 4))
-    strength = 0.1 * np.arange(4.0)
-    here = 0.2 * (half - np.swapaxes(half, -1, -2)) + strength[:, None] - strength
-    there = np.zeros((16, 4, 4))  # no share is transitive
-    found = headroom(here)
-    assert headroom_notes({"Pipkin": here, "Tarnfjord": there}, ("Pipkin",)) == {
-        "headroom": found.value,
-        "headroom_low": found.low,
-        "transitive_share": transitive_share(here),
-        "headroom_elsewhere": 0.0,
-        "headroom_low_elsewhere": 0.0,
-        "transitive_share_elsewhere": "unknown",
-        "headroom_Pipkin": f"{found.value:+.3f} +- {found.opponents_error:.3f}",
-        "headroom_Tarnfjord": "+0.000 +- 0.000",
-    }
-    alone = headroom_notes({"Pipkin": here}, ("Pipkin",))
-    assert list(alone) == ["headroom", "headroom_low", "transitive_share", "headroom_Pipkin"]

@@ -19,7 +19,7 @@ def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
         assert archive.settings[key] == value, key
     assert len(config.tracks) >= 3
     stated_hashes = archive.settings["track_hashes"].split(", ")
-    # After the circuits of the search come those on which the choice was judged.
+    # The archive contest was also raced on other circuits.
     for track, stated in zip(config.tracks, stated_hashes, strict=False):
         assert stated == f"{track} {load_track(track).content_hash[:16]}"
 
