@@ -14,7 +14,7 @@ KEY = ("kind", "track", "opponent", "arm", "base")
 def read_comparisons(
     file: Path, shares: Sequence[str] = (), numbers: Sequence[str] = ()
 ) -> list[Row]:
-    """Return the lines of a study's table, each comparison once.
+    """Return the comparisons of a study's table, each once.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def read_comparisons(
     low = dict.fromkeys(shares, 0.0) | dict.fromkeys(numbers, -1.0)
     missing = [key for key in (*KEY, "train", *low) if not rows or key not in rows[0]]
     if missing:
-        raise InputError(f"{file} has no {missing[0]!r} or no lines; run the stage report again")
+        raise InputError(f"{file} has no {missing[0]!r} or no lines; run the study again")
     seen: set[tuple[str, ...]] = set()
     for number, row in enumerate(rows, 2):
         where, key = f"{file}, line {number}", tuple(row[name] for name in KEY)
@@ -39,7 +39,7 @@ def read_comparisons(
         for name, least in low.items():
             if not least <= _number(row[name]) <= 1.0:
                 raise InputError(f"{where}: {name} is {row[name]!r}; it must be {least:g} to 1")
-    return rows
+    return [row for row in rows if row["kind"] != "score"]
 
 
 def _number(text: str) -> float:

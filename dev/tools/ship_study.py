@@ -5,7 +5,7 @@
 
 The last argument is a checkout; networks go to ``pcs_racing_agents/data/networks``, fits to
 ``pcs_racing_agents/data/fits``. ``--ppo FOLDER`` and ``--psro FOLDER`` add the result of
-``pcs-racing ppo`` and of ``pcs-racing learn psro`` to a study without such agents.
+``pcs-racing ppo`` and of ``pcs-racing learn psro`` to the study.
 """
 
 import argparse
@@ -31,7 +31,7 @@ def ship(study: Study, checkout: Path, **others: Path) -> list[Path]:
     """
     stem = f"{study.spec.archive.name}-{study.spec.race}"
     data = checkout / "pcs_racing_agents" / "data"
-    folders = {kind: study.network(kind) for kind in ("regret", "nash", "ppo")}
+    folders = {kind: study.network(kind) for kind in ("regret", "nash")}
     folders["self-play"] = study.network("sampled-cfr")
     if study.config.learning.responses:
         folders["response"] = study.network(study.config.learning.responses[0])

@@ -78,8 +78,26 @@ class Job:
             Whether to return the results. False returns an empty list, and memory does not grow
             with the tasks.
         """
-        group = TaskGroup(self, name, function, arguments)
-        return run_groups([group], executor=executor, progress=progress, keep=keep)[0]
+        marks = self._marks(name, arguments)
+        results: list[Arrays] = [{}] * len(arguments) if keep else []
+        missing = []
+        for index, mark in enumerate(marks):
+            stored = self._stored(name, index, mark)
+            if stored is None:
+                missing.append(Task(index, function, arguments[index]))
+            elif keep:
+                results[index] = stored
+        done = len(arguments) - len(missing)
+        if progress is not None:
+            progress(done, len(arguments), name)
+        for index, value in run_tasks(missing, executor, name):
+            arrays = self._keep(name, index, value, marks[index])
+            if keep:
+                results[index] = arrays
+            done += 1
+            if progress is not None:
+                progress(done, len(arguments), name)
+        return results
 
     def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
         """Return the digests of all inputs of the tasks."""
@@ -111,55 +129,6 @@ class Job:
         except InputError as error:
             _log.warning("%s; it is made again", error)
             return None
-
-
-@dataclass(frozen=True, eq=False)
-class TaskGroup:
-    """Independent tasks of a job; the arguments of :meth:`Job.run` as a value."""
-
-    job: Job
-    name: str
-    function: Callable[[Any], Mapping[str, Any]]
-    arguments: Sequence[Any]
-
-
-def run_groups(
-    groups: Sequence[TaskGroup],
-    *,
-    executor: Executor | None = None,
-    progress: Progress | None = None,
-    keep: bool = True,
-) -> list[list[Arrays]]:
-    """Run the tasks of several groups, of one or more jobs, side by side: :meth:`Job.run` for each.
-
-    No worker waits at the end of a group for the others: the tasks of the next group follow at
-    once. ``progress`` is called with the name of a group, and counts the tasks of all groups.
-    """
-    results: list[list[Arrays]] = [[{}] * len(group.arguments) if keep else [] for group in groups]
-    marks = [group.job._marks(group.name, group.arguments) for group in groups]
-    missing = []
-    for i, group in enumerate(groups):
-        for index, mark in enumerate(marks[i]):
-            stored = group.job._stored(group.name, index, mark)
-            if stored is None:
-                missing.append(Task((i, index), group.function, group.arguments[index]))
-            elif keep:
-                results[i][index] = stored
-    total = sum(len(group.arguments) for group in groups)
-    done = total - len(missing)
-    names = list(dict.fromkeys(group.name for group in groups))
-    if progress is not None:
-        progress(done, total, names[0] if names else "")
-    for (i, index), value in run_tasks(
-        missing, executor, " to ".join(dict.fromkeys(names[:1] + names[-1:]))
-    ):
-        arrays = groups[i].job._keep(groups[i].name, index, value, marks[i][index])
-        if keep:
-            results[i][index] = arrays
-        done += 1
-        if progress is not None:
-            progress(done, total, groups[i].name)
-    return results
 
 
 class Workers(TypedDict, total=False):

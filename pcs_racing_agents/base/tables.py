@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,13 +18,13 @@ from pcs_racing.base.files import read_limited, write_atomically
 class Column(NamedTuple):
     """Column of a table: an attribute of the table's lines, its heading and its format."""
 
-    name: str
+    name: str  #: Name of the attribute; with dots for an attribute of an attribute.
     heading: str = ""  #: Heading; the name by default.
     format: str = ""  #: Format of the values, such as ``"+.3f"``.
 
     def text(self, line: object) -> str:
         """Return the cell of a line; "-" for NaN, an empty text for None."""
-        value = getattr(line, self.name)
+        value = attrgetter(self.name)(line)
         if isinstance(value, tuple):
             return ", ".join(value)
         if value is None:

@@ -1,4 +1,4 @@
-"""``pcs-racing study``: run a study, from the policy search to the report."""
+"""``pcs-racing study``: run a study, from the game trees to the report."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +14,7 @@ from pcs_racing_agents.cli.options import TRACK_HELP, Workers
     "study",
     "pcs-racing study quick --out out/quick",
     "pcs-racing study paper --out out/paper",
-    "pcs-racing study out/my-study.yaml --out out/mine --stage archive trees",
+    "pcs-racing study out/my-study.yaml --out out/mine",
     "pcs-racing study contest --archive out/my-archive --seed 1 --out out/contest",
     "pcs-racing study contest --test-track maps/Monza maps/Spielberg --out out/real",
 )
@@ -24,38 +24,28 @@ def run(
     ],
     *,
     out: Annotated[Path, Option("folder of the study; an interrupted run resumes here", "DIR")],
-    stage: Annotated[
-        Sequence[str] | None, Option("stages to run (default: all unfinished stages)", "NAME")
-    ] = None,
     seed: Annotated[
         int | None, Option("seed of all random draws (default: seed of the settings)")
     ] = None,
     archive: Annotated[
-        str | None,
-        Option("name or folder of an archive to use in place of the search of the settings", "A"),
+        str | None, Option("name or folder of an archive (default: archive of the settings)", "A")
     ] = None,
     test_track: Annotated[
         Sequence[str], Option(f"further test circuits of the main table: {TRACK_HELP}", "T")
     ] = (),
     workers: Workers,
 ) -> None:
-    """Run a complete study: archive, game trees, networks, agents, races and report."""
+    """Run a complete study: game trees, networks, agents, races, table and report."""
     from pcs_racing_agents.study import load_study_config, run_study
-    from pcs_racing_agents.study.run import stage_seconds
 
-    changes: dict[str, Any] = {} if seed is None else {"seed": seed}
-    if archive is not None:
-        changes |= {"synthesis": None, "archive": archive}
+    given: dict[str, Any] = {"seed": seed, "archive": archive}
+    changes = {name: value for name, value in given.items() if value is not None}
     settings = load_study_config(config, **changes)
     if test_track:
         tracks = (*settings.table.tracks, *test_track)
         settings = replace(settings, table=replace(settings.table, tracks=tracks))
     with workers.start() as executor:
-        study = run_study(settings, out, only=stage, executor=executor)
-    for name, seconds in stage_seconds(study).items():
-        print(f"{name:16} {seconds:8.1f} s")
-    for file in ("results.csv", "table.txt", "report.html"):
-        if (study.folder / file).is_file():
-            print(f"{file}: {study.folder / file}")
-    if (study.folder / "table.txt").is_file():
-        print((study.folder / "table.txt").read_text(encoding="utf-8"))
+        study = run_study(settings, out, executor=executor)
+    for file in ("results.csv", "table.csv", "report.html"):
+        print(f"{file}: {study.folder / file}")
+    print((study.folder / "table.txt").read_text(encoding="utf-8"))

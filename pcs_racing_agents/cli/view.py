@@ -31,9 +31,7 @@ MAX_REPLAYS = 2000
     "pcs-racing view out/mine --explain 12 --car 1 --out race-12.png",
 )
 def run(
-    results: Annotated[
-        Path, Option("folder of a tournament, of a study, or of the ratings in a study", "RESULTS")
-    ],
+    results: Annotated[Path, Option("folder of a tournament or of a study", "RESULTS")],
     *,
     explain: Annotated[
         int | None,

@@ -1,4 +1,4 @@
-"""The paper's study in stages: archive, game trees, networks, agents, races and a report."""
+"""A study: archive, game trees, networks, agents, races, a table and a report."""
 
 import lazy_loader
 

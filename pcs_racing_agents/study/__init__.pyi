@@ -1,14 +1,12 @@
 from .config import StudyConfig as StudyConfig
 from .config import load_study_config as load_study_config
-from .run import STAGES as STAGES
 from .run import run_study as run_study
 from .study import Study as Study
 from .table import make_table as make_table
-from .table_output import table_text as table_text
-from .table_output import write_table as write_table
+from .table import table_text as table_text
+from .table import write_table as write_table
 
 __all__ = [
-    "STAGES",
     "Study",
     "StudyConfig",
     "load_study_config",

@@ -1,4 +1,4 @@
-"""Configuration of a study: the game, the learning, the races of the tables."""
+"""Configuration of a study: rules, learning, races of the tables."""
 
 import os
 from collections.abc import Mapping
@@ -14,16 +14,15 @@ from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.race.config import PAPER
 from pcs_racing_agents.base.configurations import load_config
-from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
-from pcs_racing_agents.policies.config import load_archive_config
+
+BASELINES = ("best-fixed", "best-schedule", "best-lead-plan")
+"""Agents fitted on training races: fixed policy, move sequence and lead-conditioned plan."""
+
 
 PAPER_GAME = load_game_config("paper")
-
-BEST_OPEN_LOOP = ("best-fixed", "best-schedule", "best-lead-plan")
-"""Baselines fitted on training races: fixed policy, move sequence and lead-conditioned plan."""
 
 
 @dataclass(frozen=True)
@@ -31,26 +30,19 @@ class LearningConfig(Settings):
     """Game trees, networks, baselines and responses of a study."""
 
     tracks: Annotated[Names, "Training tracks, also of the game trees."] = ("Tarnfjord",)
-    trees: Annotated[int, Interval(ge=0, le=100_000), "Game trees on each track; 0 for none."] = 12
-    seeds: Annotated[
-        int, Interval(ge=1, le=1000), "Noise realisations in each tree; 1 without noise."
-    ] = 1
-    training: Annotated[Text, "Configuration of the networks' training."] = "study"
-    targets: Annotated[Names, "Targets of the networks, in this order."] = (
-        "regret",
-        "normalised",
-        "advantage",
-        "static-q",
-    )
+    targets: Annotated[
+        OptionalNames, "Targets of networks trained on game trees; none for no trees."
+    ] = ("regret",)
+    trees: Annotated[int, Interval(ge=3, le=100_000), "Game trees on each track."] = 12
+    training: Annotated[Text, "Configuration of the training on trees."] = "study"
     sampled_cfr: Annotated[
         Text | None,
-        "Configuration (self-play) of counterfactual regrets from sampled games: the network of"
-        ' "cfr-argmax" and "cfr-regret-matching", in place of one from full game trees; None for'
-        " none.",
+        "Configuration (self-play) of counterfactual regrets from sampled games, for cfr-argmax"
+        " and cfr-regret-matching in place of regrets from trees; None for none.",
     ] = None
     responses: Annotated[
         OptionalNames,
-        "Configurations of the learned responses"
+        "Configurations of learned responses"
         " (pcs_racing_agents.learning.responses.ResponseSettings).",
     ] = ()
     response_opponents: Annotated[Names, "Opponents in the training of responses."] = (
@@ -63,11 +55,6 @@ class LearningConfig(Settings):
         "Races against each opponent on each track, to select the baselines; even.",
     ] = 100
     fitting_opponents: Annotated[Names, "Opponents in those races."] = ("never-switch",)
-    ppo: Annotated[
-        Text | None,
-        "Configuration (level duel) of a PPO baseline that is trained on these tracks, with the"
-        ' study\'s archive and rules; None trains none, and the agent "ppo" is the shipped one.',
-    ] = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,18 +64,16 @@ class LearningConfig(Settings):
             load_response_settings(name)
         if self.sampled_cfr is not None:
             load_self_play_settings(self.sampled_cfr)
-            if "regret" in self.targets and self.trees > 0:
+            if "regret" in self.targets:
                 raise ConfigError(
                     f"sampled_cfr is {self.sampled_cfr!r} and targets hold 'regret'; name one"
                     " source of the regrets"
                 )
-        if self.ppo is not None and load_ppo_settings(self.ppo).level != "duel":  # type: ignore[attr-defined]
-            raise ConfigError(f"ppo is {self.ppo!r}; this is no configuration of level duel")
-        if 0 < self.trees * len(self.tracks) < 3:
-            raise ConfigError(
-                f"trees is {self.trees}; networks need at least 3 trees: for training, validation"
-                " and test"
-            )
+
+    @property
+    def networks(self) -> tuple[str, ...]:
+        """Kinds of networks of the zoo's agents that the study trains."""
+        return self.targets if self.sampled_cfr is None else (*self.targets, "regret")
 
 
 @dataclass(frozen=True)
@@ -101,9 +86,9 @@ class TableConfig(Settings):
         "random-policy",
         "lane-switcher",
     )
-    agents: Annotated[Names, "Agents of the table; the first is the baseline."] = (
+    agents: Annotated[Names, "Agents of the table; the first is the base of the differences."] = (
         "never-switch",
-        *BEST_OPEN_LOOP,
+        *BASELINES,
         "cfr-argmax",
     )
     egos: Annotated[int, Interval(ge=2, le=1000), "Start policies of the ego in each cell."] = 20
@@ -138,18 +123,15 @@ class StudyConfig(Settings):
     """Configuration of a study; it determines the results."""
 
     game: Annotated[GameConfig, Checked(_game), "Rules of the game."] = PAPER_GAME
-    synthesis: Annotated[
-        Text | None, "Configuration of the synthesis; None uses an existing archive instead."
-    ] = None
-    archive: Annotated[Text, "Name or folder of the existing archive."] = "default"
+    archive: Annotated[Text, "Name or folder of the policy archive."] = "default"
     learning: Annotated[
         LearningConfig, _section(LearningConfig), "Training of the networks and agents."
     ] = LearningConfig()
     table: Annotated[
         TableConfig,
         _section(TableConfig),
-        "Main table. With the three fitted baselines among its agents (best-fixed, best-schedule,"
-        " best-lead-plan) it has the adaptivity gain; some without the others are refused.",
+        "Main table, with the adaptivity gain if all baselines (best-fixed, best-schedule,"
+        " best-lead-plan) are among its agents.",
     ] = TableConfig()
     further: Annotated[
         TableConfig | None,
@@ -157,38 +139,20 @@ class StudyConfig(Settings):
         "Second table, of more opponents, tracks and agents; None for none.",
     ] = None
     best: Annotated[Text, "Agent of main interest in the tables."] = "cfr-argmax"
-    rated: Annotated[OptionalNames, "Agents of the round robin for the ratings."] = ()
-    rating_races: Annotated[
-        int,
-        Interval(ge=2, le=2000),
-        "Races of each pair of rated agents on each track of the main table; even.",
-    ] = 100
     seed: Annotated[int, Interval(ge=0, le=2**62), "Seed of all random draws."] = 0
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.game.race.laps is not None and self.learning.trees > 0:
+        if self.game.race.laps is not None and self.learning.targets:
             raise ConfigError(
-                f"laps is {self.game.race.laps}; game trees need races by time: set trees to 0"
+                f"laps is {self.game.race.laps}; game trees need races by time: leave targets empty"
             )
-        if self.synthesis is not None:
-            load_archive_config(self.synthesis)
-        elif self.archive not in list_archives() and not os.path.isdir(self.archive):
+        if self.archive not in list_archives() and not os.path.isdir(self.archive):
             raise ConfigError(
                 f"archive is {self.archive!r}; it must be a folder or one of"
                 f" {', '.join(list_archives())}"
             )
-        # A subset of them would pass the best of the subset off as the best baseline.
-        agents = self.table.agents
-        missing = [name for name in BEST_OPEN_LOOP if name not in agents]
-        if 0 < len(missing) < len(BEST_OPEN_LOOP):
-            present = next(name for name in BEST_OPEN_LOOP if name in agents)
-            raise ConfigError(
-                f"agents hold {present!r} but not {missing[0]!r}; name all of"
-                f" {', '.join(BEST_OPEN_LOOP)} or none: the adaptivity gain is over the one that"
-                " won most training races"
-            )
-        for table in self.tables.values():
+        for table in self.tables:
             if self.best not in table.agents:
                 raise ConfigError(
                     f"best is {self.best!r}; it must be one of the agents,"
@@ -196,14 +160,14 @@ class StudyConfig(Settings):
                 )
 
     @property
-    def tables(self) -> dict[str, TableConfig]:
-        """Tables by name."""
-        return {"main": self.table} | ({} if self.further is None else {"further": self.further})
+    def tables(self) -> tuple[TableConfig, ...]:
+        """Main table, and the second one if there is one."""
+        return (self.table,) if self.further is None else (self.table, self.further)
 
     @property
     def tracks(self) -> tuple[str, ...]:
         """All tracks of the study."""
-        tables = (name for table in self.tables.values() for name in table.tracks)
+        tables = (name for table in self.tables for name in table.tracks)
         return tuple(dict.fromkeys((*self.learning.tracks, *tables)))
 
 

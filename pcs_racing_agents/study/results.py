@@ -7,18 +7,16 @@ changed agent, the lead of a race a changed result.
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.agent import Competitor, competitor_hash
+from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
@@ -29,9 +27,9 @@ from pcs_racing_agents.tournament import (
     RaceRow,
     RaceTable,
     cross_pairing,
-    draw_schedule,
+    plan_tournament,
     read_results,
-    schedule_pairing,
+    tournament_settings,
 )
 from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder
 
@@ -51,10 +49,7 @@ def open_results(
             f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing"
             " study' wrote with --out"
         )
-    # A study stores the races of its ratings in a separate folder, with their lines next to it.
-    above = path.resolve().parent
-    is_rating = kind == "tournament" and _read_manifest(above)[0] == "study"
-    file = path.with_suffix(".csv") if is_rating else path / "results.csv"
+    file = path / "results.csv"
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
     races = read_results(file)
@@ -68,13 +63,39 @@ def open_results(
                 )
     make: Callable[[RaceRow], Pairing]
     if kind == "study":
-        whole = _study(path, settings)
-        rules, make = whole.config.game, partial(_of_study, whole, moved, races)
+        study = _study(path, settings)
+        rules, make = study.config.game, partial(study_pairing, study, races, moved=moved)
     else:
         rules = _game_config(path, settings)
-        study = _study(above, _read_manifest(above)[1]) if is_rating else None
-        make = partial(_of_tournament, settings, rules, study, code, moved)
+        make = partial(_tournament_pairing, settings, rules, code, moved)
     return ResultsFolder(path, file, races, rules.race.start, make)
+
+
+def study_pairing(
+    study: Study, races: RaceTable, row: RaceRow, moved: Mapping[str, str] = MappingProxyType({})
+) -> Pairing:
+    """Return the pairing of one of the races of a study; ``moved``: places of maps by name."""
+    # All races of a pairing together determine its variants and number of lines.
+    rows = races.pairs[row.track, row.ego, row.opponent, str(row.seed)]
+    egos, opponents = (np.unique(races.variants[rows, car]).tolist() for car in range(2))
+    places = [moved[row.track]] if row.track in moved else study.config.tracks
+    tracks = {track.name: track for track in map(_load_track, places)}
+    return cross_pairing(
+        study.game(tracks[row.track]),
+        study.agent(row.ego),
+        study.agent(row.opponent),
+        egos=egos,
+        opponents=opponents,
+        lines=len(rows) // max(1, 2 * len(egos) * len(opponents)),
+        seed=row.seed,
+    )
+
+
+def _load_track(place: str) -> Track:
+    try:
+        return load_track(place)
+    except InputError as error:
+        raise InputError(f"{error}; if the map was moved, --track names its folder") from None
 
 
 def _read_manifest(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -107,53 +128,37 @@ def _game_config(folder: Path, settings: Mapping[str, Any]) -> GameConfig:
         raise InputError(f"{folder / MANIFEST} is damaged: {error!r}") from None
 
 
-def _of_study(study: Study, moved: Mapping[str, str], races: RaceTable, row: RaceRow) -> Pairing:
-    # All races of a pairing together determine its variants and number of lines.
-    rows = races.pairs[row.track, row.ego, row.opponent, str(row.seed)]
-    egos, opponents = (np.unique(races.variants[rows, car]).tolist() for car in range(2))
-    return cross_pairing(
-        study.game(moved.get(row.track, row.track)),
-        study.agent(row.ego),
-        study.agent(row.opponent),
-        egos=egos,
-        opponents=opponents,
-        lines=len(rows) // max(1, 2 * len(egos) * len(opponents)),
-        seed=row.seed,
-    )
-
-
-def _of_tournament(
+def _tournament_pairing(
     settings: Mapping[str, Any],
     rules: GameConfig,
-    study: Study | None,
     code: Sequence[str],
     moved: Mapping[str, str],
     row: RaceRow,
 ) -> Pairing:
-    # All inputs of a race are compared by hash: other inputs give another race.
-    archive: PolicyArchive = load_archive(settings["archive"]) if study is None else study.archive
+    """Return the pairing of one of the races of a tournament.
+
+    All inputs are compared by hash: other inputs give another race.
+    """
+    seed, spec = int(settings["seed"]), make_game_spec(settings["archive"], rules)
+    archive = spec.archive
     _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
     place = {**settings.get("maps", {}), **moved}.get(row.track, row.track)
-    try:
-        track = load_track(place)
-    except InputError as error:
-        raise InputError(f"{error}; if the map was moved, --track names its folder") from None
-    _check_same(f"track {row.track!r}", track.content_hash, settings["tracks"][row.track])
-    seed, spec = int(settings["seed"]), make_game_spec(archive, rules)
-
-    def agent(name: str) -> Competitor:
-        if study is None:
-            car = parse_agent(name, spec, seed=seed, code=name in code)
-        else:
-            car = study.agent(name)
-        _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
-        return car
-
-    ego, opponent = agent(row.ego), agent(row.opponent)
-    races = int(settings["races_per_pair"])
-    schedule = draw_schedule(track, spec.config.race_rules, races, seed)
-    game = RaceGame(track, spec.archive, spec.config)
-    return schedule_pairing(game, ego, opponent, schedule, seed)
+    plan = plan_tournament(
+        _load_track(place),
+        {
+            name: parse_agent(name, spec, seed=seed, code=name in code)
+            for name in (row.ego, row.opponent)
+        },
+        rules,
+        archive=archive,
+        races_per_pair=int(settings["races_per_pair"]),
+        seed=seed,
+    )
+    now = tournament_settings(plan)
+    for noun in ("track", "agent"):
+        for name, current in now[f"{noun}s"].items():
+            _check_same(f"{noun} {name!r}", current, settings[f"{noun}s"][name])
+    return plan.pairings[0]
 
 
 def _check_same(noun: str, current: str, recorded: str) -> None:

@@ -1,131 +1,63 @@
-"""Runner of a study: its stages in order, each in its own folder; finished stages are skipped.
+"""Script of a study: trees, networks, baselines, responses, then the races and the report.
 
-A finished stage leaves a file ``done.yaml`` with digests of its outputs for later stages; a
-stopped stage resumes its job. The results depend on the study's configuration alone.
+Every stage is a job in the study's folder. A finished task is read from its chunk, so a stopped
+study resumes, and a finished study repeats nothing. The results depend on the configuration alone.
 """
 
-import hashlib
-import time
-from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
+from dataclasses import replace
+from functools import cache, partial
+from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import yaml
+import numpy as np
 
-from pcs_racing.base.checks import is_number
-from pcs_racing.base.errors import InputError, UnknownNameError, require
-from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
+from pcs_racing.base.errors import require
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.make import make_game
 from pcs_racing.track.loading import load_track
+from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.base.folders import claim_folder, clear_half_written
-from pcs_racing_agents.study import stages
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
+from pcs_racing_agents.learning.self_play import (
+    RaceSampler,
+    learn_self_play,
+    load_self_play_settings,
+)
+from pcs_racing_agents.networks.network_files import save_network, save_network_set
+from pcs_racing_agents.networks.settings import load_train_settings
+from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report import write_report
 from pcs_racing_agents.study.study import Study
-
-DONE = "done.yaml"
-"""File in the folder of a finished stage."""
-
-
-class Stage(NamedTuple):
-    """A stage of a study, with a folder of the same name."""
-
-    name: str
-    does: str  #: Short description of its work.
-    run: Callable[[Study], Any]  #: Function ``run(study)``; it skips finished work.
-    needs: tuple[str, ...] = ()  #: Stages to finish first.
-
-
-LEARNED = ("networks", "sampled-cfr", "open-loop", "responses", "ppo")
-
-STAGES = (
-    Stage("archive", "searches policies", stages.make_the_archive),
-    Stage("trees", "plays game trees", stages.play_trees, ("archive",)),
-    Stage("networks", "trains networks on the trees", stages.train_networks, ("trees",)),
-    Stage(
-        "sampled-cfr",
-        "learns regrets from sampled games",
-        stages.learn_sampled_regrets,
-        ("archive",),
-    ),
-    Stage("open-loop", "chooses the open-loop agents", stages.choose_open_loop, ("archive",)),
-    Stage(
-        "responses",
-        "learns best responses to opponents",
-        stages.learn_responses,
-        ("networks", "open-loop"),
-    ),
-    Stage("ppo", "trains the PPO baseline", stages.train_ppo_baseline, ("archive",)),
-    Stage("races", "drives the races of the tables", stages.table_races, LEARNED),
-    Stage("ratings", "lets agents race all against all", stages.race_for_ratings, LEARNED),
-    Stage("report", "writes results.csv and report.html", write_report, ("races", "ratings")),
+from pcs_racing_agents.tournament import (
+    RaceTable,
+    concatenate_races,
+    cross_pairing,
+    play_pairings,
 )
-"""All stages, in order of execution; the report is written at every run."""
+from pcs_racing_agents.tournament.fitting import (
+    TrainingRaces,
+    fit_best_fixed,
+    fit_best_lead_plan,
+    fit_best_schedule,
+)
+from pcs_racing_agents.trees.storage import build_trees, stored_identity
 
-
-def check_libraries(config: StudyConfig, stage: str) -> None:
-    """Raise ModuleNotFoundError if a library that a stage needs is missing."""
-    learning = config.learning
-    learns = {
-        "networks": learning.trees > 0,
-        "responses": bool(learning.responses),
-        "sampled-cfr": learning.sampled_cfr is not None,
-    }
-    if learns.get(stage):
-        require("torch", extra="learning")
-    elif stage == "ppo" and learning.ppo is not None:
-        require("stable_baselines3", extra="learning")
-    elif stage == "archive" and config.synthesis is not None:
-        require("moocore", "cma", extra="synthesis")
-
-
-def stage_seconds(study: Study) -> dict[str, float]:
-    """Return the time of each finished stage, s, of the run that finished it."""
-    return {name: float(note["seconds"]) for name, note in _notes(study.folder).items()}
-
-
-def _notes(folder: Path) -> dict[str, dict[str, Any]]:
-    """Return the notes of finished stages, by name."""
-    notes = {}
-    for stage in STAGES:
-        file = folder / stage.name / DONE
-        if file.is_file():
-            note = parse_yaml(file, read_limited(file, MAX_YAML, "the note of a stage"))
-            seconds, files = (
-                note.get(key) if isinstance(note, dict) else None for key in ("seconds", "files")
-            )
-            if not is_number(seconds) or not 0.0 <= seconds < 1e9 or not isinstance(files, dict):
-                wrong = f"seconds are {seconds!r:.80}, files {files!r:.80}"
-                raise InputError(f"{file} is damaged: {wrong}; delete it, and the stage runs again")
-            notes[stage.name] = note
-    return notes
-
-
-def _digests(config: StudyConfig, folder: Path, stage: str) -> dict[str, str]:
-    """Return digests of a stage's outputs for later stages, by path; jobs guard their chunks."""
-    names = {
-        "networks": config.learning.targets,
-        "responses": config.learning.responses,
-        "sampled-cfr": (stage, "regret"),
-    }
-    left = [f"networks/{name}/**/*" for name in names.get(stage, (stage,))]
-    left += [f"{stage}/*", f"{stage}/*/job.yaml", f"{stage.replace('-', '_')}.csv"]
-    found = {
-        file.relative_to(folder): file for pattern in left for file in sorted(folder.glob(pattern))
-    }
-    return {
-        name.as_posix(): hashlib.sha256(file.read_bytes()).hexdigest()
-        for name, file in found.items()
-        if file.is_file() and not file.name.startswith(".") and file.name != DONE
-    }
+# Offsets of the study's seed: start policies and noise differ from the races of the tables.
+# pcs_racing.race.races.start_lines decides which start places training and tables draw from.
+TREE_SEED = 1_000_000
+FITTING_SEED = 2_000_000
+RESPONSE_SEED = 3_000_000
+SAMPLED_SEED = 4_000
+FIXED_TARGETS = 16  # candidates for the targets of best-fixed and best-lead-plan
 
 
 def run_study(
     config: StudyConfig,
     folder: str | Path,
     *,
-    only: Sequence[str] | None = None,
     executor: Executor | None = None,
     quiet: bool = False,
 ) -> Study:
@@ -135,78 +67,156 @@ def run_study(
     ----------
     folder : str or Path
         New, empty, or of the same study.
-    only : sequence of str, optional
-        Names of stages to run (default: all). A stage may need results of earlier stages.
     executor : Executor, optional
         Executor of the jobs (:func:`pcs_racing_agents.base.executors.make_executor`). The results
         do not depend on it.
     """
-    # Checks come before the folder: a misspelt stage or a missing library leaves nothing behind.
-    remaining = stages_to_run(config, folder, only)
+    # Checks come before the folder: a missing library or track leaves nothing behind.
+    learning = config.learning
+    if learning.networks or learning.responses:
+        require("torch", extra="learning")
+    for name in config.tracks:
+        load_track(name)
     study = Study(config, Path(folder), executor, quiet)
     with claim_folder(study.folder, "study", plain_settings(config)):
         for inner in study.folder.rglob("*/"):
             clear_half_written(inner)
-        for stage in remaining:
-            _run_stage(study, stage)
+        train_networks(study)
+        learn_sampled_regrets(study)
+        fit_baselines(study)
+        learn_responses(study)
+        write_report(study, race_tables(study))
     return study
 
 
-def stages_to_run(
-    config: StudyConfig, folder: str | Path, only: Sequence[str] | None = None
-) -> list[Stage]:
-    """Return the remaining stages in order, after a check of their libraries and of all tracks.
+def train_networks(study: Study) -> None:
+    """Play game trees on every training track, and train a network on them for each target."""
+    from pcs_racing_agents.networks.from_trees import train_regrets
+    from pcs_racing_agents.networks.training import write_epochs
 
-    The arguments are as in :func:`run_study`.
-    """
-    names = [stage.name for stage in STAGES]
-    for name in only or ():
-        if name not in names:
-            raise UnknownNameError(f"stage {name!r} is unknown; a study has {', '.join(names)}")
-    remaining = [
-        stage
-        for stage in STAGES
-        if (only is None or stage.name in only)
-        and (stage.name == "report" or not _done(Path(folder), stage.name))
+    config = study.config.learning
+    stored = [
+        build_trees(
+            # Without "stay": trees would be six times as large.
+            make_game(load_track(name), study.archive, study.config.game, stay=False),
+            study.folder / "trees" / name,
+            pairs=config.trees,
+            seed=study.config.seed + TREE_SEED + number,
+            executor=study.executor,
+            progress=study.progress(f"trees ({name})"),
+        )
+        for number, name in enumerate(config.tracks if config.targets else ())
     ]
-    for stage in remaining:
-        check_libraries(config, stage.name)
-    # Damaged or changed files would silently give other results.
-    for name, note in _notes(Path(folder)).items():
-        present = _digests(config, Path(folder), name)
-        for file in note["files"]:
-            if present.get(file) != note["files"][file]:
-                raise InputError(
-                    f"{Path(folder) / str(file)} is not what stage {name!r} left, by"
-                    f" {Path(folder) / name / DONE}; delete both, and the stage runs again"
-                )
-    # A missing track of the last stage is reported now, not after hours of other stages.
-    for name in config.tracks:
-        load_track(name)
-    return remaining
-
-
-def _done(folder: Path, stage: str) -> bool:
-    return (folder / stage / DONE).is_file()
-
-
-def _run_stage(study: Study, stage: Stage) -> None:
-    for name in stage.needs:
-        if not _done(study.folder, name):
-            raise InputError(
-                f"stage {stage.name!r} needs stage {name!r}, which is not done in {study.folder}"
+    places = [(trees, i) for trees in stored for i in range(len(trees))]
+    for target in config.targets:
+        # The last file of a network: a network without it is trained again.
+        curves = study.network(target) / "learning_curves.csv"
+        if not curves.is_file():
+            trained = train_regrets(
+                lambda number: places[number][0][places[number][1]],
+                np.concatenate([np.asarray(trees.settings["pairs"]) for trees in stored]),
+                stored_identity(stored[0].settings),
+                load_train_settings(config.training, target=target, seed=study.config.seed),
+                name=target,
+                about={"tracks": ", ".join(config.tracks)},
+                executor=study.executor,
+                learning=study.progress(f"epochs ({target})"),
             )
-    if not study.quiet:
-        print(f"{stage.name}: {stage.does}", flush=True)
-    folder = study.folder / stage.name
-    folder.mkdir(exist_ok=True)
-    began = time.monotonic()
-    stage.run(study)
-    # The note is written last: a stopped stage is not done, and runs again.
-    note = {
-        "stage": stage.name,
-        "seconds": round(time.monotonic() - began, 1),
-        "files": {} if stage.name == "report" else _digests(study.config, study.folder, stage.name),
-    }
-    text = yaml.safe_dump(note)
-    write_atomically(folder / DONE, text)
+            save_network(trained.network, study.network(target))
+            write_epochs(trained.result, curves)
+
+
+def learn_sampled_regrets(study: Study) -> None:
+    """Learn the regrets of "cfr-argmax" from sampled games, if the study configures this."""
+    if study.config.learning.sampled_cfr is None:
+        return
+    settings = load_self_play_settings(study.config.learning.sampled_cfr)
+    settings = replace(settings, seed=settings.seed + study.config.seed + SAMPLED_SEED)
+    samplers = [RaceSampler(game, study.spec, settings.worth) for game in study.games()]
+    identity = {"archive": study.archive.content_hash, **plain_settings(settings)}
+    name = "sampled-cfr"
+    with open_job(study.folder / name, name, identity) as job:
+        progress = study.progress(f"tasks ({name})")
+        learned = learn_self_play(
+            samplers, settings, job, name=name, executor=study.executor, progress=progress
+        )
+    save_network_set(learned, study.network(name))
+    # The last network predicts mean regrets over all iterations; the paper plays the argmax.
+    training = {**learned.training, "sampled": True}
+    last = replace(learned.networks[-1], name="regret", target="regret", training=training)
+    save_network(last, study.network("regret"))
+
+
+def fit_baselines(study: Study) -> None:
+    """Fit the baselines on training races: fixed policy, open-loop move sequence, lead plan."""
+    config, seed = study.config.learning, study.config.seed
+    training = TrainingRaces(
+        tracks=tuple(map(load_track, config.tracks)),
+        opponents=tuple(map(study.agent, config.fitting_opponents)),
+        spec=study.spec,
+        races=config.fitting_races,
+        seed=seed + FITTING_SEED,
+    )
+    # Candidates are spread over the archive: searching all policies of a large archive is wasteful.
+    targets = None
+    if len(study.archive) > FIXED_TARGETS:
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(FITTING_SEED,)))
+        targets = select_diverse(study.archive, FIXED_TARGETS, "map", rng).tolist()
+    settings = {"archive": study.archive.content_hash}
+    with open_job(study.folder / "open-loop" / "races", "fitting", settings) as job:
+        for name, find in (
+            ("best-fixed", partial(fit_best_fixed, targets=targets)),
+            ("best-schedule", fit_best_schedule),
+            ("best-lead-plan", partial(fit_best_lead_plan, targets=targets)),
+        ):
+            progress = study.progress(f"races ({name})")
+            fit = find(training, job=job, executor=study.executor, progress=progress)
+            save_fit(fit, study.fit(name))
+
+
+def learn_responses(study: Study) -> None:
+    """Learn the responses to the pool of opponents."""
+    config, seed = study.config.learning, study.config.seed + RESPONSE_SEED
+    for name in config.responses:
+        settings = load_response_settings(name)
+        settings = replace(settings, seed=seed + settings.seed)
+        identity = {"name": name, **plain_settings(settings)}
+        with open_job(study.folder / "responses" / name, "response", identity) as job:
+            network = learn_response(
+                study.games(),
+                list(map(study.agent, config.response_opponents)),
+                study.spec,
+                settings,
+                job,
+                name=name,
+                executor=study.executor,
+                progress=study.progress(f"branch tasks ({name})"),
+            )
+        save_network(network, study.network(name))
+
+
+def race_tables(study: Study) -> RaceTable:
+    """Return the races of all tables, simulated in parallel."""
+    # All pairings share these objects: play_pairings finds common races by object identity.
+    game, agent = cache(study.game), cache(study.agent)
+    pairings = [
+        cross_pairing(
+            game(track),
+            agent(ego),
+            agent(opponent),
+            egos=table.egos,
+            opponents=table.variants,
+            lines=table.lines,
+            # The seed ignores track and ego: all agents of a row drive the same races.
+            seed=study.table_seeds(number)[table.opponents.index(opponent)],
+        )
+        for number, table in enumerate(study.config.tables)
+        for track, opponent, ego in product(table.tracks, table.opponents, table.agents)
+    ]
+    identity = {"archive": study.archive.content_hash}
+    with open_job(study.folder / "races", "races", identity) as job:
+        progress = study.progress("races of the tables")
+        races = play_pairings(
+            pairings, name="tables", job=job, executor=study.executor, progress=progress
+        )
+    return concatenate_races(races)

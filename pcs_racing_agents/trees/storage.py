@@ -1,8 +1,7 @@
 """Game trees in a folder: built by a resumable job on any executor, and read one by one."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +17,7 @@ from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk
 from pcs_racing_agents.base.folders import read_job
-from pcs_racing_agents.base.jobs import TaskGroup, open_job, run_groups
+from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.trees.build import (
     build_tree,
@@ -80,33 +79,6 @@ def build_trees(
     progress : callable, optional
         Called as ``progress(done, total, label)`` after every tree.
     """
-    with open_trees(
-        game,
-        folder,
-        pairs=pairs,
-        seeds_per_pair=seeds_per_pair,
-        seed=seed,
-        one_thread=executor is not None,
-    ) as group:
-        run_groups([group], executor=executor, progress=progress, keep=False)
-    return load_trees(folder)
-
-
-@contextmanager
-def open_trees(
-    game: RaceGame,
-    folder: str | Path,
-    *,
-    pairs: int | ArrayLike = 20,
-    seeds_per_pair: int | None = None,
-    seed: int = 0,
-    one_thread: bool = True,
-) -> Iterator[TaskGroup]:
-    """Open the folder of :func:`build_trees` in a ``with`` block, and yield the trees as tasks.
-
-    Trees of several folders can be built side by side
-    (:func:`pcs_racing_agents.base.jobs.run_groups`), each tree in ``one_thread``.
-    """
     check_game(game)
     start_pairs = _checked_pairs(game.archive, pairs, seed)
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
@@ -122,9 +94,10 @@ def open_trees(
         "seed": int(seed),
     }
     tasks = [_TreeTask(pair, i, int(seeds), int(seed)) for i, pair in enumerate(start_pairs)]
-    build = partial(_build, replace(game, threads=1) if one_thread else game)
+    build = partial(_build, game if executor is None else replace(game, threads=1))
     with open_job(folder, KIND, settings) as job:
-        yield TaskGroup(job, NAME, build, tasks)
+        job.run(NAME, build, tasks, executor=executor, progress=progress, keep=False)
+    return load_trees(folder)
 
 
 def game_settings(game: RaceGame) -> dict[str, Any]:

@@ -6,9 +6,9 @@ sentence and a line of facts, then pictures and tables. Colours and controls are
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
@@ -18,9 +18,6 @@ from pcs_racing_agents.base.folders import package_version
 from pcs_racing_agents.base.tables import is_number
 
 _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
-
-MAX_NAMED = 3
-"""Max number of agents that a sentence names after the first."""
 
 
 def player_page() -> str:
@@ -56,31 +53,3 @@ def rendered(
 def _json(values: Any) -> Markup:
     """Return values as JSON that needs no escaping."""
     return Markup(safe_json(values))
-
-
-class Standing(NamedTuple):
-    """The score of an agent over all races of a table."""
-
-    name: str
-    score: float
-    low: float  #: ``low``, ``high``: 95 % interval of the score.
-    high: float
-    races: int
-
-
-def winner_text(standings: Sequence[Standing]) -> str:
-    """Return one sentence about the agent with the highest score and the agents close to it.
-
-    ``standings``: best first, at least one.
-    """
-    first, *others = standings
-    text = (
-        f"{first.name} scores highest: {first.score:.3f} [{first.low:.3f}, {first.high:.3f}] over"
-        f" {first.races:,} races"
-    )
-    close = [one for one in others if one.score >= first.low]
-    named = [f"{one.name} {one.score:.3f}" for one in (close or others)[:MAX_NAMED]]
-    more = len(close) - len(named)
-    if named:
-        text += f"; {'within this interval' if close else 'then'}: {', '.join(named)}"
-    return f"{text} and {more} more." if more > 0 else f"{text}."

@@ -44,14 +44,14 @@ def commands() -> dict[str, list[str]]:
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return the files of a command, without times in locks, PPO's chunks and notes of stages."""
+    """Return the files of a command, without times in locks and PPO's chunks."""
     found = {
         str(file.relative_to(folder)): file for file in sorted(folder.rglob("*")) if file.is_file()
     }
     return {
         name: _without_times(file)
         for name, file in found.items()
-        if file.name not in (".lock", "done.yaml", "report.html")
+        if file.name not in (".lock", "report.html")
     }
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pcs_racing_agents.base.statistics import Comparison
-from pcs_racing_agents.study.table import PAPER_TABLE, ArmResult, Difference, StudyTable, TableRow
+from pcs_racing_agents.study.table import NO_FIGURES, PAPER_TABLE, TableLine
 from pcs_racing_agents.tournament.races import Categorical, RaceTable, concatenate_races
 
 STRENGTHS = {"never-switch": 0.0, "best-fixed": 0.5, "cfr-argmax": 0.6, "our-best": 1.1}
@@ -79,52 +79,29 @@ def _table(track, arm, rival, lead, crash, own, variants, line, side) -> RaceTab
     )
 
 
-def toy_difference(arm, base, a, b, reach, p, p_holm) -> Difference:
-    """Return the difference of two arms, with half the length of its interval and its p-values."""
-    difference = a - b
+def toy_line(
+    kind, track, train, opponent, arm, base, scores=(0.5, 0.5), reach=0.0, p=1.0, p_holm=1.0, sd=0.0
+) -> TableLine:
+    """Return a line of round numbers; ``reach``: half the length of the interval."""
+    difference = scores[0] - scores[1]
     ends = (difference - reach, difference + reach)
-    counts = {"units": 8, "egos": 2, "opponents": 4}
     result = Comparison(
-        a, b, difference, *ends, reach / 2.0, 3, p, p / 10.0, 8 * difference, **counts
+        *scores, difference, *ends, reach / 2.0, 3, p, p / 10.0, 8 * difference, 8, 2, 4
     )
-    return Difference(arm, base, result, p_holm)
+    paper = PAPER_TABLE.get((opponent, train), NO_FIGURES)
+    return TableLine(
+        kind, track, train, opponent, arm, base, 5, sd, 0.25, 0.125, result, p_holm, paper
+    )
 
 
-def toy_table() -> StudyTable:
-    """Two rows: all three arms with the paper's figures, and two arms without, with other numbers
-    of races.
-    """
-    still = ArmResult("still", 8, 0.5, 0.25, 0.75, 0.125, 0.25, 0.125)
-    ours = ArmResult("ours", 8, 0.75, 0.5, 1.0, 0.0625, 0.5, 0.0)
-    plan = ArmResult("cfr-argmax", 8, 0.625, 0.5, 0.75, 0.0, 0.0, 0.0)
-    differences = (
-        toy_difference("ours", "still", 0.75, 0.5, 0.125, 0.0025, 0.005),
-        toy_difference("cfr-argmax", "still", 0.625, 0.5, 0.25, 0.5, 0.5),
-    )
-    gain = toy_difference("ours", "cfr-argmax", 0.75, 0.625, 0.25, 0.125, 0.05)
-    less = toy_difference("ours", "still", 0.25, 0.5, 0.0625, 1e-120, 1e-6)
-    rows = (
-        TableRow(
-            "Tarnfjord",
-            "never-switch",
-            True,
-            PAPER_TABLE["never-switch", True],
-            5,
-            True,
-            (still, ours, plan),
-            differences,
-            gain,
-        ),
-        TableRow(
-            "Hut",
-            "somebody",
-            False,
-            None,
-            2,
-            False,
-            (still, ours._replace(races=16)),
-            (less,),
-            None,
-        ),
-    )
-    return StudyTable(rows, "still", "ours", "cfr-argmax")
+def toy_table() -> list[TableLine]:
+    """Two rows: three agents with the paper's figures, and two agents without."""
+    first, other = ("Tarnfjord", True, "never-switch"), ("Hut", False, "somebody")
+    return [
+        toy_line("score", *first, "still", "still", sd=0.125),
+        toy_line("difference", *first, "ours", "still", (0.75, 0.5), 0.125, 0.0025, 0.005),
+        toy_line("difference", *first, "cfr-argmax", "still", (0.625, 0.5), 0.25, 0.5, 0.5),
+        toy_line("adaptivity gain", *first, "ours", "cfr-argmax", (0.75, 0.625), 0.25, 0.125, 0.05),
+        toy_line("score", *other, "still", "still"),
+        toy_line("difference", *other, "ours", "still", (0.25, 0.5), 0.0625, 1e-120, 1e-6),
+    ]

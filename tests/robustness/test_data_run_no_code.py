@@ -58,7 +58,6 @@ from pcs_racing_agents.policies.archive_run import stage_scenarios
 from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study.config import StudyConfig, load_study_config
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.study.run import stage_seconds
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament.protocol import ProtocolConfig, load_protocol
 from pcs_racing_agents.trees import load_trees
@@ -84,7 +83,7 @@ PROTOCOL = {
     "opponents": ("random-moves", "lattice:pace=0.4"),
 }
 STUDY = {
-    "learning": {"tracks": ("Pipkin",), "responses": ("response-quick",), "ppo": "study-paper"},
+    "learning": {"tracks": ("Pipkin",), "responses": ("response-quick",)},
     "table": {
         "tracks": ("Pipkin",),
         "opponents": ("never-switch", "lattice:pace=0.4"),
@@ -92,7 +91,6 @@ STUDY = {
     },
     "further": {"tracks": ("Pipkin",), "opponents": ("random-moves",), "agents": ("never-switch",)},
     "best": "never-switch",
-    "rated": ("never-switch",),
 }
 
 
@@ -131,8 +129,8 @@ def made(folder: Path) -> Path:
 def study_agents(study: Study) -> None:
     """Use every name of a study's configuration."""
     config, learning = study.config, study.config.learning
-    names = {*config.rated, *learning.response_opponents, *learning.fitting_opponents, config.best}
-    for table in config.tables.values():
+    names = {*learning.response_opponents, *learning.fitting_opponents, config.best}
+    for table in config.tables:
         names |= {*table.agents, *table.opponents}
     for name in sorted(names):
         with suppress(InputError):
@@ -160,13 +158,10 @@ def tournament(folder: Path) -> Path:
 
 
 def study_folder(folder: Path) -> Path:
-    """Write the folder of a study by hand, with the races of a tournament in its table and in its
-    ratings.
-    """
+    """Write the folder of a study by hand, with the races of a tournament."""
     config, place = StudyConfig(**STUDY), folder / "study"
-    ratings = shutil.copytree(tournament(folder), place / "ratings")
-    for file in (place / "ratings.csv", place / "results.csv"):
-        shutil.copy(ratings / "results.csv", file)
+    place.mkdir()
+    shutil.copy(tournament(folder) / "results.csv", place)
     manifest = {
         "format": "pcs-racing job",
         "version": 1,
@@ -225,7 +220,6 @@ TREES = {
         "move_names": ["a +", "a -"],
     },
 }
-NOTES = {"seconds": 1.0, "files": {"table/table.csv": "ab"}}
 
 
 def config(
@@ -258,15 +252,6 @@ KINDS = {
     ),
     "job of a study": Kind(
         lambda folder: study_folder(folder) / "job.yaml", lambda file: raced(file.parent)
-    ),
-    "ratings of a study": Kind(
-        lambda folder: study_folder(folder) / "ratings.csv",
-        lambda file: raced(file.with_suffix("")),
-    ),
-    "notes of a study": Kind(
-        lambda folder: settings("done.yaml", NOTES)(made(folder / "table")),
-        lambda file: stage_seconds(Study(StudyConfig(), file.parent.parent)),
-        "_notes",
     ),
     "study": config(
         load_study_config,

@@ -105,9 +105,6 @@ def test_killed_at_random_moments_and_damaged_the_results_are_the_same(
         content = bytearray(struck.read_bytes())
         content[rng.integers(len(content))] ^= 1 << int(rng.integers(8))
         struck.write_bytes(content)
-    if struck.suffix == ".npz":
-        for note in (tmp_path / "killed").glob("*/done.yaml"):
-            note.unlink()  # a finished stage of a study reads its job no more
     capsys.readouterr()
     if main([*command, "--out", str(tmp_path / "killed")]) == 0:
         assert files(tmp_path / "killed") == files(tmp_path / "whole"), struck

@@ -1,14 +1,12 @@
 """Work that is more than a list of tasks: several groups side by side."""
 
 import sys
-import threading
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
 from pcs_racing_agents.base.executors import make_executor, tasks_in_flight
 from pcs_racing_agents.base.folders import JobError
-from pcs_racing_agents.base.jobs import TaskGroup, open_job, run_groups
 from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
 from pcs_racing_agents.networks.torch_layers import torch_alone
 
@@ -65,31 +63,6 @@ def test_tasks_are_made_when_they_are_asked_for():
         for done, _ in enumerate(run_tasks(numbered_tasks(double, arguments()), executor), start=1):
             assert len(made) <= done + tasks_in_flight(executor)
     assert len(made) == 100
-
-
-def test_groups_of_several_jobs_are_done_side_by_side(tmp_path):
-    # broken if one group waits for the end of the other
-    together = threading.Barrier(2, timeout=30.0)
-
-    def meet(task: int) -> dict[str, int]:
-        together.wait()
-        return double(task)
-
-    told = []
-    with (
-        open_job(tmp_path / "a", "k", {}) as a,
-        open_job(tmp_path / "b", "k", {"other": 1}) as b,
-        ThreadPoolExecutor(2) as executor,
-    ):
-        groups = [TaskGroup(a, "first", meet, [1]), TaskGroup(b, "second", meet, [2])]
-        results = run_groups(groups, executor=executor, progress=lambda *news: told.append(news))
-        assert [[int(one["value"]) for one in group] for group in results] == [[2], [4]]
-        assert [(done, total) for done, total, _ in told] == [(0, 2), (1, 2), (2, 2)]
-        # nothing is done again: nobody waits at the barrier
-        assert run_groups(groups, keep=False) == [[], []]
-    assert (tmp_path / "a" / "chunks" / "first-00000.npz").is_file()
-    assert (tmp_path / "b" / "chunks" / "second-00000.npz").is_file()
-    assert run_groups([]) == []
 
 
 def test_torch_belongs_to_one_thread_at_a_time():

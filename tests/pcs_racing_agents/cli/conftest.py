@@ -2,18 +2,11 @@
 
 import pytest
 
-from pcs_racing import load_track
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.base.folders import claim_folder
-from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.study.config import StudyConfig, TableConfig
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.tournament import (
-    plan_tournament,
-    play_plan,
-    tournament_settings,
-    write_results,
-)
+from pcs_racing_agents.tournament import write_results
 from pcs_racing_agents.tournament.pairings import cross_pairing
 from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairing
@@ -21,15 +14,13 @@ from pcs_racing_agents.tournament.runner import play_pairing
 
 @pytest.fixture(scope="package")
 def study_folder(saved_archive, tmp_path_factory):
-    """The races of a small study, as its stages leave them: cells, and all against all."""
+    """The races of a small study, as it leaves them."""
     place = tmp_path_factory.mktemp("study") / "mine"
     agents = ("never-switch", "always-aggressiveness+")
     config = StudyConfig(
         archive=str(saved_archive),
         table=TableConfig(("Pipkin",), ("lane-switcher",), agents, egos=2, variants=2, lines=2),
         best=agents[1],
-        rated=("never-switch", "random-moves"),
-        rating_races=2,
         seed=3,
     )
     study = Study(config, place, quiet=True)
@@ -44,11 +35,4 @@ def study_folder(saved_archive, tmp_path_factory):
             cross_pairing(game, study.agent("never-switch"), rival, lines=1, seed=103, **pairs)
         ]
         write_results(concatenate_races(map(play_pairing, pairings)), place / "results.csv")
-        rated = {name: study.agent(name) for name in config.rated}
-        track = load_track("Pipkin")
-        plan = plan_tournament(
-            track, rated, config.game, archive=saved_archive, races_per_pair=2, seed=7
-        )
-        with open_job(place / "ratings", "tournament", tournament_settings(plan)) as job:
-            write_results(play_plan(plan, job=job).races, place / "ratings.csv")
     return place, pairings

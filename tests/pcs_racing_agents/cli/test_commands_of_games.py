@@ -44,37 +44,6 @@ def test_tables_of_trees_hold_their_figures_and_means():
     ]
 
 
-def test_a_study_tells_its_stages_and_files(monkeypatch, tmp_path, printed):
-    asked, study = [], SimpleNamespace(folder=tmp_path)
-    (tmp_path / "table.txt").write_text("the table")
-    monkeypatch.setattr(
-        "pcs_racing_agents.study.run_study",
-        lambda *given, **more: asked.append((given, more)) or study,
-    )
-    monkeypatch.setattr(
-        "pcs_racing_agents.study.run.stage_seconds", lambda one: {"archive": 61.25, "trees": 2.0}
-    )
-    out = printed(
-        "study",
-        "contest",
-        "--out",
-        "x",
-        "--stage",
-        "archive",
-        "trees",
-        "--workers",
-        "1",
-    )
-    assert out.splitlines() == [
-        f"{'archive':16}     61.2 s",
-        f"{'trees':16}      2.0 s",
-        f"table.txt: {tmp_path / 'table.txt'}",
-        "the table",
-    ]
-    (((_, folder), more),) = asked
-    assert (str(folder), more["only"]) == ("x", ["archive", "trees"])
-
-
 @pytest.fixture
 def begun(monkeypatch):
     """The settings of studies that were begun, in place of their work."""

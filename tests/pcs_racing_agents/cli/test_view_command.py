@@ -69,15 +69,12 @@ def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):
     assert asked == ["linux DISPLAY", "win32 HOME"]
 
 
-def test_a_study_and_its_ratings_are_viewed_too(study_folder, tmp_path, printed):
+def test_a_study_is_viewed_too(study_folder, tmp_path, printed):
     folder = shutil.copytree(study_folder[0], tmp_path / "study")
     assert "40 races, 2 of them to be watched" in printed(
         "view", folder, "--index", 0, 12, "--no-open"
     )
-    assert "2 races, 1 of them to be watched" in printed(
-        "view", folder / "ratings", "--index", 1, "--no-open"
-    )
-    assert (folder / "ratings" / "view.html").is_file()
+    assert (folder / "view.html").is_file()
 
 
 @pytest.mark.parametrize(

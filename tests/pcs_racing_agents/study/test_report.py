@@ -1,64 +1,54 @@
 import base64
 import html
-import platform
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from toy_races import STRENGTHS, of, toy_races, toy_table
+from toy_races import of, toy_line, toy_races, toy_table
 from toy_report import NASTY, toy_report
 
-from pcs_racing import make_game
 from pcs_racing.race.replay import read_replay
-from pcs_racing_agents.agents import make_game_spec
-from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.study import report, report_page
+from pcs_racing_agents.base.style import COLOURS, picture_bytes
+from pcs_racing_agents.base.tables import read_csv
+from pcs_racing_agents.study import report
 from pcs_racing_agents.study.config import LearningConfig, StudyConfig, TableConfig
-from pcs_racing_agents.study.report_page import ExplainedRace, ReportContent
-from pcs_racing_agents.study.stages import StudyRaces
 from pcs_racing_agents.study.study import Study
-from pcs_racing_agents.study.table import by_progress, make_table
-from pcs_racing_agents.study.table_output import paper_rows, write_table
-from pcs_racing_agents.tournament import cross_pairing, play_pairings
-from pcs_racing_agents.tournament.ratings import Ratings, RoundRobin
+from pcs_racing_agents.tournament import cross_pairing, play_pairing
+
+SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="1500" height="200"/>'
 
 
 @pytest.fixture(scope="module")
-def raced(oval, archive):
-    """A study's races on one track: an agent, and the agent that never switches."""
-    game = make_game(oval, archive, "contest", step_seconds=0.8)
-    spec = make_game_spec(archive, game.config)
-    agents = {name: build(name, spec) for name in ("never-switch", "random-moves")}
-    rival = build("lane-switcher", spec)
-    pairings = [
-        cross_pairing(game, agent, rival, egos=4, opponents=4, lines=2, seed=3)
-        for agent in agents.values()
-    ]
-    cells = [
-        StudyRaces("main", *one) for one in zip(pairings, play_pairings(pairings), strict=True)
-    ]
-    table = TableConfig(("oval",), ("lane-switcher",), tuple(agents))
-    config = StudyConfig(table=table, best="random-moves")
-    return SimpleNamespace(config=config), cells
+def raced(tmp_path_factory):
+    """A study's races on one track."""
+    config = StudyConfig(
+        game={"race": "contest", "step_seconds": 0.8},
+        archive="contest",
+        table=TableConfig(("Pipkin",), ("lane-switcher",), ("random-moves",)),
+        best="random-moves",
+    )
+    study = Study(config, tmp_path_factory.mktemp("study"), quiet=True)
+    cars = study.agent("random-moves"), study.agent("lane-switcher")
+    pairing = cross_pairing(study.game("Pipkin"), *cars, egos=4, opponents=4, lines=2, seed=3)
+    return study, play_pairing(pairing)
 
 
 @pytest.fixture(scope="module")
-def watched(raced) -> ExplainedRace:
-    return next(report._watched(*raced))
+def watched(raced):
+    return list(report.watched_races(*raced))
 
 
 @pytest.fixture(scope="module")
-def content(archive, watched) -> ReportContent:
-    return toy_report(archive, watched)
+def content(watched):
+    return toy_report(watched[0], SVG)
 
 
 @pytest.fixture(scope="module")
 def page(content) -> str:
-    return report_page.report_page(content)
+    return report.report_page(**content)
 
 
 class _Balance(HTMLParser):
@@ -70,7 +60,7 @@ class _Balance(HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         values = dict(attrs)
-        if tag not in ("meta", "img", "br"):  # which have no end
+        if tag not in ("meta", "img", "br"):  # without an end
             self.open.append(tag)
         self.frames += [values] if tag == "iframe" else []
         self.images += [values] if tag == "img" else []
@@ -99,45 +89,25 @@ def test_the_page_loads_nothing_and_texts_stay_texts(page, parsed):
     assert set(re.findall(r'src="([^,"]*),', outside)) == {"data:image/svg+xml;base64"}
     assert "<b>" not in page
     assert page.count("<!doctype html>") == 1
-    everything = "".join(parsed.text)
-    assert everything.count(NASTY) >= 10
+    assert "".join(parsed.text).count(NASTY) >= 10
     assert parsed.frames[1]["title"] == NASTY
+    assert {"sandbox", "srcdoc", "title"} == set(parsed.frames[0])
+    for image in parsed.images:
+        assert ET.fromstring(base64.b64decode(image["src"].split(",")[1])).tag.endswith("svg")
+        assert image["alt"]
 
 
-def test_every_section_is_there_with_its_numbers_and_pictures(page, parsed, content):
-    assert re.findall('<section id="([^"]*)"', page) == [
-        *(
-            "results",
-            "all-findings",
-            "adaptivity-gain",
-            "races-to-watch",
-        ),
-        *("policies", "ratings", "more", "how-it-was-made"),
-    ]
-    everything = " ".join(parsed.text)
-    for row in content.table.rows:
-        for one in (*row.differences, row.gain):
-            assert f"{one.result.difference:+.3f}" in everything
-    assert "0.569 ± 0.213 GT" in everything
-    drawn = [image["src"].split(",")[1] for image in parsed.images if "svg" in image["src"]]
-    assert len(drawn) == 4 + 2
-    for data in drawn:
-        assert ET.fromstring(base64.b64decode(data)).tag.endswith("svg")
-    assert all(image["alt"] for image in parsed.images)
-
-
-def test_every_field_changes_the_page_and_races_are_read_back(tmp_path, content, parsed, watched):
-    write, empty = report_page.report_page, ReportContent("")
-    for name in ReportContent.__dataclass_fields__:
-        if name not in ("epsilon", "curves", "title"):
-            assert write(replace(empty, **{name: getattr(content, name)})) != write(empty), name
+def test_every_argument_changes_the_page_and_races_are_read_back(
+    tmp_path, content, parsed, watched
+):
+    for name in set(content) - {"title"}:
+        assert report.report_page("", **{name: content[name]}) != report.report_page(""), name
     file = tmp_path / "race.html"
     file.write_text(parsed.frames[0]["srcdoc"])
     back = read_replay(file)
-    assert back.outcome == watched.replay.outcome
-    assert np.abs(back.progress - watched.replay.progress).max() < 0.001
+    assert back.outcome == watched[0].replay.outcome
+    assert np.abs(back.progress - watched[0].replay.progress).max() < 0.001
     assert any(event.kind == "move" for event in back.events)
-    assert {"sandbox", "srcdoc", "title"} == set(parsed.frames[0])
 
 
 TELL = """<script>
@@ -150,7 +120,7 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     path = tmp_path / "report.html"
     path.write_text(page.replace(html.escape("</body>"), html.escape(TELL), 1))
     browser.open(path)
-    assert browser.run("document.title") == content.title
+    assert browser.run("document.title") == content["title"]
     browser.wait("state.playing", frame=1)  # since it is on the screen
     # One screen and the table; the rest is folded, but not on paper.
     screen = browser.run("document.documentElement.scrollHeight")
@@ -158,23 +128,22 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
         "[...document.images].filter((image) => !image.checkVisibility({ contentVisibilityAuto:"
         " true })).length"
     )
-    assert browser.run(hidden) == 4 + 2
+    assert browser.run(hidden) == len(content["pictures"]) + 2
     browser.page.emulate_media(media="print")
     browser.wait(f"{hidden} === 0")
-    browser.wait(f"document.documentElement.scrollHeight > {2 * screen}")
-    assert browser.run("Math.min(...[...document.images].map((image) => image.naturalWidth))") > 100
+    browser.wait(f"document.documentElement.scrollHeight > 1.5 * {screen}")
     assert browser.said == [
-        f"a race of random-moves,lane-switcher, {content.races[0].replay.duration:g} s"
+        f"a race of random-moves,lane-switcher, {content['races'][0].replay.duration:g} s"
     ]
     assert browser.complaints == []
 
 
 def test_the_closest_race_of_each_outcome_is_shown(raced, watched):
-    races = raced[1][1].races
-    assert watched.text.startswith(
-        "random-moves (car 0) against lane-switcher on oval, contest rules"
+    races = raced[1]
+    assert watched[0].text.startswith(
+        "random-moves (car 0) against lane-switcher on Pipkin, contest rules"
     )
-    shown = {race.title: race.replay.lead[-1] for race in report._watched(*raced)}
+    shown = {race.title: race.replay.lead[-1] for race in watched}
     switched = races.switches[:, 0] > 0
     masks = {
         "win": ~races.crashed & (races.winner == 0) & switched,
@@ -182,142 +151,100 @@ def test_the_closest_race_of_each_outcome_is_shown(raced, watched):
         "crash": races.fault[:, 0] > 0,
     }
     for word, mask in masks.items():
-        (lead,) = (
-            (lead for title, lead in shown.items() if word in title) if mask.any() else (None,)
-        )
-        assert lead is None or lead in races.lead[mask]
+        leads = [lead for title, lead in shown.items() if word in title]
+        assert len(leads) == mask.any()
+        closest = np.abs(races.lead[mask]).min(initial=np.inf)
+        assert all(abs(lead) == pytest.approx(closest, abs=0.002) for lead in leads)
     (title,) = (title for title in shown if "loss" in title)
-    gap = np.abs(races.lead[masks["loss"]]).min()
-    count = masks["loss"].sum()
-    assert title == (
-        f"random-moves: a loss; of {count} such races the closest, {gap:.1f} m at the end"
-    )
+    gap, count = np.abs(races.lead[masks["loss"]]).min(), masks["loss"].sum()
+    assert title == f"random-moves: a loss; of {count} such races the closest, {gap:.1f} m"
 
 
 ARMS = {"never-switch": 0.0, "cfr-argmax": 0.5}
 
 
-@pytest.fixture
-def raced_study(tmp_path):
-    """A study with one training track of two, and the drawn races of its two tables."""
+def test_each_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(
+    tmp_path, monkeypatch
+):
     table = TableConfig(("Tarnfjord", "Brackwater"), ("never-switch", "somebody"), tuple(ARMS))
-    further = replace(table, tracks=("Pipkin",), opponents=("somebody",))
     config = StudyConfig(
-        learning=LearningConfig(tracks=("Tarnfjord",)), table=table, further=further
+        learning=LearningConfig(tracks=("Tarnfjord",)),
+        table=table,
+        further=replace(table, tracks=("Pipkin",)),
     )
-    cells = [
-        StudyRaces(name, None, of(races, track, rival, arm))
-        for (name, own), races in zip(
-            config.tables.items(),
+    races = toy_races((*table.tracks, "Pipkin"), table.opponents, ARMS, 4, 4)
+    seed = races.seed._replace(words=("0", "100"), codes=(races.track.codes == 2).astype(np.int8))
+    races = replace(races, seed=seed)
+    monkeypatch.setattr(report, "watched_races", lambda study, races: [])
+    study = Study(config, tmp_path, quiet=True)
+    report.write_report(study, races)
+    main, further, ahead = (
+        read_csv(tmp_path / f"table{name}.csv").rows() for name in ("", "_further", "_by_progress")
+    )
+    assert {(row["track"], row["train"]) for row in main} == {
+        ("Tarnfjord", "1"),
+        ("Brackwater", "0"),
+    }
+    assert {row["track"] for row in further} == {"Pipkin"}
+    first = of(races, "Tarnfjord", "never-switch", "cfr-argmax")
+    (line,) = (row for row in ahead if row["arm"] == "cfr-argmax" and row["paper_gt"] == "0.569")
+    assert float(line["score"]) == pytest.approx((first.lead > 0.0).mean(), abs=1e-6)
+    page = (tmp_path / "report.html").read_text()
+    assert "data:image/svg" in page
+    assert "smoke test" in page
+    contest = Study(replace(config, game={"race": "contest"}), tmp_path / "contest", quiet=True)
+    contest.folder.mkdir()
+    report.write_report(contest, races)
+    assert {row["paper_gt"] for row in read_csv(contest.folder / "table.csv").rows()} == {""}
+    assert not (contest.folder / "table_by_progress.csv").exists()
+
+
+def test_findings_count_the_rows_whose_interval_leaves_out_zero():
+    assert list(report.findings(toy_table(), "ours")) == [
+        "ours scores more in 1 and less in 1 of 2 rows than still (-0.250 to +0.250); in 0 the"
+        " 95 % interval contains 0.",
+        "ours scores more in 0 and less in 0 of 1 rows than cfr-argmax, the best baseline in"
+        " training (+0.125 to +0.125); in 1 the 95 % interval contains 0.",
+        "cfr-argmax scores more in 0 and less in 0 of 1 rows than still (+0.125 to +0.125); in 1"
+        " the 95 % interval contains 0.",
+    ]
+
+
+@pytest.mark.parametrize(("races", "small"), [(999, True), (1000, False)])
+def test_a_small_study_says_so(races, small):
+    line = toy_line("score", "Hut", True, "somebody", "still", "still")
+    many = line._replace(result=replace(line.result, units=2000))
+    few = line._replace(result=replace(line.result, units=races))
+    assert bool(report.caution([many, few])) == small
+
+
+def test_the_picture_holds_the_numbers_of_the_table_each_in_the_place_of_its_agent():
+    """Agents below each other, a gap where one did not race; hollow at p >= 0.05."""
+    figure = report.differences_picture(toy_table())
+    first, second = figure.axes
+
+    def drawn(axes):
+        return [
             (
-                toy_races(own.tracks, own.opponents, ARMS, 4, 4, seed=seed)
-                for seed, own in enumerate(config.tables.values())
-            ),
-            strict=True,
-        )
-        for track, arm, rival, _ in races.pairs
+                line.get_xdata()[0],
+                line.get_xdata()[-1],
+                line.get_ydata()[0],
+                line.get_marker(),
+                line.get_markerfacecolor() == "white",
+            )
+            for line in axes.lines[1:]
+        ]
+
+    assert drawn(first)[:4] == [
+        (0.125, 0.375, 0, "None", False),
+        (0.25, 0.25, 0, "o", False),
+        (-0.125, 0.375, -1, "None", False),
+        (0.125, 0.125, -1, "o", True),
     ]
-    return Study(config, tmp_path, quiet=True), cells
-
-
-def test_a_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(raced_study, tmp_path):
-    study, cells = raced_study
-    races, further = report.races_of(cells), report.races_of(cells, "further")
-    known = {"best": "cfr-argmax", "train": {"Tarnfjord"}}
-    expected = make_table(races, **known)
-    assert report.study_table(study, races) == expected
-    assert [row.track for row in report.study_table(study, further).rows] == ["Pipkin"]
-    (sheet,) = report._papers_statistic(study, races)
-    ahead, written = make_table(by_progress(races), **known), tmp_path / "table_by_progress.csv"
-    assert [sheet.head, *sheet.rows] == paper_rows(ahead, "cfr-argmax")
-    assert written.read_bytes() == write_table(ahead, tmp_path / "expected.csv").read_bytes()
-    contest = replace(study, config=replace(study.config, game={"race": "contest"}))
-    bare = replace(expected, rows=tuple(replace(row, paper=None) for row in expected.rows))
-    assert report.study_table(contest, races) == bare
-    assert list(report._papers_statistic(contest, races)) == []
-
-
-def test_findings_and_cautions_are_told_in_words():
-    toy = toy_table()
-    words = [
-        "ours scores more in 1 and less in 1 of 2 rows than still",
-        "no difference between cfr-argmax and still is certain: in all of 1 row",
-        "Gain from observing the race: no difference between ours and cfr-argmax, the best",
-    ]
-    for said, word in zip(report._findings(toy), words, strict=True):
-        assert said.startswith(word)
-    assert len(list(report._findings(replace(toy, rows=toy.rows[1:])))) == 1
-    assert report._caution(toy).startswith(
-        "This is a smoke test, too small to conclude from: 8 races of an agent"
-    )
-    large = (
-        arm._replace(races=races)
-        for arm, races in zip(toy.rows[0].arms, (1000, 2000, 1001), strict=True)
-    )
-    large = replace(toy.rows[0], arms=tuple(large))
-    small = replace(large, arms=(*large.arms[1:], large.arms[0]._replace(races=999)))
-    assert [bool(report._caution(replace(toy, rows=(large, row)))) for row in (large, small)] == [
-        False,
-        True,
-    ]
-
-
-def test_agents_stand_in_the_order_of_their_scores_over_all_races():
-    races = toy_races(tracks=("Tarnfjord", "Hut"), egos=4, variants=3)
-    scores = {
-        name: races.score[races.agents.codes[:, 0] == code].mean()
-        for code, name in enumerate(races.agents.words)
-        if name in STRENGTHS
-    }
-    found = report.standings(races)
-    assert [one.name for one in found] == sorted(scores, key=lambda name: -scores[name])
-    for one in found:
-        assert (one.score, one.races) == (pytest.approx(scores[one.name]), len(races) // 4)
-        assert 0.0 <= one.low < one.score < one.high <= 1.0
-
-
-def test_a_study_knows_its_tables_and_tracks():
-    config = StudyConfig(further={"tracks": ("Pipkin", "Tarnfjord"), "lines": 2})
-    assert list(StudyConfig().tables) == ["main"]
-    assert [table.lines for table in config.tables.values()] == [5, 2]
-    assert config.tracks == ("Tarnfjord", "Pipkin")
-
-
-def test_ratings_stand_in_order_with_what_is_known_of_them():
-    floats = {
-        name: np.array(values)
-        for name, values in {
-            "strength": [0.0, -1.0, 1.0],
-            "low": [-0.5, np.nan, 0.5],
-            "high": [0.5, np.nan, 1.5],
-        }.items()
-    }
-    ratings = Ratings(
-        ("a", "b", "c"), **floats, tie=0.0, races=np.array([8, 6, 4]), left_out=np.array([0, 1, 2])
-    )
-    names = ("c", "a", "b")
-    known = RoundRobin(names, np.zeros((3, 3)), ratings, np.array([0.5, 0.25, 0.25]))
-    assert report_page._ratings(ReportContent("", round_robin=known))[1:] == [
-        ("c", "+174", "[+87, +261]", "4", "2", "0.50"),
-        ("a", "+0", "[-87, +87]", "8", "0", "0.25"),
-        ("b", "-174", "-", "6", "1", "0.25"),
-    ]
-    other = ReportContent("", round_robin=replace(known, equilibrium=None))
-    assert {row[5] for row in report_page._ratings(other)[1:]} == {""}
-    for nothing in (ReportContent("", round_robin=replace(known, ratings=None)), ReportContent("")):
-        assert report_page._ratings(nothing) == []
-
-
-def test_curves_are_read(tmp_path):
-    path = tmp_path / "learning_curves.csv"
-    path.write_text("epoch,training_loss,validation_loss\n1,0.5,\n2,1e100,0.3\n")
-    training, validation = report.read_curves(path)
-    assert (training.label, training.y.tolist(), training.x.tolist()) == (
-        "training",
-        [0.5, 1e100],
-        [1.0, 2.0],
-    )
-    assert np.isnan(validation.y[0])
-    versions = report.software()
-    own = (np.__version__, platform.python_version(), f"{platform.system()} {platform.machine()}")
-    assert tuple(versions[name] for name in ("numpy", "Python", "machine")) == own
+    assert drawn(second)[0] == (-0.3125, -0.1875, 0, "None", False)
+    assert [line.get_color() for line in first.lines[1:7:2]] == [COLOURS[0], COLOURS[0], COLOURS[1]]
+    labels = [label.get_text() for label in first.get_yticklabels()]
+    assert labels == ["ours", "cfr-argmax", "ours - cfr-argmax"]
+    assert second.get_title(loc="left") == "Hut (test), somebody"
+    again = picture_bytes(report.differences_picture(toy_table()))
+    assert picture_bytes(figure) == again

@@ -8,7 +8,7 @@ from recorded_races import race_on_a_circle
 from toy_report import toy_report
 
 from pcs_racing.race.replay import save_replay
-from pcs_racing_agents.study.report_page import ExplainedRace, report_page
+from pcs_racing_agents.study.report import ExplainedRace, report_page
 
 
 def replay(get, moment="#t=nonsense&follow=7", **changes):
@@ -41,10 +41,9 @@ def bare_replay(get):
 def report(get):
     # Wider than any screen, instead of pictures that take seconds to draw.
     svg = b'<svg xmlns="http://www.w3.org/2000/svg" width="1500" height="200"/>'
-    get("monkeypatch").setattr("pcs_racing_agents.study.report_page._draw", lambda *_, **__: svg)
     race = ExplainedRace("A race", "What happened.", race_on_a_circle())
     page = get("tmp_path") / "report.html"
-    page.write_text(report_page(toy_report(get("archive"), race)))
+    page.write_text(report_page(**toy_report(race, svg)))
     return page
 
 
