@@ -23,7 +23,7 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas"
-    " pygame sklearn pymoo pyspiel open_spiel networkx pygambit dask distributed cvxpy onnx"
+    " pygame sklearn pymoo pyspiel open_spiel networkx dask distributed cvxpy onnx"
     " huggingface_hub".split()
 )
 find = PathFinder.find_spec
@@ -97,14 +97,6 @@ NEEDS = {
     ),
     "a new circuit": ('main(["track", "generate", "--seed", "7", "--out", "circuit"])', "mapping"),
     "a map without lines": ("pcs_racing.load_track('map')", "mapping"),
-    "OpenSpiel": (
-        (
-            "from pcs_racing_agents.solvers import GameTree; from"
-            " pcs_racing_agents.solvers.efg import efg_game;"
-            " efg_game(GameTree.from_payoffs([[0.0, 1.0], [1.0, 0.0]]))"
-        ),
-        "games",
-    ),
     "a cluster": (
         (
             'main(["tree", "--archive", "default", "--track", "Pipkin", "--out", "trees",'
@@ -122,7 +114,7 @@ NEEDS = {
 LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play league_ppo"
 EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
-    "clients/openspiel_tree": ("pyspiel", '".[games]"'),
+    "clients/openspiel_tree": ("pyspiel", "open_spiel"),
     "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
     "play_a_race": ("pygame", '".[window]"'),
     "ppo_against_cfr": ("stable_baselines3", '".[learning]"'),

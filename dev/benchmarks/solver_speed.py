@@ -26,7 +26,7 @@ from pcs_racing_agents.solvers import (
     solve_exact,
     uniform_profile,
 )
-from pcs_racing_agents.solvers.efg import efg_game
+from pcs_racing_agents.solvers.efg import efg_text
 from pcs_racing_agents.trees import load_trees
 
 ROUNDS = 9
@@ -51,7 +51,7 @@ def against_openspiel(tree: GameTree) -> None:
     import pyspiel
 
     begin = time.thread_time()
-    game = efg_game(tree)
+    game = pyspiel.load_efg_game(efg_text(tree))
     print(f"text written and loaded by OpenSpiel: {time.thread_time() - begin:.2f} s")
     for variant, name in (("alternating", "CFRSolver"), ("alternating+", "CFRPlusSolver")):
         solver = getattr(pyspiel, name)(game)
@@ -145,7 +145,7 @@ def main() -> None:
     if find_spec("pyspiel"):
         against_openspiel(tree)
     else:
-        print('OpenSpiel is not here: pip install ".[games]"')
+        print("OpenSpiel is not here: pip install open_spiel")
     print("\nexploitability after so many iterations")
     convergence(tree)
 

@@ -8,8 +8,8 @@
     python examples/clients/openspiel_tree.py --trees out/trees --tree 1
 
 Without --trees the tree is small, with random payoffs. OpenSpiel reads the tree as extensive-form
-text. The table gives seconds and exploitability, computed by OpenSpiel's best responses. Needs
-OpenSpiel: pip install ".[games]".
+text. The table gives seconds and exploitability, each by its own best responses. Needs OpenSpiel:
+pip install open_spiel.
 """
 
 import argparse
@@ -23,7 +23,7 @@ from pcs_racing_agents import solvers, trees
 try:
     import pyspiel
 except ModuleNotFoundError as error:
-    raise SystemExit(f'this example needs {error.name}: pip install ".[games]"') from None
+    raise SystemExit(f"this example needs {error.name}: pip install open_spiel") from None
 
 
 def main() -> None:
@@ -49,7 +49,7 @@ def main() -> None:
         tree = solvers.GameTree.from_payoffs(
             np.random.default_rng(arguments.seed).normal(0.0, 20.0, (3,) * 6)
         )
-    game = solvers.efg_game(tree)
+    game = pyspiel.load_efg_game(solvers.efg_text(tree))
     nodes = sum(tree.nodes(k) for k in range(tree.depth))
     print(
         f"{nodes} decision nodes, {tree.payoffs.size} leaves, payoffs of range"
@@ -57,8 +57,8 @@ def main() -> None:
     )
     print(f"{'method':38} {'seconds':>9} {'exploitability':>15}")
 
-    def report(method: str, seconds: float, policy: object) -> None:
-        print(f"{method:38} {seconds:9.4f} {pyspiel.exploitability(game, policy):15.3g}")
+    def report(method: str, seconds: float, exploitability: float) -> None:
+        print(f"{method:38} {seconds:9.4f} {exploitability:15.3g}")
 
     begin = time.perf_counter()
     theirs = pyspiel.CFRPlusSolver(game)
@@ -68,7 +68,7 @@ def main() -> None:
     report(
         f"OpenSpiel CFR+, {arguments.iterations} iterations",
         allowed,
-        theirs.tabular_average_policy(),
+        pyspiel.exploitability(game, theirs.tabular_average_policy()),
     )
 
     sampled = pyspiel.ExternalSamplingMCCFRSolver(game, seed=arguments.seed)
@@ -79,7 +79,7 @@ def main() -> None:
     report(
         f"OpenSpiel MCCFR, {count} iterations",
         time.perf_counter() - begin,
-        sampled.average_policy(),
+        pyspiel.exploitability(game, sampled.average_policy()),
     )
 
     solvers.cfr(tree, 1)  # load or compile the code
@@ -88,18 +88,16 @@ def main() -> None:
     report(
         f"pcs-racing CFR+, {arguments.iterations} iterations",
         time.perf_counter() - begin,
-        solvers.efg_policy(tree, ours),
+        solvers.exploitability(tree, ours).exploitability,
     )
 
     solvers.solve_exact(tree)
     begin = time.perf_counter()
     exact = solvers.solve_exact(tree)
     seconds = time.perf_counter() - begin
-    report("pcs-racing, exact", seconds, solvers.efg_policy(tree, exact.profile))
-    print(
-        f"value {exact.value:.6f}; exploitability of the exact profile by our solver:"
-        f" {solvers.exploitability(tree, exact.profile)}"
-    )
+    judged = solvers.exploitability(tree, exact.profile)
+    report("pcs-racing, exact", seconds, judged.exploitability)
+    print(f"value {exact.value:.6f}")
 
 
 if __name__ == "__main__":

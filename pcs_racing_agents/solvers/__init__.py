@@ -9,7 +9,7 @@ from pcs_racing_agents.solvers.compare import (
     regret_argmax,
     solve,
 )
-from pcs_racing_agents.solvers.efg import efg_game, efg_policy, efg_text, write_efg
+from pcs_racing_agents.solvers.efg import efg_text, write_efg
 from pcs_racing_agents.solvers.evaluation import (
     BestResponse,
     Exploitability,

@@ -44,15 +44,11 @@ def compare_methods(
     tree: GameTree, iterations: int = 100, methods: Sequence[str] = METHODS
 ) -> list[MethodRow]:
     """Solve a tree with observed past moves by several of :data:`METHODS`."""
-    for method in methods:
-        check_choice("method", method, METHODS)
-    # Load or compile the kernels, so that compilation is not timed.
-    nothing = GameTree.from_payoffs(np.zeros((1, 1)))
-    for method in METHODS:
-        solve(nothing, method, 1)
     exact = solve_exact(tree)
     rows = []
     for method in methods:
+        # Load or compile the kernels, so that compilation is not timed.
+        solve(GameTree.from_payoffs(np.zeros((1, 1))), method, 1)
         begin = time.perf_counter()
         profile = solve(tree, method, iterations)
         seconds = time.perf_counter() - begin
@@ -64,13 +60,12 @@ def compare_methods(
 
 def solve(tree: GameTree, method: str = "exact", iterations: int = 1000) -> Profile:
     """Return the solution of a tree by one of :data:`METHODS`."""
+    check_choice("method", method, METHODS)
     if method == "exact":
         return solve_exact(tree).profile
-    return (
-        regret_argmax(tree, iterations)
-        if method == PAPER
-        else cfr(tree, iterations, method).average
-    )
+    if method == PAPER:
+        return regret_argmax(tree, iterations)
+    return cfr(tree, iterations, method).average
 
 
 def agreement(tree: GameTree, exact: ExactResult, profile: Profile) -> tuple[float, float]:

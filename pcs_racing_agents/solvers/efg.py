@@ -1,20 +1,14 @@
-"""Trees as Gambit's extensive form files (.efg), and as games of OpenSpiel.
-
-OpenSpiel and Gambit read such files. :func:`efg_game` passes a tree to OpenSpiel's C++ as a text of
-this form; algorithms in Python take that game, too.
-"""
+"""Trees as Gambit's extensive form files (.efg), which OpenSpiel and Gambit read."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from decimal import ROUND_HALF_EVEN, Context, Decimal
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
-from pcs_racing_agents.solvers.evaluation import Profile, check_profile
 from pcs_racing_agents.solvers.game_tree import GameTree
 
 MAX_LEAVES = 2_000_000
@@ -31,8 +25,7 @@ def write_efg(
     target = Path(path)
     if target.suffix != ".efg":
         raise InputError(f"can't write {target}: its name must end in .efg")
-    text = efg_text(tree, title=title, move_names=move_names)
-    write_atomically(target, text)
+    write_atomically(target, efg_text(tree, title=title, move_names=move_names))
     return target
 
 
@@ -58,39 +51,33 @@ def efg_text(
             f"the tree has {tree.payoffs.size} leaves; as text, {MAX_LEAVES} are the max"
         )
     names = move_names if move_names is not None else [(range(a), range(b)) for a, b in tree.moves]
-    if [(len(first), len(second)) for first, second in names] != list(tree.moves):
+    if [(len(set(first)), len(set(second))) for first, second in names] != list(tree.moves):
         raise InputError(
-            f"the names of the moves do not fit the tree, whose moves are {list(tree.moves)}"
+            f"the names of the moves must differ and fit the tree, whose moves are {tree.moves}"
         )
-    quoted = [[_quoted(str(name)) for name in player] for pair in names for player in pair]
-    if any(len(set(player)) < len(player) for player in quoted):
-        raise InputError("two moves of a player bear the same name")
+    actions = [[" ".join(map(_quoted, player)) for player in pair] for pair in names]
     head = f'EFG 2 R {_quoted(title)} {{ "car_0" "car_1" }}\n'
-    actions = [f"{{ {' '.join(player)} }}" for player in quoted]
     return head + "\n".join(_lines(tree, actions)) + "\n"
 
 
-def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
+def _lines(tree: GameTree, actions: list[list[str]]) -> Iterator[str]:
     """Yield all nodes, each before its children."""
-    m = tree.depth
     counted = [
-        [tree.rows(k, player) * (tree.moves[k][player] > 1) for player in (0, 1)] for k in range(m)
+        [tree.rows(k, player) * (tree.moves[k][player] > 1) for player in (0, 1)]
+        for k in range(tree.depth)
     ]
     # OpenSpiel requires numbers of infosets without gaps.
     numbers = np.cumsum([[0, 0], *counted], axis=0)
-    rows = [(first.tolist(), second.tolist()) for first, second in tree.infosets]
-    leaves = [_decimal(value) for value in tree.payoffs.reshape(-1).tolist()]
 
     def decision(k: int, player: int, node: int) -> str:
-        row = rows[k][player][node]
-        number = int(numbers[k, player]) + row + 1
-        return f'p "" {player + 1} {number} "{k}:{row}" {actions[2 * k + player]} 0'
+        row = int(tree.infosets[k][player][node])
+        number = numbers[k, player] + row + 1
+        return f'p "" {player + 1} {number} "{k}:{row}" {{ {actions[k][player]} }} 0'
 
     def below(k: int, node: int) -> Iterator[str]:
-        if k == m:
-            payoff = leaves[node]
-            other = payoff[1:] if payoff.startswith("-") else f"-{payoff}"
-            yield f't "" {node + 1} "" {{ {payoff} {other} }}'
+        if k == tree.depth:
+            payoff = float(tree.payoffs.flat[node]) + 0.0
+            yield f't "" {node + 1} "" {{ {_decimal(payoff)} {_decimal(-payoff)} }}'
             return
         first, second = tree.moves[k]
         if first > 1:
@@ -110,13 +97,11 @@ def _lines(tree: GameTree, actions: list[str]) -> Iterator[str]:
 
 def _decimal(value: float) -> str:
     """Return all digits of a number, never with an exponent."""
-    return np.format_float_positional(value + 0.0, trim="0")
+    return np.format_float_positional(value, trim="0")
 
 
 def _shares(tree: GameTree) -> list[str]:
     """Return probabilities with a sum of exactly 1, as Gambit requires."""
-    if (tree.chance == tree.chance[0]).all():
-        return [f"1/{tree.roots}"] * tree.roots
     context = Context(prec=17, rounding=ROUND_HALF_EVEN)
     shares = [
         context.create_decimal_from_float(p).quantize(Decimal("1e-17"))
@@ -127,75 +112,8 @@ def _shares(tree: GameTree) -> list[str]:
     return [f"{share:f}" for share in shares]
 
 
-def _quoted(text: str) -> str:
+def _quoted(name: object) -> str:
+    text = str(name)
     if '"' in text or "\n" in text or "\\" in text:
         raise InputError(f"{text!r} can't be a name: it holds a quote, backslash or line break")
     return f'"{text}"'
-
-
-# OpenSpiel
-
-
-def efg_game(tree: GameTree) -> Any:
-    """Return a tree as a game of OpenSpiel's C++ (``pyspiel.load_efg_game``).
-
-    Car 0 moves first; car 1 does not observe its move.
-    """
-    try:
-        import pyspiel
-    except ModuleNotFoundError:
-        raise ModuleNotFoundError('this needs OpenSpiel: pip install "pcs-racing[games]"') from None
-    return pyspiel.load_efg_game(efg_text(tree))
-
-
-def efg_policy(tree: GameTree, profile: Profile) -> dict[str, list[tuple[int, float]]]:
-    """Return a profile in the form of OpenSpiel's functions for :func:`efg_game`.
-
-    The form is information state to (move, share).
-    """
-    game = tree.averaged
-    keys = _efg_keys(game)
-    policy = {}
-    for k, pair in enumerate(check_profile(tree, profile)):
-        for player in (0, 1):
-            for row, shares in enumerate(pair[player].tolist()):
-                if (player, k, row) in keys:
-                    policy[keys[player, k, row]] = list(enumerate(shares))
-    return policy
-
-
-def efg_profile(tree: GameTree, policy: Mapping[str, Sequence[tuple[int, float]]]) -> Profile:
-    """Return a tabular policy of :func:`efg_game` (as ``policy.policy_table()``) as a profile."""
-    game = tree.averaged
-    keys = _efg_keys(game)
-    profile = []
-    for k, moves in enumerate(game.moves):
-        pair = []
-        for player in (0, 1):
-            strategy = np.zeros((game.rows(k, player), moves[player]))
-            for row in range(len(strategy)):
-                key = keys.get((player, k, row))
-                if key is None:
-                    strategy[row] = 1.0
-                    continue
-                if key not in policy:
-                    raise InputError(
-                        f"the policy lacks the information state {key!r} of car {player}, level {k}"
-                    )
-                for move, share in policy[key]:
-                    strategy[row, move] = share
-            pair.append(strategy)
-        profile.append((pair[0], pair[1]))
-    return profile
-
-
-def _efg_keys(game: GameTree) -> dict[tuple[int, int, int], str]:
-    """Return OpenSpiel's string for each (player, level, row) with a decision."""
-    keys, numbers = {}, [0, 0]
-    for k, moves in enumerate(game.moves):
-        for player in (0, 1):
-            if moves[player] > 1:
-                for row in range(game.rows(k, player)):
-                    numbers[player] += 1
-                    keys[player, k, row] = f"{player}-{player}-{numbers[player]}-{k}:{row}"
-    return keys

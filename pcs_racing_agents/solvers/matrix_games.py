@@ -8,8 +8,9 @@ A saddle point is taken if there is one. Otherwise the simplex method solves the
 Dantzig (1951): with all payoffs made positive, the column player finds max sum(y) subject to P y <=
 1, y >= 0; the game's value is 1 / sum(y), and the dual solution is the row player's strategy. The
 remaining gains of both players are measured on every solution. If rounding fails on a game with
-nearly equal moves (payoffs that differ by a billionth of their range), the game is solved once more
-in whole numbers.
+nearly equal moves (payoffs that differ by a billionth of their range), the payoffs are rounded, so
+that these moves become equal, and the game is solved once more; both players together can then
+gain a ten millionth of the range.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,6 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.compilation import compiled, first_call, kernel
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.solvers.game_tree import Floats
-from pcs_racing_agents.solvers.rational_games import solve_rationally
 
 TOLERANCE = 1e-14
 """Min reduced cost of a move, in units of the payoffs' range, for another simplex step."""
@@ -29,7 +29,10 @@ MIN_PIVOT = 1e-11
 """Min pivot, in units of the payoffs' range."""
 
 GOOD_GAP = 1e-12
-"""Gap, in units of the payoffs' range, above which a game is solved again in whole numbers."""
+"""Gap, in units of the payoffs' range, above which a game is solved again with rounded payoffs."""
+
+PARTS = 2.0**24
+"""Number of parts of the range to which payoffs are rounded."""
 
 
 class MatrixSolution(NamedTuple):
@@ -70,12 +73,17 @@ def solve_matrix_games(payoffs: ArrayLike) -> MatrixSolution:
     )
     with first_call(_solve_games, "the solver of matrix games", 5):
         _solve_games(games, *solution)
-    span = games.max(axis=(1, 2)) - games.min(axis=(1, 2))
+    low = games.min(axis=(1, 2))
+    span = games.max(axis=(1, 2)) - low
     # Written so that a gap of NaN counts as too large.
     for g in np.flatnonzero(~(solution.gaps <= GOOD_GAP * span)):
-        values, rows, columns = solve_rationally(games[g])
-        solution.values[g], solution.rows[g], solution.columns[g] = values, rows, columns
-        solution.gaps[g] = max(0.0, (games[g] @ columns).max() - (rows @ games[g]).min())
+        above, own = games[g] - low[g], slice(g, g + 1)
+        _solve_games(
+            np.round(above[None] / span[g] * PARTS) / PARTS, *(part[own] for part in solution)
+        )
+        rows, columns = solution.rows[g], solution.columns[g]
+        solution.values[g] = low[g] + rows @ above @ columns
+        solution.gaps[g] = max(0.0, (above @ columns).max() - (rows @ above).min())
     return solution
 
 
