@@ -18,7 +18,8 @@ A function's docstring names any other error that it raises.
 
 import difflib
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib.util import find_spec
 
@@ -102,3 +103,23 @@ def _shortened(message: str) -> str:
 
 def _ends(line: str) -> str:
     return line if len(line) <= _MAX_LENGTH else f"{line[:195]} ... {line[-100:]}"
+
+
+@contextmanager
+def one_line(what: str, passing: type[Exception] | tuple[()] = InputError) -> Iterator[None]:
+    """Turn any error, the end of the process included, into one line.
+
+    Ctrl-C passes, and so do the errors ``passing``, by default our errors.
+    """
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except passing:
+        raise
+    except BaseException as error:
+        try:
+            said = f"{type(error).__name__}: {error}"
+        except Exception:  # the text of the error raised an error
+            said = type(error).__name__
+        raise InputError(f"{what}: {said}") from error

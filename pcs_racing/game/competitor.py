@@ -26,11 +26,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_text
-from pcs_racing.base.errors import InputError, UnknownNameError, choices
+from pcs_racing.base.errors import InputError, UnknownNameError, choices, one_line
 from pcs_racing.game.moves import check_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing.planners.own_files import one_line
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name

@@ -11,14 +11,16 @@ A class is a driver if it has one of these methods; of several, the first counts
 the same fields, the ranges as ``scan``, and the vehicle's state. A node of ROS 2 is a driver as
 well (:mod:`pcs_racing.planners.ros_nodes`).
 
-The file is run again for every race (:mod:`pcs_racing.planners.own_files`), and its driver is
-called every 0.02 s. The driver's attributes and globals are no part of the race's state: such a
-race repeats from its start, but cannot resume from a copy of its middle.
+The file is imported once (:mod:`pcs_racing.planners.own_files`); each race makes a driver for each
+car and calls it every 0.02 s. A driver's attributes are no part of the race's state: such a race
+repeats from its start, but cannot resume from a copy of its middle.
 """
 
 import os
-from dataclasses import dataclass, field
-from functools import lru_cache
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
+from copy import deepcopy
+from functools import lru_cache, partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -26,10 +28,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, one_line
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.own_files import Run, one_line, run_file
+from pcs_racing.planners.own_files import drawing, own_file, seeded
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.registry import get_planner, planner_names, register_planner
 from pcs_racing.planners.ros_nodes import Node, ask_node
@@ -37,13 +39,6 @@ from pcs_racing.planners.scanning import WORK, scan_beams
 from pcs_racing.track.track import Track
 
 METHODS = ("process_observation", "process_lidar", "plan")
-ODOMETRY = {
-    "pose_x": _view.OWN_X,
-    "pose_y": _view.OWN_Y,
-    "pose_theta": _view.OWN_PSI,
-    "linear_vel_x": _view.OWN_V,
-    "angular_vel_z": _view.OWN_PSI_DOT,
-}
 STATE = [
     _view.OWN_X,
     _view.OWN_Y,
@@ -53,36 +48,38 @@ STATE = [
     _view.OWN_PSI_DOT,
     _view.OWN_BETA,
 ]
-
-MAX_RUNS = 4096
-"""Max number of races of a file with modules and drivers in memory."""
+MAX_DRIVERS = 4096
+"""Max number of drivers of a file in memory."""
 
 _lidar = lru_cache(maxsize=8)(Lidar)  # 1080 beams over 4.7 rad, up to 30 m
 
 
-@dataclass(eq=False)
-class _Drivers:
+class _Drive:
     """Function ``drive`` of a planner; the first parameter selects a class of the file."""
 
-    path: str
-    names: list[str] = field(init=False)  #: Names of the file's drivers.
-    #: Runs of the file by the number in memory.
-    racing: dict[float, Run] = field(init=False, default_factory=dict)
-    numbers: "count[int]" = field(
-        init=False, default_factory=lambda: count((os.getpid() << 24) + 1)
-    )
     takes_seed = True  # as two more arguments: seed and car
 
-    def __post_init__(self) -> None:
-        self.names = list(driver_classes(self.path))
-        if not self.names:
+    def __init__(self, source: Any) -> None:
+        self.source, self.name = source, str(source)
+        self.makers: Mapping[str, Callable[[], Any]]  #: Classes of the file by name.
+        self._running: Callable[[str, float], AbstractContextManager[None]]
+        if isinstance(source, str):
+            self.makers, self._running = driver_classes(source), own_file(source).running
+        else:
+            self.makers = {type(source).__name__: partial(deepcopy, source)}
+            self._running = lambda what, now: one_line(what, ())
+        if not self.makers:
             raise InputError(
-                f"{self.path} has no driver: a class with a method {' or '.join(METHODS)}, or a ROS"
+                f"{self.name} has no driver: a class with a method {' or '.join(METHODS)}, or a ROS"
                 " node"
             )
+        # By the number in the memory of a car:
+        self._states: dict[float, list[Any]] = {}  #: States of the driver's generators.
+        self._made: dict[float, Any] = {}  #: Drivers, from their first calls on.
+        self._numbers = count((os.getpid() << 24) + 1)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Drivers, (self.path,)
+        return _Drive, (self.source,)
 
     def __call__(
         self,
@@ -93,110 +90,95 @@ class _Drivers:
         seed: int = 0,
         car: int = 0,
     ) -> tuple[float, float]:
-        name = self.names[min(int(theta[0]), len(self.names) - 1)]
+        which = int(theta[0]) if len(theta) else 0
+        name, make = list(self.makers.items())[min(which, len(self.makers) - 1)]
         if memory[0] == 0.0:
-            if len(self.racing) >= MAX_RUNS:  # the oldest race is over: fewer races run at once
-                self.racing.pop(next(iter(self.racing))).forget()
-            number = next(self.numbers)
-            self.racing[number] = Run(Path(self.path), number, (seed, car))
-            memory[0] = number
-        if memory[0] not in self.racing:
+            if len(self._states) >= MAX_DRIVERS:  # the oldest race is over: fewer run at once
+                oldest = next(iter(self._states))
+                del self._states[oldest]
+                self._made.pop(oldest, None)
+            memory[0] = next(self._numbers)
+            self._states[float(memory[0])] = seeded(seed, car)
+        number = float(memory[0])
+        if number not in self._states:
             raise InputError(
-                f"driver {self.path}:{name} is asked in the middle of a race that another process"
-                f" began, or that began {MAX_RUNS} races ago"
+                f"driver {self.name}:{name} is asked in the middle of a race that another process"
+                f" began, or that began {MAX_DRIVERS} races ago"
             )
-        run = self.racing[float(memory[0])]
-        run.now = max(run.now, float(view[_view.TIME]))
-        with run.entered(f"driver {self.path}:{name}"):
-            if run.driver is None:
-                run.driver = getattr(run.module, name)()
-            return _ask(run.driver, track, view)
+        lidar, what = _lidar(track), f"driver {self.name}:{name}"
+        ranges = np.empty(lidar.beams)
+        scan_beams(track.arrays, lidar.kernel, view, 0.0, np.empty(WORK), ranges)
+        with self._running(what, float(view[_view.TIME])), drawing(self._states[number]):
+            if number not in self._made:
+                self._made[number] = make()
+            return _ask(self._made[number], view, ranges)
 
 
-def _ask(driver: Any, track: Track, view: NDArray[np.float64]) -> tuple[float, float]:
+def _ask(
+    driver: Any, view: NDArray[np.float64], ranges: NDArray[np.float64]
+) -> tuple[float, float]:
     """Return a driver's steering angle and speed."""
-    lidar = _lidar(track)
-    ranges = np.empty(lidar.beams)
-    scan_beams(track.arrays, lidar.kernel, view, 0.0, np.empty(WORK), ranges)
-    odometry = {name: float(view[index]) for name, index in ODOMETRY.items()} | {
-        "linear_vel_y": 0.0
-    }
+    time = float(view[_view.TIME])
+    own = view[[_view.OWN_X, _view.OWN_Y, _view.OWN_PSI, _view.OWN_V, _view.OWN_PSI_DOT]]
+    odometry = _odometry(*own.tolist())
     if isinstance(driver, Node):
-        x, y, theta = view[[_view.OPP_X, _view.OPP_Y, _view.OPP_PSI]].tolist()
-        other = {
-            "pose_x": x,
-            "pose_y": y,
-            "pose_theta": theta,
-            "linear_vel_x": float(view[_view.OPP_V]),
-        }
-        return ask_node(
-            driver,
-            float(view[_view.TIME]),
-            ranges,
-            odometry,
-            odometry | other | {"angular_vel_z": 0.0},
-        )
+        other = view[[_view.OPP_X, _view.OPP_Y, _view.OPP_PSI, _view.OPP_V]]
+        return ask_node(driver, time, ranges, odometry, _odometry(*other.tolist()))
     if hasattr(driver, "process_observation"):
         speed, steering = driver.process_observation(ranges=ranges, ego_odom=odometry)
     elif hasattr(driver, "process_lidar"):
         speed, steering = driver.process_lidar(ranges)
     else:
         state = view[STATE]
-        names = {
-            "scan": ranges,
-            "state": state,
-            "vehicle_state": state,
-            "vehicle_speed": float(view[_view.OWN_V]),
-        }
-        steering, speed = driver.plan(
-            odometry | names | {"pose": state[[0, 1, 4]], "time": float(view[_view.TIME])}
-        )
+        seen = {"scan": ranges, "state": state, "vehicle_state": state, "time": time}
+        more = {"vehicle_speed": odometry["linear_vel_x"], "pose": state[[0, 1, 4]]}
+        steering, speed = driver.plan({**odometry, **seen, **more})
     return float(steering), float(speed)
+
+
+def _odometry(x: float, y: float, psi: float, v: float, yaw_rate: float = 0.0) -> dict[str, float]:
+    velocity = {"linear_vel_x": v, "linear_vel_y": 0.0, "angular_vel_z": yaw_rate}
+    return {"pose_x": x, "pose_y": y, "pose_theta": psi, **velocity}
 
 
 def is_driver(made: Any) -> bool:
     """Return whether an object is a driver class."""
     if not isinstance(made, type) or made is Node:
         return False
-    return issubclass(made, Node) or any(
-        callable(getattr(made, method, None)) for method in METHODS
-    )
+    return issubclass(made, Node) or any(callable(getattr(made, one, None)) for one in METHODS)
 
 
 def driver_classes(path: str | Path) -> dict[str, type]:
-    """Run a file and return its drivers by name.
-
-    The file's own classes come first, then classes of its folder's modules.
-    """
-    module = run_file(path)
-    found = {name: value for name, value in vars(module).items() if isinstance(value, type)}
+    """Return the drivers of a file by name: its own classes, then classes of its modules."""
+    module = own_file(path).module
     with one_line(f"{path} can't be loaded"):
-        own = {
-            name: cls
-            for name, cls in found.items()
-            if cls.__module__ == module.__name__ and is_driver(cls)
+        found = {
+            name: one
+            for name, one in vars(module).items()
+            if is_driver(one) and one.__module__.startswith(module.__name__)
         }
-        below = f"{module.__name__}."
-        return own | {
-            n: cls
-            for n, cls in found.items()
-            if cls.__module__.startswith(below) and is_driver(cls)
-        }
+        return dict(sorted(found.items(), key=lambda one: one[1].__module__ != module.__name__))
 
 
 def drivers_from(path: str | Path) -> dict[str, Policy]:
-    """Run a Python file and return its drivers by class name.
+    """Import a Python file and return its drivers by class name.
 
     From then on ``"their_file.py:Class"``, with the path as given here, is the name of a driver in
     this process; ``"their_file.py"`` is the name of the first driver.
     """
     name = Path(path).as_posix()
     if name not in planner_names():
-        drive = _Drivers(name)
+        drive = _Drive(name)
         which = Parameter(
-            "driver", 0.0, float(len(drive.names)), 0.0, "which class of the file drives, from 0"
+            "driver", 0.0, float(len(drive.makers)), 0.0, "which class of the file drives, from 0"
         )
-        variants = {driver: (float(i),) for i, driver in enumerate(drive.names)}
+        variants = {driver: (float(i),) for i, driver in enumerate(drive.makers)}
         register_planner(Planner(name, (which,), drive=drive, memory_size=1, variants=variants))
     planner = get_planner(name)
     return {driver: planner.policy(driver) for driver in planner.variants}
+
+
+def object_policy(driver: Any) -> Policy:
+    """Return the policy of a driver in memory; each race drives a copy of it."""
+    drive = _Drive(driver)
+    return Planner(type(driver).__name__, (), drive=drive, memory_size=1).policy()

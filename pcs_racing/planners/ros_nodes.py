@@ -8,7 +8,6 @@ published.
 import math
 from array import array
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cache, partial
 from importlib.util import find_spec
 from types import ModuleType, SimpleNamespace
@@ -17,37 +16,23 @@ from typing import Any
 from pcs_racing.base.errors import say_once
 
 SILENCE = 1.0  # s from the start, after which a node without a command is reported
+HEARD = ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan")
+"""Messages that a node can subscribe to, in the order of their callbacks."""
 
 _PACKAGES = (
-    "ackermann_msgs",
-    "builtin_interfaces",
-    "geometry_msgs",
-    "nav_msgs",
-    "rcl_interfaces",
-    "sensor_msgs",
-    "std_msgs",
-    "visualization_msgs",
+    *("ackermann_msgs", "builtin_interfaces", "geometry_msgs", "nav_msgs", "rcl_interfaces"),
+    *("sensor_msgs", "std_msgs", "visualization_msgs"),
 )
 _RCLPY = (
-    "clock",
-    "callback_groups",
-    "duration",
-    "executors",
-    "logging",
-    "node",
-    "parameter",
-    "qos",
-    "time",
+    *("clock", "callback_groups", "duration", "executors", "logging", "node", "parameter"),
+    *("qos", "time"),
 )
-_VALUES = [
-    f"{kind}{end}_value"
-    for kind in ("bool", "integer", "double", "string", "byte")
-    for end in ("", "_array")
-]
+_KINDS = ("bool", "integer", "double", "string", "byte")
+_VALUES = [f"{kind}{end}_value" for kind in _KINDS for end in ("", "_array")]
 
 
 class Free:
-    """Message, or any other ROS object, with any attributes; an unset attribute is a `Free`."""
+    """Message, message type, or any other ROS object; an unset attribute is a `Free`."""
 
     def __init__(self, *given: Any, **fields: Any) -> None:
         vars(self).update(fields)
@@ -62,31 +47,14 @@ class Free:
         return Free(**named)
 
 
-class _Constants(type):
-    def __getattr__(cls, name: str) -> Any:
-        """Return a constant of a message type: its name."""
-        if name[:2] == "__":
-            raise AttributeError(name)
-        return name
-
-
-@cache
-def _message(name: str) -> type:
-    """Return a message type, or any other type."""
-    return _Constants(name, (Free,), {})
-
-
-@dataclass(order=True)
 class Time:
-    """Time or duration, in ns."""
+    """Time or duration."""
 
-    nanoseconds: int
+    def __init__(self, *, seconds: float = 0, nanoseconds: float = 0, **other: Any) -> None:
+        self.nanoseconds = round(1e9 * seconds + nanoseconds)
 
     def __sub__(self, other: Any) -> "Time":
-        return Time(self.nanoseconds - other.nanoseconds)
-
-    def __add__(self, other: Any) -> "Time":
-        return Time(self.nanoseconds + other.nanoseconds)
+        return Time(nanoseconds=self.nanoseconds - other.nanoseconds)
 
     def seconds_nanoseconds(self) -> tuple[int, int]:
         """Return whole seconds, and the rest in ns."""
@@ -94,11 +62,8 @@ class Time:
 
     def to_msg(self) -> Any:
         """Return the time as a message."""
-        return Free(sec=self.nanoseconds // 10**9, nanosec=self.nanoseconds % 10**9)
-
-
-def _time(*, seconds: float = 0, nanoseconds: float = 0, **other: Any) -> Time:
-    return Time(round(1e9 * seconds + nanoseconds))
+        seconds, rest = self.seconds_nanoseconds()
+        return Free(sec=seconds, nanosec=rest)
 
 
 def _parameter(name: str = "", type_: Any = None, value: Any = None, **other: Any) -> Any:
@@ -112,9 +77,7 @@ class Node:
 
     def __init__(self, node_name: str = "node", **other: Any) -> None:
         # One attribute, with a name that a derived class will not use.
-        self._in_race = SimpleNamespace(
-            name=node_name, now=0.0, command=None, heard=[], timers=[], parameters={}
-        )
+        self._in_race = SimpleNamespace(now=0.0, command=None, heard=[], timers=[], parameters={})
 
     def __getattr__(self, name: str) -> Any:
         """Return an object that does nothing, in place of a node's other methods."""
@@ -135,9 +98,9 @@ class Node:
         """Return an object that publishes messages."""
 
         def publish(message: Any) -> None:
-            if type(message).__name__.startswith("AckermannDrive"):
-                stamped = type(message).__name__.endswith("Stamped")
-                drive = vars(message.drive if stamped else message)
+            kind = msg_type.__name__
+            if kind.startswith("AckermannDrive"):
+                drive = vars(message.drive if kind.endswith("Stamped") else message)
                 fields = drive.get("steering_angle", 0.0), drive.get("speed", 0.0)
                 self._in_race.command = tuple(map(float, fields))
 
@@ -147,9 +110,8 @@ class Node:
         self, timer_period_sec: float, callback: Callable[[], Any], *other: Any, **named: Any
     ) -> Any:
         """Register a callback, called once per period (s)."""
-        timer = SimpleNamespace(
-            period=max(float(timer_period_sec), 1e-3), due=None, callback=callback, on=True
-        )
+        period = max(float(timer_period_sec), 1e-3)
+        timer = SimpleNamespace(period=period, due=None, callback=callback, on=True)
         timer.cancel = partial(setattr, timer, "on", False)
         timer.reset = partial(setattr, timer, "on", True)
         self._in_race.timers.append(timer)
@@ -161,9 +123,8 @@ class Node:
 
     def declare_parameters(self, namespace: str, parameters: Any, *other: Any) -> list[Any]:
         """Declare several parameters: names, or tuples that begin with name and default."""
-        return [
-            self.declare_parameter(*([one] if isinstance(one, str) else one)) for one in parameters
-        ]
+        listed = ([one] if isinstance(one, str) else one for one in parameters)
+        return [self.declare_parameter(*one) for one in listed]
 
     def get_parameter(self, name: str) -> Any:
         """Return a parameter; an undeclared parameter has no value."""
@@ -173,13 +134,9 @@ class Node:
         """Change parameters."""
         self._in_race.parameters.update((one.name, one) for one in parameters)
 
-    def get_name(self) -> Any:
-        """Return the name."""
-        return self._in_race.name
-
     def get_clock(self) -> Any:
         """Return the clock of the race."""
-        return SimpleNamespace(now=lambda: _time(seconds=self._in_race.now))
+        return SimpleNamespace(now=lambda: Time(seconds=self._in_race.now))
 
 
 def ask_node(
@@ -194,11 +151,10 @@ def ask_node(
     A car without a command stands still, which is reported once after a second.
     """
     own = node._in_race
-    own.now, stamp = now, _time(seconds=now).to_msg()
-    for wanted in ("Odometry", "PoseStamped", "PoseWithCovarianceStamped", "LaserScan"):
+    own.now, header = now, Free(stamp=Time(seconds=now).to_msg(), frame_id="map")
+    for wanted in HEARD:
         for kind, topic, callback in [one for one in own.heard if one[0] == wanted]:
-            seen = opponent if "opp" in topic else odometry
-            callback(_heard(kind, Free(stamp=stamp, frame_id="map"), ranges, seen))
+            callback(_heard(kind, header, ranges, opponent if "opp" in topic else odometry))
     for timer in list(own.timers):
         timer.due = timer.due or now + timer.period
         while timer.on and timer.due <= now + 1e-9:
@@ -215,15 +171,9 @@ def ask_node(
 def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> Any:
     """Return a message of the lidar, or of a pose."""
     if kind == "LaserScan":
-        beams = {
-            "angle_min": -2.35,
-            "angle_max": 2.35,
-            "angle_increment": 4.7 / (len(ranges) - 1),
-            "range_min": 0.0,
-        }
-        return Free(
-            header=header, ranges=array("f", ranges), range_max=30.0, scan_time=0.02, **beams
-        )
+        angles = {"angle_min": -2.35, "angle_max": 2.35, "angle_increment": 4.7 / (len(ranges) - 1)}
+        limits = {"range_min": 0.0, "range_max": 30.0, "scan_time": 0.02}
+        return Free(header=header, ranges=array("f", ranges), **angles, **limits)
     half = 0.5 * seen["pose_theta"]
     at = Free(x=seen["pose_x"], y=seen["pose_y"], z=0.0)
     pose = Free(position=at, orientation=Free(x=0.0, y=0.0, z=math.sin(half), w=math.cos(half)))
@@ -234,27 +184,21 @@ def _heard(kind: str, header: Any, ranges: Any, seen: Mapping[str, float]) -> An
 
 def _euler_from_quaternion(quaternion: Any, *axes: Any) -> tuple[float, float, float]:
     x, y, z, w = quaternion
+    roll = math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     pitch = math.asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
-    roll, yaw = (
-        math.atan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y)),
-        2.0 * (w * z + x * y),
-    )
-    return roll, pitch, math.atan2(yaw, 1.0 - 2.0 * (y * y + z * z))
+    return roll, pitch, math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
+def _message_type(name: str) -> Free:
+    if name[:2] == "__":
+        raise AttributeError(name)
+    return Free(__name__=name)
 
 
 def _module(name: str, **values: Any) -> ModuleType:
-    """Return a module with some values.
-
-    Any other name in it is a message type or an object that does nothing.
-    """
-
-    def missing(other: str) -> Any:
-        if other[:2] == "__":
-            raise AttributeError(other)
-        return _message(other)
-
+    """Return a module with some values; any other name in it is a message type."""
     module = ModuleType(name)
-    module.__dict__.update(values, __getattr__=missing, __path__=[])
+    module.__dict__.update(values, __getattr__=_message_type, __path__=[])
     return module
 
 
@@ -263,16 +207,17 @@ def modules() -> dict[str, ModuleType]:
     """Return the replaced modules by name; none if ROS is installed."""
     if find_spec("rclpy") is not None:
         return {}
-    values = {"Time": _time, "Duration": _time, "Parameter": _parameter, "Node": Node}
-    children = {f"rclpy.{name}": _module(name, **values) for name in _RCLPY}
-    children |= {f"{package}.msg": _module(package) for package in _PACKAGES}
     nothing = dict.fromkeys(["init", "shutdown", "spin", "spin_once", "try_shutdown"], Free())
-    made = {name: _module(name) for name in _PACKAGES}
-    made["rclpy"] = _module("rclpy", ok=lambda **named: False, create_node=Node, **nothing)
-    made["tf_transformations"] = _module(
-        "tf_transformations", euler_from_quaternion=_euler_from_quaternion
-    )
-    for name, module in children.items():
-        parent, _, child = name.partition(".")
-        setattr(made[parent], child, module)
-    return made | children
+    values = {"Time": Time, "Duration": Time, "Parameter": _parameter, "Node": Node}
+    made = {
+        "rclpy": _module("rclpy", ok=lambda **named: False, create_node=Node, **nothing),
+        "tf_transformations": _module(
+            "tf_transformations", euler_from_quaternion=_euler_from_quaternion
+        ),
+        **{name: _module(name, msg=_module(f"{name}.msg")) for name in _PACKAGES},
+    }
+    made |= {f"{name}.msg": made[name].msg for name in _PACKAGES}
+    for name in _RCLPY:
+        made[f"rclpy.{name}"] = _module(f"rclpy.{name}", **values)
+        setattr(made["rclpy"], name, made[f"rclpy.{name}"])
+    return made

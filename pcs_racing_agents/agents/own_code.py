@@ -11,11 +11,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, one_line
 from pcs_racing.game.competitor import is_model
 from pcs_racing.planners.imported import drivers_from, is_driver
 from pcs_racing.planners.learned import is_planner_folder, load_planner
-from pcs_racing.planners.own_files import one_line, run_file
+from pcs_racing.planners.own_files import run_file
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy, planner_names, policy_of
 from pcs_racing.planners.shipped import split_name

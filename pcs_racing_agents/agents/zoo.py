@@ -18,12 +18,11 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError, UnknownNameError, one_line
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.competitor import is_model
 from pcs_racing.game.config import GameConfig
-from pcs_racing.planners.own_files import one_line
 from pcs_racing.planners.registry import parse_policy, planner_names
 from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig

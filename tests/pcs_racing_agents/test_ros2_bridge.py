@@ -1,6 +1,5 @@
 """The package of ROS 2: its logic without ROS, its files, and a runner without our packages."""
 
-import ast
 import importlib
 import shutil
 import subprocess
@@ -327,13 +326,6 @@ def test_the_runner_refuses_bad_input_by_a_line(
     assert all("Traceback" not in one for one in usage)
 
 
-def test_a_short_run_makes_a_decision(ros, lidar_ppo, monkeypatch, capsys):
-    arguments = [str(lidar_ppo), "--hz", "1", "--seconds", "0.1"]
-    monkeypatch.setattr(sys, "argv", ["onnx_policy.py", *arguments])
-    ros("onnx_policy").main()
-    assert "1 decisions: " in capsys.readouterr().out
-
-
 # The files of the package
 
 
@@ -368,37 +360,6 @@ def test_the_package_installs_what_it_names(tmp_path):
     modules = {f"{NAME}/{path.name}" for path in (PACKAGE / NAME).glob("*.py")}
     assert modules <= installed
     assert nodes == {name: f"{NAME}.nodes:{name}" for name in ("planner", "simulator")}
-
-
-def imported(tree: ast.AST) -> set[str]:
-    """Return the first words of all modules that a file imports from elsewhere."""
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            found |= {one.name.partition(".")[0] for one in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.level == 0:
-            found.add(str(node.module).partition(".")[0])
-    return found
-
-
-def test_launch_file_and_dependencies_fit(ros):
-    launch = ast.parse((PACKAGE / "launch" / "race.launch.py").read_text(encoding="utf-8"))
-    calls = [node for node in ast.walk(launch) if isinstance(node, ast.Call)]
-    started = {
-        word.value.value
-        for call in calls
-        for word in call.keywords
-        if getattr(call.func, "id", "") == "Node" and word.arg == "executable"
-    }
-    assert started == {"simulator", "planner"}
-    assert [node.name for node in launch.body if isinstance(node, ast.FunctionDef)] == [
-        "generate_launch_description"
-    ]
-    named = {one.text for one in ElementTree.parse(PACKAGE / "package.xml").iter("exec_depend")}
-    files = [ast.parse(file.read_text("utf-8")) for file in (PACKAGE / NAME).glob("*.py")]
-    used = set().union(*map(imported, files)) - sys.stdlib_module_names
-    assert used - {"numpy", "onnxruntime", "pcs_racing", "pcs_racing_agents"} <= named
-    assert imported(launch) - {"pathlib", "ament_index_python"} <= named
 
 
 def test_the_parameters_are_those_of_the_nodes(ros):

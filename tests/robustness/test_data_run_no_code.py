@@ -440,6 +440,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     doors = {
         "own_code",
         "parse_own_policy",
+        "own_file",
         "run_file",
         "driver_classes",
         "drivers_from",
@@ -451,7 +452,8 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         if name in doors or allowed:
             found.setdefault(file, set()).add(" ".join([name, *allowed]))
     assert found == {
-        "pcs_racing/planners/imported.py": {"run_file", "driver_classes"},  # the doors themselves
+        "pcs_racing/planners/imported.py": {"own_file", "driver_classes"},  # the doors themselves
+        "pcs_racing/planners/own_files.py": {"own_file"},
         "pcs_racing_agents/agents/own_code.py": {"drivers_from", "own_code", "run_file"},
         "pcs_racing_agents/agents/zoo.py": {"own_code", "parse_agent True"},
         "pcs_racing_agents/tournament/play.py": {"parse_agent code"},
@@ -477,7 +479,6 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     }
     assert {name for name in importing if "/f1tenth/" not in name} == {
         "pcs_racing/base/files.py:json.loads",
-        "pcs_racing/planners/own_files.py:importlib.import_module",  # of numpy, and for own files
         "pcs_racing/planners/own_files.py:spec_from_file_location",
         "pcs_racing/planners/registry.py:resolve_name",
         "pcs_racing/track/loading.py:json.loads",  # of the cache
