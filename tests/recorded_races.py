@@ -52,6 +52,7 @@ def race_on_a_straight():
         progress=cars[:, :, 0],
         walls=np.vstack([np.hstack([loop[:-1], loop[1:]]) for loop in (corners, inner)]),
         line=np.array([[0.5, 0.9], [19.5, 0.9], [19.5, 9.5], [0.5, 9.5]]),
+        half_sizes=np.array([[0.29, 0.155]] * 2),
         paths=paths,
     )
 
@@ -102,7 +103,9 @@ def race_on_a_circle(seconds=4.0, candidates=0, seed=0, **changes):
         "progress": angle * 10.0,
         "walls": np.vstack([np.hstack([loop[:-1], loop[1:]]) for loop in loops]),
         "line": 10.0 * np.column_stack([np.cos(around), np.sin(around)])[:-1],
-        "line_speed": 5.0 + np.cos(around[:-1]),
+        "half_sizes": np.array([[0.29, 0.155]] * 2),
+        # No car drove at the first point.
+        "line_speed": np.append(np.nan, 5.0 + np.cos(around[1:-1])),
         "ittc": np.full((len(time), 2), 2.0),
         "paths": paths,
         "events": (

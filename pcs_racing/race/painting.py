@@ -85,8 +85,8 @@ def paint_track(
 ) -> Image.Image:
     """Return a picture of the surface, the walls (polylines) and the race line.
 
-    The line is coloured by its speed if that is known. Where walls form closed loops, the track
-    lies between them.
+    The line is coloured by speed, grey where the speed is unknown (NaN, or no ``speed``). Where
+    walls form closed loops, the track lies between them.
     """
     size = (camera.width, camera.height)
     image = Image.new("RGB", size, COLOURS["ground"])
@@ -103,11 +103,11 @@ def paint_track(
         pen.line(_flat(closed), fill=COLOURS["wall"], width=FINER)
     else:
         stops = [COLOURS[name] for name in ("slow", "mid", "fast")]
-        share = (speed - speed.min()) / max(float(np.ptp(speed)), 1e-9)
-        for i, (start, end) in enumerate(pairwise(closed)):
-            pen.line(
-                [*start, *end], fill=_between(stops, float(share[i])), width=round(1.5 * FINER)
-            )
+        low, high = float(np.nanmin(speed)), float(np.nanmax(speed))
+        shares = ((speed - low) / max(high - low, 1e-9)).tolist()
+        for share, (start, end) in zip(shares, pairwise(closed), strict=True):
+            colour = COLOURS["wall"] if np.isnan(share) else _between(stops, share)
+            pen.line([*start, *end], fill=colour, width=round(1.5 * FINER))
     for wall in walls:
         pen.line(
             _flat(camera.pixels(wall)),
@@ -236,7 +236,7 @@ def paint_names(
         away = apart / distance if distance > 1.0 else np.array([0.0, 1.0 if car else -1.0])
         box = np.array(pen.textbbox((0, 0), name[:_NAME], font=font, stroke_width=_HALO))
         half = 0.5 * (box[2:] - box[:2])
-        half_length = half_sizes[min(car, len(half_sizes) - 1), 0] * camera.scale / FINER
+        half_length = half_sizes[car, 0] * camera.scale / FINER
         gap = 4.0 + (_ARROW_SIZE * 1.7 if half_length < _MIN_CAR else _AHEAD[0][0] * half_length)
         # Distance at which the box of the text, in this direction, ends a gap before the car.
         reach = gap + float(np.min(half / np.maximum(np.abs(away), 1e-6)))

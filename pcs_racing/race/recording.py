@@ -15,7 +15,7 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seed
-from pcs_racing.car.vehicle import F1TENTH, load_vehicles
+from pcs_racing.car.vehicle import F1TENTH, V, load_vehicles
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
@@ -136,25 +136,43 @@ def record_drive(
     state = start_races(setup, start, np.array([noise], np.uint64))
     log = _drive(setup, state, theta, ends, candidates)
     track = setup.track
-    line = track.line
+    line, cars, progress = track.line, np.array(log.cars), np.array(log.progress)
     return Replay(
         title=" against ".join((names[0], ", ".join(names[1:]))) if len(names) > 1 else names[0],
         track_name=track.name,
         car_names=names,
         walls=track.arrays.walls,
         line=line[:, [_frenet.X, _frenet.Y]],
-        line_speed=line[:, _frenet.SPEED],
+        line_speed=_driven_speed(track, start.s[0] + progress, cars[..., V]),
         frame_dt=FRAME_EVERY * DT,
         plan_dt=PLAN_EVERY * DT,
         half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in setup.vehicles]),
         outcome=_outcome(RaceResult(setup.config, state, start), names),
-        cars=np.array(log.cars),
-        progress=np.array(log.progress),
+        cars=cars,
+        progress=progress,
         ittc=np.array(log.ittc),
         events=tuple(log.events),
         moving=_same_size(log.moving),
         **_plans(log),
     )
+
+
+def _driven_speed(track: Track, places: Floats, speeds: Floats) -> Floats | None:
+    """Return the max speed of the cars at each point of the race line, m/s; NaN where none drove.
+
+    ``places``, ``speeds``: shape (T, N), cumulative arc lengths and speeds; None if the cars passed
+    no point.
+    """
+    length = track.length
+    laps = length * np.arange(places.min() // length, places.max() // length + 1.0)
+    points = laps[:, None] + track.arrays.ds * np.arange(len(track.line))
+    driven = [
+        # A car that is pushed back does not drive.
+        np.interp(points, np.maximum.accumulate(place), speed, left=np.nan, right=np.nan)
+        for place, speed in zip(places.T, speeds.T, strict=True)
+    ]
+    fastest: Floats = np.fmax.reduce(np.concatenate(driven))
+    return None if np.isnan(fastest).all() else fastest
 
 
 def tell_apart(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -169,8 +169,7 @@ class Renderer:
             paint_plan(pen, camera, COLOURS[f"car{car}"], plan)
         # Car 0 comes last: where cars overlap, the watched car is on top.
         for car in reversed(range(len(cars))):
-            half_size = self._half_sizes[min(car, len(self._half_sizes) - 1)]
-            paint_car(pen, camera, COLOURS[f"car{car}"], cars[car], half_size)
+            paint_car(pen, camera, COLOURS[f"car{car}"], cars[car], self._half_sizes[car])
         # Names are written after the reduction, which would blur them.
         image = image.reduce(FINER)
         if names:
@@ -283,4 +282,5 @@ def _scene(
     arrays = getattr(scene, "arrays", None)
     if arrays is None:
         raise InputError(f"scene must be a Track or a Replay, got {type(scene).__name__}")
-    return arrays.walls, arrays.line[:, :2], arrays.line[:, SPEED], np.full((2, 2), (0.29, 0.155))
+    sizes = np.full((MAX_CARS, 2), (0.29, 0.155))
+    return arrays.walls, arrays.line[:, :2], arrays.line[:, SPEED], sizes

@@ -55,7 +55,7 @@ def run(
     index: Annotated[int, Option(f"race index for this seed, 0 to {LAST_INDEX}")] = 0,
     replay: Annotated[
         Path | None,
-        Option("file for a replay: a page that plays the race (.html), or data (.json)", "FILE"),
+        Option("file for a page that plays the race (.html)", "FILE"),
     ] = None,
     video: Annotated[Path | None, Option("file for a video (.mp4, or .gif)", "FILE")] = None,
     mcap: Annotated[Path | None, Option("file for ROS 2 messages (.mcap)", "FILE")] = None,
@@ -70,7 +70,7 @@ def run(
         )
     cars = load_vehicles(vehicle[0] if len(vehicle) == 1 else vehicle, 1 + len(opponent))
     first, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
-    target = output_file(replay, ".html", ".json") if replay else None
+    target = output_file(replay, ".html") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None
     bag = output_file(mcap, ".mcap") if mcap else None
     # A missing library is reported before the race, not after it.

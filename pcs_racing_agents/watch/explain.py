@@ -175,4 +175,5 @@ def mark_moves(
         for k in range(played.moves.codes.shape[2])
         if played.moves.codes[0, car, k] >= 0
     ]
-    return replace(replay, events=(*replay.events, *events))
+    ordered = sorted((*replay.events, *events), key=lambda event: event.time)
+    return replace(replay, events=tuple(ordered))

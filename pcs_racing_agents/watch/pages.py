@@ -7,22 +7,16 @@ sentence and a line of facts, then pictures and tables. Colours and controls are
 
 import re
 from collections.abc import Mapping
-from importlib.resources import files
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from pcs_racing.race.replay import replay_page, safe_json
+from pcs_racing.race.replay import player_page, replay_page, safe_json
 from pcs_racing_agents.base.folders import package_version
 from pcs_racing_agents.base.tables import is_number
 
 _SHARED = re.compile(r"/\* shared: (\w+) \*/(.*?)/\* end of shared \*/", re.DOTALL)
-
-
-def player_page() -> str:
-    """Return the page of a replay, without a race."""
-    return files("pcs_racing.race").joinpath("replay.html").read_text(encoding="utf-8")
 
 
 def rendered(

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.packing import pack
+from pcs_racing.race.replay import player_page
 from pcs_racing_agents.tournament import RaceTable
 from pcs_racing_agents.tournament.races import Categorical
-from pcs_racing_agents.watch.pages import player_page, rendered
+from pcs_racing_agents.watch.pages import rendered
 from pcs_racing_agents.watch.race_replays import RaceRepeater
 
 

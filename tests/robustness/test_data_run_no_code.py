@@ -25,9 +25,6 @@ from pcs_racing import (
     load_race_config,
     load_track,
     make_game,
-    parse_policy,
-    record_race,
-    save_replay,
 )
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle
@@ -40,7 +37,6 @@ from pcs_racing.planners.field.lidar_ppo import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.replay import read_replay, replay_page
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import export_onnx, make, parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
@@ -200,14 +196,6 @@ def league(folder: Path) -> Path:
     return save_league(folder / "league", League((Member("lattice"), copy))) / LEAGUE_FILE
 
 
-def replay(folder: Path) -> Path:
-    ego, opponent = parse_policy("lattice"), parse_policy("pure-pursuit")
-    race = record_race(
-        load_track("Pipkin"), ego, opponent, load_race_config("paper", duration=1.0), seed=1
-    )
-    return save_replay(race, folder / "replay.json")
-
-
 TREES = {
     "kind": "game trees",
     "settings": {
@@ -299,7 +287,6 @@ KINDS = {
         shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
         lambda file: make("best-fixed", archive="default", race="paper", fit=file),
     ),
-    "replay": Kind(replay, lambda file: replay_page(read_replay(file)), "read_replay"),
     "trees": Kind(
         settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"
     ),

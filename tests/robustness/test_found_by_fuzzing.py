@@ -36,7 +36,6 @@ from pcs_racing.game.identity import GameIdentity
 from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import write_gif
-from pcs_racing.race.replay import read_replay
 from pcs_racing.track.map_files import parse_grid
 from pcs_racing.track.maps import read_map, write_map
 from pcs_racing_agents.agents import parse_agent
@@ -81,7 +80,6 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
     for call in (
         lambda: load_track(file("yaml")),
         lambda: load_archive(folder),
-        lambda: read_replay(file("json")),
         lambda: load_race_config(file("yaml")),
         lambda: load_fit(file("yaml")),
         lambda: load_model(file("zip")),

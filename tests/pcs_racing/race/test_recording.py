@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from recorded_races import PYTHON
 from refusal import refused
+from replay_pages import race_in
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import InputError, load_race_config, load_track, parse_policy, record_race
@@ -16,7 +17,7 @@ from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceResult, RaceSetup, advance, run_races, start_races
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
-from pcs_racing.race.replay import ReplayEvent, read_replay, save_replay
+from pcs_racing.race.replay import ReplayEvent, save_replay
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import empty_state, take
 from pcs_racing.track.moving import moving_outlines
@@ -99,6 +100,23 @@ def test_what_a_replay_holds(oval):
     assert ((replay.ittc > 0.0) & (replay.ittc <= PAPER.ittc_horizon)).all()
 
 
+def test_the_line_has_the_max_driven_speed(oval):
+    """Also across the start of the line; NaN where no car drove."""
+    length, count = oval.length, len(oval.line)
+    points = np.arange(count) * oval.arrays.ds
+    place = length - 2.0 + np.arange(11) * 0.5  # 5 m, across the start of the line
+    back = np.minimum(place, length)
+    places, speeds = np.stack([place, back], axis=1), np.stack([0.1 * place, 0.0 * back + 3.0], 1)
+    found = recording._driven_speed(oval, places, speeds)
+    ahead = np.where(points <= 3.0, points + length, points)
+    driven = (ahead >= length - 2.0) & (ahead <= length + 3.0)
+    np.testing.assert_allclose(
+        found[driven], np.where(ahead <= length, np.maximum(0.1 * ahead, 3.0), 0.1 * ahead)[driven]
+    )
+    assert np.isnan(found[~driven]).all()
+    assert recording._driven_speed(oval, places[:1] + 0.01, speeds[:1]) is None
+
+
 def test_a_replay_shows_moving_obstacles(oval, tmp_path):
     boxes = [[0.0, -4.0, 0.2, 0.4, 0.3, 1.0, 0.3], [0.0, 4.0, 0.0, 0.4, 0.0, 1.0, 0.0]]
     busy = with_obstacles(oval, boxes)
@@ -109,8 +127,8 @@ def test_a_replay_shows_moving_obstacles(oval, tmp_path):
     np.testing.assert_allclose(replay.moving[5, 0, :4], square)
     assert (replay.moving[5, 0, 4:] == square[3]).all()
     np.testing.assert_allclose(replay.moving[5, 1], circle)
-    kept = read_replay(save_replay(replay, tmp_path / "a.html"))
-    np.testing.assert_allclose(kept.moving, replay.moving, atol=6e-4)
+    race = race_in(save_replay(replay, tmp_path / "a.html").read_text())
+    np.testing.assert_allclose(race["moving"], replay.moving, atol=6e-4)
 
 
 def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):

@@ -19,11 +19,11 @@ import yaml
 from annotated_types import Interval
 from PIL import Image
 from refusal import refused
+from replay_pages import race_in
 
 from pcs_racing import load_race_config, load_track, parse_policy, record_race
 from pcs_racing.base.settings import OptionalNames, Settings
 from pcs_racing.planners import registry
-from pcs_racing.race.replay import read_replay
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_game_spec, parse_agent
@@ -68,9 +68,9 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     rules.write_text("preset: contest\nname: sprint\nduration: 3.0\nheats: 3\n")
     words = ["race", "--track", "Pipkin", *PAIR, "--rules", rules, "--index", 4, "--seed", 2]
     out = printed(*words)
-    printed(*words, "--replay", tmp_path / "race.json", "--video", tmp_path / "race.gif")
+    printed(*words, "--replay", tmp_path / "race.html", "--video", tmp_path / "race.gif")
     assert (tmp_path / "race.gif").read_bytes().startswith(b"GIF89a")
-    assert read_replay(tmp_path / "race.json").candidates is not None
+    assert "candidates" in race_in((tmp_path / "race.html").read_text())
     track, config = load_track("Pipkin"), load_race_config(rules)
     cars = [parse_policy(text) for text in PAIR[1::2]]
     races = [record_race(track, *cars, config, seed=2, index=index) for index in (3, 4, 5)]
@@ -131,7 +131,7 @@ def test_a_race_without_options_is_worth_watching(printed, tmp_path):
     assert " overtakes\n" in out
     assert re.search(r"\n(\S+) wins by \d+\.\d m after 40 s\n", out)  # no crash
     assert out.endswith(f"replay: {tmp_path / 'race.html'}\n")
-    assert read_replay(tmp_path / "race.html").track_name == "Brackwater"
+    assert race_in((tmp_path / "race.html").read_text())["track_name"] == "Brackwater"
 
 
 def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path, monkeypatch):
@@ -260,7 +260,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         ),
         (
             ["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"],
-            "must end in .html or .json",
+            "must end in .html",
         ),
         (["race", "--ego", "cfr-argmax"], "pcs-racing tournament --agents cfr-argmax"),
         (["race", "--opponent", "always-speed+"], "--opponent is 'always-speed+'"),

@@ -5,7 +5,6 @@ import shutil
 import socket
 import threading
 from http.client import HTTPConnection
-from types import SimpleNamespace
 
 import pytest
 from refusal import refused
@@ -15,7 +14,7 @@ from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.watch.race_choice import choose_races
-from pcs_racing_agents.watch.race_replays import MAX_ANSWERS, RaceRepeater
+from pcs_racing_agents.watch.race_replays import RaceRepeater
 from pcs_racing_agents.watch.view_server import Answer, make_server
 
 
@@ -343,27 +342,6 @@ def test_no_race_is_driven_for_a_viewer_who_has_left():
             assert answered.readline().startswith(b"HTTP/1.1 200")
         server.shutdown()
     assert sorted(asked) == ["/race/0", "/race/2"]
-
-
-def test_answers_are_kept_but_not_for_ever():
-    asked = []
-
-    def drive(number):
-        asked.append(number)
-        return {}
-
-    def row(number):
-        return SimpleNamespace(track="c")
-
-    repeater = RaceRepeater(SimpleNamespace(races=range(MAX_ANSWERS + 10), row=row))
-    repeater.circuits["c"], repeater.drive = {}, drive
-    for number in (0, 1, 0, *range(2, MAX_ANSWERS + 1)):
-        assert repeater.answer(f"/race/{number}").status == 200
-    assert asked == list(range(MAX_ANSWERS + 1))
-    repeater.answer("/race/0")
-    assert asked[-1] == MAX_ANSWERS  # was used again later than 1, so it is still there
-    repeater.answer("/race/1")
-    assert asked[-1] == 1
 
 
 def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):

@@ -112,7 +112,6 @@ def test_each_message_holds_what_the_race_says_at_its_time(race):
         progress=race.progress[:1, :1],
         paths=None,
         ittc=None,
-        half_sizes=None,
         events=(),
         candidates=None,
         costs=None,

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from replay_pages import unpack
 from toy_races import toy_races
 
-from pcs_racing.base.packing import unpack
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.watch.race_choice import choose_races
