@@ -7,7 +7,7 @@ Between equal cars that make room for each other, a policy forgets how to overta
 car of every race has less speed, and in half of the races that car does not observe the other one.
 
 A line for every tenth of the training reports the time left. The policy then races held-out
-opponents: the policies of two archives, and ppo-drive. The default takes a few minutes;
+opponents: the policies of two archives, and lidar-ppo. The default takes a few minutes;
 docs/environments.md has results of 8,000,000 steps. Tested with stable-baselines3 2.9.2.
 """
 
@@ -165,7 +165,7 @@ def main() -> None:
     for race, archive in RULES.items():
         rivals = {
             f"archive {archive}": archive_races(race, arguments.races, task),
-            "ppo-drive": DriveVectorEnv(arguments.races, opponent="ppo-drive", race=race, **task),
+            "lidar-ppo": DriveVectorEnv(arguments.races, opponent="lidar-ppo", race=race, **task),
         }
         for name, against in rivals.items():
             ends = race_against(model, against)

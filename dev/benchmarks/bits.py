@@ -142,7 +142,6 @@ def lidar(folders: list[Path]) -> Digests:
 def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
     from pcs_racing import load_race_config, load_track, parse_policy
-    from pcs_racing.planners.network import network_planner, network_weight_count
     from pcs_racing.race.races import (
         RaceSetup,
         advance,
@@ -153,9 +152,7 @@ def races(folders: list[Path]) -> Digests:
     )
 
     ego, track = parse_policy("lattice"), load_track("Quillburg")
-    weights = np.round(np.random.default_rng(0).uniform(-0.4, 0.4, network_weight_count((16,))), 3)
     rivals = {text: parse_policy(text) for text in PLANNERS}
-    rivals["network"] = network_planner("bits", (16,), weights).policy()
     for preset in ("paper", "contest"):
         config = load_race_config(preset)
         for name, rival in rivals.items():

@@ -11,7 +11,7 @@ stability  largest eigenvalue of the car on a straight and its pursuit, by what 
 for the car's course alone      own crashes in 40 s of a car alone, and its mean speed, beside pure
 pursuit at the same speed scales smooth     steering rate and speed around the profile on straights,
 over that of pure pursuit laps       best lap alone at pace 1 of the contest's range, over that of
-`ppo-drive` grip       crashes alone at pace 1 of the contest: whether the tyres slid before them,
+`line-ppo` grip       crashes alone at pace 1 of the contest: whether the tyres slid before them,
 or the car left its path search     the best of 110 random weight vectors against pure pursuit, lane
 switcher and gap follower default    the default lattice against the default pure pursuit, `paper`
 and `contest` paces      16 paces of the default lattice against each other: overtakes, places kept,
@@ -178,10 +178,10 @@ def smooth(track: Track) -> Row:
 def laps(track: Track) -> Row:
     _, high = calibration_of(track, CONTEST).speed_range
     ours = Alone(track, LATTICE, high, 0.0, 8).drive(6000).best_lap
-    learned = parse_policy("ppo-drive")
+    learned = parse_policy("line-ppo")
     theirs = Alone(track, learned.planner, high, 0.0, 8, learned.parameters).drive(6000).best_lap
     best = [float(x[x > 0].min()) if (x > 0).any() else float("nan") for x in (ours, theirs)]
-    return {"lap": best[0], "ppo-drive": best[1], "ratio": best[0] / best[1]}
+    return {"lap": best[0], "line-ppo": best[1], "ratio": best[0] / best[1]}
 
 
 def grip(track: Track) -> Row:

@@ -12,7 +12,7 @@ from typing import Any
 import pcs_racing_agents
 from pcs_racing.base.settings import DIFFERENT, Settings, options_of
 from pcs_racing.race.config import PRESETS, RaceConfig
-from pcs_racing_agents.learning.ppo.settings import LEVELS
+from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.psro import PSROSettings
 from pcs_racing_agents.learning.responses.learner import ResponseSettings
 from pcs_racing_agents.learning.self_play import SelfPlaySettings
@@ -24,6 +24,7 @@ from pcs_racing_agents.tournament.protocol import ProtocolConfig
 FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
 KINDS: dict[str, type[Settings]] = {
     "archive": ArchiveConfig,
+    "ppo": DuelSettings,
     "protocol": ProtocolConfig,
     "psro": PSROSettings,
     "race": RaceConfig,
@@ -65,9 +66,6 @@ def schemas() -> dict[str, str]:
         "default": "paper",
     }
     made["race"]["properties"]["preset"] = preset
-    made["ppo"] = {
-        "anyOf": [{**schema_of(type(level)), "required": ["level"]} for level in LEVELS.values()]
-    }
     first = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return {
         kind: json.dumps({**first, "title": kind, **schema}, indent=1) + "\n"

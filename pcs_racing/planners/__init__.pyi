@@ -10,8 +10,6 @@ from .kit import angle_between as angle_between
 from .kit import compiled as compiled
 from .kit import sine_cosine as sine_cosine
 from .kit import to_cartesian as to_cartesian
-from .network import network_planner as network_planner
-from .network import network_weight_count as network_weight_count
 from .planner import Parameter as Parameter
 from .planner import Planner as Planner
 from .planner import Policy as Policy
@@ -46,8 +44,6 @@ __all__ = [
     "compiled",
     "drivers_from",
     "get_planner",
-    "network_planner",
-    "network_weight_count",
     "parse_policy",
     "planner_names",
     "register_planner",

@@ -9,10 +9,8 @@ from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT, load_lidar_planner
 from pcs_racing.planners.line_ppo import LINE_FORMAT, load_line_planner
 from pcs_racing.planners.planner import Planner
-from pcs_racing.planners.trained import PLANNER_FORMAT, load_trained
 
 LOADERS = {
-    f"format: pcs-racing {PLANNER_FORMAT.noun}": load_trained,
     f"format: pcs-racing {LIDAR_FORMAT.noun}": load_lidar_planner,
     f"format: pcs-racing {LINE_FORMAT.noun}": load_line_planner,
 }

@@ -22,6 +22,7 @@ and of the candidate. Each part is computed once, in a third of the time of a de
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +33,6 @@ from safetensors import SafetensorError
 from safetensors.numpy import load as load_tensors
 from safetensors.numpy import save as save_tensors
 
-from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.compilation import identified, inner_kernel, kernel
 from pcs_racing.base.elementary import hyperbolic_tangent
@@ -495,14 +495,11 @@ def _plan(frozen: bytes) -> Any:
     return identified(plan, frozen)
 
 
-LINE_FORMAT = ArtifactFormat(
-    "line planner",
-    ("name", "lattice", "training", "weights_sha256"),
-    "save_line_planner",
-    data_file=PLANNER_FORMAT.data_file,
-    digest_key="weights_sha256",
-    max_bytes=PLANNER_FORMAT.max_bytes,
-    shipped=PLANNER_FORMAT.shipped,
+LINE_FORMAT = replace(
+    PLANNER_FORMAT,
+    noun="line planner",
+    keys=("name", "lattice", "training", "weights_sha256"),
+    writer="save_line_planner",
 )
 
 

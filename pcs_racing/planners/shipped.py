@@ -15,7 +15,6 @@ SHIPPED = {
     "line-ppo": "pcs_racing.planners.line_ppo:LINE_PPO",
     "line-ppo-robust": "pcs_racing.planners.line_ppo:LINE_PPO_ROBUST",
     "mppi": "pcs_racing.planners.field.mppi:MPPI",
-    "ppo-drive": "pcs_racing.planners.trained:PPO_DRIVE",
     "predictive-spliner": "pcs_racing.planners.field.predictive_spliner:PREDICTIVE_SPLINER",
     "pure-pursuit": "pcs_racing.planners.field.pure_pursuit:PURE_PURSUIT",
     "spliner": "pcs_racing.planners.field.spliner:SPLINER",

@@ -16,12 +16,10 @@ from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT
 from pcs_racing.planners.learned import folder_format, is_planner_folder
 from pcs_racing.planners.line_ppo import LINE_FORMAT
 from pcs_racing.planners.planner import Policy
-from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing_agents.agents.onnx_planners import (
     COMMAND,
     lidar_graph,
     line_graph,
-    trained_graph,
 )
 from pcs_racing_agents.agents.sb3_files import (
     Sb3Policy,
@@ -153,7 +151,6 @@ def _regrets(network: RegretNetwork) -> OnnxGraph:
 
 
 FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxGraph]] = {
-    PLANNER_FORMAT: trained_graph,
     LIDAR_FORMAT: lidar_graph,
     LINE_FORMAT: line_graph,
     NETWORK_FORMAT: lambda folder: _regrets(load_network(folder)),

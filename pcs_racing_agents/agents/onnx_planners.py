@@ -21,10 +21,8 @@ from pcs_racing.planners.line_ppo import (
     SPEED,
     read_line_planner,
 )
-from pcs_racing.planners.network import INPUTS, TOP_SPEED
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
-from pcs_racing.planners.trained import read_trained
 from pcs_racing.race.config import DT, PLAN_EVERY
 from pcs_racing_agents.base.onnx_graph import OnnxGraph, Value
 
@@ -53,19 +51,6 @@ def _layers(flat: NDArray[np.float64], shapes: Sequence[tuple[int, int]]) -> Den
         for part, (below, above) in zip(np.split(flat, ends), shapes, strict=True)
     ]
     return DenseLayers(tuple(part[1:].T for part in parts), tuple(part[0] for part in parts))
-
-
-def trained_graph(folder: Path) -> OnnxGraph:
-    """Return the network of a trained planner, from its inputs to the command."""
-    network, fields = read_trained(folder)
-    graph = OnnxGraph(fields["name"], fields["hold"] * DT)
-    inputs = [{"name": name, "meaning": meaning} for name, meaning in INPUTS.items()]
-    x = graph.input("observation", len(inputs), about=inputs)
-    half = 0.5 * TOP_SPEED
-    x = graph.layers(x, network, "Tanh", "Tanh") * [F1TENTH.steer_max, half] + [0.0, half]
-    graph.output("command", x, 2, about=COMMAND)
-    graph.about["vehicle"] = CAR
-    return graph
 
 
 def lidar_graph(folder: Path) -> OnnxGraph:

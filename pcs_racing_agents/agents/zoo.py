@@ -279,18 +279,17 @@ def load_entrant(
         Text for :func:`pcs_racing_agents.agents.parse_agent`; or path of a ``.zip`` file of
         Stable-Baselines3 (only its numbers are read); with ``weights``, ``module:function``, a
         function of the game spec and the path of the weights that returns a competitor; or the
-        folder of a control policy (:func:`pcs_racing.planners.trained.load_trained`).
+        folder of a learned planner (:func:`pcs_racing.planners.learned.load_planner`).
     weights : path, optional
         File of weights for the function.
     name : str, optional
         Name on the card, in place of the competitor's name.
     """
-    from pcs_racing.planners.trained import load_trained
+    from pcs_racing.planners.learned import load_planner
     from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 
     if Path(text).is_dir():
-        planner = load_trained(Path(text))
-        return as_agent(planner.policy({}), name or planner.name)
+        return as_agent(load_planner(text).policy({}), name)
     # A control policy has the arguments of its environment next to the zip, and is read below.
     if is_model(text) and not Path(text).with_suffix(".yaml").is_file():
         return as_agent(load_sb3_policy(Path(text)), name or Path(text).stem)

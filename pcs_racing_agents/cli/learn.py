@@ -24,7 +24,7 @@ from pcs_racing_agents.cli.options import (
     archive_for,
     can_draw,
 )
-from pcs_racing_agents.learning.ppo.settings import PPOSettings
+from pcs_racing_agents.learning.ppo.settings import DuelSettings
 
 if TYPE_CHECKING:
     from pcs_racing_agents.agents.agent import Competitor
@@ -183,15 +183,14 @@ def run(
 @command(
     "ppo",
     "pcs-racing ppo --config duel-paper --out out/ppo",
-    "pcs-racing ppo --config drive --steps 2000000 --seeds 0 1 2 --executor processes --out"
-    " out/ppo-drive",
+    "pcs-racing ppo --config duel-paper --seeds 0 1 2 --executor processes --out out/ppo-3",
 )
 def run_ppo(
     *,
     config: Annotated[
         str, Option(f"settings: {', '.join(shipped_configs('ppo'))} or a YAML file", "NAME")
     ],
-    changes: Annotated[dict[str, Any], ConfigOptions(PPOSettings, "steps", "seeds")],
+    changes: Annotated[dict[str, Any], ConfigOptions(DuelSettings, "steps", "seeds")],
     name: Annotated[
         str | None,
         Option("name of the policy (default: the name under which the agent 'ppo' looks for it)"),
@@ -206,7 +205,7 @@ def run_ppo(
     ],
     workers: Workers,
 ) -> None:
-    """Train a baseline by PPO at the strategy or control level, or resume such a training."""
+    """Train a baseline by PPO, or resume such a training."""
     from pcs_racing_agents.base.curves import curves_picture
     from pcs_racing_agents.base.style import save_picture
     from pcs_racing_agents.learning.ppo.evaluation import evaluation_curves, score_table

@@ -3,14 +3,12 @@ from .league import load_league as load_league
 from .league import make_league as make_league
 from .league import save_league as save_league
 from .league_callback import LeagueCallback as LeagueCallback
-from .ppo.settings import DriveSettings as DriveSettings
 from .ppo.settings import DuelSettings as DuelSettings
 from .ppo.train import train_ppo as train_ppo
 from .responses import best_reply as best_reply
 from .responses import load_response_settings as load_response_settings
 
 __all__ = [
-    "DriveSettings",
     "DuelSettings",
     "League",
     "LeagueCallback",

@@ -18,7 +18,7 @@ from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedu
 from pcs_racing_agents.tournament.play import game_rules
 from studies.circuits import real_circuits
 
-CONTROL = ("line-ppo", "ppo-drive", "lidar-ppo")
+CONTROL = ("line-ppo", "lidar-ppo")
 """Planners trained by PPO; a name that is not registered is left out."""
 LEVELS = {
     "PPO, control": CONTROL,

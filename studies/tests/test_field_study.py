@@ -21,7 +21,7 @@ def test_every_planner_races_and_has_the_same_budget_of_tuning():
     defaults = {one.name for one in entrants.planner_entrants({}, FULL)}
     assert defaults == {*planner_names(), PAPER} - {*entrants.SAME}
     tuned = entrants.tunable(FULL)
-    assert not {"ppo-drive", "lidar-ppo"} & set(tuned)
+    assert "lidar-ppo" not in tuned
     configs = [entrants.tuning_config(name, FULL) for name in tuned]
     assert len({(c.against, c.tracks, c.generations, c.population, c.seed) for c in configs}) == 1
     assert len(configs[0].tracks) * len(configs[0].against) * 2 == 40

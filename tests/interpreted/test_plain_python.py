@@ -10,9 +10,6 @@ import numpy as np
 import pytest
 
 from pcs_racing import CONTEST, PAPER, load_race_config, parse_policy, run_races
-from pcs_racing.base.dense import DenseLayers
-from pcs_racing.planners.network import INPUTS, network_planner
-from pcs_racing.planners.trained import trained_planner
 from pcs_racing.race.races import draw_starts
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample
@@ -38,24 +35,6 @@ def test_a_second_of_racing(coarse_oval, rival):
     )
     assert np.isfinite(ended.lead).all()
     assert ended.time[0] > 0.3
-
-
-def test_a_driver_of_50_hz_is_a_network_planner(coarse_oval):
-    config = load_race_config(CONTEST, duration=0.6, start_lines=1)
-    starts = draw_starts(coarse_oval, config, 1, 0)
-    rng = np.random.default_rng(0)
-    shapes = ((5, len(INPUTS)), (2, 5))
-    layers = DenseLayers(
-        tuple(rng.normal(0.0, 0.3, shape) for shape in shapes), (np.zeros(5), np.zeros(2))
-    )
-    plain = network_planner("plain", (5,), layers.flat()).policy()
-    ours, rival = trained_planner("ours", layers, 2).policy(), parse_policy("pure-pursuit")
-    one, other = (
-        run_races(coarse_oval, policy, rival, config, starts=starts, threads=1)
-        for policy in (plain, ours)
-    )
-    np.testing.assert_array_equal(one.state.cars, other.state.cars)
-    assert one.state.progress[0, 0] > 0.1
 
 
 def test_what_is_drawn_depends_on_what_was_seen_and_the_seed_alone():

@@ -152,7 +152,7 @@ def test_self_play_of_steering_and_speed(tmp_path):
     rows = re.findall(r"^(\S.*?) +(paper|contest) +([\d.]+)% +\S+ +([\d.]+)%$", out, re.M)
     assert [row[1] for row in rows] == ["paper", "paper", "contest", "contest"]
     opponents = [row[0] for row in rows]
-    assert opponents[1::2] == ["ppo-drive", "ppo-drive"]
+    assert opponents[1::2] == ["lidar-ppo", "lidar-ppo"]
     assert all(name.startswith("archive ") for name in opponents[::2])
     assert all(0.0 <= float(won) <= 100.0 for _, _, won, _ in rows)
 

@@ -203,7 +203,7 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
 @pytest.mark.parametrize(
     ("parameters", "said"),
     [
-        ({"policy": "ppo-drive.onnx"}, "takes observation; the planner node runs"),
+        ({"policy": "line-ppo.onnx"}, "takes situation the planner node runs"),
         ({"policy": "none.onnx"}, "there is no file none.onnx"),
         ({"policy": "lidar-ppo"}, "lidar-ppo needs scans: pcs-racing export"),
         ({"policy": "latice"}, "did you mean 'lattice'"),
@@ -213,7 +213,7 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
 )
 def test_bad_parameters_are_refused(ros, lidar_ppo, tmp_path, monkeypatch, parameters, said):
     monkeypatch.chdir(tmp_path)
-    export_onnx("ppo-drive", "ppo-drive.onnx")
+    export_onnx("line-ppo", "line-ppo.onnx")
     with pytest.raises(ValueError, match=said):
         ros("planning").Planning(**parameters)
 

@@ -35,7 +35,6 @@ from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.field.lidar_ppo import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
-from pcs_racing.planners.trained import load_trained
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.maps import read_map
 from pcs_racing_agents.agents import export_onnx, make, parse_agent
@@ -44,8 +43,7 @@ from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
 from pcs_racing_agents.learning.league import League, Member, load_league, save_league
-from pcs_racing_agents.learning.ppo.drives import make_drive_task
-from pcs_racing_agents.learning.ppo.settings import LEVELS, load_ppo_settings
+from pcs_racing_agents.learning.ppo.settings import DuelSettings, load_ppo_settings
 from pcs_racing_agents.learning.psro import load_psro_settings
 from pcs_racing_agents.learning.responses.learner import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
@@ -266,10 +264,6 @@ KINDS = {
         shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
         lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
     ),
-    "driver": Kind(
-        shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
-        lambda file: load_trained(file.parent),
-    ),
     "lidar driver": Kind(
         shipped("pcs_racing/data/planners", "lidar-ppo/manifest.yaml"),
         lambda file: load_lidar_planner(file.parent),
@@ -280,7 +274,7 @@ KINDS = {
         "folder_format",
     ),
     "exported planner": Kind(
-        shipped("pcs_racing/data/planners", "ppo-drive/manifest.yaml"),
+        shipped("pcs_racing/data/planners", "lidar-ppo/manifest.yaml"),
         lambda file: export_onnx(file.parent, file.parent / "network.onnx"),
     ),
     "fit": Kind(
@@ -312,10 +306,7 @@ KINDS = {
         load_randomization, {"mu": [0.7, 1.1], "each": {"m": {"normal": [3.7, 0.2]}}}
     ),
     "synthesis": config(load_archive_config, None, stage_scenarios),
-    "PPO of moves": config(load_ppo_settings, {"level": "duel", **plain_settings(LEVELS["duel"])}),
-    "PPO of steering": config(
-        load_ppo_settings, {"level": "drive", **plain_settings(LEVELS["drive"])}, make_drive_task
-    ),
+    "ppo": config(load_ppo_settings, DuelSettings()),
     "response": config(load_response_settings),
     "psro": config(load_psro_settings),
     "self-play": config(load_self_play_settings),

@@ -33,7 +33,7 @@ from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing.planners.trained import load_trained
+from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import write_gif
 from pcs_racing.track.map_files import parse_grid
@@ -92,7 +92,7 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
         lambda: load_ppo_settings(file("yaml")),
         lambda: load_protocol(file("yaml"), []),
         lambda: load_study_config(file("yaml")),
-        lambda: load_trained(folder),
+        lambda: load_planner(folder),
         lambda: save_archive(archive, folder),
         lambda: save_replay(replay, file("html")),
         lambda: write_results([], folder),

@@ -1,1 +1,1 @@
-"""PPO baselines at the strategy level and at the control level, trained with Stable-Baselines3."""
+"""PPO baselines that move between policies, trained with Stable-Baselines3."""

@@ -15,7 +15,7 @@ import numpy as np
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.vector import BatchVectorEnv
-from pcs_racing_agents.learning.ppo.settings import DriveSettings, PPOSettings
+from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.networks.torch_layers import layers_from_torch, torch_alone
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def group_seeds(seed: int, groups: int, purpose: int) -> list[int]:
 
 
 def make_model(
-    settings: PPOSettings,
+    settings: DuelSettings,
     groups: Sequence[BatchVectorEnv],
     seed: int,
     activation: str,
@@ -74,8 +74,6 @@ def make_model(
         "net_arch": {"pi": list(settings.hidden), "vf": list(settings.value_hidden)},
         "activation_fn": {"relu": nn.ReLU, "tanh": nn.Tanh}[activation],
     }
-    if isinstance(settings, DriveSettings):
-        policy["log_std_init"] = float(np.log(settings.noise))
     steps = settings.rollout * envs.num_envs
     batches = -(-steps // settings.batch_size)
     with warnings.catch_warnings():  # warning about a slightly smaller last batch
@@ -98,7 +96,7 @@ def make_model(
     return model
 
 
-def learn_once(model: "PPO", settings: PPOSettings, limit: float) -> None:
+def learn_once(model: "PPO", settings: DuelSettings, limit: float) -> None:
     """Collect steps, and make one update.
 
     ``limit``: maximum absolute weight of the policy.

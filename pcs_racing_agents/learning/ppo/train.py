@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.dense import DenseLayers, layers_from_bytes, layers_to_bytes
-from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.errors import require
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.config import GameConfig
@@ -26,7 +26,6 @@ from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.base.tasks import in_other_processes
-from pcs_racing_agents.learning.ppo.drives import DriveTask, make_drive_task
 from pcs_racing_agents.learning.ppo.duels import DuelTask, make_duel_task
 from pcs_racing_agents.learning.ppo.evaluation import (
     EvaluationCurve,
@@ -41,14 +40,8 @@ from pcs_racing_agents.learning.ppo.learner import (
     make_model,
     own_randomness,
 )
-from pcs_racing_agents.learning.ppo.settings import (
-    DriveSettings,
-    DuelSettings,
-    PPOSettings,
-    load_ppo_settings,
-)
+from pcs_racing_agents.learning.ppo.settings import DuelSettings, load_ppo_settings
 
-LearningTask = DuelTask | DriveTask
 Report = Callable[[int, int, float], None]
 """``report(seed, steps, payoff)``: called after every update with the last evaluation's payoff."""
 
@@ -57,8 +50,8 @@ Report = Callable[[int, int, float], None]
 class PPOResult:
     """A trained policy and its learning curves."""
 
-    settings: PPOSettings
-    task: LearningTask
+    settings: DuelSettings
+    task: DuelTask
     curves: tuple[EvaluationCurve, ...]  #: Learning curve of each seed.
     layers: DenseLayers  #: Policy with the highest payoff in all evaluations of all seeds.
     seed: int  #: Seed of the policy.
@@ -70,7 +63,7 @@ class PPOResult:
 
 
 def train_ppo(
-    config: str | Path | PPOSettings,
+    config: str | Path | DuelSettings,
     folder: str | Path,
     *,
     name: str | None = None,
@@ -84,15 +77,14 @@ def train_ppo(
 
     Parameters
     ----------
-    config : str, Path or PPOSettings
+    config : str, Path or DuelSettings
         A shipped configuration's name, a YAML file, or settings.
     folder : str or Path
         New or empty folder, or the folder of the same training run. Output: ``policy/`` (weights,
         manifest, and every evaluation in ``curve.csv``) and the result of each finished seed in
         ``chunks/``.
     name : str, optional
-        Name of the policy; by default the name used by the agent ``ppo`` or the planner
-        ``ppo-drive``.
+        Name of the policy; by default the name used by the agent ``ppo``.
     executor : Executor, optional
         Executor of the training; no effect on the result. Processes and cluster workers train
         several seeds in parallel. Threads are not used, since torch's random generator belongs to
@@ -101,18 +93,17 @@ def train_ppo(
         Called as ``progress(steps, total of all seeds, label)`` after every update, or after every
         seed trained in another process.
     policies : PolicyArchive, optional
-        Archive that replaces the archive of a duel's settings.
+        Archive that replaces the archive of the settings.
     rules : GameConfig, optional
-        Rules that replace the race and the size of moves of a duel's settings.
+        Rules that replace the race and the size of moves of the settings.
     """
     settings = load_ppo_settings(config, **changes)
-    if isinstance(settings, DuelSettings):
-        settings = _named(settings, policies, rules)
+    settings = _named(settings, policies, rules)
     require("stable_baselines3", extra="learning")
     elsewhere = in_other_processes(executor)
     # Parallel runs share the cores; a single run, or sequential runs, may use all of them.
     threads = 1 if elsewhere is not None and len(settings.seeds) > 1 else default_threads()
-    task = make_task(settings, archive=policies, rules=rules, threads=threads)
+    task = make_duel_task(settings, policies, rules, threads)
     identity = {**plain_settings(settings), "opponents": dict(settings.opponents), **task.identity}
     total = len(settings.seeds) * settings.steps
 
@@ -152,7 +143,7 @@ def train_ppo(
     return trained
 
 
-def train_seed(task: LearningTask, report: Report | None, seed: int) -> Arrays:
+def train_seed(task: DuelTask, report: Report | None, seed: int) -> Arrays:
     """Train with a seed until the settings' number of steps or the end of their patience.
 
     Returns
@@ -207,27 +198,6 @@ def _curve(seed: int, result: Arrays) -> EvaluationCurve:
         for rows in result["scores"].tolist()
     ]
     return EvaluationCurve(seed, tuple(result["steps"].tolist()), tuple(scores))
-
-
-def make_task(
-    settings: PPOSettings,
-    *,
-    archive: PolicyArchive | None = None,
-    rules: GameConfig | None = None,
-    threads: int = 1,
-) -> LearningTask:
-    """Load a level's tracks and opponents, and check their consistency.
-
-    Arguments as for :func:`pcs_racing_agents.learning.ppo.duels.make_duel_task`.
-    """
-    if isinstance(settings, DuelSettings):
-        return make_duel_task(settings, archive, rules, threads)
-    if archive is not None or rules is not None:
-        raise InputError(
-            "settings of level drive know no archive and no game; give settings of level duel"
-        )
-    assert isinstance(settings, DriveSettings)
-    return make_drive_task(settings)
 
 
 def _named(

@@ -13,7 +13,7 @@ from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
 TRACK = "Pipkin"
 
 
-@pytest.mark.parametrize("name", ["line-ppo:risk=0.5", "ppo-drive"])
+@pytest.mark.parametrize("name", ["line-ppo:risk=0.5", "pure-pursuit"])
 def test_the_commands_are_those_of_a_race(name):
     track, config = load_track(TRACK), load_race_config("paper", steering_noise=0.0)
     policies = [parse_policy(name), parse_policy("pure-pursuit")]

@@ -8,7 +8,7 @@ from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.trained import PLANNER_FORMAT
 
 
-@pytest.mark.parametrize("name", ["line-ppo", "lidar-ppo", "ppo-drive"])
+@pytest.mark.parametrize("name", ["line-ppo", "lidar-ppo"])
 def test_each_kind_is_loaded_from_its_folder(name):
     folder = PLANNER_FORMAT.find(name)
     planner, shipped = load_planner(folder), get_planner(name)

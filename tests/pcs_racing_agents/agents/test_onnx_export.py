@@ -9,7 +9,6 @@ from refusal import refused
 
 from pcs_racing import load_track
 from pcs_racing.base.compilation import compiled
-from pcs_racing.base.dense import dense_forward
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs import DriveEnv, DuelEnv, PolicyOnCar
 from pcs_racing.planners import PATH_KAPPA, PATH_SPEED, VIEW, Lidar
@@ -24,7 +23,6 @@ from pcs_racing.planners.line_ppo import (
     read_line_planner,
 )
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
-from pcs_racing.planners.trained import read_trained
 from pcs_racing_agents.agents import export_onnx, load_model, save_model
 from pcs_racing_agents.agents.sb3_files import load_sb3_policy
 from pcs_racing_agents.base.onnx_graph import METADATA
@@ -58,28 +56,6 @@ def opened(model, folder) -> SimpleNamespace:
 
 def close(found, expected) -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-5)
-
-
-def forward(flat, sizes, rows) -> np.ndarray:
-    """Outputs of one of our networks with a tanh after each layer."""
-    results = []
-    for row in rows.astype(np.float64):
-        x, y = np.zeros((2, max(sizes)))
-        x[: len(row)] = row
-        dense_forward(np.asarray(flat, np.float64), np.array(sizes), x, y, True)
-        results.append((y if len(sizes) % 2 == 0 else x)[: sizes[-1]].copy())
-    return np.array(results)
-
-
-def test_a_trained_planner(tmp_path, rng):
-    network, rows = opened("ppo-drive", tmp_path), rng.normal(size=(50, 16))
-    layers, fields = read_trained("ppo-drive")
-    turn, speed = forward(layers.flat(), layers.sizes, rows).T
-    found = network.outputs(observation=rows)["command"]
-    close(found, np.stack([F1TENTH.steer_max * turn, 4.0 * (1.0 + speed)], axis=1))
-    assert [one["name"] for one in network.about["inputs"]["observation"]] == fields["inputs"]
-    assert network.about["period"] == 0.04
-    assert [one["unit"] for one in network.about["outputs"]["command"]] == ["rad", "m/s"]
 
 
 def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng):

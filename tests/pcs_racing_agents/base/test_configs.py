@@ -6,7 +6,6 @@ from repository import load_tool
 
 from pcs_racing.base.settings import options_of
 from pcs_racing_agents.base.configurations import load_config, shipped_configs
-from pcs_racing_agents.learning.ppo.settings import LEVELS
 from pcs_racing_agents.policies.config import ArchiveConfig
 
 
@@ -27,9 +26,8 @@ def test_every_kind_has_a_schema_and_every_shipped_file_obeys_its_own():
         text = file.read_text(encoding="utf-8")
         assert text.startswith(f"# yaml-language-server: $schema=../schemas/{kind}.json\n"), file
         values = yaml.safe_load(text)
-        cls = type(LEVELS[values["level"]]) if kind == "ppo" else tool.KINDS[kind]
-        options = options_of(cls)
-        assert set(values) <= set(tool.schema_of(cls)["properties"])
+        options = options_of(tool.KINDS[kind])
+        assert set(values) <= set(tool.schema_of(tool.KINDS[kind])["properties"])
         for name, value in values.items():
             options[name].checked(name, value)
 

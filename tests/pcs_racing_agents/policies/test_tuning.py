@@ -139,7 +139,10 @@ def test_a_policy_as_text_is_the_same_policy_to_four_digits():
     ("changes", "message"),
     [
         ({"planner": "latice"}, "planner 'latice' is unknown; did you mean 'lattice'"),
-        ({"planner": "ppo-drive", "start": None}, "planner 'ppo-drive' has nothing to tune"),
+        (
+            {"planner": "lidar-ppo", "start": None, "fixed": ("speed_share",)},
+            "planner 'lidar-ppo' has nothing to tune",
+        ),
         ({"fixed": ("charm",)}, "planner 'pure-pursuit' has no parameter 'charm'"),
         (
             {"fixed": ("pace", "lookahead", "lookahead_time")},

@@ -9,11 +9,10 @@ from same_arrays import assert_same
 
 from pcs_racing import load_archive, load_track, make_game
 from pcs_racing.game.archive_files import save_archive
-from pcs_racing.planners.trained import read_trained
 from pcs_racing_agents.agents import make
 from pcs_racing_agents.base.chunks import read_chunk
 from pcs_racing_agents.base.tables import read_csv
-from pcs_racing_agents.learning.ppo.drives import DriveTask
+from pcs_racing_agents.learning.ppo.duels import DuelTask, make_duel_task
 from pcs_racing_agents.learning.ppo.evaluation import (
     Matchup,
     MatchupScore,
@@ -25,21 +24,21 @@ from pcs_racing_agents.learning.ppo.learner import (
     make_model,
     own_randomness,
 )
-from pcs_racing_agents.learning.ppo.train import make_task, train_ppo, train_seed
+from pcs_racing_agents.learning.ppo.train import train_ppo, train_seed
 from pcs_racing_agents.networks import load_network
 
 torch = pytest.importorskip("torch")
 
 
 @pytest.fixture(scope="module")
-def settings(duel_settings, drive_settings):
-    return {"duel": duel_settings, "drive": drive_settings}
+def settings(duel_settings):
+    return duel_settings
 
 
 @pytest.fixture(scope="module")
 def trained(settings, tmp_path_factory):
-    """Undisturbed trainings of both levels."""
-    return {level: train_ppo(settings[level], tmp_path_factory.mktemp(level)) for level in settings}
+    """Undisturbed training."""
+    return train_ppo(settings, tmp_path_factory.mktemp("ppo"))
 
 
 class StopError(Exception):
@@ -62,10 +61,9 @@ def chunk_of(folder, seed=0):
     return {key: array for key, array in arrays.items() if key != "seconds"}
 
 
-@pytest.mark.parametrize("level", ["duel", "drive"])
-def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained, tmp_path):
+def test_a_stopped_training_ends_as_an_undisturbed_one(settings, trained, tmp_path):
     """Stopped in its first seed, then in its second: the first is kept. The best seed wins."""
-    config, reports = settings[level], []
+    config, reports = settings, []
     for updates in (2, 7):
         assert not (tmp_path / "chunks").exists()
         with pytest.raises(StopError):
@@ -77,8 +75,8 @@ def test_a_stopped_training_ends_as_an_undisturbed_one(level, settings, trained,
     total = 2 * config.steps
     made = [config.steps + config.steps * k // 4 for k in range(5)]
     assert reports == [(steps, total) for steps in [*made, total]]
-    assert_same(chunk_of(tmp_path), chunk_of(trained[level].folder.parent))
-    assert both.curves[0] == trained[level].curves[0]
+    assert_same(chunk_of(tmp_path), chunk_of(trained.folder.parent))
+    assert both.curves[0] == trained.curves[0]
     assert both.curves[1].scores != both.curves[0].scores
     payoffs = [
         [mean_score(scores, config.opponents).worth for scores in curve.scores]
@@ -94,20 +92,13 @@ def test_a_folder_belongs_to_its_settings_and_archive_and_is_only_read_again(
     """An archive that was exchanged for another under the same name is noticed."""
     own = save_archive(load_archive("default"), tmp_path / "mine")
     few = {"archive": str(own), "opponents": {"random-moves": 1}, "steps": 16}
-    train_ppo(settings["duel"], tmp_path / "out", **few)
+    train_ppo(settings, tmp_path / "out", **few)
     save_archive(load_archive("contest"), own)
-    refused("archive_sha256 is", train_ppo, settings["duel"], tmp_path / "out", **few)
+    refused("archive_sha256 is", train_ppo, settings, tmp_path / "out", **few)
     monkeypatch.setattr("pcs_racing_agents.learning.ppo.train.learn_once", None)
-    folder = trained["drive"].folder.parent
-    assert train_ppo(settings["drive"], folder).curves == trained["drive"].curves
-    refused(r"learning_rate is 0\.001", train_ppo, settings["drive"], folder, learning_rate=0.002)
-    refused(
-        "know no archive",
-        train_ppo,
-        settings["drive"],
-        tmp_path / "x",
-        policies=load_archive("default"),
-    )
+    folder = trained.folder.parent
+    assert train_ppo(settings, folder).curves == trained.curves
+    refused(r"learning_rate is 0\.001", train_ppo, settings, folder, learning_rate=0.002)
 
 
 def test_the_first_of_the_best_is_kept_a_plateau_ends_and_random_generators_are_left_alone(
@@ -115,23 +106,23 @@ def test_the_first_of_the_best_is_kept_a_plateau_ends_and_random_generators_are_
 ):
     asked, payoffs = [], [0.1, 0.4, 0.4, 0.2, 0.9]
 
-    class Scripted(DriveTask):
+    class Scripted(DuelTask):
         """A task whose evaluations are written down."""
 
         def evaluate(self, layers):
             asked.append(layers)
             score = MatchupScore(2, payoffs[len(asked) - 1], 0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
-            return {Matchup("Pipkin", "short", name): score for name in self.opponents}
+            return {Matchup("Pipkin", "paper", name): score for name in self.settings.opponents}
 
-    level = replace(settings["drive"], steps=10**6, patience=2, evaluate_every=170)
-    task = trained["drive"].task
+    level = replace(settings, steps=10**6, patience=2, evaluate_every=20)
+    task = trained.task
     parts = {field.name: getattr(task, field.name) for field in fields(task)}
     before = np.random.get_state()[1].copy(), torch.get_rng_state(), torch.get_num_threads()
     result = train_seed(Scripted(**{**parts, "settings": level}), None, 3)
     # An evaluation follows the first update that passes a multiple of the interval.
-    assert result["steps"].tolist() == [0, 320, 480, 640]
+    assert result["steps"].tolist() == [0, 32, 48, 64]
     assert result["scores"][:, 0, 1].tolist() == payoffs[:4]
-    best = trained["drive"].folder.parent / "x"
+    best = trained.folder.parent / "x"
     assert layers_of(result, level, best) == pytest.approx(asked[1].flat())
     np.testing.assert_array_equal(np.random.get_state()[1], before[0])
     assert torch.equal(torch.get_rng_state(), before[1])
@@ -148,26 +139,26 @@ def test_weights_and_the_learning_rate_keep_to_the_settings_and_lost_weights_are
     settings, trained
 ):
     """The rate falls linearly from the first step to the last of the settings."""
-    drive = replace(settings["drive"], learning_rate=0.01, final_learning_rate=0.002)
+    own = replace(settings, learning_rate=0.01, final_learning_rate=0.002)
     with own_randomness():
-        model = make_model(drive, trained["drive"].task.env_groups(), 0, "tanh")
+        model = make_model(own, trained.task.env_groups(), 0, "relu")
         rates = []
         for _ in range(3):
-            learn_once(model, drive, 0.05)
+            learn_once(model, own, 0.05)
             rates.append(model.policy.optimizer.param_groups[0]["lr"])
         largest = max(np.abs(weight).max() for weight in actor_layers(model).weights)
         assert largest == np.float32(0.05)
         np.testing.assert_allclose(rates, [0.01, 0.008, 0.006])
         with torch.no_grad():
             model.policy.action_net.bias[0] = float("nan")
-        refused(r"weight .*480 steps", learn_once, model, drive, 10.0)
+        refused(r"weight .*48 steps", learn_once, model, own, 10.0)
 
 
 def test_the_network_decides_as_stable_baselines_does(settings, trained):
-    task = trained["duel"].task
+    task = trained.task
     with own_randomness():
-        model = make_model(settings["duel"], task.env_groups(), 0, "relu")
-        learn_once(model, settings["duel"], 1e6)
+        model = make_model(settings, task.env_groups(), 0, "relu")
+        learn_once(model, settings, 1e6)
         seen = np.random.default_rng(0).uniform(-1.0, 2.0, (300, 31)).astype(np.float32)
         network = task.network(actor_layers(model), "net")
         decided, expected = network.choose(seen), model.predict(seen, deterministic=True)[0]
@@ -185,53 +176,47 @@ def test_the_network_decides_as_stable_baselines_does(settings, trained):
     )
 
 
-def test_a_duel_policy_is_an_agent_and_a_drive_policy_a_planner(trained):
-    network = load_network(trained["duel"].folder)
+def test_a_policy_is_an_agent(trained):
+    network = load_network(trained.folder)
     assert network.name == "default-paper-ppo"
     assert network.training["setting_opponents"] == "2 random-moves, 1 never-switch, 1 pure-pursuit"
     network.check_fits(make_game(load_track("Larkmoor"), "default"))
-    agent = make("ppo", network=trained["duel"].folder)
+    agent = make("ppo", network=trained.folder)
     game = make_game(load_track("Pipkin"), "default", stay=True)
     seen = game.observation(game.reset(games=3))[:, 0]
     np.testing.assert_array_equal(agent.act(seen), network.choose(seen))
-    run = trained["drive"]
-    layers, manifest = read_trained(run.folder)
-    np.testing.assert_array_equal(layers.flat(), run.layers.flat())
+    run = trained
+    np.testing.assert_array_equal(network.layers.flat(), run.layers.flat())
     score = mean_score(run.scores, run.settings.opponents)
     stated = {
         "algorithm": "PPO",
         "seed": 0,
         "steps": run.steps,
-        "steps_of_all_seeds": 640,
+        "steps_of_all_seeds": 64,
         "evaluations": 3,
         "worth": float(f"{score.worth:.4g}"),
         "lead": float(f"{score.lead:.4g}"),
         "setting_tracks": "Pipkin",
         "setting_hidden": "8",
-        "setting_noise": 0.5,
     }
-    assert {key: manifest["training"][key] for key in stated} == stated
+    assert {key: network.training[key] for key in stated} == stated
 
 
 def test_a_learning_curve_has_a_line_for_each_evaluation(trained):
-    run = trained["drive"]
+    run = trained
     rows = read_csv(run.folder / "curve.csv").rows()
     matchup = Matchup(*(rows[0][key] for key in Matchup._fields))
     own = [row for row in rows if all(row[key] == rows[0][key] for key in Matchup._fields)]
-    assert [row["steps"] for row in own] == ["0", "320", "640"]
+    assert [row["steps"] for row in own] == ["0", "32", "64"]
     worth = [scores[matchup].worth for scores in run.curves[0].scores]
     assert [float(row["worth"]) for row in own] == pytest.approx(worth, rel=1e-5)
 
 
-def test_what_settings_name_must_exist_once(settings, tmp_path):
-    file = tmp_path / "other.yaml"
-    file.write_text("name: short\n")
-    for level, changes, message in [
-        ("duel", {"tracks": ("Nowhere",)}, "Nowhere"),
-        ("duel", {"archive": "nothing"}, "nothing"),
-        ("duel", {"race": "sunday"}, "sunday"),
-        ("duel", {"opponents": {"always-wrong": 1}}, "opponent 'always-wrong' is unknown"),
-        ("drive", {"opponents": {"tortoise": 1}}, "planner 'tortoise' is unknown"),
-        ("drive", {"races": (*settings["drive"].races, str(file))}, "the same name"),
+def test_what_settings_name_must_exist(settings):
+    for changes, message in [
+        ({"tracks": ("Nowhere",)}, "Nowhere"),
+        ({"archive": "nothing"}, "nothing"),
+        ({"race": "sunday"}, "sunday"),
+        ({"opponents": {"always-wrong": 1}}, "opponent 'always-wrong' is unknown"),
     ]:
-        refused(message, make_task, replace(settings[level], **changes))
+        refused(message, make_duel_task, replace(settings, **changes), None, None, 1)
