@@ -66,7 +66,7 @@ def record(
         top_speed=TOP_SPEED,
         **options,
     )
-    expert = Expert(env, pcs_racing.parse_policy(planner))
+    expert = Expert(env, pcs_racing.racer(planner))
     episodes = []
     for race in range(races):
         observation, _ = env.reset(seed=seed + race)

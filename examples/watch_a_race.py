@@ -10,7 +10,7 @@ planner.
 import argparse
 from pathlib import Path
 
-from pcs_racing import load_race_config, load_track, parse_policy, record_race, save_replay
+from pcs_racing import load_race_config, load_track, racer, record_race, save_replay
 from pcs_racing.game import write_gif
 
 
@@ -36,7 +36,7 @@ def main() -> None:
 
     track = load_track(arguments.track)
     config = load_race_config(arguments.rules, duration=arguments.duration)
-    ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
+    ego, opponent = racer(arguments.ego), racer(arguments.opponent)
     replay = record_race(track, ego, opponent, config, seed=arguments.seed)
     for event in replay.events:
         print(f"{event.time:5.1f} s  {replay.car_names[event.car]} {event.text}")

@@ -4,7 +4,7 @@ Examples
 --------
 >>> import pcs_racing
 >>> track = pcs_racing.load_track("Tarnfjord")
->>> calm, bold = (pcs_racing.parse_policy(f"lattice:pace={pace}") for pace in (0.3, 0.8))
+>>> calm, bold = (pcs_racing.racer(f"lattice:pace={pace}") for pace in (0.3, 0.8))
 >>> result = pcs_racing.run_races(track, [calm] * 10, bold, "paper", seed=1)
 >>> result.winner.shape
 (10,)

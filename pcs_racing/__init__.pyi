@@ -9,7 +9,7 @@ from .game.make import make_game as make_game
 from .planners.imported import drivers_from as drivers_from
 from .planners.planner import Parameter as Parameter
 from .planners.planner import Planner as Planner
-from .planners.registry import parse_policy as parse_policy
+from .planners.racers import racer as racer
 from .planners.registry import register_planner as register_planner
 from .race.config import CONTEST as CONTEST
 from .race.config import PAPER as PAPER
@@ -35,8 +35,8 @@ __all__ = [
     "load_track",
     "make_game",
     "parallel_env",
-    "parse_policy",
     "planners",
+    "racer",
     "record_race",
     "register_planner",
     "run_field",

@@ -10,7 +10,7 @@ pcs_racing_agents/cli/race.py; start places that change may need other planners.
 
 import argparse
 
-from pcs_racing import load_race_config, load_track, parse_policy, run_races
+from pcs_racing import load_race_config, load_track, racer, run_races
 from pcs_racing_agents.cli.options import DEFAULT_TRACK
 from pcs_racing_agents.cli.race import EGO, OPPONENT
 
@@ -32,7 +32,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     track, config = load_track(arguments.track), load_race_config(arguments.rules)
-    ego, opponent = parse_policy(arguments.ego), parse_policy(arguments.opponent)
+    ego, opponent = racer(arguments.ego), racer(arguments.opponent)
     crashes, found = 0, []
     for seed in range(arguments.seeds):
         result = run_races(track, [ego], opponent, config, seed=seed)

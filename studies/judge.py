@@ -46,7 +46,7 @@ def judge(
 ) -> Judgement:
     """Race policies of one planner against opponents: an even number of races a pair and circuit.
 
-    Policies and opponents have the format of :func:`pcs_racing.parse_policy`.
+    Policies and opponents have the format of :func:`pcs_racing.racer`.
     """
     parsed = [parse_policy(text) for text in policies]
     scenarios = draw_scenarios(

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.make import make_game
+from pcs_racing.game.players import competitor
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
@@ -137,7 +137,7 @@ def run(
     moves.
     """
     spec = make_game_spec(load_archive(archive), game_rules(rules.config()))
-    egos, rival = [parse_agent(name, spec) for name in agents], parse_agent("never-switch", spec)
+    egos, rival = [competitor(name, spec) for name in agents], competitor("never-switch", spec)
     lines: list[tuple[object, ...]] = [HEAD]
     for name in track:
         game = make_game(load_track(name), spec.archive, spec.config)

@@ -54,7 +54,7 @@ import pcs_racing, pcs_racing_agents
 from pcs_racing_agents.cli.main import main
 
 track = pcs_racing.load_track("Pipkin")
-lattice, other = pcs_racing.parse_policy("lattice"), pcs_racing.parse_policy("lane-switcher:3")
+lattice, other = pcs_racing.racer("lattice"), pcs_racing.racer("lane-switcher:3")
 replay = pcs_racing.record_race(track, lattice, other, pcs_racing.PAPER, seed=1)
 pcs_racing.save_replay(replay, "race.html")
 

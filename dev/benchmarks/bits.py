@@ -141,7 +141,7 @@ def lidar(folders: list[Path]) -> Digests:
 
 def races(folders: list[Path]) -> Digests:
     """Ten races of every planner under both presets: all states at the end."""
-    from pcs_racing import load_race_config, load_track, parse_policy
+    from pcs_racing import load_race_config, load_track, racer
     from pcs_racing.race.races import (
         RaceSetup,
         advance,
@@ -151,8 +151,8 @@ def races(folders: list[Path]) -> Digests:
         start_races,
     )
 
-    ego, track = parse_policy("lattice"), load_track("Quillburg")
-    rivals = {text: parse_policy(text) for text in PLANNERS}
+    ego, track = racer("lattice"), load_track("Quillburg")
+    rivals = {text: racer(text) for text in PLANNERS}
     for preset in ("paper", "contest"):
         config = load_race_config(preset)
         for name, rival in rivals.items():

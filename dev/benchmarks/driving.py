@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing import CONTEST, load_track, parse_policy, run_races
+from pcs_racing import CONTEST, load_track, racer, run_races
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
@@ -178,7 +178,7 @@ def smooth(track: Track) -> Row:
 def laps(track: Track) -> Row:
     _, high = calibration_of(track, CONTEST).speed_range
     ours = Alone(track, LATTICE, high, 0.0, 8).drive(6000).best_lap
-    learned = parse_policy("line-ppo")
+    learned = racer("line-ppo")
     theirs = Alone(track, learned.planner, high, 0.0, 8, learned.parameters).drive(6000).best_lap
     best = [float(x[x > 0].min()) if (x > 0).any() else float("nan") for x in (ours, theirs)]
     return {"lap": best[0], "line-ppo": best[1], "ratio": best[0] / best[1]}
@@ -230,7 +230,7 @@ def score(
 def best_pursuit(tracks: list[Track]) -> Policy:
     """Return the pace of pure pursuit with the best mean score against lattice and others."""
     paces = [PURE_PURSUIT.policy({"pace": pace}) for pace in np.linspace(0.0, 1.0, 6)]
-    rivals = [parse_policy(name) for name in ("lattice", *OPPONENTS[1:])]
+    rivals = [racer(name) for name in ("lattice", *OPPONENTS[1:])]
     total = sum(
         score(track, paces, rival, CONTEST, 20, 3)["score"] for track in tracks for rival in rivals
     )
@@ -242,7 +242,7 @@ def search(tracks: list[Track]) -> list[Row]:
     rng = np.random.default_rng(3)
     egos = [LATTICE.policy(LATTICE.sample(rng)) for _ in range(VECTORS)]
     pursuit = best_pursuit(tracks)
-    rivals = [pursuit, *(parse_policy(name) for name in OPPONENTS[1:])]
+    rivals = [pursuit, *(racer(name) for name in OPPONENTS[1:])]
     found = [
         [score(track, egos, rival, CONTEST, SEARCH_RACES, 7) for rival in rivals]
         for track in tracks

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing import load_race_config, load_track, parse_policy, run_races
+from pcs_racing import load_race_config, load_track, racer, run_races
 
 REPEATS = 8
 
@@ -44,9 +44,9 @@ import sys, time
 import numpy as np
 import pcs_racing
 track, races = pcs_racing.load_track(sys.argv[1]), int(sys.argv[2])
-config, lattice = pcs_racing.load_race_config("paper"), pcs_racing.parse_policy("lattice")
+config, lattice = pcs_racing.load_race_config("paper"), pcs_racing.racer("lattice")
 texts = [f"lattice:pace={pace:.3f}" for pace in np.linspace(0.05, 0.95, races)]
-paces = [pcs_racing.parse_policy(text) for text in texts]
+paces = [pcs_racing.racer(text) for text in texts]
 def run():
     start = time.process_time()
     state = pcs_racing.run_races(track, paces, lattice, config, seed=0, threads=1).state
@@ -108,8 +108,8 @@ def main() -> None:
         )
         return
     track, config, races = load_track(arguments.track), load_race_config("paper"), arguments.races
-    paces = [parse_policy(f"lattice:pace={pace:.3f}") for pace in np.linspace(0.05, 0.95, races)]
-    lattice = parse_policy("lattice")
+    paces = [racer(f"lattice:pace={pace:.3f}") for pace in np.linspace(0.05, 0.95, races)]
+    lattice = racer("lattice")
 
     def run(threads: int) -> float:
         """Drive them, and return how many races of full length that was."""

@@ -89,13 +89,13 @@ def reference() -> Callable[[], object]:
 
 def measured() -> dict[str, tuple[Callable[[], object], int]]:
     """What is timed, and how many units are in a call."""
-    from pcs_racing import PAPER, load_track, parse_policy, run_races
+    from pcs_racing import PAPER, load_track, racer, run_races
     from pcs_racing.car.lidar import Lidar
     from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
     from pcs_racing.race.races import draw_starts
     from pcs_racing_agents.solvers import GameTree, cfr, solve_exact
 
-    track, car = load_track("Tarnfjord"), parse_policy("lattice")
+    track, car = load_track("Tarnfjord"), racer("lattice")
     starts = draw_starts(track, PAPER, 10, 1)
     lidar, places = (
         Lidar(track),

@@ -19,7 +19,7 @@ from pathlib import Path
 FIRST_RACE = """
 import time
 import pcs_racing
-track, lattice = pcs_racing.load_track("Tarnfjord"), pcs_racing.parse_policy("lattice")
+track, lattice = pcs_racing.load_track("Tarnfjord"), pcs_racing.racer("lattice")
 paper = pcs_racing.load_race_config("paper")
 pcs_racing.run_races(track, [lattice], lattice, paper, seed=0, threads=1)
 print(time.process_time())

@@ -22,9 +22,10 @@ import numpy as np
 
 from pcs_racing import load_track, make_game, run_races
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.game.competitor import ask_moves
+from pcs_racing.game.players import ask_moves
 from pcs_racing.game.state import take_games
-from pcs_racing_agents.agents import Agent, Driver, make_game_spec, names
+from pcs_racing.planners.planner import PolicySet
+from pcs_racing_agents.agents import Agent, make_game_spec, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.agents.zoo import build
@@ -45,7 +46,7 @@ FIELD = (
     "random-moves",
     "best-fixed",
     "cfr-argmax",
-    "lane-switcher",
+    "lane-switcher:any",
     "random-policy",
 )
 SEED = 8_000_000  # other races than those of any study
@@ -116,7 +117,7 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     """Microseconds of processor time of a decision: for one observation, and for each of 1,000 at
     once.
     """
-    if isinstance(agent, Driver):
+    if isinstance(agent, PolicySet):
         # A fixed policy plans within the race: cost of whole races, divided by their plans.
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
         rules = game.setup.config

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from pcs_racing import CONTEST, load_track, parse_policy, record_race
+from pcs_racing import CONTEST, load_track, racer, record_race
 from pcs_racing.base.files import write_atomically
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing.race.config import RaceConfig
@@ -155,7 +155,7 @@ class Clip(NamedTuple):
 
 def find_clips(circuit: str) -> list[tuple[Clip, Replay]]:
     """Return the first scene of each kind on a circuit, with the race that it is taken from."""
-    track, planners = load_track(circuit), (parse_policy(FAST), parse_policy(SLOW))
+    track, planners = load_track(circuit), (racer(FAST), racer(SLOW))
     found: dict[str, tuple[Clip, Replay]] = {}
     for race in range(RACES):
         replay = record_race(track, *planners, CONTEST, seed=SEED, index=race, candidates=False)
@@ -197,7 +197,7 @@ def planners_sheet() -> Image.Image:
     """
     names, (width, height), columns = sorted(planner_names()), (400, 280), 3
     sheet = Image.new("RGB", (columns * width, -(-len(names) // columns) * height), "white")
-    track, slow = load_track(CIRCUITS[0]), parse_policy("pure-pursuit:pace=0,follow_distance=0")
+    track, slow = load_track(CIRCUITS[0]), racer("pure-pursuit:pace=0,follow_distance=0")
     for k, name in enumerate(names):
         planner = get_planner(name)
         fast = planner.policy({key: 1.0 for key in planner.parameter_names if key == "pace"})

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pcs_racing.base.files import write_atomically
+from pcs_racing.game.players import ALWAYS
 from pcs_racing_agents.agents.describe import (
     AGAINST,
     NUMBERS,
@@ -23,7 +24,7 @@ from pcs_racing_agents.agents.describe import (
     microseconds,
     rating_text,
 )
-from pcs_racing_agents.agents.zoo import ALWAYS, SHIPPED, entries
+from pcs_racing_agents.agents.zoo import SHIPPED, entries
 
 SETTINGS = (("default", "paper"), ("contest", "contest"))
 """Archive and rules of the measured games."""

@@ -55,7 +55,7 @@ from ppo import (
 from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
-from pcs_racing import InputError, parse_policy
+from pcs_racing import InputError, racer
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.planners.field.lidar_ppo import SEEN, SIZES, save_lidar_planner
 
@@ -283,7 +283,7 @@ class Run:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self.arguments, self.folder = arguments, arguments.out
-        self.log, teacher = Log(self.folder), parse_policy(arguments.teacher)
+        self.log, teacher = Log(self.folder), racer(arguments.teacher)
         self.run = RunFolder(arguments, self.log.say)
         circuits = self._circuits(teacher)
         torch.manual_seed(arguments.seed)
@@ -442,7 +442,7 @@ def main() -> None:
     add("--kl", type=float, default=0.01, help="divergence of an update that is aimed at")
     arguments = read_arguments(parser)
     try:
-        parse_policy(arguments.teacher)
+        racer(arguments.teacher)
     except InputError as error:
         parser.error(str(error))
     torch.set_num_threads(max(1, arguments.threads if arguments.device == "cpu" else 1))

@@ -24,7 +24,7 @@ from line_races import (
 )
 from numpy.typing import NDArray
 
-from pcs_racing import load_track, parse_policy, run_races
+from pcs_racing import load_track, racer, run_races
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.envs.draws import Randomization
 from pcs_racing.planners import view as _view
@@ -290,7 +290,7 @@ def opponents(family: str) -> list[Policy]:
         "disparity-extender": ["disparity-extender", "disparity-extender:calm"]
         + [f"disparity-extender:top_speed={top}" for top in (3.0, 4.5)],
     }
-    return [parse_policy(text) for text in texts[family]]
+    return [racer(text) for text in texts[family]]
 
 
 class Group:

@@ -54,7 +54,7 @@ from ppo import (
 from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
-from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing import InputError, load_track, racer
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
@@ -276,7 +276,7 @@ class Run:
         circuits = self._circuits()
         torch.manual_seed(arguments.seed)
         settings = Settings(**settings_of(arguments))
-        lattice = parse_policy(arguments.lattice)
+        lattice = racer(arguments.lattice)
         self.learner = LineLearner(settings, lattice, arguments.device)
         self.learner.generator.manual_seed(arguments.seed)
         if arguments.start:
@@ -391,7 +391,7 @@ def main() -> None:
     add("--fault", type=float, default=FAULT[0], help="cost of an own crash at risk 0")
     arguments = read_arguments(parser)
     try:
-        if parse_policy(arguments.lattice).planner is not LATTICE:
+        if racer(arguments.lattice).planner is not LATTICE:
             parser.error(f"--lattice is {arguments.lattice!r}; it must be a policy of lattice")
         if arguments.start:
             read_line_planner(arguments.start)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing import load_track, parse_policy
+from pcs_racing import load_track, racer
 from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.car.vehicle import F1TENTH
@@ -342,7 +342,7 @@ def lattices() -> list[Policy]:
     rng = np.random.default_rng(0)
     policies = [LATTICE.policy()] * 18
     early = ("lattice:early", "lattice:early,pace=0.7,pace_behind=0.2")
-    policies += [parse_policy(text) for text in early] * 2
+    policies += [racer(text) for text in early] * 2
     policies += [LATTICE.policy(values, "lattice-variant") for values in slower + other]
     archive = load_archive("contest")
     policies += [archive.policy(k) for k in range(len(archive))]
@@ -353,7 +353,7 @@ def opponents(family: str) -> list[Policy]:
     """Return the policies of a family of the zoo, the default first."""
     if family == "lattice":
         return lattices()
-    default = parse_policy(family)
+    default = racer(family)
     planner, names = default.planner, default.planner.parameter_names
     policies = [default] * 2
     for name, shares in (

@@ -14,7 +14,7 @@ import torch
 from line_races import HELD_OUT, drawn_pairs
 from torch import Tensor, nn
 
-from pcs_racing import parse_policy
+from pcs_racing import racer
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs.draws import Randomization
 from pcs_racing.planners.planner import Policy
@@ -197,7 +197,7 @@ def evaluate(
     """Race a policy against other planners on drawn cars; return a row for each."""
     rows = []
     for name in rivals:
-        rival, found = parse_policy(name), []
+        rival, found = racer(name), []
         for track in tracks:
             result = race_on_drawn_cars(track, (policy, rival), races, threads, ranges)
             won = np.where(result.winner == -1, 0.5, result.winner == 0)

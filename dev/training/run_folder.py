@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from filelock import FileLock, Timeout
 
-from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing import InputError, load_track, racer
 from pcs_racing.envs.draws import load_randomization
 
 OF_THE_RACES = ("seed", "tracks", "cars", "random", "each", "batches")
@@ -36,7 +36,7 @@ def read_arguments(parser: argparse.ArgumentParser) -> argparse.Namespace:
         for name in arguments.tracks:
             load_track(name)
         for name in arguments.rivals:
-            parse_policy(name)
+            racer(name)
     except InputError as error:
         parser.error(str(error))
     return arguments

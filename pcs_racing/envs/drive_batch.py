@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -42,6 +42,7 @@ from pcs_racing.envs.drive_kernel import (
 )
 from pcs_racing.envs.drive_options import (
     DriveOptions,
+    drive_arguments,
     drive_elements,
     make_sight,
     rivals_of,
@@ -63,9 +64,10 @@ from pcs_racing.envs.opponents import (
     Opponent,
     check_weights,
     draw_opponent,
-    drive_opponents,
+    read_opponents,
     weights_of,
 )
+from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import load_game_config
@@ -148,7 +150,8 @@ def drive_rules(
             track, load_archive(options.archive), rules, vehicles=randomization.cars[:2]
         )
 
-    rivals = tuple(drive_opponents(one, make_game, options, cars) for one in given)
+    like = {"environment": "drive", **drive_arguments(options, cars)}
+    rivals = tuple(read_opponents(one, cache(make_game), like) for one in given)
     moving = any(not one.policies for several in rivals for one in several)
     if (cars > 2 and moving) or (len(rivals) > 1 and any(len(several) > 1 for several in rivals)):
         raise InputError(
@@ -254,7 +257,10 @@ class DriveBatch:
             **common_codes(opponent.name for opponent in self.opponents),
             **self.randomization.codes,
         }
-        self.observation_space, self.action_space = rules.spaces()
+        arguments = drive_arguments(rules.options, self.cars)
+        self.observation_space, self.action_space = (
+            mark(space, "drive", arguments) for space in rules.spaces()
+        )
         self._begin()
         self._hire(threads)
 
@@ -505,7 +511,7 @@ class DriveBatch:
         if self.rules.terms.decided and self.cars > 1:
             self._pay_winners(results)
         if self._moving is not None:
-            self._moving.move(self.state, self.theta, self.opponents, self.drawn, generators)
+            self._moving.move(self.state, self.theta, self.opponents, self.drawn)
         return BatchStep(
             results.observations, results.reward, results.terminated, results.truncated
         )

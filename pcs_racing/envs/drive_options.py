@@ -4,7 +4,7 @@ observations.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -28,6 +28,24 @@ from pcs_racing.track.track import Track
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
+
+
+KEPT = (
+    "time_step",
+    "min_speed",
+    "top_speed",
+    "beams",
+    "fov",
+    "max_range",
+    "look_ahead",
+    "own_state",
+    "own_pose",
+    "see_opponent",
+    "time_left",
+    "normalize",
+    "normalized",
+)
+"""Arguments of an environment that define a model's observations and actions."""
 
 
 def _source(kind: type) -> Checked:
@@ -233,6 +251,18 @@ class HeadToHeadOptions(DriveOptions):
     time_step: TimeStep = 0.02
     rivalry: Rivalry = 1.0
     cars: Annotated[int, Interval(ge=1, le=MAX_CARS), "Cars in a race."] = 2
+
+
+def drive_arguments(options: DriveOptions, cars: int) -> dict[str, Any]:
+    """Return the arguments of an environment that define a model's observations and actions."""
+    values = {name: getattr(options, name) for name in KEPT} | {
+        "cars": cars,
+        "look_ahead": list(options.look_ahead),
+    }
+    vehicles = options.cars_given
+    if any(car != F1TENTH for car in vehicles):
+        values["vehicle"] = [asdict(car) for car in vehicles]
+    return values
 
 
 def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:

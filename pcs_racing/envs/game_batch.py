@@ -37,11 +37,12 @@ from pcs_racing.envs.opponents import (
     check_games,
     check_weights,
     draw_opponent,
-    parse_opponents,
+    read_opponents,
     replies,
     shared_planner,
     weights_of,
 )
+from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import (
     EpisodeArguments,
     EpisodeOptions,
@@ -50,6 +51,7 @@ from pcs_racing.envs.randomization import (
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.identity import game_identity
 from pcs_racing.game.moves import check_moves
 from pcs_racing.game.observation import ObservationElement
 from pcs_racing.game.rules import OUTSIDE, RaceGame
@@ -201,8 +203,9 @@ class GameBatch:
             np.array([getattr(e, end) for e in self.elements], np.float32)
             for end in ("low", "high")
         )
-        self.observation_space = spaces.Box(low, high, dtype=np.float32)
-        self.action_space = spaces.Discrete(len(self.game.move_names))
+        origin = {"game": game_identity(self.game)._asdict()}
+        self.observation_space = mark(spaces.Box(low, high, dtype=np.float32), "duel", origin)
+        self.action_space = mark(spaces.Discrete(len(self.game.move_names)), "duel", origin)
         self.state: GameState | None = None  #: State of the games; None before the first `restart`.
         self.before: GameState | None = None  # state before the last step, to drive films again
         #: shape (episodes, 2, D): Observations of both players.
@@ -233,7 +236,7 @@ class GameBatch:
             max_delays=self.randomization.ranges.max_delays,
         )
         self.randomization.check_bodies(game.setup, game.start_lines)
-        opponents = [] if opponent is None else parse_opponents(opponent, game)
+        opponents = [] if opponent is None else read_opponents(opponent, game)
         # Parsing the opponents needs a game, and then determines the game's planner.
         planner = shared_planner(opponents, game)
         if planner is not game.setup.planners[1]:
@@ -320,7 +323,7 @@ class GameBatch:
         moves = actions
         if self.players == 1:
             moves = np.stack(
-                [actions[:, 0], self._replies(state, self._rows, generators, self.seen[:, 1])],
+                [actions[:, 0], self._replies(state, self._rows, self.seen[:, 1])],
                 axis=1,
             )
         self.before, self.state = state, self._apply(state, moves)
@@ -349,7 +352,7 @@ class GameBatch:
         return new
 
     def _replies(
-        self, state: GameState, rows: Rows, generators: Generators, seen: NDArray[np.float32]
+        self, state: GameState, rows: Rows, seen: NDArray[np.float32]
     ) -> NDArray[np.int64]:
         """Return the moves of the opponents in the games ``rows``, 0 in all others, shape (B,).
 
@@ -363,9 +366,7 @@ class GameBatch:
         moves = np.zeros(self.episodes, np.int64)
         for circuit, some in self.randomization.groups(rows):
             game, opponents = self.game_on(circuit)
-            moves += replies(
-                opponents, self.drawn, game, state, rows[some], generators=generators, **asked
-            )
+            moves += replies(opponents, self.drawn, game, state, rows[some], **asked)
         return moves
 
     def observe(self, rows: NDArray[np.int64], out: NDArray[np.float32]) -> None:

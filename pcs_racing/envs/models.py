@@ -5,9 +5,12 @@ it. One call of a model serves all its due cars in a batch of races.
 """
 
 import hashlib
+import inspect
+import json
+import re
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,38 +19,26 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.base.files import parse_yaml
 from pcs_racing.envs.drive_kernel import Inputs, Races, Sight, make_buffers, observe_car
 from pcs_racing.envs.drive_options import (
+    KEPT,
     DriveOptions,
+    drive_arguments,
     drive_elements,
     make_sight,
     samples_ahead,
     shares,
 )
+from pcs_racing.envs.origins import origin_text, read_origin
+from pcs_racing.game.players import model_agent
 from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.racers import Racer, Reader, Request, own_name
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.state import MAX_CARS, RaceState
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
-
-KEPT = (
-    "time_step",
-    "min_speed",
-    "top_speed",
-    "beams",
-    "fov",
-    "max_range",
-    "look_ahead",
-    "own_state",
-    "own_pose",
-    "see_opponent",
-    "time_left",
-    "normalize",
-    "normalized",
-)
-"""Arguments of an environment that define a model's observations and actions."""
 
 LIBRARIES = ("gymnasium", "stable_baselines3", "pettingzoo")
 HARMLESS = (
@@ -118,7 +109,8 @@ class ModelDriver:
             raise InputError(
                 f"results of {self.name!r} can't be kept in a folder: give the model a content_hash"
             )
-        digest = hashlib.sha256(f"{own} {self.cars} {_plain(self.options)}".encode())
+        about = drive_arguments(self.options, self.cars)
+        digest = hashlib.sha256(f"{own} {about}".encode())
         for key, tensor in sorted(state().items()) if own is None else ():  # type: ignore[misc]
             digest.update(key.encode() + tensor.detach().cpu().numpy().tobytes())
         return digest.hexdigest()
@@ -201,7 +193,7 @@ def model_policy(
     like: Any = None,
     **arguments: Any,
 ) -> Policy:
-    """Return a model as a policy for races.
+    """Return a model of steering and speed as a policy for races.
 
     Parameters
     ----------
@@ -213,8 +205,9 @@ def model_policy(
         Name in tables.
     cars : int, optional
         Number of cars in a training race, 2 by default.
-    like : Env, VecEnv or VectorEnv, optional
-        Training environment; by default the environment of a model of Stable-Baselines3.
+    like : str, mapping, Env, VecEnv or VectorEnv, optional
+        Training environment, also as ``"drive:beams=27"``; by default the environment that the
+        model's spaces name.
     **arguments
         Arguments of the training environment (:data:`KEPT`), in place of ``like``, with the agents'
         cars as ``vehicle``; by default the defaults of `Drive`.
@@ -225,26 +218,93 @@ def model_policy(
     >>> straight.name
     'straight'
     """
-    given = dict(arguments)
-    if not given and (
-        like is not None
-        or (callable(getattr(model, "get_env", None)) and model.get_env() is not None)
-    ):
-        given = kept_arguments(model.get_env() if like is None else like)
+    name = str(name or own_name(model))
+    given = dict(arguments) or dict(origin_of(model, name, like) or {})
+    if given.pop("environment", "drive") != "drive":
+        raise InputError(f"model {name!r} was trained in a game of moves: it is an agent")
     number = check_whole("cars", given.pop("cars", 2) if cars is None else cars, 1, MAX_CARS)
     for key in given:
         if key not in (*KEPT, "vehicle"):
             raise InputError(
                 f"a model's argument {key!r} is unknown; there are cars, {', '.join(KEPT)}"
             )
-    options = DriveOptions(**given)
-    name = (
-        name
-        or getattr(model, "name", None)
-        or getattr(model, "__name__", None)
-        or type(model).__name__
+    return policy_of(model, name, DriveOptions(**given), number)
+
+
+def origin_of(
+    model: Any, name: str, like: Any = None, kept: Any = None
+) -> Mapping[str, Any] | None:
+    """Return the environment and the arguments of a model's training; None if they are not known.
+
+    ``like`` is as in :func:`model_policy`; it is used for a model without an origin alone. ``kept``
+    is as in `layers`.
+    """
+    env = model.get_env() if callable(getattr(model, "get_env", None)) else None
+    texts = {origin_text(layer) for layer in layers(env, kept)} if env is not None else set()
+    texts = (texts - {None}) or {origin_text(model)}
+    if len(texts) > 1:
+        raise InputError(f"the environments of model {name!r} differ; give one of them as like=")
+    (text,) = texts
+    if text is not None:
+        return read_origin(text, f"model {name!r}")
+    if like is None or isinstance(like, Mapping):
+        return like
+    if isinstance(like, str):
+        return _parse_like(like)
+    found = {origin_text(layer) for layer in layers(like)} - {None}
+    if len(found) != 1:
+        raise InputError(
+            f"like is a {type(like).__name__}; it must be one environment of this package, or text"
+            " such as 'duel' or 'drive:beams=27'"
+        )
+    return read_origin(str(found.pop()), "like")
+
+
+def _parse_like(text: str) -> dict[str, Any]:
+    """Return the environment of a text such as ``drive:beams=27,look_ahead=[0, 2]``."""
+    environment, _, rest = text.partition(":")
+    values: dict[str, Any] = {"environment": environment}
+    for option in re.split(r",(?![^\[]*\])", rest) if rest else []:
+        key, equals, value = option.partition("=")
+        if not equals:
+            raise InputError(f"like is {text!r}; {option!r} is not of the form argument=value")
+        values[key.strip()] = parse_yaml("like", value.encode())
+    return read_origin(json.dumps(values), f"like {text!r}")
+
+
+def needs_like(name: str) -> InputError:
+    """Return the error for a model whose environment is not known."""
+    return InputError(
+        f"{name} does not tell in which environment it was trained; say so with --like (like=):"
+        " duel, drive, or drive with its arguments, as in drive:beams=27,time_step=0.05"
     )
-    return policy_of(model, str(name), options, number)
+
+
+def read_model(request: Request) -> Racer | None:
+    """Return the racer of a model in memory: a policy, or an agent if its actions are moves."""
+    given = request.given
+    name = own_name(given)
+    if hasattr(given, "predict"):
+        origin = origin_of(given, name, None)
+        shape = getattr(getattr(given, "action_space", None), "shape", None)
+        drives = shape == (2,) if origin is None else origin["environment"] == "drive"
+        if not drives:
+            return model_agent(given, name, origin and origin.get("game"), request.rules)
+    elif module_outputs(given) is None and not inspect.isroutine(given):
+        return None
+    return model_policy(given, name=name, like=request.like)
+
+
+MODELS = Reader(read_model)
+
+
+def module_outputs(given: Any) -> int | None:
+    """Return the outputs of a torch module's last layer; None for other objects."""
+    torch = sys.modules.get("torch")
+    if torch is None or not isinstance(given, torch.nn.Module) or hasattr(given, "predict"):
+        return None
+    widths = [layer.out_features for layer in given.modules() if hasattr(layer, "out_features")]
+    return int(widths[-1]) if widths else 2
 
 
 def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy:
@@ -263,17 +323,6 @@ def policy_of(model: Any, name: str, options: DriveOptions, cars: int) -> Policy
             )
     driver: Any = ModelDriver(name, model, options, cars)
     return Policy(ModelPlanner(name, (), drive=driver), np.empty(0), name)
-
-
-def _plain(options: DriveOptions) -> dict[str, Any]:
-    """Return the saved arguments, in the form of a YAML file."""
-    values = {name: getattr(options, name) for name in KEPT} | {
-        "look_ahead": list(options.look_ahead)
-    }
-    cars = options.vehicle if isinstance(options.vehicle, tuple) else (options.vehicle,)
-    if any(car != F1TENTH for car in cars):
-        values["vehicle"] = [asdict(car) for car in cars]
-    return values
 
 
 def _changes(layer: Any) -> bool:
@@ -315,29 +364,3 @@ def layers(env: Any, kept: Any = None) -> Iterator[Any]:
             *own.get("envs", ()),
             *(own[key] for key in ("venv", "env") if key in own),
         ]
-
-
-def kept_arguments(env: Any, kept: Any = None) -> dict[str, Any]:
-    """Return the arguments of a control-level environment below any wrappers.
-
-    ``kept`` is as in `layers`.
-    """
-    batches = [getattr(layer, "__dict__", {}).get("batch") for layer in layers(env, kept)]
-    drives: list[Any] = [
-        batch for batch in batches if isinstance(getattr(batch, "options", None), DriveOptions)
-    ]
-    if not drives:
-        raise InputError(
-            f"{type(env).__name__} is no environment of steering and speed that can be looked into;"
-            " give env="
-        )
-    found = [{"cars": int(batch.cars), **_plain(batch.rules.options)} for batch in drives]
-    limits = [batch.rules.limits for batch in drives]
-    for key in ("cars", *KEPT, "steer_max"):
-        values = limits if key == "steer_max" else [one[key] for one in found]
-        if any(value != values[0] for value in values):
-            raise InputError(
-                f"the environments of {type(env).__name__} differ in {key}; give one of them as"
-                " env= or like="
-            )
-    return found[0]

@@ -1,8 +1,7 @@
 """Opponents of an environment, by name or as objects; one is drawn for each episode."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,24 +9,11 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import as_array, check_number
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_races, check_within
-from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.models import layers, model_policy, policy_of
-from pcs_racing.game.competitor import (
-    Competitor,
-    PolicySet,
-    as_agent,
-    ask_moves,
-    check_competitor,
-    competitor_name,
-    is_model,
-    make_competitor,
-)
+from pcs_racing.envs.batch import FREE, Rows, check_part, check_races, check_within
+from pcs_racing.game.players import Competitor, ask_moves, check_competitor, competitor
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.state import GameState
-from pcs_racing.planners.planner import Planner, Policy
-from pcs_racing.planners.registry import parse_policy, planner_names
-from pcs_racing.planners.shipped import split_name
+from pcs_racing.planners.planner import Planner, Policy, PolicySet
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.state import RaceState, empty_state, take
 
@@ -59,15 +45,15 @@ class Opponent:
         ]
 
 
-def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
-    """Read the argument ``opponent``: a competitor, or a list of competitors.
+def read_opponents(given: Any, game: Any, like: Any = None) -> list[Opponent]:
+    """Read the argument ``opponent``: a racer, or a list of racers.
 
-    Entries of a list may be (weight, competitor). See
-    :func:`pcs_racing.game.competitor.make_competitor` for names and
-    :mod:`pcs_racing.game.competitor` for objects.
+    Entries of a list may be (weight, racer). ``game`` is the game of the environment, or a function
+    that makes it at its first use: policies need no game, which would load an archive. ``like`` are
+    the arguments of models without their own. See :func:`pcs_racing.planners.racers.racer`.
     """
     if not isinstance(given, list | tuple):
-        return [_opponent(given, 1.0, game)]
+        return [_opponent(given, 1.0, game, like)]
     if not given:
         raise InputError("opponent is an empty list; give at least one opponent")
     opponents = []
@@ -77,20 +63,18 @@ def parse_opponents(given: Any, game: RaceGame) -> list[Opponent]:
                 f"opponent {i} of the mixture is {entry!r}; it must be an opponent or (weight,"
                 " opponent)"
             )
-        weight, competitor = entry if isinstance(entry, list | tuple) else (1.0, entry)
-        opponents.append(_opponent(competitor, _weight(i, weight), game))
+        weight, one = entry if isinstance(entry, list | tuple) else (1.0, entry)
+        weight = float(check_number(f"the weight of opponent {i}", weight, *WEIGHTS))
+        opponents.append(_opponent(one, weight, game, like))
     return opponents
 
 
-def _opponent(given: Any, weight: float, game: RaceGame) -> Opponent:
-    competitor = make_competitor(given, game) if isinstance(given, str) else as_agent(given)
-    check_competitor(game, competitor)
-    trained_in = getattr(given, "get_env", None)
-    if callable(trained_in):
-        list(layers(trained_in()))  # refuses a wrapper that the model would lose
-    name = given.strip() if isinstance(given, str) else competitor.name
-    policies = competitor.policies if isinstance(competitor, PolicySet) else ()
-    return Opponent(name, weight, competitor, policies)
+def _opponent(given: Any, weight: float, game: Any, like: Any) -> Opponent:
+    found = competitor(given, game, like=like)
+    if isinstance(found, PolicySet):
+        return Opponent(found.name, weight, found, found.policies)
+    check_competitor(game() if callable(game) else game, found)
+    return Opponent(found.name, weight, found, ())
 
 
 def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:
@@ -129,44 +113,6 @@ def draw_opponent(weights: NDArray[np.float64], generator: np.random.Generator) 
     return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)
 
 
-def drive_opponents(
-    given: Any, make_game: Callable[[], RaceGame], options: DriveOptions, cars: int
-) -> list[Opponent]:
-    """Read the argument ``opponent`` of Drive; the game is made only if an opponent is no policy.
-
-    ``options`` and ``cars`` define the observation of a model without its own arguments.
-    """
-    entries = given if isinstance(given, list | tuple) else [given]
-    # Policies need no game, which would load an archive.
-    policies = [_as_policy(one, options, cars) for one in entries]
-    weighted = [one if isinstance(one, list | tuple) else (1.0, one) for one in policies]
-    if policies and all(len(one) == 2 and isinstance(one[1], Policy) for one in weighted):
-        return [
-            Opponent(policy.name, _weight(i, weight), as_agent(policy), (policy,))
-            for i, (weight, policy) in enumerate(weighted)
-        ]
-    return parse_opponents(
-        policies if isinstance(given, list | tuple) else policies[0], make_game()
-    )
-
-
-def _weight(index: int, value: Any) -> float:
-    return float(check_number(f"the weight of opponent {index}", value, *WEIGHTS))
-
-
-def _as_policy(given: Any, options: DriveOptions, cars: int) -> Any:
-    """Return the policy of a text or a model; return other values unchanged."""
-    if isinstance(given, list | tuple) and len(given) == 2:
-        return given[0], _as_policy(given[1], options, cars)
-    if is_model(given) and not isinstance(given, str | Path):
-        own = callable(getattr(given, "get_env", None)) and given.get_env() is not None
-        return (
-            model_policy(given) if own else policy_of(given, competitor_name(given), options, cars)
-        )
-    named = isinstance(given, str) and split_name(given)[0] in planner_names()
-    return parse_policy(given) if named else given
-
-
 def shared_planner(opponents: list[Opponent], game: RaceGame) -> Planner:
     """Return the planner of the opponents of a game: the archive's planner, or another one."""
     planners = [opponent.planner or game.archive.family() for opponent in opponents]
@@ -191,7 +137,7 @@ def replies(
     """Return the drawn opponents' moves in the games ``rows``, 0 in all others, shape (B,).
 
     The opponents drive car 1. ``asked`` are the other arguments of
-    :func:`pcs_racing.game.competitor.ask_moves`.
+    :func:`pcs_racing.game.players.ask_moves`.
     """
     moves = np.zeros(state.games, np.int64)
     for k, opponent in enumerate(opponents):
@@ -240,7 +186,6 @@ class MovingOpponents:
         theta: NDArray[np.float64],
         opponents: Sequence[Opponent],
         drawn: Rows,
-        generators: Generators,
     ) -> None:
         """Move the opponents at the end of their game step, and set their parameters."""
         # The races belong to the Drive batch; the games only add the moves.
@@ -254,7 +199,7 @@ class MovingOpponents:
         estimates[rows] = self.game.measure(take(self._before, rows), take(races, rows))
         self.game.record_step(games, rows, estimates)
         asked = {"observation": self.game.observation(games)[:, 1], "memories": self._memories}
-        moves = replies(opponents, drawn, self.game, games, rows, generators=generators, **asked)
+        moves = replies(opponents, drawn, self.game, games, rows, **asked)
         games.policy[rows, 1] = self.game.next_policy(games.policy[rows, 1], moves[rows])
         games.step[rows] += 1
         self._remember(rows, races)

@@ -194,7 +194,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         self.possible_agents: list[str] = [f"car_{car}" for car in range(self.batch.players)]
         box, action = self.batch.observation_space, self.batch.action_space
         self.observation_spaces: dict[str, spaces.Space[Any]] = {
-            name: spaces.Box(box.low, box.high) for name in self.possible_agents
+            name: copy.deepcopy(box) for name in self.possible_agents
         }
         # Each space has its own seed: samples of one agent do not change the samples of another.
         self.action_spaces: dict[str, spaces.Space[Any]] = {

@@ -7,7 +7,6 @@ from .characteristics import Segment as Segment
 from .characteristics import get_characteristics as get_characteristics
 from .characteristics import measure as measure
 from .characteristics import register_characteristic as register_characteristic
-from .competitor import ask_moves as ask_moves
 from .config import GameConfig as GameConfig
 from .config import load_game_config as load_game_config
 from .identity import game_identity as game_identity
@@ -27,6 +26,7 @@ from .kit import write_gif as write_gif
 from .make import make_game as make_game
 from .moves import duplicate_moves as duplicate_moves
 from .moves import move_table as move_table
+from .players import ask_moves as ask_moves
 from .rules import RaceGame as RaceGame
 from .state import GameState as GameState
 

@@ -165,6 +165,11 @@ class RaceGame:
         """Names of the M moves that the rules offer."""
         return move_names(self.archive, self.config.epsilon, bool(self.config.stay))
 
+    @property
+    def offered(self) -> int:
+        """Number of the first competitor's moves that the rules offer."""
+        return len(self.move_names)
+
     @cached_property
     def competitor_moves(self) -> tuple[str, ...]:
         """Names of the moves of a competitor.

@@ -13,6 +13,8 @@ from .kit import to_cartesian as to_cartesian
 from .planner import Parameter as Parameter
 from .planner import Planner as Planner
 from .planner import Policy as Policy
+from .planner import PolicySet as PolicySet
+from .racers import racer as racer
 from .registry import get_planner as get_planner
 from .registry import parse_policy as parse_policy
 from .registry import planner_names as planner_names
@@ -40,12 +42,14 @@ __all__ = [
     "Parameter",
     "Planner",
     "Policy",
+    "PolicySet",
     "angle_between",
     "compiled",
     "drivers_from",
     "get_planner",
     "parse_policy",
     "planner_names",
+    "racer",
     "register_planner",
     "sine_cosine",
     "to_cartesian",

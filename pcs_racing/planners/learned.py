@@ -8,7 +8,10 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT, load_lidar_planner
 from pcs_racing.planners.line_ppo import LINE_FORMAT, load_line_planner
-from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.racers import Reader, Request
+from pcs_racing.planners.registry import policy_of
+from pcs_racing.planners.shipped import split_name
 
 LOADERS = {
     f"format: pcs-racing {LIDAR_FORMAT.noun}": load_lidar_planner,
@@ -36,3 +39,14 @@ def load_planner(folder: str | Path) -> Planner:
             f" one of {', '.join(map(repr, LOADERS))}"
         )
     return replace(LOADERS[first](folder), name=str(folder))
+
+
+def read_learned(request: Request) -> Policy | None:
+    """Return the policy of a trained planner's folder."""
+    place = split_name(request.text)[0]
+    if not place or not is_planner_folder(place) or folder_format(place) not in LOADERS:
+        return None
+    return policy_of(load_planner(place), request.text)
+
+
+LEARNED = Reader(read_learned)

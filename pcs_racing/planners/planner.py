@@ -232,3 +232,28 @@ class Policy:
                 )
         theta.setflags(write=False)
         object.__setattr__(self, "parameters", theta)
+
+
+@dataclass(frozen=True, eq=False)
+class PolicySet:
+    """Policies of one planner; one of them, drawn for each race, drives to the end."""
+
+    name: str  #: Name in tables.
+    policies: tuple[Policy, ...]  #: Policies of one planner, at least one.
+    facts: Mapping[str, str] = field(default_factory=dict)  #: Facts for documentation and reports.
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "policies", tuple(self.policies))
+        if len(self.policies) == 0:
+            raise InputError(f"fixed policy {self.name!r} has no policy; it needs at least one")
+        planners = {policy.planner.name for policy in self.policies}
+        if len(planners) > 1:
+            raise InputError(
+                f"fixed policy {self.name!r} has policies of planners"
+                f" {', '.join(map(repr, sorted(planners)))}; all must be of one planner"
+            )
+
+    @property
+    def planner(self) -> Planner:
+        """Planner of the policies."""
+        return self.policies[0].planner

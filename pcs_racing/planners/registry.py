@@ -12,7 +12,8 @@ from pkgutil import resolve_name
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.planner import Planner, Policy, PolicySet
+from pcs_racing.planners.racers import Reader, Request
 from pcs_racing.planners.shipped import SHIPPED, split_name
 
 ENTRY_POINTS = "pcs_racing.planners"
@@ -136,3 +137,28 @@ def _by_place(planner: Planner) -> Any:
 
 
 copyreg.pickle(Planner, _by_place)
+
+
+ANY = "any"
+"""Variant that stands for all variants of a planner."""
+
+
+def read_planner(request: Request) -> Policy | PolicySet | None:
+    """Return the policy, or the policies, of a planner."""
+    if isinstance(request.given, Policy):
+        return request.given
+    if isinstance(request.given, Planner):
+        return request.given.policy()
+    name, _, rest = split_name(request.text)
+    if name not in planner_names():
+        return None
+    if rest.strip() != ANY:
+        return parse_policy(request.text)
+    planner = get_planner(name)
+    if not planner.variants:
+        raise InputError(f"planner {name!r} has no variants; {name!r} is its one policy")
+    variants = [planner.policy(one, name=f"{name}:{one}") for one in planner.variants]
+    return PolicySet(f"{name}:{ANY}", tuple(variants))
+
+
+PLANNERS = Reader(read_planner, planner_names)

@@ -22,7 +22,7 @@ from pcs_racing.car.vehicle import (
 )
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
-from pcs_racing.planners.registry import parse_policy
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig, load_race_config
@@ -36,8 +36,8 @@ from pcs_racing.track.track import Track
 
 TIE_WITHIN = 0.01  # m of lead
 
-Drivers = Policy | str | Sequence[Policy | str]
-"""Policy of a car in all races, or a policy for each race."""
+Drivers = Any
+"""Racer of a car in all races (:func:`pcs_racing.racer`), or a list of a racer for each race."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -368,9 +368,9 @@ def run_races(
 
     Parameters
     ----------
-    egos, opponents : Policy, str, or sequence of these
-        Policies of car 0 and car 1 in each race, also as texts (:func:`pcs_racing.parse_policy`); a
-        single policy drives in all races. Planners may differ between races.
+    egos, opponents : Policy, str, model, or list of these
+        Racers of car 0 and car 1 (:func:`pcs_racing.racer`), which are no agents; a single one
+        drives in all races. Planners may differ between races.
     config : RaceConfig or str
         Rules, also by the name of a preset or a file.
     seed : int
@@ -383,7 +383,7 @@ def run_races(
     threads : int, optional
         Number of threads that share the races; all cores by default. It does not change the result.
     """
-    counts = [len(one) for one in (egos, opponents) if not isinstance(one, Policy | str)]
+    counts = [len(one) for one in (egos, opponents) if _is_list(one)]
     if len(set(counts)) > 1:
         raise InputError(
             f"there are {counts[0]} egos but {counts[1]} opponents; give one opponent for each ego"
@@ -457,16 +457,18 @@ def run_field(
     return RaceResult(config, take(concatenate(joined), order), starts)
 
 
+def _is_list(given: Drivers) -> bool:
+    """Return whether drivers are a list of a racer for each race."""
+    return isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+
+
 def _policies(given: Drivers) -> Policy | list[Policy]:
     """Return the policy of all races, or a list of one policy per race."""
-    if isinstance(given, Policy | str):
-        return policy_of(given)
-    return list(map(policy_of, given))
-
-
-def policy_of(given: Policy | str) -> Policy:
-    """Return a policy; a text is parsed."""
-    return parse_policy(given) if isinstance(given, str) else given
+    if not _is_list(given):
+        return policy_racer(given)
+    # One policy for one object: races of the same planner run together.
+    known = {id(one): policy_racer(one) for one in {id(one): one for one in given}.values()}
+    return [known[id(one)] for one in given]
 
 
 def rules_on(track: Track, config: RaceConfig | str) -> RaceConfig:

@@ -16,8 +16,8 @@ from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import F1TENTH, V, load_vehicles
-from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.view import PATH_SPEED, PATH_Y, VIEW_SIZE
 from pcs_racing.race.config import (
     CONTROL_EVERY,
@@ -32,7 +32,6 @@ from pcs_racing.race.races import (
     RaceResult,
     RaceSetup,
     advance,
-    policy_of,
     rules_on,
     start_races,
     starts_of,
@@ -60,8 +59,8 @@ Floats = NDArray[np.float64]
 
 def record_race(
     track: Track,
-    ego: Policy | str,
-    opponent: Policy | str | Sequence[Policy | str],
+    ego: Any,
+    opponent: Any,
     config: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
@@ -73,9 +72,9 @@ def record_race(
 
     Parameters
     ----------
-    ego, opponent : Policy or str
-        Policies of car 0 and car 1, also as texts; a sequence of up to seven opponents gives a race
-        of more cars.
+    ego, opponent : Policy, str or model
+        Racers of car 0 and car 1 (:func:`pcs_racing.racer`), which are no agents; a list of up to
+        seven opponents gives a race of more cars.
     seed, index : int
         Seed and number of the race: race ``index`` (0 to :data:`LAST_INDEX`) of
         ``run_field(..., seed=seed)``, with the same start, the same noise and a bit-identical end.
@@ -92,8 +91,8 @@ def record_race(
     """
     check_whole("index", index, 0, LAST_INDEX)
     config = rules_on(track, config)
-    given = [ego, opponent] if isinstance(opponent, Policy | str) else [ego, *opponent]
-    drivers = list(map(policy_of, given))
+    others = opponent if isinstance(opponent, list | tuple) else [opponent]
+    drivers = list(map(policy_racer, [ego, *others]))
     vehicles = load_vehicles(vehicle, len(drivers))
     setup = RaceSetup(track, config, tuple(driver.planner for driver in drivers), vehicles)
     start = starts_of(track, config, [int(index)], seed, cars=len(drivers))

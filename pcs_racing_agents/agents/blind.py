@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.moves import STAY
+from pcs_racing.game.players import never_switch, random_moves
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.fits import FitSource, find_fit
 from pcs_racing_agents.agents.game_spec import GameSpec, training_text
@@ -29,17 +29,6 @@ Floats = NDArray[np.float64]
 
 LEAD_PLAN = ("behind", "ahead")
 """Situations of a lead plan, with a policy for each."""
-
-
-@dataclass(frozen=True, eq=False)
-class ConstantStrategy:
-    """A strategy with the same probabilities in every situation."""
-
-    probabilities: Floats  #: shape (M,)
-
-    def __call__(self, observation: ObservationBatch) -> Floats:
-        """Return the probabilities of the moves, shape (B, M)."""
-        return np.tile(self.probabilities, (len(observation), 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,26 +140,6 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 # Agents
-
-
-def always(spec: GameSpec, move: str, *, name: str | None = None, seed: int = 0) -> Agent:
-    """Return an agent that makes the same move at every step."""
-    probabilities = np.eye(len(spec.moves))[spec.move(move)]
-    return Agent(
-        name or f"always-{''.join(move.split())}", ConstantStrategy(probabilities), spec, seed
-    )
-
-
-def never_switch(spec: GameSpec, *, name: str = "never-switch", seed: int = 0) -> Agent:
-    """Return an agent that keeps its initial policy: the paper's non-GT agent."""
-    return always(spec, STAY, name=name, seed=seed)
-
-
-def random_moves(spec: GameSpec, *, name: str = "random-moves", seed: int = 0) -> Agent:
-    """Return an agent that draws each move uniformly among the moves that the rules offer."""
-    probabilities = np.zeros(len(spec.moves))
-    probabilities[: spec.offered] = 1.0 / spec.offered
-    return Agent(name, ConstantStrategy(probabilities), spec, seed)
 
 
 def _choice(

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, require
+from pcs_racing.envs.models import module_outputs
+from pcs_racing.planners.racers import Reader, Request, own_name
 from pcs_racing_agents.base.fingerprint import fingerprint
 
 
@@ -66,3 +68,13 @@ class TorchPolicy:
         if not torch.isfinite(values).all():
             raise InputError("the module returned NaN or infinity")
         return np.asarray(values.argmax(dim=1).numpy())
+
+
+def read_module(request: Request) -> TorchPolicy | None:
+    """Return the agent of a torch module with a number for each move; 2 numbers drive a car."""
+    if module_outputs(request.given) in (None, 2):
+        return None
+    return TorchPolicy(request.given, own_name(request.given))
+
+
+TORCH = Reader(read_module)

@@ -11,11 +11,12 @@ import numpy as np
 from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.envs.drive_options import drive_elements
-from pcs_racing.envs.models import ModelDriver, model_policy
+from pcs_racing.envs.models import ModelDriver
 from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT
 from pcs_racing.planners.learned import folder_format, is_planner_folder
 from pcs_racing.planners.line_ppo import LINE_FORMAT
 from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing_agents.agents.onnx_planners import (
     COMMAND,
     lidar_graph,
@@ -24,9 +25,7 @@ from pcs_racing_agents.agents.onnx_planners import (
 from pcs_racing_agents.agents.sb3_files import (
     Sb3Policy,
     frozen_model,
-    load_model,
-    load_sb3_policy,
-    plain_model,
+    read_zip,
 )
 from pcs_racing_agents.base.onnx_graph import OnnxGraph, Value
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -44,8 +43,8 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
     ----------
     model : object
         Name of a learned planner (``"lidar-ppo"``) or of an agent's shipped network, the folder of
-        one, or ``model.zip`` of :func:`save_model`; a Stable-Baselines3 model with an MlpPolicy, a
-        policy of :func:`load_model`, or a :class:`RegretNetwork`.
+        one, or ``model.zip``; a Stable-Baselines3 model with an MlpPolicy, its policy
+        (:func:`pcs_racing.racer`), or a :class:`RegretNetwork`.
     path : str or path
         File to write, ``NAME.onnx``.
     """
@@ -62,30 +61,22 @@ def _exported(model: Any) -> OnnxGraph:
         return _control(driver) if isinstance(driver, ModelDriver) else _named(model.planner.name)
     if isinstance(model, str | PathLike):
         return _model_file(Path(model)) if Path(model).suffix == ".zip" else _named(str(model))
-    name = type(model).__name__
-    plain = _plain(model, name)
+    plain = _plain(model, type(model).__name__)
     if plain.moves:
         elements: Any = ()
         with suppress(AttributeError):  # a model without environment, or of another one
             (elements,) = model.get_env().get_attr("elements", [0])
         return _moves(plain, elements)
-    frozen, arguments = frozen_model(model, name)
-    return _exported(model_policy(frozen, **arguments))
+    return _exported(policy_racer(model))
 
 
 def _plain(model: Any, name: str) -> Sb3Policy:
-    plain = model if isinstance(model, Sb3Policy) else plain_model(model, name)
-    if not isinstance(plain, Sb3Policy):
-        raise InputError(
-            f"a {type(model).__name__} has no actor of fully connected layers; train PPO, A2C, SAC"
-            " or TD3 with MlpPolicy"
-        )
-    return plain
+    return model if isinstance(model, Sb3Policy) else frozen_model(model, name)
 
 
 def _model_file(file: Path) -> OnnxGraph:
-    plain = load_sb3_policy(file)
-    return _moves(plain, []) if plain.moves else _exported(load_model(file))
+    plain, _ = read_zip(file)
+    return _moves(plain, []) if plain.moves else _exported(policy_racer(file))
 
 
 def _named(name: str) -> OnnxGraph:

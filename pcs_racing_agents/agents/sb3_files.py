@@ -1,25 +1,22 @@
 """Stable-Baselines3 policies as plain layers, from a file or a model; no code of a file runs.
 
-A control policy has the arguments of its environment in a file next to the zip (:func:`save_model`,
-:func:`load_model`).
-
 ``PPO.load`` unpickles parts of a file and so runs code from it. Here torch reads the weights with
-``weights_only=True``, and the activation function comes from the text of the settings.
+``weights_only=True``; the classes, the activation function and the environment of the training come
+from readable texts that Stable-Baselines3 writes beside its pickles.
 """
 
 import hashlib
 import io
+import json
 import re
 import zipfile
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
 from gymnasium import spaces
 from numpy.typing import NDArray
 
@@ -27,18 +24,46 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.dense import DenseLayers, dense_forward, weight_count
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError, require
-from pcs_racing.base.files import MAX_YAML, parse_json, parse_yaml, read_limited, write_atomically
-from pcs_racing.envs.models import KEPT, kept_arguments, model_policy
-from pcs_racing.planners.planner import Policy
+from pcs_racing.base.files import parse_json, read_limited, write_atomically
+from pcs_racing.envs.models import layers, model_policy, needs_like, origin_of
+from pcs_racing.envs.origins import ATTRIBUTE, read_origin
+from pcs_racing.game.players import model_agent
+from pcs_racing.planners.racers import Racer, Reader, Request, own_name
 
 MAX_BYTES = 50_000_000
 ACTIVATIONS = ("Tanh", "ReLU")
-# Hidden layers, last layer, default activation, final tanh: PPO and A2C; SAC; TD3 and DDPG.
-_ACTORS = (
-    ("mlp_extractor.policy_net", "action_net", "Tanh", False),
-    ("actor.latent_pi", "actor.mu", "ReLU", True),
-    ("actor.mu", "", "ReLU", True),
-)
+SCALE_FILE = "pcs_racing_scale.json"
+"""Name in a zip of the scale of observations (:func:`save_model`)."""
+
+
+class Actor(NamedTuple):
+    """Place of the actor in a class of policies."""
+
+    hidden: str  #: Name of the hidden layers in the state.
+    last: str  #: Name of the last layer; empty if it is one of the hidden layers.
+    activation: str  #: Default activation function.
+    squash: bool  #: True if a tanh follows the last layer.
+
+
+_PPO = Actor("mlp_extractor.policy_net", "action_net", "Tanh", False)
+ACTORS = {
+    "stable_baselines3.common.policies": _PPO,
+    "sb3_contrib.common.maskable.policies": _PPO,
+    "stable_baselines3.dqn.policies": Actor("q_net.q_net", "", "ReLU", False),
+    "stable_baselines3.sac.policies": Actor("actor.latent_pi", "actor.mu", "ReLU", True),
+    "stable_baselines3.td3.policies": Actor("actor.mu", "", "ReLU", True),
+}
+"""Actors of fully connected layers by the module of the policy's class."""
+
+
+class PolicyTraits(NamedTuple):
+    """Traits of a policy that decide which function its tensors are."""
+
+    module: str  #: Module of the policy's class.
+    activation: str | None  #: Name of the activation function; None for the default.
+    extractor: bool  #: True if it has a feature extractor of its own.
+    noise_by_state: bool  #: True for ``use_sde``.
+    squash: bool  #: True for ``squash_output``.
 
 
 @kernel
@@ -131,10 +156,11 @@ class Sb3Policy:
         return (np.argmax(out, axis=-1) if self.moves else out), None
 
 
-def load_sb3_policy(path: Path) -> Sb3Policy:
-    """Read a policy from a file written by ``model.save(path)``.
+def read_zip(path: Path) -> tuple[Sb3Policy, dict[str, Any] | None]:
+    """Return the policy in a file written by ``model.save(path)``, and its training's environment.
 
-    The model is PPO, A2C, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy.
+    The model is PPO, A2C, DQN, MaskablePPO, SAC, TD3 or DDPG with an MlpPolicy. The environment is
+    None if its spaces do not name it.
     """
     # The file is read before the import of torch, which takes seconds.
     content = read_limited(path, MAX_BYTES, "a policy", InputError)
@@ -150,6 +176,8 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
                     " connected layers"
                 )
             settings = parse_json(path, file.read("data"))
+            scaled = SCALE_FILE in file.namelist()
+            scale = parse_json(path, file.read(SCALE_FILE)) if scaled else None
             state = torch.load(
                 io.BytesIO(file.read("policy.pth")), map_location="cpu", weights_only=True
             )
@@ -159,88 +187,171 @@ def load_sb3_policy(path: Path) -> Sb3Policy:
     except Exception as error:
         said = str(error).partition("\n")[0]
         raise InputError(f"{path} is no file of Stable-Baselines3: {said:.200}") from None
-    # The settings hold the names of classes in texts; unpickling would run code from the file.
-    words = str(settings.get("policy_kwargs", ""))
-    found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", words)
-    if "features_extractor_class" in words:
+    policy = actor_of(str(path), state, _written_traits(settings))
+    if scaled:
+        policy = replace(policy, scale=_read_scale(path, scale, policy.layers.sizes[0]))
+    elif _normalizers(path):
         raise InputError(
-            f"{path} has a feature extractor of its own, which is code; give the model itself"
-            " instead"
+            f"{path} lies near {_normalizers(path)[0].name}, a VecNormalize, which the zip does not"
+            " hold: train with normalize=True, or write the zip with save_model"
         )
-    return actor_of(str(path), state, found.group(1) if found else None)
+    space = settings.get("observation_space")
+    text = space.get(ATTRIBUTE) if isinstance(space, dict) else None
+    return policy, read_origin(text, str(path)) if isinstance(text, str) else None
 
 
-def actor_of(name: str, state: Mapping[str, Any], activation: str | None) -> Sb3Policy:
-    """Return the actor of a policy's tensors; activation None is the algorithm's default."""
-    layers: list[str] = []
-    for before, end, usual, squash in _ACTORS:  # noqa: B007
-        found = [re.fullmatch(rf"{re.escape(before)}\.(\d+)\.weight", key) for key in state]
-        numbers = sorted(int(match.group(1)) for match in found if match)
-        layers = [*(f"{before}.{number}" for number in numbers), *([end] if end else [])]
-        if numbers and f"{layers[-1]}.weight" in state:
-            break
-        layers = []
-    if not layers or any(
-        part in key for key in state for part in ("lstm", "cnn", "features_extractor.")
-    ):
+def _normalizers(path: Path) -> list[Path]:
+    """Return the files of a VecNormalize in the folder of a zip."""
+    return [file for file in path.parent.glob("*.pkl") if "normalize" in file.name.lower()]
+
+
+def _written_traits(settings: Mapping[str, Any]) -> PolicyTraits:
+    """Return the traits of a policy from the readable texts of a file."""
+    written = settings.get("policy_class")
+    kwargs = settings.get("policy_kwargs")
+    kwargs = kwargs if isinstance(kwargs, dict) else {}
+    found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", str(kwargs.get("activation_fn")))
+    return PolicyTraits(
+        str(written.get("__module__", "")) if isinstance(written, dict) else "",
+        found.group(1) if found else None,
+        "features_extractor_class" in kwargs,
+        settings.get("use_sde") is True,
+        kwargs.get("squash_output") is True,
+    )
+
+
+def _traits(model: Any) -> PolicyTraits:
+    """Return the traits of the policy of a model in memory."""
+    kwargs = getattr(model, "policy_kwargs", None) or {}
+    activation = getattr(kwargs.get("activation_fn"), "__name__", None)
+    return PolicyTraits(
+        type(model.policy).__module__,
+        activation,
+        "features_extractor_class" in kwargs,
+        getattr(model, "use_sde", False) is True,
+        kwargs.get("squash_output") is True,
+    )
+
+
+def actor_of(name: str, state: Mapping[str, Any], traits: PolicyTraits) -> Sb3Policy:
+    """Return the actor of a policy's tensors; a policy of another shape is refused by its cause."""
+    if "recurrent" in traits.module or any("lstm" in key for key in state):
+        raise InputError(f"{name} has an LSTM, which keeps a state; give the model itself")
+    actor = ACTORS.get(traits.module)
+    if actor is None:
+        known = "PPO, A2C, DQN, MaskablePPO, SAC, TD3 or DDPG with MlpPolicy"
         raise InputError(
-            f"{name} has no actor of fully connected layers; train PPO, A2C, MaskablePPO, SAC or"
-            " TD3 with MlpPolicy, or give the model itself"
+            f"{name} has a policy class of {traits.module or 'an unknown module'}; it must be"
+            f" {known}, or give the model itself"
         )
-    activation = activation or usual
+    if traits.extractor or any("features_extractor." in key for key in state):
+        raise InputError(f"{name} has a feature extractor of its own; give the model itself")
+    if actor.squash and traits.noise_by_state:
+        raise InputError(f"{name} was trained with use_sde, which clips its mean; train without it")
+    activation = traits.activation or actor.activation
     if activation not in ACTIVATIONS:
         raise InputError(
             f"{name}: the activation is {activation}; it must be one of {', '.join(ACTIVATIONS)}"
         )
+    found = [re.fullmatch(rf"{re.escape(actor.hidden)}\.(\d+)\.weight", key) for key in state]
+    numbers = sorted(int(match.group(1)) for match in found if match)
+    names = [*(f"{actor.hidden}.{number}" for number in numbers), *filter(None, [actor.last])]
     try:
         parts = [
-            tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in layers)
+            tuple(state[f"{layer}.{kind}"].cpu().numpy() for layer in names)
             for kind in ("weight", "bias")
         ]
     except (AttributeError, KeyError) as error:
         raise InputError(f"{name}: a layer has no weights or biases: {error}") from None
-    if not all(np.isfinite(values).all() for part in parts for values in part):
-        raise InputError(f"{name}: a weight is not finite")
-    return Sb3Policy(
-        Path(name).stem,
-        DenseLayers(*parts),
-        activation,
-        not squash and "log_std" not in state,
-        squash,
-    )
+    if not names:
+        raise InputError(f"{name} has no layers {actor.hidden}")
+    dense = DenseLayers(*parts)  # refuses NaN and shapes that do not fit
+    moves = not actor.squash and "log_std" not in state
+    squash = actor.squash or traits.squash
+    return Sb3Policy(Path(name).stem, dense, activation, moves, squash)
 
 
-def plain_model(model: Any, name: str) -> Any:
-    """Return a Stable-Baselines3 model as layers, which can be sent to other processes.
-
-    Any other model is returned unchanged.
-    """
+def is_sb3(model: Any) -> bool:
+    """Return whether an object is a model of Stable-Baselines3 or sb3-contrib."""
     state = getattr(getattr(model, "policy", None), "state_dict", None)
-    if callable(state) and "features_extractor_class" not in getattr(model, "policy_kwargs", ()):
-        activation = getattr(getattr(model.policy, "activation_fn", None), "__name__", None)
-        with suppress(InputError):
-            return replace(actor_of(name, state(), activation), scale=_scale_of(model.get_env()))
-    return model
+    return callable(state) and callable(getattr(model, "get_env", None))
 
 
-def frozen_model(model: Any, name: str) -> tuple[Sb3Policy, dict[str, Any]]:
-    """Return a copy of a model's policy as layers, and the arguments of its environment by name.
-
-    The scale of observations is rounded to float32, as in a file.
-    """
-    if not callable(getattr(model, "get_env", None)):
+def frozen_model(model: Any, name: str) -> Sb3Policy:
+    """Return a copy of a model's policy as layers, equal to the model's ``predict``."""
+    if not is_sb3(model):
         raise InputError(f"a {type(model).__name__} is no model of Stable-Baselines3")
-    env, frozen = model.get_env(), plain_model(model, name)
-    if not isinstance(frozen, Sb3Policy):
+    env = model.get_env()
+    frozen = replace(
+        actor_of(name, model.policy.state_dict(), _traits(model)), scale=_scale_of(env)
+    )
+    _compare(model, frozen, name)
+    return frozen
+
+
+def drive_arguments_of(model: Any, name: str) -> dict[str, Any]:
+    """Return the arguments of the Drive environment that a model was trained in."""
+    origin = dict(origin_of(model, name, kept=_scaler(model.get_env())) or {})
+    if origin.pop("environment", None) != "drive":
+        raise InputError(f"model {name!r} was not trained in an environment of steering and speed")
+    return origin
+
+
+def _compare(model: Any, frozen: Sb3Policy, name: str) -> None:
+    """Refuse layers that answer drawn observations in another way than the model's ``predict``."""
+    space = model.observation_space
+    low, high = np.clip(space.low, -10.0, 10.0), np.clip(space.high, -10.0, 10.0)
+    seen = np.random.default_rng(0).uniform(low, high, (64, len(low))).astype(np.float32)
+    wanted, _ = model.predict(seen, deterministic=True)
+    unscaled = frozen if frozen.scale is None else replace(frozen, scale=None)
+    own, _ = unscaled.predict(seen)
+    if not frozen.moves:
+        bounds = model.action_space
+        own = np.clip(own, -1.0, 1.0) if frozen.squash else np.clip(own, bounds.low, bounds.high)
+        if frozen.squash:
+            own = bounds.low + 0.5 * (bounds.high - bounds.low) * (own + 1.0)
+    same = np.mean(own == wanted) > 0.9 if frozen.moves else np.allclose(own, wanted, atol=1e-4)
+    if not same:
         raise InputError(
-            f"{type(model).__name__} has no actor of fully connected layers; train PPO, A2C, SAC or"
-            " TD3 with MlpPolicy"
+            f"{name} answers in another way than its layers, so its policy has more parts than"
+            " fully connected layers; give the model itself"
         )
-    scale = frozen.scale
-    if scale is not None:
-        mean, spread = (np.asarray(one, np.float32).astype(np.float64) for one in scale[:2])
-        scale = ObservationScale(mean, spread, scale.clip)
-    return replace(frozen, scale=scale), kept_arguments(env, _scaler(env))
+
+
+def read_sb3(request: Request) -> Racer | None:
+    """Return the racer of a zip of Stable-Baselines3, or of its model in memory."""
+    given, text = request.given, request.text
+    if text.endswith(".zip"):
+        policy, written = read_zip(Path(text))
+        origin = origin_of(policy, text, request.like) if written is None else written
+        if origin is None:
+            raise needs_like(text)
+        return _racer(policy, text, origin, request)
+    if text or not is_sb3(given):
+        return None
+    name, env = own_name(given), given.get_env()
+    list(layers(env, _scaler(env)))  # refuses a wrapper that the model would lose
+    try:
+        policy = frozen_model(given, name)
+    except InputError:
+        return None  # the model itself drives
+    usual = {"environment": "duel" if policy.moves else "drive"}
+    origin = origin_of(given, name, request.like, kept=_scaler(env))
+    return _racer(policy, name, origin or usual, request)
+
+
+def _racer(policy: Sb3Policy, name: str, origin: Mapping[str, Any], request: Request) -> Racer:
+    environment, wanted = origin["environment"], "duel" if policy.moves else "drive"
+    if environment != wanted:
+        actions = "moves" if policy.moves else "steering and speed"
+        raise InputError(f"{name} has actions of {actions}; it was not trained in {environment}")
+    if policy.moves:
+        return model_agent(policy, name, origin.get("game"), request.rules)
+    arguments = {key: value for key, value in origin.items() if key != "environment"}
+    return model_policy(policy, name=name, **arguments)
+
+
+SB3 = Reader(read_sb3)
 
 
 def _scaler(env: Any) -> Any:
@@ -255,7 +366,10 @@ def _scale_of(env: Any) -> ObservationScale | None:
     if scaler is None:
         return None
     seen = scaler.obs_rms
-    return ObservationScale(seen.mean, np.sqrt(seen.var + scaler.epsilon), float(scaler.clip_obs))
+    mean, spread = seen.mean, np.sqrt(seen.var + scaler.epsilon)
+    # Rounded to float32, as in a file of weights.
+    mean, spread = (np.asarray(one, np.float32).astype(np.float64) for one in (mean, spread))
+    return ObservationScale(mean, spread, float(scaler.clip_obs))
 
 
 def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
@@ -273,58 +387,28 @@ def _read_scale(file: Path, given: Any, size: int) -> ObservationScale:
     return ObservationScale(mean, spread, float(clip))
 
 
-def save_model(path: str | Path, model: Any, env: Any = None) -> Path:
-    """Save a Stable-Baselines3 model as zip, and the arguments of its environment as ``.yaml``.
+def save_model(path: str | Path, model: Any) -> Path:
+    """Save a Stable-Baselines3 model as a zip that races, also behind a ``VecNormalize``.
 
-    The ``.yaml`` file is next to the zip. It includes the scale of a ``VecNormalize`` around the
-    environment; other wrappers that change observations or actions are refused.
+    The zip of ``model.save`` races without this function, but holds no scale of observations. This
+    zip holds the scale, too; its actor answers as ``model.predict``. Other wrappers that change
+    observations or actions are refused.
 
     Parameters
     ----------
     path : str or Path
         Path of the zip.
     model : BaseAlgorithm
-    env : Env, VecEnv or VectorEnv, optional
-        Environment of the training; by default the environment of the model.
     """
     target = Path(path).with_suffix(".zip")
-    env = model.get_env() if env is None else env
-    scaler, scale = _scaler(env), _scale_of(env)
-    arguments = kept_arguments(env, scaler)
-    if scale is not None:
-        arguments["scale"] = {
-            key: np.asarray(values).tolist() for key, values in scale._asdict().items()
-        }
-    text = yaml.safe_dump(arguments, sort_keys=False).encode()
-    model.save(target)
-    write_atomically(target.with_suffix(".yaml"), text)
+    frozen = frozen_model(model, target.stem)
+    env = model.get_env()
+    list(layers(env, _scaler(env)))  # refuses a wrapper that the model would lose
+    content = io.BytesIO()
+    model.save(content)
+    if frozen.scale is not None:
+        scale = {key: np.asarray(one).tolist() for key, one in frozen.scale._asdict().items()}
+        with zipfile.ZipFile(content, "a") as file:
+            file.writestr(SCALE_FILE, json.dumps(scale))
+    write_atomically(target, content.getvalue())
     return target
-
-
-def load_model(path: str | Path) -> Policy:
-    """Return the policy in a zip written by :func:`save_model`."""
-    file = Path(path).with_suffix(".yaml")
-    if Path(path).is_file() and not file.is_file():
-        raise InputError(
-            f"there is no file {file} with the arguments of the model's environment;"
-            " save_model(path, model) writes it"
-        )
-    model = load_sb3_policy(Path(path))
-    arguments = parse_yaml(
-        file, read_limited(file, MAX_YAML, "the arguments of a model", InputError)
-    )
-    if not isinstance(arguments, dict):
-        raise InputError(
-            f"{file} holds {arguments!r:.80}; it must hold the arguments of an environment by name"
-        )
-    for key in arguments:
-        if key not in (*KEPT, "cars", "vehicle", "scale"):
-            raise InputError(
-                f"{file}: the argument {key!r} is unknown; there are cars, vehicle, scale,"
-                f" {', '.join(KEPT)}"
-            )
-    if "scale" in arguments:
-        model = replace(
-            model, scale=_read_scale(file, arguments.pop("scale"), model.layers.sizes[0])
-        )
-    return model_policy(model, name=str(path), **arguments)

@@ -14,7 +14,6 @@ SHIPPED = {
     "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
     "random-policy": "pcs_racing_agents.agents.fixed_policies:RANDOM_POLICY",
-    "lane-switcher": "pcs_racing_agents.agents.fixed_policies:LANE_SWITCHER",
 }
 """Agents and fixed policies of this package: name, and reference to the entry.
 

@@ -7,9 +7,7 @@ own; it returns an agent, a fixed policy, or any object with ``act``. A program 
 :func:`register_agent`. A module is imported when its agent is built.
 """
 
-import difflib
 import inspect
-import shlex
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -18,24 +16,21 @@ from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
 
-from pcs_racing.base.errors import InputError, UnknownNameError, one_line
+from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.competitor import is_model
 from pcs_racing.game.config import GameConfig
-from pcs_racing.planners.registry import parse_policy, planner_names
+from pcs_racing.game.players import ALWAYS, Competitor, competitor
+from pcs_racing.planners.planner import PolicySet
+from pcs_racing.planners.racers import Reader, Request, renamed
 from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import RaceConfig
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver, as_agent
+from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
-from pcs_racing_agents.agents.own_code import is_code, own_code
 from pcs_racing_agents.agents.shipped import SHIPPED
 
 ENTRY_POINTS = "pcs_racing.agents"
 """Entry point group for the agents of a distribution: ``name = "package.module:function"``."""
-
-ALWAYS = "always-"
-_ALWAYS = "pcs_racing_agents.agents.blind:always"
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +120,13 @@ def make(
     Parameters
     ----------
     name : str
-        Name from :func:`names`; a policy as text, such as ``"lattice:pace=0.8"``; or the ``.zip``
-        of a control policy (:func:`pcs_racing_agents.agents.sb3_files.save_model`).
+        Text for :func:`pcs_racing.racer`.
     archive, race
         Game of the agent, as in :func:`pcs_racing.make_game`.
     seed : int
         Seed of the draws of mixed strategies.
     **options
-        Options of the agent; ``docs/agents.md`` lists them.
+        Options of an agent of the zoo; ``docs/agents.md`` lists them.
 
     Examples
     --------
@@ -143,72 +137,46 @@ def make(
 
 
 def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
-    """Make an agent or a fixed policy for a game spec; see :func:`make`."""
-    if not isinstance(name, str):
-        raise InputError(f"agent {name!r} must be a name")
+    """Make a racer for a game spec; only agents of the zoo have options."""
     available = entries()
-    if name.startswith(ALWAYS):
-        for key in options:
-            raise InputError(f"agent {name!r} has no option {key!r}; it has none")
-        return resolve_name(_ALWAYS)(
-            spec, name.removeprefix(ALWAYS), name="".join(name.split()), seed=seed
-        )
-    if is_model(name):
-        return as_agent(name)
-    # An agent may have the name of a planner. Any other text that begins with a planner's name is
-    # a policy.
+    if name not in available and not options:
+        return competitor(name, spec, seed=seed)
     if name not in available:
-        if split_name(name)[0] in planner_names() and not options:
-            return as_agent(parse_policy(name))
-        near = difflib.get_close_matches(name, available, n=1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        every = f"{', '.join(sorted(available))}, {ALWAYS}MOVE"
-        raise UnknownNameError(f"agent {name!r} is unknown; {hint}there are: {every}")
+        raise UnknownNameError(f"agent {name!r} is unknown; {choices(name, sorted(available))}")
     entry = available[name]
     _check_options(name, entry.build, options)
-    agent = entry.build(spec, name=name, seed=seed, **{**entry.defaults, **options})
-    if not isinstance(agent, Agent | Driver):
-        return as_agent(agent, name)
-    facts = {"does": entry.summary, "source": entry.source, **agent.facts}
-    return replace(agent, facts={key: value for key, value in facts.items() if value})
+    made = entry.build(spec, name=name, seed=seed, **{**entry.defaults, **options})
+    if not isinstance(made, Agent | PolicySet):
+        return competitor(made, spec, name=name)
+    facts = {"does": entry.summary, "source": entry.source, **made.facts}
+    return replace(made, facts={key: value for key, value in facts.items() if value})
 
 
-def parse_agent(text: str, spec: GameSpec, *, seed: int = 0, code: bool = False) -> Competitor:
-    """Make an agent from its name, or with options as in ``"cfr-argmax:network=out/net"``.
-
-    A text that begins with the name of a planner is a policy, as in ``"lane-switcher:3"``. With
-    ``code``, the text may name user code, which is run (:mod:`pcs_racing_agents.agents.own_code`):
-    never set it for a text from a file.
-    """
-    text = str(text).strip()
-    name, separator, rest = split_name(text)
-    # "lane-switcher:3" is a variant of the planner, not an option of the agent "lane-switcher".
-    if not separator or name not in entries() or name in planner_names():
-        own = own_code(text, spec) if code else None
-        if own is not None:
-            with one_line(text):
-                return as_agent(own, text)
-        if is_code(text) and name not in planner_names() and not code:
-            raise UnknownNameError(
-                f"agent {text!r} is unknown: no file may name code. If it is yours, register it, or"
-                f" name it on the command line (view: --agents {shlex.quote(text)})"
-            )
-        return build(text, spec, seed=seed)
-    options: dict[str, Any] = {}
-    for option in rest.split(","):
-        key, equals, value = option.partition("=")
-        if not equals or key.strip() in options or key.strip() in ("name", "seed", "spec"):
+def read_agent(request: Request) -> Competitor | None:
+    """Return the agent of a text: a name, or a name with options."""
+    name, separator, rest = split_name(request.text)
+    if name not in entries():
+        return None
+    values: dict[str, Any] = {}
+    for option in rest.split(",") if separator else ():
+        key, equals, value = (part.strip() for part in option.partition("="))
+        if not equals or key in values or key in ("name", "seed", "spec"):
             raise InputError(
-                f"agent {text!r}: {option!r} is not of the form option=value, each option once"
+                f"agent {request.text!r}: {option!r} is not of the form option=value, each option"
+                " once"
             )
         try:
-            options[key.strip()] = plain_yaml(value)
+            values[key] = plain_yaml(value)
         except InputError:
             raise InputError(
-                f"agent {text!r}: {value!r} is no value; it must be a number or plain text"
+                f"agent {request.text!r}: {value!r} is no value; it must be a number or plain text"
             ) from None
-    agent = build(name, spec, seed=seed, **options)
-    return as_agent(agent, text)
+    rules = request.rules
+    spec = rules if isinstance(rules, GameSpec) else make_game_spec(rules.archive, rules.config)
+    return renamed(build(name, spec, seed=request.seed, **values), request.text)
+
+
+ZOO = Reader(read_agent, lambda: sorted(entries()))
 
 
 def _late_function(name: str, reference: str) -> Callable[..., Any]:
@@ -262,44 +230,3 @@ def _check_options(name: str, function: Callable[..., Any], options: Iterable[st
 
 def _first_line(function: Callable[..., Any]) -> str:
     return (inspect.getdoc(function) or "").partition("\n")[0]
-
-
-def load_entrant(
-    text: str,
-    spec: GameSpec,
-    *,
-    weights: Path | None = None,
-    name: str | None = None,
-) -> Competitor:
-    """Return the competitor that an argument of the command line names; it may name user code.
-
-    Parameters
-    ----------
-    text : str
-        Text for :func:`pcs_racing_agents.agents.parse_agent`; or path of a ``.zip`` file of
-        Stable-Baselines3 (only its numbers are read); with ``weights``, ``module:function``, a
-        function of the game spec and the path of the weights that returns a competitor; or the
-        folder of a learned planner (:func:`pcs_racing.planners.learned.load_planner`).
-    weights : path, optional
-        File of weights for the function.
-    name : str, optional
-        Name on the card, in place of the competitor's name.
-    """
-    from pcs_racing.planners.learned import load_planner
-    from pcs_racing_agents.agents.sb3_files import load_sb3_policy
-
-    if Path(text).is_dir():
-        return as_agent(load_planner(text).policy({}), name)
-    # A control policy has the arguments of its environment next to the zip, and is read below.
-    if is_model(text) and not Path(text).with_suffix(".yaml").is_file():
-        return as_agent(load_sb3_policy(Path(text)), name or Path(text).stem)
-    if weights is None:
-        return as_agent(parse_agent(text, spec, code=True), name)
-    if not weights.is_file():
-        raise InputError(f"there is no file of weights {weights}")
-    made = own_code(text, spec, weights)
-    if made is None:
-        raise InputError(
-            f"can't find {text}; give module:function, where the module can be imported"
-        )
-    return as_agent(made, name or text.partition(":")[2])

@@ -5,6 +5,7 @@ from typing import Annotated
 
 from pcs_racing.base.errors import UnknownNameError, choices
 from pcs_racing.game.config import load_game_config
+from pcs_racing.game.players import ALWAYS
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing_agents.base.tables import aligned
@@ -31,7 +32,7 @@ def run(
     """List all agents, or describe one of them: options, training, strength, cost, hash."""
     from pcs_racing_agents.agents.describe import describe, facts_of
     from pcs_racing_agents.agents.game_spec import make_game_spec
-    from pcs_racing_agents.agents.zoo import ALWAYS, entries, names
+    from pcs_racing_agents.agents.zoo import entries, names
 
     config = load_game_config(rules)
     spec = make_game_spec(archive_for(archive, config.race), config)

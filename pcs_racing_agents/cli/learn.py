@@ -27,7 +27,7 @@ from pcs_racing_agents.cli.options import (
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 
 if TYPE_CHECKING:
-    from pcs_racing_agents.agents.agent import Competitor
+    from pcs_racing.game.players import Competitor
     from pcs_racing_agents.agents.game_spec import GameSpec
     from pcs_racing_agents.networks import RegretNetwork
 
@@ -69,9 +69,9 @@ class Games:
 
     def agents(self, texts: Sequence[str], spec: "GameSpec") -> "list[Competitor]":
         """Return the named agents."""
-        from pcs_racing_agents.agents.zoo import parse_agent
+        from pcs_racing.game.players import competitor
 
-        return [parse_agent(text, spec, seed=self.rules.seed, code=True) for text in texts]
+        return [competitor(text, spec, seed=self.rules.seed, code=True) for text in texts]
 
 
 @command(

@@ -17,12 +17,13 @@ from pcs_racing_agents.cli.commands import Option
 DEFAULT_TRACK = "Brackwater"
 """The default track of commands and environments."""
 TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
-OWN_CODE = "FILE.py:Class, module:function or model.zip"
-POLICY_HELP = (
-    f"planner, planner:variant, planner:parameter=value,... (see 'pcs-racing policies'), {OWN_CODE}"
-)
-AGENT_HELP = (
-    f"name or name:option=value,... (see 'pcs-racing agents' and docs/agents.md), {OWN_CODE}"
+OWN_CODE = "FILE.py:Class, module:function"
+FILES = f"model.zip, model.onnx, a folder of a trained planner, {OWN_CODE}"
+POLICY_HELP = f"planner, planner:variant, planner:parameter=value,..., ARCHIVE[INDEX], {FILES}"
+AGENT_HELP = f"agent, agent:option=value,... (see 'pcs-racing agents'), or a policy: {POLICY_HELP}"
+LIKE_HELP = (
+    "training environment of a model that does not name its own: duel, drive, or"
+    " drive:argument=value,..."
 )
 RACED_CODE = (
     f"code of your own that raced in the folder, by the names that the results have: {OWN_CODE}"
@@ -34,6 +35,7 @@ ArchiveName = Annotated[
     str | None, Option("policy archive: a name or a folder (default: the one for --rules)", "A")
 ]
 RulesName = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
+Like = Annotated[str | None, Option(LIKE_HELP, "ENV")]
 
 
 class Terminated(KeyboardInterrupt):

@@ -1,6 +1,5 @@
 """``pcs-racing race``: simulate one race, print its events and write a replay."""
 
-import shlex
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -8,12 +7,11 @@ from typing import Annotated
 import numpy as np
 
 from pcs_racing.base.checks import check_seed, check_whole
-from pcs_racing.base.errors import InputError, UnknownNameError, require
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import VehicleParams, load_vehicles
 from pcs_racing.planners.planner import Policy
-from pcs_racing.planners.registry import planner_names
-from pcs_racing.planners.shipped import split_name
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import pad_parameters
 from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
@@ -22,10 +20,15 @@ from pcs_racing.race.replay import Replay, save_replay
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.own_code import parse_own_policy
-from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, POLICY_HELP, Circuit, Rules, output_file
+from pcs_racing_agents.cli.options import (
+    DEFAULT_TRACK,
+    POLICY_HELP,
+    Circuit,
+    Like,
+    Rules,
+    output_file,
+)
 
 # The default race lasts its full time and has an overtake; found by `python studies/first_race.py`.
 EGO = "lattice:pace=0.5"
@@ -48,6 +51,7 @@ def run(
         Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")
     ] = (OPPONENT,),
     rules: Rules,
+    like: Like = None,
     vehicle: Annotated[
         Sequence[str],
         Option("car of all planners, or of each: a name (f1tenth-pacejka) or a YAML file", "CAR"),
@@ -69,7 +73,7 @@ def run(
             f"--opponent names {len(opponent)} policies; a race has at most {MAX_CARS - 1} of them"
         )
     cars = load_vehicles(vehicle[0] if len(vehicle) == 1 else vehicle, 1 + len(opponent))
-    first, others = _policy("--ego", ego), [_policy("--opponent", text) for text in opponent]
+    first, *others = (policy_racer(text, code=True, like=like) for text in (ego, *opponent))
     target = output_file(replay, ".html") if replay else None
     film = output_file(video, ".mp4", ".gif") if video else None
     bag = output_file(mcap, ".mcap") if mcap else None
@@ -107,21 +111,6 @@ def run(
         from pcs_racing_agents.watch.ros_messages import write_bag
 
         print(f"mcap: {write_bag(recorded, circuit, bag)}")
-
-
-def _policy(option: str, text: str) -> Policy:
-    """Read a policy; the error for an agent names the command for agents."""
-    try:
-        return parse_own_policy(text)
-    except UnknownNameError:
-        name = split_name(text)[0]
-        if name in planner_names() or (name not in AGENTS and not name.startswith("always-")):
-            raise
-    raise InputError(
-        f"{option} is {text!r}, an agent, which moves between the policies of an archive; this"
-        " command takes policies (pcs-racing policies). For agents: pcs-racing tournament --agents"
-        f" {shlex.quote(text)} never-switch"
-    )
 
 
 def _series(

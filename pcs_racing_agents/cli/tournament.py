@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.base.jobs import Job, open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     AGENT_HELP,
     DEFAULT_TRACK,
-    POLICY_HELP,
     ArchiveName,
     Circuits,
+    Like,
     Rules,
     Workers,
     archive_for,
@@ -25,7 +24,6 @@ from pcs_racing_agents.cli.options import (
 
 if TYPE_CHECKING:
     from pcs_racing_agents.tournament import Protocol, TournamentPlan
-    from pcs_racing_agents.tournament.play import Entrant
 
 RACES = 20
 
@@ -33,9 +31,9 @@ RACES = 20
 @command(
     "tournament",
     "pcs-racing tournament --agents cfr-argmax never-switch",
-    "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher"
+    "pcs-racing tournament --track Tarnfjord --agents never-switch random-moves lane-switcher:any"
     " --races 40",
-    "pcs-racing tournament --track Pipkin --policies lattice lattice:pace=0.9 --rules contest --out"
+    "pcs-racing tournament --track Pipkin --agents lattice lattice:pace=0.9 --rules contest --out"
     " out/mine",
     "pcs-racing tournament --protocol bench-v4 --agents best-fixed model.zip --out out/bench",
 )
@@ -44,9 +42,9 @@ def run(
     track: Circuits = (DEFAULT_TRACK,),
     agents: Annotated[
         Sequence[str],
-        Option(f"agent or planner: {AGENT_HELP}", "AGENT"),
-    ] = (),
-    policies: Annotated[Sequence[str], Option(POLICY_HELP, "POLICY")] = (),
+        Option(f"racer: {AGENT_HELP}", "AGENT"),
+    ],
+    like: Like = None,
     protocol: Annotated[
         str | None,
         Option(
@@ -77,23 +75,18 @@ def run(
         write_results,
     )
 
-    if len(agents) + len(policies) < (2 if protocol is None else 1):
-        raise InputError(
-            "a tournament needs at least 2 competitors, by a protocol 1: name them after --agents"
-            " or --policies"
-        )
-    entrants: list[Entrant] = [*agents, *(parse_own_policy(text) for text in policies)]
     fixed = None
     if protocol is None:
         config = rules.config()
         plan = plan_tournament(
             [load_track(name) for name in track],
-            entrants,
+            agents,
             config,
             archive=archive_for(archive, config),
             races_per_pair=races,
             seed=rules.seed,
             code=True,
+            like=like,
         )
     elif (*track, rules, archive, races) != (DEFAULT_TRACK, Rules(), None, RACES):
         raise InputError(
@@ -101,7 +94,7 @@ def run(
             " options out, or write your own protocol"
         )
     else:
-        fixed = load_protocol(protocol, entrants)
+        fixed = load_protocol(protocol, agents, like)
         plan = fixed.plan
     # The table is printed within the job, which locks the folder against other writers.
     with workers.start() as executor, _job(out, plan, fixed) as job:

@@ -127,7 +127,7 @@ def run(
 
 def _explain(results: "ResultsFolder", number: int, car: int | None, picture: Path | None) -> None:
     """Print the explanation of a race, and draw it if a file is given."""
-    from pcs_racing_agents.agents.agent import Driver
+    from pcs_racing.planners.planner import PolicySet
     from pcs_racing_agents.watch.explain import explain_race
     from pcs_racing_agents.watch.words import story
 
@@ -135,7 +135,7 @@ def _explain(results: "ResultsFolder", number: int, car: int | None, picture: Pa
     pairing = results.pairing(row)
     if car is None:
         # A planner has no moves to explain: then the other car is explained.
-        car = int(isinstance(pairing.ego, Driver))
+        car = int(isinstance(pairing.ego, PolicySet))
     explanation = explain_race(pairing, row.race, car=car)
     results.check_lead(number, explanation.played.lead[0])
     print(story(explanation))

@@ -41,6 +41,7 @@ from pcs_racing_agents.agents.sb3_files import (
     ACTIVATIONS,
     ObservationScale,
     Sb3Policy,
+    drive_arguments_of,
     frozen_model,
 )
 
@@ -146,7 +147,7 @@ class League:
         copies = [member for member in self.members if member.model is not None]
         number = 1 + max((int(one.name.removeprefix("self-")) for one in copies), default=0)
         name = f"self-{number:04d}"
-        frozen, arguments = frozen_model(model, name)
+        frozen, arguments = frozen_model(model, name), drive_arguments_of(model, name)
         old = copies[: max(0, len(copies) + 1 - max_copies)]
         kept = [one for one in self.members if one not in old]
         return League((*kept, Member(name, weight, model=frozen, arguments=arguments)))

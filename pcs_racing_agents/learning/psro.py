@@ -14,8 +14,9 @@ import numpy as np
 from annotated_types import Interval
 
 from pcs_racing.base.settings import Settings, Text
+from pcs_racing.game.players import Competitor
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.configurations import load_config

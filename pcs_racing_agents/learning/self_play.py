@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import OneOf
 from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.players import random_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
@@ -39,7 +40,6 @@ from pcs_racing_agents.learning.responses.branches import (
     block_rows,
     branch_games,
     game_blocks,
-    random_player,
 )
 from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.learning.responses.learner import LearnerSettings
@@ -252,7 +252,7 @@ class RaceSampler:
             ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move
             minus the strategy's value; ``game`` (R,), the index of the key.
         """
-        random = random_player(self.game, self.spec, 2)
+        random = random_moves(self.game, seed=2)
         first, second = (self._player(network, exploration, seed) for seed in (0, 1))
         game = game_between(self.game, first, second)
         moves = len(self.identity.moves)
@@ -265,10 +265,10 @@ class RaceSampler:
             "game": branches.game,
         }
 
-    def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Agent:
+    def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Any:
         if network is None:
             # Draws are a function of seed and observation: these seeds differ from the seeds of the
             # regret-matching players.
-            return random_player(self.game, self.spec, seed + 2)
+            return random_moves(self.game, seed=seed + 2)
         strategy = ExploringStrategy(network, exploration, len(self.spec.moves))
         return Agent("self-play", strategy, self.spec, seed)

@@ -87,7 +87,7 @@ def draw_scenarios(
     opponents : ndarray, shape (O, P), optional
         Parameters of policies, met in addition to the rivals.
     rivals : sequence of str
-        Policies of any planner; format of :func:`pcs_racing.parse_policy`.
+        Policies of any planner; format of :func:`pcs_racing.racer`.
     segment_seconds : float, optional
         Length of the segments whose mean is a coordinate, s; the whole race by default.
     starts : int

@@ -213,7 +213,7 @@ def tune(
 
 
 def policy_text(planner: Planner, theta: Floats) -> str:
-    """Return a policy as a text for :func:`pcs_racing.parse_policy`, with four digits."""
+    """Return a policy as a text for :func:`pcs_racing.racer`, with four digits."""
     values = zip(planner.parameters, theta, strict=True)
     pairs = (f"{p.name}={np.clip(float(f'{v:.4g}'), p.low, p.high):.6g}" for p, v in values)
     return f"{planner.name}:{','.join(pairs)}"

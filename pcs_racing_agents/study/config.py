@@ -84,7 +84,7 @@ class TableConfig(Settings):
     opponents: Annotated[Names, "Opponents of the table."] = (
         "never-switch",
         "random-policy",
-        "lane-switcher",
+        "lane-switcher:any",
     )
     agents: Annotated[Names, "Agents of the table; the first is the base of the differences."] = (
         "never-switch",

@@ -14,11 +14,11 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import GameConfig
+from pcs_racing.game.players import competitor
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.study.config import load_study_config
 from pcs_racing_agents.study.study import Study
@@ -146,7 +146,7 @@ def _tournament_pairing(
     plan = plan_tournament(
         _load_track(place),
         {
-            name: parse_agent(name, spec, seed=seed, code=name in code)
+            name: competitor(name, spec, seed=seed, code=name in code)
             for name in (row.ego, row.opponent)
         },
         rules,

@@ -8,11 +8,12 @@ from pathlib import Path
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.make import make_game
+from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
-from pcs_racing_agents.agents.zoo import build, parse_agent
+from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.progress import Progress, show_progress
 from pcs_racing_agents.study.config import BASELINES, StudyConfig
 
@@ -79,7 +80,7 @@ class Study:
         # Networks of this study replace shipped networks.
         if NETWORKS.get(name) in learning.networks:
             return build(name, self.spec, seed=seed, network=self.network(NETWORKS[name]))
-        return parse_agent(name, self.spec, seed=seed)
+        return competitor(name, self.spec, seed=seed)
 
     def progress(self, unit: str) -> Progress | None:
         """Return a progress function that updates a line on stderr; None if ``quiet``."""

@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.players import Competitor
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.racers import own_name
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Agent, Competitor
+from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
 from pcs_racing_agents.agents.fits import Fit, make_fit
 from pcs_racing_agents.agents.game_spec import GameSpec
@@ -54,7 +55,7 @@ class TrainingRaces:
         """Return facts about the selection of a fit, for its file."""
         return {
             "tracks": ", ".join(track.name for track in self.tracks),
-            "opponents": ", ".join(map(competitor_name, self.opponents)),
+            "opponents": ", ".join(map(own_name, self.opponents)),
             "races": self.races * len(self.tracks) * len(self.opponents),
             "candidates": candidates,
             "seed": self.seed,

@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.competitor import ask_moves, check_competitor, competitor_name
+from pcs_racing.game.players import Competitor, ask_moves, check_competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
+from pcs_racing.planners.planner import PolicySet
+from pcs_racing.planners.racers import own_name
 from pcs_racing.race.config import DT
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.agent import Competitor, Driver
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.tournament.races import narrow
 
@@ -32,12 +33,12 @@ CARS = ("ego", "opponent")
 
 def variant_count(game: RaceGame, competitor: Competitor) -> int:
     """Return the number of a competitor's variants: a planner's policies, or the archive's size."""
-    return len(competitor.policies) if isinstance(competitor, Driver) else len(game.archive)
+    return len(competitor.policies) if isinstance(competitor, PolicySet) else len(game.archive)
 
 
 def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceGame:
     """Return the game of two competitors: with the move "stay" and their planners."""
-    planners = [car.planner if isinstance(car, Driver) else None for car in (ego, opponent)]
+    planners = [car.planner if isinstance(car, PolicySet) else None for car in (ego, opponent)]
     config = game.config if game.config.stay else replace(game.config, stay=True)
     game = replace(game, config=config, ego_planner=planners[0], opponent_planner=planners[1])
     for car in (ego, opponent):
@@ -77,7 +78,7 @@ def race_columns(
         if len(wrong):
             raise InputError(
                 f"game {wrong[0]}: the {CARS[car]}'s variant is {variants[wrong[0], car]}; "
-                f"{competitor_name(competitor)!r} has variants 0 to {count - 1}"
+                f"{own_name(competitor)!r} has variants 0 to {count - 1}"
             )
     games = _drive(game, egos, opponent, variants.astype(np.int64), starts, keys)
     return [_columns(game, games, k) for k in range(len(egos))]
@@ -104,7 +105,7 @@ def _drive(
     """Simulate the branches of all games, step by step."""
     games, steps = len(variants), game.config.moves
     planned = [
-        [car.policies[i] for i in variants[:, place]] if isinstance(car, Driver) else None
+        [car.policies[i] for i in variants[:, place]] if isinstance(car, PolicySet) else None
         for place, car in enumerate((egos[0], opponent))
     ]
     # A planner's variant is no archive policy: -1 marks its column.
@@ -129,7 +130,7 @@ def _drive(
         seen = game.observation(state)
         own = np.zeros(branch.shape, np.int64)
         for k, ego in enumerate(egos):
-            if not isinstance(ego, Driver):
+            if not isinstance(ego, PolicySet):
                 own[k], memories[k] = _ask_ego(ego, game, state, branch[k], seen, memories[k])
                 moves[k, running[k], 0, step] = own[k, running[k]]
         replies = np.zeros(state.games, np.int64)

@@ -21,14 +21,14 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.racers import own_name
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.tournament.games import game_between, race_columns, variant_count
 
@@ -105,7 +105,7 @@ class Pairing:
     @property
     def names(self) -> tuple[str, str]:
         """Names of ego and opponent."""
-        return competitor_name(self.ego), competitor_name(self.opponent)
+        return own_name(self.ego), own_name(self.opponent)
 
     def take(self, rows: ArrayLike) -> "Pairing":
         """Return the races with these indices."""
@@ -173,8 +173,8 @@ def cross_pairing(
     ----------
     ego, opponent : Agent, Driver, Policy, or object with ``act`` or ``predict``
         Competitors in car 0 and car 1. In the paper "never-switch" is the non-GT agent,
-        "random-policy" the random agent, "lane-switcher" the held-out agent. The draws depend only
-        on the numbers of variants: all agents drive the same races.
+        "random-policy" the random agent, "lane-switcher:any" the held-out agent. The draws
+        depend on the numbers of variants alone: all agents drive the same races.
     egos, opponents : int or sequence of int
         Number of variants, drawn without repetition (at most all variants), or a list of variants.
     lines : int
@@ -182,7 +182,7 @@ def cross_pairing(
     seed : int
         Seed of the draws; it must be equal for compared pairings.
     """
-    cars = (as_agent(ego), as_agent(opponent))
+    cars = (competitor(ego, game), competitor(opponent, game))
     meeting = game_between(game, *cars)
     check_whole("lines", lines, 1, 1000)
     # Check the seed before any draw, with the error message of the function that uses it.

@@ -12,16 +12,15 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives
-from pcs_racing.game.competitor import competitor_name
 from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.racers import own_name
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Competitor, as_agent, competitor_hash
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import (
@@ -34,7 +33,8 @@ from pcs_racing_agents.tournament.races import RaceRow, RaceTable, concatenate_r
 from pcs_racing_agents.tournament.ratings import RoundRobin, round_robin
 from pcs_racing_agents.tournament.runner import Recording, play_pairings, repeat_race
 
-Entrant = str | Policy | Competitor
+Entrant = Any
+"""A text or an object for :func:`pcs_racing.racer`."""
 Rules = GameConfig | RaceConfig | str | Path
 
 
@@ -53,7 +53,7 @@ class TournamentPlan:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the competitors, in the order of the table."""
-        return tuple(map(competitor_name, self.competitors))
+        return tuple(map(own_name, self.competitors))
 
     @cached_property
     def pairings(self) -> tuple[Pairing, ...]:
@@ -132,10 +132,11 @@ def plan_tournament(
     races_per_pair: int = 20,
     seed: int = 0,
     code: bool = False,
+    like: Any = None,
 ) -> TournamentPlan:
     """Check the arguments of a tournament, and draw its races; see :func:`play_tournament`.
 
-    ``code``: True to allow names of user code, as in :func:`pcs_racing_agents.agents.parse_agent`.
+    ``code``: True to allow names of user code, as in :func:`pcs_racing_agents.agents.competitor`.
     """
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
@@ -143,10 +144,8 @@ def plan_tournament(
     named = entrants.items() if isinstance(entrants, Mapping) else [(None, e) for e in entrants]
     competitors = []
     for name, entrant in named:
-        if isinstance(entrant, str):
-            entrant = parse_agent(entrant, spec, seed=seed, code=code)
-        competitors.append(as_agent(entrant, name))
-    _check_distinct("competitors", [competitor_name(entrant) for entrant in competitors], 2)
+        competitors.append(competitor(entrant, spec, code, name=name, like=like, seed=seed))
+    _check_distinct("competitors", [own_name(entrant) for entrant in competitors], 2)
     rules = spec.config.race_rules
     schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
     source = spec.identity.archive
@@ -171,6 +170,7 @@ def play_tournament(
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
     seed: int = 0,
+    like: Any = None,
     **run: Unpack[Run],
 ) -> Tournament:
     """Play every pair of competitors against each other.
@@ -181,8 +181,7 @@ def play_tournament(
     Parameters
     ----------
     entrants : sequence, or mapping by name
-        At least two agents, planners, policies, names (:func:`pcs_racing_agents.agents.make`), or
-        objects with ``act`` or ``predict``; with different names.
+        At least two texts or objects (:func:`pcs_racing.racer`), with different names.
     race : GameConfig, RaceConfig, str or path
         Rules. Race rules give a game of the same duration (:func:`game_rules`); their
         ``start_lines`` is not used, since every two races draw their own line.
@@ -190,13 +189,15 @@ def play_tournament(
         Number of races of each pair on each track; even, from 2 to 2000.
     seed : int
         Seed of start lines, start policies and noise, and of the draws of agents given by name.
+    like : str, mapping or environment, optional
+        Training environment of models that do not hold its arguments (:func:`pcs_racing.racer`).
     **run
         ``job``, ``executor``, ``progress`` as for
         :func:`pcs_racing_agents.tournament.play_pairings`; open a job with
         :func:`tournament_settings`.
     """
     plan = plan_tournament(
-        tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed
+        tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed, like=like
     )
     return play_plan(plan, **run)
 
@@ -223,8 +224,7 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
         "tracks": {track.name: track.content_hash for track in plan.tracks},
         **({"maps": own_maps} if own_maps else {}),
         "agents": {
-            competitor_name(competitor): competitor_hash(competitor)
-            for competitor in plan.competitors
+            own_name(competitor): competitor_hash(competitor) for competitor in plan.competitors
         },
     }
 

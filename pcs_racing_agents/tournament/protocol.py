@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text
-from pcs_racing.game.competitor import competitor_name
+from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.racers import own_name
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.agent import Competitor, as_agent, competitor_hash
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Run
@@ -73,7 +73,7 @@ class Protocol:
             ("archive", spec.archive.name, spec.archive.content_hash),
             ("rules", self.config.rules, fingerprint(spec.config)),
             *(("track", track.name, track.content_hash) for track in self.plan.tracks),
-            *(("opponent", competitor_name(car), competitor_hash(car)) for car in self.opponents),
+            *(("opponent", own_name(car), competitor_hash(car)) for car in self.opponents),
         ]
         # Sixteen digits distinguish versions.
         return tuple(f"{kind} {name} {digest[:16]}" for kind, name, digest in lines)
@@ -103,7 +103,9 @@ class ProtocolScore(NamedTuple):
     gain: str  #: Score minus the score of the first agent on the same races, with its interval.
 
 
-def load_protocol(source: str | ProtocolConfig, agents: Sequence[Entrant]) -> Protocol:
+def load_protocol(
+    source: str | ProtocolConfig, agents: Sequence[Entrant], like: Any = None
+) -> Protocol:
     """Return the protocol of a shipped name, a YAML file or a config, for agents.
 
     Names of agents may name user code, names of opponents may not.
@@ -111,11 +113,9 @@ def load_protocol(source: str | ProtocolConfig, agents: Sequence[Entrant]) -> Pr
     config = load_config("protocol", ProtocolConfig(), source)
     rules = game_rules(config.rules)
     spec = make_game_spec(config.archive, rules)
-    given = {agent if isinstance(agent, str) else competitor_name(agent) for agent in agents}
+    given = {agent if isinstance(agent, str) else own_name(agent) for agent in agents}
     rivals = [
-        as_agent(parse_agent(name, spec, seed=config.seed), name)
-        for name in config.opponents
-        if name not in given
+        competitor(name, spec, seed=config.seed) for name in config.opponents if name not in given
     ]
     plan = plan_tournament(
         [load_track(name) for name in (*config.train, *config.test)],
@@ -125,6 +125,7 @@ def load_protocol(source: str | ProtocolConfig, agents: Sequence[Entrant]) -> Pr
         races_per_pair=config.races,
         seed=config.seed,
         code=True,
+        like=like,
     )
     named = dict(zip(plan.names, plan.competitors, strict=True))
     protocol = Protocol(
@@ -160,7 +161,7 @@ def play_protocol(protocol: Protocol, **run: Unpack[Run]) -> RaceTable:
 def protocol_scores(protocol: Protocol, races: RaceTable) -> list[ProtocolScore]:
     """Return the scores of all agents, highest first."""
     ego = np.array(races.agents.words)[races.agents.codes[:, 0]]
-    names = [competitor_name(agent) for agent in protocol.agents]
+    names = [own_name(agent) for agent in protocol.agents]
     own = {name: races.take(ego == name) for name in names}
     scores = [_score(protocol, name, own[name], own[names[0]]) for name in names]
     return sorted(scores, key=lambda one: -one.score)
@@ -193,7 +194,7 @@ def _mean(values: NDArray[np.float64], races: RaceTable) -> tuple[float, float, 
 
 def protocol_text(protocol: Protocol, races: RaceTable) -> str:
     """Return the table of the scores as text."""
-    config, first = protocol.config, competitor_name(protocol.agents[0])
+    config, first = protocol.config, own_name(protocol.agents[0])
     columns = (
         Column("agent"),
         Column("score", format=".3f"),

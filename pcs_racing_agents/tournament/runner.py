@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.planner import PolicySet
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.agents.agent import Driver, competitor_hash
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Job, Run, run_with_or_without
 from pcs_racing_agents.base.progress import Progress
@@ -58,7 +59,7 @@ def repeat_race(pairing: Pairing, race: int, *, candidates: bool = True) -> Reco
     theta = np.zeros((driven, 2, game.setup.theta_size))
     for car, competitor in enumerate(cars):
         for step in range(driven):
-            if isinstance(competitor, Driver):
+            if isinstance(competitor, PolicySet):
                 parameters = competitor.policies[one.variants[0, car]].parameters
             else:
                 parameters = game.archive.policy(int(path[car, step])).parameters
@@ -176,7 +177,7 @@ def _groups(pairings: Sequence[Pairing]) -> list[list[int]]:
         draws = (pairing.variants, pairing.starts.s, pairing.starts.side, pairing.noise)
         # By identity, since a comparison of equal games would compare their maps.
         same: Any = (id(pairing.game), id(pairing.opponent), *(array.tobytes() for array in draws))
-        groups.setdefault(i if isinstance(pairing.ego, Driver) else same, []).append(i)
+        groups.setdefault(i if isinstance(pairing.ego, PolicySet) else same, []).append(i)
     return list(groups.values())
 
 

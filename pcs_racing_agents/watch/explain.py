@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import LEAD_SCALE
+from pcs_racing.game.players import Competitor, ConstantPlayer
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.planners.planner import PolicySet
 from pcs_racing.race.replay import Replay, ReplayEvent
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
-from pcs_racing_agents.agents.blind import ConstantStrategy, OpenLoopStrategy, WalkStrategy
+from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.blind import OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
@@ -77,9 +79,11 @@ def explain_race(pairing: Pairing, race: int, *, car: int = 0) -> Explanation:
     """Repeat a race of a pairing and explain the moves of one car, 0 or 1."""
     cars = (pairing.ego, pairing.opponent)
     competitor = cars[car]
-    if isinstance(competitor, Driver):
+    if isinstance(competitor, PolicySet):
         other = (
-            "nor does the other car's" if isinstance(cars[1 - car], Driver) else "try the other car"
+            "nor does the other car's"
+            if isinstance(cars[1 - car], PolicySet)
+            else "try the other car"
         )
         raise InputError(
             f"{competitor.name!r} in car {car} makes no moves, so there is nothing to explain;"
@@ -146,9 +150,8 @@ def _steps(
 
 def is_open_loop(competitor: Competitor) -> bool:
     """Return whether an agent's moves are known to depend only on time and its own policy."""
-    return isinstance(
-        getattr(competitor, "strategy", None), ConstantStrategy | OpenLoopStrategy | WalkStrategy
-    )
+    strategy = getattr(competitor, "strategy", competitor)
+    return isinstance(strategy, ConstantPlayer | OpenLoopStrategy | WalkStrategy)
 
 
 def value_unit(network: RegretNetwork, utility: str) -> Unit:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.game.competitor import NEVER_SWITCH
+from pcs_racing.game.players import NEVER_SWITCH
 from pcs_racing_agents.tournament import RaceTable
 
 OUTCOMES = (

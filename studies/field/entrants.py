@@ -8,10 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import InputError, UnknownNameError, say_once
+from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names
-from pcs_racing_agents.agents.agent import Competitor, as_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.policies.tuning import (
@@ -66,8 +65,8 @@ class Entrant(NamedTuple):
     def competitor(self, spec: GameSpec) -> Competitor:
         """Return the agent or policy."""
         if self.kind == "agent":
-            return parse_agent(self.text, spec)
-        return as_agent(parse_policy(self.text), self.label)
+            return competitor(self.text, spec)
+        return competitor(self.text, spec, name=self.label)
 
 
 def default_texts(size: Size) -> dict[str, str]:
@@ -153,7 +152,7 @@ def agent_entrants(spec: GameSpec) -> list[Entrant]:
     found = []
     for name in AGENTS:
         try:
-            parse_agent(name, spec)
+            competitor(name, spec)
         except UnknownNameError as error:
             say_once(f"without {name}: {error}")
         else:

@@ -8,11 +8,11 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import load_game_config
+from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.base.jobs import Run, open_job
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.base.statistics import clustered_mean
@@ -68,7 +68,7 @@ def race_plans(
         game = RaceGame(track, spec.archive, spec.config)
         schedule = draw_schedule(track, spec.config.race_rules, races, SEEDS[1])
         for opponent in OPPONENTS:
-            rival = parse_agent(opponent, spec)
+            rival = competitor(opponent, spec)
             for arm, (plan, _) in plans.items():
                 ego = plan_agent(spec, plan, arm)
                 pairings.append(schedule_pairing(game, ego, rival, schedule, SEEDS[1]))
@@ -139,7 +139,7 @@ def run(
     with workers.start() as executor, open_job(output_folder(out), "long-races", settings) as job:
         how = Run(job=job, executor=executor, progress=show_progress("races"))
         for k, ((name, seconds), spec) in enumerate(specs.items()):
-            rivals = tuple(parse_agent(opponent, spec) for opponent in OPPONENTS)
+            rivals = tuple(competitor(opponent, spec) for opponent in OPPONENTS)
             races = TrainingRaces(tuple(own), rivals, spec, training, SEEDS[0])
             plans = fit_plans(races, f"fit-{k}", **how)
             scores = race_plans(spec, plans, others, test, f"test-{k}", **how)

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
-from pcs_racing_agents.agents.own_code import parse_own_policy
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import POLICY_HELP, TRACK_HELP
 
@@ -37,7 +37,7 @@ def run(
         summary,
     )
 
-    egos = [parse_own_policy(text) for text in policies]
+    egos = [policy_racer(text) for text in policies]
     tracks = [load_track(name) for name in track or list_tracks()]
     given = [made_lines(one) if lines is None else read_lines(one, lines) for one in tracks]
     found = {

@@ -7,13 +7,13 @@ start line is raced from both sides.
 from collections.abc import Mapping
 from pathlib import Path
 
+from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import planner_names
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.agents.zoo import parse_agent
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
 from pcs_racing_agents.tournament.play import game_rules
 from studies.circuits import real_circuits
@@ -30,7 +30,7 @@ LEVELS = {
 """Racers by level."""
 OPPONENTS = (
     "never-switch",
-    "lane-switcher",
+    "lane-switcher:any",
     "random-moves",
     "cfr-argmax",
     "lattice",
@@ -87,7 +87,7 @@ def make_pairings(
 ) -> list[tuple[Key, Pairing]]:
     """Return the pairings of all pairs on all circuits, with their keys."""
     spec = make_game_spec(ARCHIVES[rules], game_rules(load_race_config(rules)))
-    cars = {name: parse_agent(name, spec) for name in (*racers(), *OPPONENTS)}
+    cars = {name: competitor(name, spec) for name in (*racers(), *OPPONENTS)}
     found: list[tuple[Key, Pairing]] = []
     for kind, track in [(one, track) for one, several in tracks.items() for track in several]:
         game = RaceGame(track, spec.archive, spec.config)

@@ -5,7 +5,7 @@ import pytest
 from placed_cars import view_of
 from refusal import refused
 
-from pcs_racing import load_track, parse_policy
+from pcs_racing import load_track, racer
 from pcs_racing.base.errors import MapError
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import hold_command
@@ -82,9 +82,7 @@ def test_the_opponent_reads_speeds_between_samples_and_leaves_5_cm_to_the_wall()
 
 
 def test_a_faster_car_overtakes_slow_ones_more_often_and_one_seed_has_one_result(lines):
-    one, again = (
-        race_scenarios(lines, parse_policy("predictive-spliner"), threads=n) for n in (1, 2)
-    )
+    one, again = (race_scenarios(lines, racer("predictive-spliner"), threads=n) for n in (1, 2))
     np.testing.assert_array_equal(one.overtakes, again.overtakes)
     assert not (one.overtakes & ~one.safe).any()
     slow, fast = (one.overtakes[one.factor == factor].mean() for factor in (0.5, 0.8))

@@ -12,7 +12,7 @@ import numpy as np
 import pettingzoo
 
 import pcs_racing
-from pcs_racing import load_race_config, load_track, parse_policy
+from pcs_racing import load_race_config, load_track, racer
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
@@ -62,11 +62,11 @@ SHORT_GAME = {"archive": archive(), "step_seconds": 0.6}
 
 def races() -> Values:
     """A short race of each planner under each preset, and the ends of long ones."""
-    track, ego = load_track(TRACK), parse_policy("lattice:early")
+    track, ego = load_track(TRACK), racer("lattice:early")
     out: Values = {}
     for preset in PRESETS:
         for text, policy in RIVALS.items():
-            rival = parse_policy(policy)
+            rival = racer(policy)
             setup = RaceSetup(
                 track,
                 load_race_config(preset, duration=SHORT_SECONDS, start_lines=2),
@@ -86,7 +86,7 @@ def races() -> Values:
         starts = draw_starts(track, config, LONG_RACES, 1)
         for text, policy in list(RIVALS.items())[:2]:
             ended = pcs_racing.run_races(
-                track, ego, parse_policy(policy), config, seed=1, starts=starts, threads=1
+                track, ego, racer(policy), config, seed=1, starts=starts, threads=1
             )
             out[f"ends {preset} {text}"] = np.column_stack(
                 [ended.lead, ended.time, ended.winner, ended.crashed]

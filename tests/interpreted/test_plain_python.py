@@ -9,12 +9,12 @@ are quick enough run that way, too.
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, PAPER, load_race_config, parse_policy, run_races
+from pcs_racing import CONTEST, PAPER, load_race_config, racer, run_races
+from pcs_racing.game.players import draw
 from pcs_racing.race.races import draw_starts
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import first_crossing, resample
 from pcs_racing.track.mapping.circuits import generate_circuit
-from pcs_racing_agents.agents.agent import draw
 
 
 @pytest.mark.parametrize(
@@ -26,8 +26,8 @@ def test_a_second_of_racing(coarse_oval, rival):
     starts = draw_starts(coarse_oval, config, 1, 0)
     ended = run_races(
         coarse_oval,
-        parse_policy("lattice"),
-        parse_policy(rival),
+        racer("lattice"),
+        racer(rival),
         config,
         starts=starts,
         seed=0,

@@ -9,9 +9,9 @@ from zoo_games import CONFIG, toy_archive, untrained
 from pcs_racing import load_race_config, load_track, make_game
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
+from pcs_racing.game.players import always, never_switch
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec
-from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main

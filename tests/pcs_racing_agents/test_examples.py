@@ -12,6 +12,7 @@ from warm_start import call_python
 from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.car.vehicle import F1TENTH, MU, STEER_DELAY
 from pcs_racing.envs.draws import load_randomization
+from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
 from pcs_racing.planners.line_ppo import read_line_planner
@@ -19,7 +20,6 @@ from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import own
-from pcs_racing_agents.agents.zoo import parse_agent
 
 EXAMPLES = REPOSITORY / "examples"
 
@@ -117,7 +117,7 @@ def test_a_trained_agent_enters_a_tournament(tmp_path, monkeypatch, script, libr
     monkeypatch.syspath_prepend(REPOSITORY)
     monkeypatch.chdir(tmp_path)
     spec = make_game_spec("contest", "contest")
-    agent = parse_agent(f"examples.{Path(script).stem}:make_agent", spec, code=True)
+    agent = competitor(f"examples.{Path(script).stem}:make_agent", spec, code=True)
     game = RaceGame(load_track("Pipkin"), spec.archive, spec.config)
     seen = game.observation(game.reset(games=6, seed=1))[0]
     moves = agent.act(seen)

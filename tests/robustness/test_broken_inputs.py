@@ -25,11 +25,10 @@ from hypothesis.extra.numpy import array_shapes, arrays
 from test_data_run_no_code import KINDS, made
 from test_found_by_fuzzing import tree
 
-from pcs_racing import InputError, load_archive, load_track, parse_policy
+from pcs_racing import InputError, load_archive, load_track, racer
 from pcs_racing.base.settings import Settings, load_settings
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
-from pcs_racing_agents.agents import parse_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
@@ -210,8 +209,8 @@ def test_other_arrays_in_a_game_tree(data):
 TEXTS = {
     load_track: "Pipkin",
     load_archive: "default",
-    parse_policy: "lattice:pace=0.8,side_margin=0.2",
-    lambda text: parse_agent(text, make_game_spec()): "cfr-argmax:network=default-paper-regret",
+    racer: "lattice:pace=0.8,side_margin=0.2",
+    lambda text: racer(text, make_game_spec()): "cfr-argmax:network=default-paper-regret",
 }
 
 

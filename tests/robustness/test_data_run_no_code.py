@@ -25,21 +25,20 @@ from pcs_racing import (
     load_race_config,
     load_track,
     make_game,
+    racer,
 )
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle
 from pcs_racing.envs.draws import load_randomization
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.f1tenth.maps import load_map
-from pcs_racing.game.competitor import make_competitor
 from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.field.lidar_ppo import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.maps import read_map
-from pcs_racing_agents.agents import export_onnx, make, parse_agent
-from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.agents.sb3_files import load_model, load_sb3_policy
+from pcs_racing_agents.agents import export_onnx, make
+from pcs_racing_agents.agents.sb3_files import read_zip
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
 from pcs_racing_agents.learning.league import League, Member, load_league, save_league
@@ -166,30 +165,34 @@ def study_folder(folder: Path) -> Path:
     return place
 
 
-def model(folder: Path) -> Path:
-    """Write the weights of a model, and the arguments of its environment."""
+ORIGIN = {"environment": "drive", "see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]}
+
+
+def read_model(file: Path) -> object:
+    """Return the policy of a zip whose spaces name the environment in a file."""
     torch = pytest.importorskip("torch")
     layers = {"mlp_extractor.policy_net.0": (4, 41), "action_net": (2, 4)}
     state = {f"{name}.weight": torch.zeros(shape) for name, shape in layers.items()}
     state |= {f"{name}.bias": torch.zeros(shape[0]) for name, shape in layers.items()} | {
         "log_std": torch.zeros(2)
     }
-    with zipfile.ZipFile(folder / "model.zip", "w") as file:
-        file.writestr(
-            "data",
-            json.dumps({"policy_kwargs": {":type:": "<class 'torch.nn.modules.activation.Tanh'>"}}),
-        )
-        with file.open("policy.pth", "w") as weights:
+    written = {
+        "policy_class": {"__module__": "stable_baselines3.common.policies"},
+        "observation_space": {"pcs_racing": file.read_text()},
+    }
+    with zipfile.ZipFile(file.with_suffix(".zip"), "w") as made_file:
+        made_file.writestr("data", json.dumps(written))
+        with made_file.open("policy.pth", "w") as weights:
             torch.save(state, weights)
-    return settings("model.yaml", {"see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]})(
-        folder
-    )
+    return racer(file.with_suffix(".zip"))
 
 
 def league(folder: Path) -> Path:
     """Save a league of a planner and the frozen copy of a model."""
-    file = model(folder)
-    weights, arguments = load_sb3_policy(file.with_suffix(".zip")), yaml.safe_load(file.read_text())
+    (folder / "origin.json").write_text(json.dumps(ORIGIN))
+    read_model(folder / "origin.json")
+    weights, origin = read_zip(folder / "origin.zip")
+    arguments = {key: value for key, value in origin.items() if key != "environment"}
     copy = Member("self-0001", model=weights, arguments=arguments)
     return save_league(folder / "league", League((Member("lattice"), copy))) / LEAGUE_FILE
 
@@ -216,10 +219,10 @@ def config(
     return Kind(settings("settings.yaml", given), lambda file: use(load(file)), load.__name__)
 
 
-def competitor(file: Path) -> object:
-    """Make competitors of the environments from texts in a file."""
+def racers(file: Path) -> object:
+    """Make racers from texts in a file."""
     game = make_game("Pipkin", "default", load_game_config("paper"))
-    return [make_competitor(text, game) for text in yaml.safe_load(file.read_text())]
+    return [racer(text, game) for text in yaml.safe_load(file.read_text())]
 
 
 KINDS = {
@@ -256,9 +259,7 @@ KINDS = {
     ),
     "network": Kind(
         shipped("pcs_racing_agents/data/networks", "default-paper-regret/manifest.yaml"),
-        lambda file: parse_agent(
-            f"cfr-argmax:network={file.parent}", make_game_spec("default", "paper")
-        ),
+        lambda file: make(f"cfr-argmax:network={file.parent}"),
     ),
     "set of networks": Kind(
         shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
@@ -284,9 +285,7 @@ KINDS = {
     "trees": Kind(
         settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"
     ),
-    "model": Kind(
-        model, lambda file: load_model(file.with_suffix(".zip")), "load_model load_sb3_policy"
-    ),
+    "model": Kind(settings("origin.json", ORIGIN), read_model, "read_zip"),
     "league": Kind(league, lambda file: load_league(file.parent).opponents(), "_read_copy"),
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
@@ -311,7 +310,7 @@ KINDS = {
     "psro": config(load_psro_settings),
     "self-play": config(load_self_play_settings),
     "training": config(load_train_settings),
-    "texts of opponents": Kind(settings("texts.yaml", {"": "lattice"}), competitor),
+    "texts of opponents": Kind(settings("texts.yaml", {"": "lattice"}), racers),
 }
 NAMELESS = {
     # the readers that the others call
@@ -331,7 +330,9 @@ NAMELESS = {
     "_section",
     "check",
     "write_model_card",  # texts of a manifest
-    "parse_agent",  # a text, in which an option's value is no name of code
+    "read_agent",  # a text, in which an option's value is no name of code
+    "_parse_like",
+    "read_origin",
 }
 """Functions that call a reader of files, and need no row."""
 
@@ -415,15 +416,7 @@ def test_every_reader_of_files_has_a_row():
 
 def test_code_is_run_for_words_of_the_command_line_alone():
     """Whatever else is to run code must be added here, where a reader sees it."""
-    doors = {
-        "own_code",
-        "parse_own_policy",
-        "own_file",
-        "run_file",
-        "driver_classes",
-        "drivers_from",
-        "load_entrant",
-    }
+    doors = {"own_file", "run_file", "driver_classes", "drivers_from"}
     found: dict[str, set[str]] = {}
     for file, _, name, node in calls():
         allowed = [ast.unparse(word.value) for word in node.keywords if word.arg == "code"]
@@ -431,17 +424,15 @@ def test_code_is_run_for_words_of_the_command_line_alone():
             found.setdefault(file, set()).add(" ".join([name, *allowed]))
     assert found == {
         "pcs_racing/planners/imported.py": {"own_file", "driver_classes"},  # the doors themselves
-        "pcs_racing/planners/own_files.py": {"own_file"},
-        "pcs_racing_agents/agents/own_code.py": {"drivers_from", "own_code", "run_file"},
-        "pcs_racing_agents/agents/zoo.py": {"own_code", "parse_agent True"},
-        "pcs_racing_agents/tournament/play.py": {"parse_agent code"},
-        "pcs_racing_agents/tournament/protocol.py": {"plan_tournament True"},
-        "pcs_racing_agents/study/results.py": {"parse_agent name in code"},
+        "pcs_racing/planners/own_code.py": {"drivers_from", "run_file"},
+        "pcs_racing/planners/racers.py": {"racer code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
-        "pcs_racing_agents/cli/learn.py": {"parse_agent True"},
-        "pcs_racing_agents/cli/race.py": {"parse_own_policy"},
-        "pcs_racing_agents/cli/tournament.py": {"parse_own_policy", "plan_tournament True"},
+        "pcs_racing_agents/cli/learn.py": {"competitor True"},
+        "pcs_racing_agents/cli/race.py": {"policy_racer True"},
+        "pcs_racing_agents/cli/tournament.py": {"plan_tournament True"},
+        "pcs_racing_agents/study/results.py": {"competitor name in code"},
+        "pcs_racing_agents/tournament/protocol.py": {"plan_tournament True"},
     }
     importers = {
         "import_module",
@@ -462,7 +453,9 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/track/loading.py:json.loads",  # of the cache
         "pcs_racing/track/track.py:json.loads",
         "pcs_racing_agents/agents/from_torch.py:module.eval",  # a switch of torch
-        "pcs_racing_agents/agents/own_code.py:importlib.import_module",
+        "pcs_racing/planners/own_code.py:importlib.import_module",
+        "pcs_racing/planners/racers.py:resolve_name",
+        "pcs_racing/envs/origins.py:json.loads",
         "pcs_racing_agents/agents/zoo.py:resolve_name",
         "pcs_racing_agents/cli/main.py:import_module",
         "pcs_racing_agents/base/executors.py:loads",  # what this process has packed
@@ -507,10 +500,10 @@ def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command
     assert main(COMMANDS[command].format(word=word).split()) == 2
     error = capsys.readouterr().err.splitlines()[-1]
     assert error.startswith("pcs-racing: error: ")
-    assert f"{word!r} is unknown: no file may name code" in error
+    assert f"{word!r} names code, and no file may" in error
 
 
 def test_a_text_is_no_code_unless_its_caller_says_so(evil):
     for word in WORDS:
-        refused("no file may name code", parse_agent, word, make_game_spec("default", "paper"))
-        refused("unknown", make, word)
+        for place in (racer, make):
+            refused("names code, and no file may", place, word)

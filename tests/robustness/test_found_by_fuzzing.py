@@ -21,7 +21,7 @@ from pcs_racing import (
     load_race_config,
     load_track,
     make_game,
-    parse_policy,
+    racer,
     record_race,
     save_replay,
 )
@@ -33,15 +33,14 @@ from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.players import competitor
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import write_gif
 from pcs_racing.track.map_files import parse_grid
 from pcs_racing.track.maps import read_map, write_map
-from pcs_racing_agents.agents import parse_agent
 from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.agents.sb3_files import load_model
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
@@ -70,7 +69,7 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
     monkeypatch.chdir(tmp_path)
     archive, track = load_archive("default"), load_track("Pipkin")
     replay = record_race(
-        track, parse_policy("lattice"), parse_policy("lattice"), load_race_config("paper"), seed=0
+        track, racer("lattice"), racer("lattice"), load_race_config("paper"), seed=0
     )
     folder, file, game = (
         Path(name.format("d")),
@@ -82,7 +81,7 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
         lambda: load_archive(folder),
         lambda: load_race_config(file("yaml")),
         lambda: load_fit(file("yaml")),
-        lambda: load_model(file("zip")),
+        lambda: racer(file("zip")),
         lambda: make_game("Pipkin", folder),
         lambda: load_network_set(folder),
         lambda: load_network(folder),
@@ -100,7 +99,7 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
         lambda: write_map(read_map(track.folder)._replace(folder=folder)),
         lambda: write_gif(replay, folder),
         lambda: open_job(folder, "kind", {}).__enter__(),
-        lambda: parse_agent(file("zip"), game),
+        lambda: competitor(file("zip"), game),
     ):
         refused(r"\S", call)
     assert not [*tmp_path.iterdir()]

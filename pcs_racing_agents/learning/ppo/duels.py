@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.envs.game_batch import GameBatch, GameOptions
-from pcs_racing.envs.opponents import parse_opponents
+from pcs_racing.envs.opponents import read_opponents
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
@@ -82,7 +82,7 @@ class DuelTask:
         """Make the training environments: a group for each track and opponent planner."""
         opponents = self.settings.opponents
         planners = {
-            name: (parse_opponents(name, self.game)[0].planner or self.archive.family()).name
+            name: (read_opponents(name, self.game)[0].planner or self.archive.family()).name
             for name in opponents
         }
         groups = planner_groups(self.settings.envs, opponents, planners)

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
+from pcs_racing.game.players import Competitor
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents.agent import Competitor, Driver
+from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Job, Workers
@@ -83,7 +84,7 @@ def best_reply(
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     # Both cars have the same start policies: an agent against itself wins as often as it loses.
     policies = np.sort(rng.permutation(len(games[0].archive))[:count]).tolist()
-    opponents = count if isinstance(agent, Driver) else policies
+    opponents = count if isinstance(agent, PolicySet) else policies
     pairings = [
         cross_pairing(
             game, pilot, agent, egos=policies, opponents=opponents, lines=LINES, seed=seed + i

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.seeds import race_seeds, signed_seed
-from pcs_racing.game.competitor import ask_moves
+from pcs_racing.game.players import Competitor, ask_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
-from pcs_racing_agents.agents.agent import Agent, Competitor, Driver
-from pcs_racing_agents.agents.blind import ConstantStrategy
-from pcs_racing_agents.agents.game_spec import GameSpec
+from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.networks import Rows
 
@@ -65,13 +63,6 @@ def block_rows(
         pair=place * 1_000_000 + block.first + arrays["game"],
         step=np.full(count, step),
     )
-
-
-def random_player(game: RaceGame, spec: GameSpec, seed: int) -> Agent:
-    """Return an agent with uniformly random moves of a game, which may lack the spec's "stay"."""
-    offered = len(game.move_names)
-    probabilities = (np.arange(len(spec.moves)) < offered) / offered
-    return Agent("random-moves", ConstantStrategy(probabilities), spec, seed)
 
 
 class Branches(NamedTuple):
@@ -123,7 +114,7 @@ def branch_games(
     """
     numbers = np.asarray(keys, np.uint64)
     policies = None
-    if isinstance(opponent, Driver):
+    if isinstance(opponent, PolicySet):
         # By key, not by game number: a block must not depend on the rest of the batch.
         policies = [
             opponent.policies[int(key % np.uint64(len(opponent.policies)))] for key in numbers

@@ -19,8 +19,8 @@ from annotated_types import Interval
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Layers, OneOf, Settings
 from pcs_racing.game.identity import game_identity
+from pcs_racing.game.players import Competitor, random_moves
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents.agent import Competitor
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
@@ -32,7 +32,6 @@ from pcs_racing_agents.learning.responses.branches import (
     block_rows,
     branch_games,
     game_blocks,
-    random_player,
 )
 from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
 from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
@@ -149,8 +148,8 @@ def learn_response(
         )
     starts = _starts(settings.starts, len(pool), shares)
     identity = game_identity(games[0])
-    random_moves = random_player(games[0], spec, settings.seed)
-    played = [[game_between(game, random_moves, opponent) for opponent in pool] for game in games]
+    at_random: Competitor = random_moves(games[0], seed=settings.seed)
+    played = [[game_between(game, at_random, opponent) for opponent in pool] for game in games]
     for game in games:
         if game_identity(game) != identity:
             raise InputError(
@@ -173,13 +172,11 @@ def learn_response(
         return merge_networks(networks, name)
 
     for round_ in range(settings.rounds):
-        behaviours = (
-            [random_moves] if network is None else [random_moves, network_agent(network, spec)]
-        )
+        behaviours = [at_random] if network is None else [at_random, network_agent(network, spec)]
         for step in reversed(range(games[0].config.moves)):
             # In the first pass, branches of the last step have no later moves: the continuation is
             # irrelevant.
-            continuation = random_moves if network is None else network_agent(network, spec)
+            continuation = at_random if network is None else network_agent(network, spec)
             blocks = [
                 block
                 for i in range(len(games))

@@ -24,7 +24,7 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
-from pcs_racing import load_race_config, load_track, parse_policy
+from pcs_racing import load_race_config, load_track, racer
 from pcs_racing.race.races import (
     RaceSetup,
     advance,
@@ -55,12 +55,12 @@ def digest(arrays) -> str:
 
 def races() -> dict[str, str]:
     """Two short races of each planner under both presets: all of their states at the end."""
-    track, ego = load_track("Quillburg"), parse_policy("lattice")
+    track, ego = load_track("Quillburg"), racer("lattice")
     found = {}
     for preset in ("paper", "contest"):
         config = load_race_config(preset, duration=6.0, start_lines=2)
         for text in RIVALS:
-            rival = parse_policy(text)
+            rival = racer(text)
             setup = RaceSetup(track, config, (ego.planner, rival.planner))
             state = start_races(setup, draw_starts(track, config, 2, 0), race_seeds(0, 2))
             theta = np.broadcast_to(

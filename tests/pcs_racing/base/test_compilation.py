@@ -100,7 +100,7 @@ RACES = """
 import hashlib
 import sys
 
-from pcs_racing import CONTEST, load_track, parse_policy, run_races
+from pcs_racing import CONTEST, load_track, racer, run_races
 from pcs_racing.track import frenet
 
 track = load_track("Pipkin")

@@ -13,7 +13,7 @@ NAME = "pcs_racing/Avoidance-v0"
 
 def drive(env, text, seed):
     """Drive an episode with a policy in the car; return the last info."""
-    policy = pcs_racing.parse_policy(text)
+    policy = pcs_racing.racer(text)
     env.reset(seed=seed)
     batch = env.unwrapped.batch
     setup = game.RaceSetup(batch.track, batch.setup.config, (policy.planner,))

@@ -97,7 +97,7 @@ def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
 
 
 def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, archive):
-    names = ["always-aggressiveness +", "always-stay", "random-moves"]
+    names = ["always-aggressiveness+", "always-stay", "random-moves"]
     batch = make(
         coarse_oval,
         archive,
@@ -119,13 +119,3 @@ def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, a
     assert (batch.drawn != first).any()
     assert not np.isin(batch.state.race.seed, keys).any()
     assert (batch.moves == -1).all()
-
-
-def test_random_moves_are_only_those_that_may_be_made(coarse_oval, archive):
-    batch = make(coarse_oval, archive, games=80, epsilon=2.0)
-    rngs = begin(batch)
-    masks = batch.game.action_mask(batch.state)[:, 1]
-    assert not masks.all()
-    batch.step(np.full((80, 1), 4), rngs)
-    assert masks[np.arange(80), batch.moves[:, 1]].all()
-    np.testing.assert_array_equal(batch.action_masks(), batch.game.action_mask(batch.state)[:, 0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, parse_policy, run_races
+from pcs_racing import load_race_config, racer, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.models import layers, model_policy
 from pcs_racing.race.races import draw_starts
@@ -27,7 +27,7 @@ def weave(seen):
 @pytest.mark.parametrize("arguments", [{}, SEEING])
 def test_a_model_races_as_it_drives_in_its_environment(oval, arguments):
     policy, starts = model_policy(weave, **arguments), draw_starts(oval, CONFIG, 4, 3)
-    raced = run_races(oval, policy, parse_policy(RIVAL), CONFIG, seed=3, starts=starts)
+    raced = run_races(oval, policy, racer(RIVAL), CONFIG, seed=3, starts=starts)
     for race in range(4):
         env = DriveEnv(track=oval, opponent=RIVAL, race=CONFIG, **arguments)
         seen, _ = env.reset(options={"start": (float(starts.s[race]), int(starts.side[race]))})
@@ -78,7 +78,7 @@ def test_what_no_model_may_answer_is_one_line(oval):
         (lambda seen: np.nan * seen[:, :2], "finite numbers"),
         (remembering, "keeps a state"),
     ):
-        refused(message, run_races, oval, model_policy(model), parse_policy(RIVAL), CONFIG)
+        refused(message, run_races, oval, model_policy(model), racer(RIVAL), CONFIG)
     refused("beam", model_policy, weave, beam=3)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, load_track, parse_policy
+from pcs_racing import load_race_config, load_track, racer
 from pcs_racing.envs import PolicyOnCar
 from pcs_racing.envs.models import model_policy
 from pcs_racing.race.driving import pad_parameters
@@ -16,7 +16,7 @@ TRACK = "Pipkin"
 @pytest.mark.parametrize("name", ["line-ppo:risk=0.5", "pure-pursuit"])
 def test_the_commands_are_those_of_a_race(name):
     track, config = load_track(TRACK), load_race_config("paper", steering_noise=0.0)
-    policies = [parse_policy(name), parse_policy("pure-pursuit")]
+    policies = [racer(name), racer("pure-pursuit")]
     setup = RaceSetup(track, config, tuple(one.planner for one in policies))
     state = start_races(setup, draw_starts(track, config, 1, 0), np.zeros(1, np.uint64))
     theta = pad_parameters(policies, setup.theta_size)[None]

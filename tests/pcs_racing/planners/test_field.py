@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, load_track, parse_policy, run_races
+from pcs_racing import InputError, load_track, racer, run_races
 from pcs_racing.planners import line_following as line
 from pcs_racing.planners.field.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.field.bimatrix import MOVES, solve
@@ -54,7 +54,7 @@ def python(function):
 )
 def test_it_follows_the_race_line_alone(name, circuit, drive_alone):
     track = load_track(circuit)
-    result = drive_alone(track, [parse_policy(name)], speed_range=(0.7, 1.2))
+    result = drive_alone(track, [racer(name)], speed_range=(0.7, 1.2))
     assert not result.crashed.any()
     # As fast as the profile of its scale, but for the start in the middle of the track.
     scale = 0.95 * len(track.line) / (1.0 / track.line[:, 6]).sum()
@@ -65,7 +65,7 @@ def test_it_follows_the_race_line_alone(name, circuit, drive_alone):
     ("name", "circuit"), [*zip(LIDAR, itertools.cycle(("Kestrelheim", "Pipkin")))]
 )
 def test_it_drives_by_its_lidar_alone(name, circuit, drive_alone):
-    result = drive_alone(load_track(circuit), [parse_policy(name)])
+    result = drive_alone(load_track(circuit), [racer(name)])
     assert not result.crashed.any()
     assert (result.state.progress[0] > 2.5 * 40.0 - 50.0).all()
 
@@ -82,7 +82,7 @@ def behind_a_slow_car(name, share=0.6, races=10):
     return run_races(
         track,
         [ego] * races,
-        parse_policy("pure-pursuit:pace=0,follow_distance=0"),
+        racer("pure-pursuit:pace=0,follow_distance=0"),
         config,
         starts=starts,
     )
@@ -113,7 +113,7 @@ def test_its_variants_are_between_its_bounds_and_what_is_not_is_refused(name):
     planner = get_planner(name)
     assert 2 <= len(planner.variants) <= 20
     for variant in planner.variants:
-        assert (parse_policy(f"{name}:{variant}").parameters != planner.default).any()
+        assert (racer(f"{name}:{variant}").parameters != planner.default).any()
     for parameter in planner.parameters:
         with pytest.raises(
             InputError, match=rf"parameter '{parameter.name}' is .*; it must lie in"

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, load_track, parse_policy, run_races
+from pcs_racing import CONTEST, load_track, racer, run_races
 from pcs_racing.planners import registry
 from pcs_racing.planners.imported import drivers_from, object_policy
 from pcs_racing.planners.own_files import run_file
@@ -95,7 +95,7 @@ def test_all_forms_drive_and_every_race_has_its_own_driver(folder):
     egos = [*map(drivers.__getitem__, names)]
     config = RaceConfig(duration=4.0, start="rolling", start_gap=20.0, start_spacing=0.0)
     starts = Starts(np.full(4, 20.0), np.ones(4, np.int64))
-    track, rival = load_track("Tarnfjord"), parse_policy("pure-pursuit")
+    track, rival = load_track("Tarnfjord"), racer("pure-pursuit")
     result, again = (run_races(track, egos, rival, config, starts=starts) for _ in range(2))
     assert (result.state.progress[:, 0] > -20.0 + 0.9 * 4.0).all()
     assert not result.crashed.any()
@@ -107,7 +107,7 @@ def test_a_driver_has_a_name_and_reaches_other_processes(folder, capsys):
     file = written(folder / "a=1, b", FILE, beside="FAST = 3.0")
     policy = drivers_from(file)["Plans"]
     assert policy.name == f"{file.as_posix()}:Plans"
-    assert parse_policy(policy.name).planner is policy.planner
+    assert racer(policy.name).planner is policy.planner
     assert list(pickle.loads(pickle.dumps(policy.planner)).drive.makers)[2] == "Plans"
     words = ["--ego", f"{file}:Counts", "--opponent", "pure-pursuit", "--duration", "0.4"]
     assert main(["race", *words]) == 0

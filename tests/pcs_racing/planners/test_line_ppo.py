@@ -5,7 +5,7 @@ import pytest
 from refusal import refused
 from safetensors.numpy import load, save
 
-from pcs_racing import load_track, parse_policy, run_races
+from pcs_racing import load_track, racer, run_races
 from pcs_racing.base.compilation import compiled
 from pcs_racing.planners import lattice, line_ppo
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
@@ -127,14 +127,14 @@ def test_the_memory_holds_the_opponents_speed_while_it_is_in_sight(oval, view_at
 
 
 def test_a_style_out_of_bounds_is_refused():
-    refused("'risk' is 2; it must lie", parse_policy, "line-ppo:risk=2")
-    refused("no parameter 'boldness'", parse_policy, "line-ppo:boldness=1")
+    refused("'risk' is 2; it must lie", racer, "line-ppo:risk=2")
+    refused("no parameter 'boldness'", racer, "line-ppo:boldness=1")
 
 
 def test_a_higher_pace_drives_faster():
-    track, slow = load_track("Pipkin"), parse_policy("pure-pursuit:pace=0")
+    track, slow = load_track("Pipkin"), racer("pure-pursuit:pace=0")
     results = [
-        run_races(track, [parse_policy(f"line-ppo:{style}")] * 24, slow, "contest", seed=3)
+        run_races(track, [racer(f"line-ppo:{style}")] * 24, slow, "contest", seed=3)
         for style in ("pace=0.2", "pace=1.4")
     ]
     slower, faster = (result.state.progress[:, 0].mean() for result in results)

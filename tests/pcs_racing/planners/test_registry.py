@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import parse_policy
+from pcs_racing import racer
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners import registry
 from pcs_racing.planners.planner import Parameter, Planner
@@ -67,7 +67,7 @@ def test_a_place_is_imported_when_it_is_needed_or_named(monkeypatch):
 @pytest.mark.parametrize("name", registry.SHIPPED)
 def test_a_planner_with_a_place_is_the_same_one_in_a_copy_and_in_another_process(name):
     """A copy of its functions would be compiled again in every process."""
-    policy = parse_policy(name)
+    policy = racer(name)
     assert pickle.loads(pickle.dumps(policy)).planner is policy.planner
     assert copy.deepcopy(policy).planner is policy.planner
     assert len(pickle.dumps(policy)) < 2000
@@ -85,8 +85,8 @@ def test_a_shipped_planner_is_a_file_and_a_line(monkeypatch, tmp_path):
     monkeypatch.setitem(registry._places, "snail", "snail_planner:SNAIL")
     assert "snail" in planner_names()
     assert get_planner("snail").parameter_names == ("pace",)
-    assert parse_policy("snail").parameters.tolist() == [0.25]
-    assert parse_policy("snail:pace=0.5").name == "snail:pace=0.5"
+    assert racer("snail").parameters.tolist() == [0.25]
+    assert racer("snail:pace=0.5").name == "snail:pace=0.5"
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_a_policy_as_text(example):
         ("example:air=0.25", [0.5, 0.25], "example:air=0.25"),
         (" example : air = 1e-1, pace = 1", [1.0, 0.1], "example:air=1e-1,pace=1"),
     ]:
-        policy = parse_policy(text)
+        policy = racer(text)
         assert policy.planner is example
         assert policy.parameters.tolist() == parameters
         assert policy.name == name
@@ -130,14 +130,14 @@ def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(examp
         ("example:pace=1,brave", "'brave' is not"),
         (None, "policy None"),
     ]:
-        refused(message, parse_policy, text)
+        refused(message, racer, text)
     for name in ["", "a:b", "a=b", "a b", "a,b", None]:
         refused("must be text without", register_planner, "module:PLANNER", name=name)
 
 
 def test_a_variant_with_parameters_changes_only_those():
-    policy = parse_policy("lattice:early,pace=0.7")
-    early = parse_policy("lattice:early")
+    policy = racer("lattice:early,pace=0.7")
+    early = racer("lattice:early")
     pace = early.planner.parameter_names.index("pace")
     assert policy.name == "lattice:early,pace=0.7"
     assert policy.parameters[pace] == 0.7

@@ -5,7 +5,7 @@ import pytest
 from placed_cars import V, placed
 from test_many_cars import of_cars
 
-from pcs_racing import load_race_config, load_track, parse_policy, run_races
+from pcs_racing import load_race_config, load_track, racer, run_races
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
 from pcs_racing.race.config import ROBORACER
 from pcs_racing.race.races import RaceResult, advance, winners
@@ -139,7 +139,7 @@ def test_a_car_is_put_back_behind_an_oncoming_obstacle(oval):
 
 @pytest.mark.parametrize("contact", ["stop", "restart"])
 def test_without_a_contact_a_race_is_the_same(oval, contact):
-    drivers = [parse_policy(f"lattice:pace={pace}") for pace in (0.2, 0.4)]
+    drivers = [racer(f"lattice:pace={pace}") for pace in (0.2, 0.4)]
     rules = [load_race_config("contest", duration=4.0, contact=mode) for mode in ("end", contact)]
     end, other = (run_races(oval, *drivers, one, seed=1) for one in rules)
     assert not end.crashed[0]
@@ -173,7 +173,7 @@ def test_a_car_with_too_many_faults_is_out_and_has_lost(oval, limit, faults):
 
 
 def test_the_roboracer_preset_starts_abreast_from_rest_and_restarts():
-    drivers = [parse_policy(text) for text in ("spliner", "follow-the-gap")]
+    drivers = [racer(text) for text in ("spliner", "follow-the-gap")]
     result = run_races(load_track("Brackwater"), [drivers[0]] * 6, drivers[1], ROBORACER, seed=2)
     assert result.starts.side.tolist() == [0, 1, 0, 1, 0, 1]
     assert (result.state.fault[result.crashed].max(axis=1) == 3).all()

@@ -7,7 +7,7 @@ import pytest
 from placed_cars import HOLD, STEER_AND_SPEED, placed
 from same_arrays import assert_same
 
-from pcs_racing import load_race_config, parse_policy, run_races
+from pcs_racing import load_race_config, racer, run_races
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.planners.planner import Planner
 from pcs_racing.race.driving import pad_parameters
@@ -43,7 +43,7 @@ def ends_of_laps(progress, length):
 )
 def test_a_race_of_n_laps_has_n_lap_times_that_add_up_to_its_time(oval, preset, changes):
     rules, races = load_race_config(preset, **changes), 4
-    drivers = [parse_policy(name) for name in DRIVERS]
+    drivers = [racer(name) for name in DRIVERS]
     setup = RaceSetup(oval, rules, tuple(driver.planner for driver in drivers))
     state = start_races(setup, draw_starts(oval, rules, races, seed=1), race_seeds(1, races))
     theta = np.tile(pad_parameters(drivers, setup.theta_size), (races, 1, 1))

@@ -12,7 +12,7 @@ from refusal import refused
 from replay_pages import race_in
 from same_arrays import assert_same
 
-from pcs_racing import load_race_config, parse_policy, record_race, save_replay
+from pcs_racing import load_race_config, racer, record_race, save_replay
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.view import VIEW
 from pcs_racing.race.conditions import RaceConditions
@@ -35,7 +35,7 @@ QUIET = load_race_config(
     "paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45
 )
 FIELD = [
-    parse_policy(text)
+    racer(text)
     for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")
 ]
 
@@ -49,7 +49,7 @@ def of_cars(state, cars):
 def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
     """Lattice cars that meet each other, in every order: the same race to the last bit."""
     places, paces = [(2.0, 0.3), (3.6, -0.3), (5.5, 0.2)], [0.9, 0.5, 0.1]
-    policy = {pace: parse_policy(f"lattice:pace={pace}") for pace in paces}
+    policy = {pace: racer(f"lattice:pace={pace}") for pace in paces}
     ends = []
     for order in itertools.permutations(range(3)):
         planner = policy[0.9].planner
@@ -59,7 +59,7 @@ def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
     for end in ends:
         assert_same(end, ends[0])
     assert ends[0]["sums"][..., list(SUMS).index("BLOCKING")].any()
-    race, lattice = load_race_config("contest"), parse_policy("lattice").planner
+    race, lattice = load_race_config("contest"), racer("lattice").planner
     ends = []
     for count in (2, 3):
         places = [(2.0, 0.3), (3.6, -0.3), (22.0, 0.0)][:count]
@@ -69,7 +69,7 @@ def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
         state.seed[:] = 5
         state.progress[0, 2:] = -5.0  # so far behind that it never leads
         theta = np.array(
-            [[parse_policy(f"lattice:pace={pace}").parameters for pace in (0.9, 0.2, 0.0)[:count]]]
+            [[racer(f"lattice:pace={pace}").parameters for pace in (0.9, 0.2, 0.0)[:count]]]
         )
         advance(setup, state, theta, 200, ittc=False)
         ends.append(of_cars(state, [0, 1]))
@@ -245,7 +245,7 @@ def test_a_recorded_race_of_three_is_the_race_and_shows_all(oval, tmp_path):
 def test_the_planners_of_each_car_may_differ_between_the_races(oval):
     """Four cars; each race as with these planners in all races, in one call or two."""
     names = ["lattice", "pure-pursuit", "stanley", "gap-follower"]
-    policies = [parse_policy(name) for name in names]
+    policies = [racer(name) for name in names]
     planners = tuple(policy.planner for policy in policies)
     races, cars = 4, 4
     own = np.array([[planners[(race + car) % 4] for car in range(cars)] for race in range(races)])

@@ -7,7 +7,7 @@ from refusal import refused
 from replay_pages import race_in
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, load_race_config, load_track, parse_policy, record_race
+from pcs_racing import InputError, load_race_config, load_track, racer, record_race
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Planner
@@ -246,7 +246,7 @@ def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
 def test_rules_and_policies_may_be_texts_and_a_track_may_not():
     track = load_track("Pipkin")
     rules = load_race_config("paper", duration=1.0)
-    calm = parse_policy("lattice:pace=0.3")
+    calm = racer("lattice:pace=0.3")
     texts = record_race(track, "lattice:pace=0.3", "lattice:pace=0.3", rules, seed=1)
     assert texts.cars.tolist() == record_race(track, calm, calm, rules, seed=1).cars.tolist()
     assert (

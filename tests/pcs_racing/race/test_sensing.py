@@ -12,7 +12,7 @@ from placed_cars import HOLD, placed, view_of
 from refusal import refused
 from repository import REPOSITORY
 
-from pcs_racing import load_race_config, parse_policy, run_races
+from pcs_racing import load_race_config, racer, run_races
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.envs.drive import DriveEnv
@@ -220,7 +220,7 @@ IMPERFECT = VehicleParams(
 
 def race(track, pieces=1, rows=(0, 1, 2)):
     """End of some races of a planner with a map against one without."""
-    drivers = [parse_policy("pure-pursuit"), parse_policy("gap-follower")]
+    drivers = [racer("pure-pursuit"), racer("gap-follower")]
     rules = load_race_config("contest", start_spacing=0.5, speed_range=(0.6, 0.9))
     setup = RaceSetup(track, rules, tuple(one.planner for one in drivers), (IMPERFECT,) * 2)
     starts = Starts(np.array([0.0, 3.0, 6.0]), np.array([0, 1, 0]))

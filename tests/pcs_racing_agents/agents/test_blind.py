@@ -4,13 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusal import refused
 
-from pcs_racing_agents.agents.blind import (
-    best_fixed,
-    best_lead_plan,
-    best_schedule,
-    never_switch,
-    path_moves,
-)
+from pcs_racing.game.players import never_switch
+from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan, best_schedule, path_moves
 
 
 def test_a_schedule_follows_the_steps_and_never_switching_is_staying(spec, game, seen):

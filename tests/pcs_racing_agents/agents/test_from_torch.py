@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing_agents.agents import as_agent
+from pcs_racing.game.players import competitor
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.from_torch import TorchPolicy
 
@@ -38,7 +38,11 @@ def test_models_are_told_apart_by_their_weights_and_others_are_refused(models, g
         TorchPolicy(linear(0), "other name")
     )
     assert competitor_hash(TorchPolicy(linear(0))) != competitor_hash(TorchPolicy(linear(1)))
-    digests = {competitor_hash(as_agent(model, name)) for model in models for name in ("a", "b")}
+    digests = {
+        competitor_hash(competitor(model, game, name=name))
+        for model in models
+        for name in ("a", "b")
+    }
     assert len(digests) == 2
 
 

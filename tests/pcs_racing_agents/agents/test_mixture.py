@@ -1,14 +1,42 @@
+from dataclasses import dataclass
+
 import numpy as np
 from refusal import refused
 from zoo_games import untrained
 
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game import players
 from pcs_racing_agents.agents import Agent, make_game_spec
-from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.from_network import from_network
 from pcs_racing_agents.agents.mixture import make_mixture
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.networks import NetworkSet, save_network_set
+
+
+@dataclass(frozen=True)
+class Chances:
+    """A strategy with the probabilities of a constant player."""
+
+    player: players.ConstantPlayer
+
+    def __call__(self, observation):
+        return self.player.probabilities(observation)
+
+
+def constant(player, spec):
+    return Agent(player.name, Chances(player), spec)
+
+
+def always(spec, move):
+    return constant(players.always(spec, move), spec)
+
+
+def never_switch(spec):
+    return constant(players.never_switch(spec), spec)
+
+
+def random_moves(spec):
+    return constant(players.random_moves(spec), spec)
 
 
 def on_the_way(

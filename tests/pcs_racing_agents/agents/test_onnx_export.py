@@ -22,9 +22,10 @@ from pcs_racing.planners.line_ppo import (
     choose,
     read_line_planner,
 )
+from pcs_racing.planners.racers import racer
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
-from pcs_racing_agents.agents import export_onnx, load_model, save_model
-from pcs_racing_agents.agents.sb3_files import load_sb3_policy
+from pcs_racing_agents.agents import export_onnx, save_model
+from pcs_racing_agents.agents.sb3_files import read_zip
 from pcs_racing_agents.base.onnx_graph import METADATA
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.networks import list_networks, load_network
@@ -187,7 +188,7 @@ def test_the_scale_of_a_training_is_part_of_the_file(tmp_path, rng, sb3):
     scaled.obs_rms.update(rows[:30])
     action = model.predict(scaled.normalize_obs(rows), deterministic=True)[0]
     command = np.array([F1TENTH.steer_max, 4.0]) * action + [0.0, 4.0]
-    for trained in (model, load_model(save_model(tmp_path / "model", model))):
+    for trained in (model, racer(save_model(tmp_path / "model", model))):
         close(opened(trained, tmp_path).outputs(observation=rows)["command"], command)
 
 
@@ -204,7 +205,7 @@ def test_a_policy_of_moves(tmp_path, rng, sb3):
     model.save(tmp_path / "moves.zip")
     again = opened(tmp_path / "moves.zip", tmp_path)
     np.testing.assert_array_equal(again.outputs(observation=rows)["move"], moves)
-    assert load_sb3_policy(tmp_path / "moves.zip").moves
+    assert read_zip(tmp_path / "moves.zip")[0].moves
 
 
 # The command, and its refusals
@@ -226,6 +227,6 @@ def test_the_command_writes_a_file_and_refuses_early(tmp_path, capsys):
 
 
 def test_what_has_no_network_is_refused(tmp_path):
-    refused("a float has no actor of fully connected layers", export_onnx, 1.0, tmp_path / "a.onnx")
+    refused("a float is no model of Stable-Baselines3", export_onnx, 1.0, tmp_path / "a.onnx")
     (tmp_path / "manifest.yaml").write_text("format: pcs-racing archive\n", encoding="utf-8")
     refused("begins with 'format: pcs-racing archive'", export_onnx, tmp_path, tmp_path / "a.onnx")

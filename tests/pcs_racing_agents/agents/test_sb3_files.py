@@ -1,134 +1,187 @@
-"""Policies of Stable-Baselines3 are read without running their code; those that drive race wherever
-a policy does.
-"""
+"""Policies of Stable-Baselines3 are read without running their code, and race as they predict."""
 
+import json
 import zipfile
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, load_track, parse_policy, run_races
+from pcs_racing import load_race_config, load_track, make_game, racer, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.duel import DuelEnv
-from pcs_racing_agents.agents import as_agent, make
-from pcs_racing_agents.agents.game_spec import make_game_spec
+from pcs_racing.game.players import competitor
 from pcs_racing_agents.agents.sb3_files import (
+    SCALE_FILE,
+    PolicyTraits,
     _read_scale,
     actor_of,
-    load_model,
-    load_sb3_policy,
-    plain_model,
+    read_zip,
     save_model,
 )
-from pcs_racing_agents.agents.zoo import load_entrant
 
 sb3, torch, gym = (
     pytest.importorskip(name) for name in ("stable_baselines3", "torch", "gymnasium")
 )
 vec = sb3.common.vec_env
 RIVAL = "lattice:pace=0.3"
-ROWS = np.random.default_rng(0).uniform(-1.0, 1.0, (50, 46)).astype(np.float32)
+SMALL = {"n_steps": 4, "batch_size": 4}
+KINDS = [
+    ("PPO", SMALL),
+    ("PPO", {**SMALL, "policy_kwargs": {"activation_fn": torch.nn.ReLU, "net_arch": [9, 7]}}),
+    ("PPO", {**SMALL, "use_sde": True, "policy_kwargs": {"squash_output": True}}),
+    ("A2C", {"use_sde": True}),
+    ("SAC", {"buffer_size": 9}),
+    ("SAC", {"buffer_size": 9, "policy_kwargs": {"net_arch": [8]}}),
+    ("TD3", {"buffer_size": 9, "policy_kwargs": {"net_arch": [5, 6, 7]}}),
+    ("DDPG", {"buffer_size": 9}),
+]
 
 
-@pytest.mark.parametrize("activation", [torch.nn.Tanh, torch.nn.ReLU])
-def test_moves_are_those_of_the_model(tmp_path, activation, monkeypatch):
-    class Spaces(gym.Env):
-        observation_space = gym.spaces.Box(-5.0, 5.0, (46,), np.float32)
-        action_space = gym.spaces.Discrete(7)
+def drive(**arguments):
+    return DriveEnv(track="Pipkin", opponent=None, beams=5, **arguments)
 
-    kwargs = {"activation_fn": activation, "net_arch": [9, 7]}
-    model = sb3.PPO("MlpPolicy", Spaces(), seed=3, policy_kwargs=kwargs, device="cpu")
+
+def duel(**arguments):
+    return DuelEnv(step_seconds=0.5, moves=2, **arguments)
+
+
+def trained(kind, env, **more):
+    """Return a model with weights that no training left near 0."""
+    model = getattr(sb3, kind)("MlpPolicy", env, seed=3, device="cpu", **more)
     for weights in model.policy.parameters():  # biases among them, which begin with 0
-        torch.nn.init.uniform_(weights, -1.0, 1.0)
+        torch.nn.init.uniform_(weights, -0.2, 0.2)
+    return model
+
+
+def seen_in(env, count=50):
+    rng = np.random.default_rng(0)
+    box = env.observation_space
+    low, high = np.clip(box.low, -3, 3), np.clip(box.high, -3, 3)
+    return rng.uniform(low, high, (count, len(low))).astype(np.float32)
+
+
+@pytest.mark.parametrize(("kind", "more"), KINDS)
+@pytest.mark.parametrize("normalized", [True, False])
+def test_a_zip_of_drive_commands_as_the_model_predicts(tmp_path, kind, more, normalized):
+    env = drive(normalized=normalized, time_step=0.2, vehicle={"mu": 0.9})
+    model, rows = trained(kind, env, **more), seen_in(env)
     model.save(tmp_path / "mine.zip")
-    policy, expected = (
-        load_sb3_policy(tmp_path / "mine.zip"),
-        model.predict(ROWS, deterministic=True)[0],
-    )
-    np.testing.assert_array_equal(policy.predict(ROWS)[0], expected)
+    driver = racer(tmp_path / "mine.zip").planner.drive
+    assert (driver.hold, driver.options.beams, driver.options.vehicle[0].mu) == (20, 5, 0.9)
+    shares = np.clip(driver._answers(rows), -1.0, 1.0)
+    low, high = (env.action_space.low, env.action_space.high)
+    own = low + 0.5 * (high - low) * (shares + 1.0)
+    np.testing.assert_allclose(own, model.predict(rows, deterministic=True)[0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "more"), [("PPO", SMALL), ("A2C", {}), ("DQN", {"buffer_size": 9})]
+)
+def test_a_zip_of_duel_moves_as_the_model_predicts(tmp_path, kind, more):
+    env = duel()
+    model, rows = trained(kind, env, **more), seen_in(env)
+    model.save(tmp_path / "mine.zip")
+    agent = competitor(tmp_path / "mine.zip", env.game)
+    expected = model.predict(rows, deterministic=True)[0]
+    np.testing.assert_array_equal(agent.model.predict(rows)[0], expected)
     assert len(set(expected.tolist())) > 1
-    backwards = dict(reversed(model.policy.state_dict().items()))
-    assert actor_of("mine", backwards, policy.activation).content_hash == policy.content_hash
-    refused("of 46 numbers; here they have 45", policy.predict, ROWS[:, 1:])
+    other = make_game("Tarnfjord", moves=3)
+    refused("made for games of 2 moves; the game has 3", racer, tmp_path / "mine.zip", other)
+    refused("is an agent", racer, tmp_path / "mine.zip")
+
+
+@pytest.mark.parametrize(
+    ("kind", "more", "message"),
+    [
+        ("PPO", {"policy_kwargs": {"activation_fn": torch.nn.ELU}}, "the activation is ELU"),
+        ("SAC", {"use_sde": True, "buffer_size": 9}, "trained with use_sde, which clips its mean"),
+        (
+            "PPO",
+            {
+                "policy_kwargs": {
+                    "features_extractor_class": sb3.common.torch_layers.FlattenExtractor
+                }
+            },
+            "a feature extractor of its own",
+        ),
+    ],
+)
+def test_a_policy_that_is_not_plain_layers_is_refused_by_its_cause(tmp_path, kind, more, message):
+    model = trained(kind, drive(), **more)
+    model.save(tmp_path / "mine.zip")
+    refused(message, racer, tmp_path / "mine.zip")
+    refused(message, save_model, tmp_path / "other.zip", model)
+    assert not (tmp_path / "other.zip").exists()
+    assert racer(model).planner.drive.model is model  # the model itself races
+
+
+def test_damaged_files_are_one_line_each(tmp_path, monkeypatch):
+    model = trained("PPO", drive(), **SMALL)
+    model.save(tmp_path / "mine.zip")
     with torch.no_grad():
         model.policy.action_net.bias[1] = float("nan")
     model.save(tmp_path / "broken.zip")
-    refused("a weight is not finite", load_sb3_policy, tmp_path / "broken.zip")
-    kept = zipfile.ZipFile(tmp_path / "mine.zip").read("policy.pth")
-    for settings, weights in (
-        (b"[]", kept),
-        (b'{"a": NaN}', kept),
-        (b"[" * 10**6, kept),
+    refused("hold NaN or infinity", racer, tmp_path / "broken.zip")
+    kept = zipfile.ZipFile(tmp_path / "mine.zip")
+    weights, settings = kept.read("policy.pth"), json.loads(kept.read("data"))
+    other = tmp_path / "other.zip"
+    for data, content in (
+        (b"[]", weights),
+        (b'{"a": NaN}', weights),
+        (b"[" * 10**6, weights),
         (b"{}", b""),
     ):
-        with zipfile.ZipFile(tmp_path / "other.zip", "w") as file:
-            file.writestr("data", settings)
-            file.writestr("policy.pth", weights)
-        refused(
-            r"other\.zip is no file of Stable-Baselines3", load_sb3_policy, tmp_path / "other.zip"
-        )
-    short = {
-        key: value for key, value in model.policy.state_dict().items() if key != "action_net.bias"
-    }
-    refused("no weights or biases: 'action_net.bias'", actor_of, "short", short, None)
-    (tmp_path / "other.zip").write_bytes(b"not a zip")
-    refused(r"other\.zip", load_sb3_policy, tmp_path / "other.zip")
+        _write(other, data, content)
+        refused(r"other\.zip is no file of Stable-Baselines3", racer, other)
+    other.write_bytes(b"not a zip")
+    refused(r"other\.zip", racer, other)
+    for origin, message in [
+        ("{", "it must be drive or duel"),
+        ('{"environment": "boat"}', "it must be drive or duel"),
+        ('{"environment": "duel"}', "actions of steering and speed"),
+        ('{"environment": "drive", "beam": 3}', "'beam' is unknown"),
+        ('{"environment": "drive", "beams": 7}', r"the observation_space \(46,\)"),
+    ]:
+        settings["observation_space"]["pcs_racing"] = origin
+        _write(other, json.dumps(settings).encode(), weights)
+        refused(message, racer, other)
+    del settings["observation_space"]["pcs_racing"]
+    _write(other, json.dumps(settings).encode(), weights)
+    refused("does not tell in which environment it was trained; say so with --like", racer, other)
+    assert racer(other, like="drive:beams=5,time_step=0.05").planner.drive.hold == 5
+    assert racer(other, like=drive()).planner.drive.options.beams == 5
+    refused("'beams' is not of the form argument=value", racer, other, like="drive:beams")
+    (tmp_path / "vec_normalize.pkl").write_bytes(b"")
+    refused(r"near vec_normalize\.pkl, a VecNormalize", racer, other)
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
     with pytest.raises(ModuleNotFoundError, match="torch is needed"):
-        load_sb3_policy(tmp_path / "mine.zip")
+        racer(tmp_path / "mine.zip")
 
 
-@pytest.mark.parametrize("activation", ["Tanh", "ReLU"])
-@pytest.mark.parametrize("hidden", [(5,), (9, 7), (4, 8, 6)])
-def test_layers_are_applied_one_after_the_other(activation, hidden):
-    """As in a few lines of numpy, for every kind of actor."""
-    rng, sizes = np.random.default_rng(0), (46, *hidden, 3)
-    weights = [
-        rng.normal(0.0, 0.3, pair).astype(np.float32)
-        for pair in zip(sizes[1:], sizes[:-1], strict=True)
-    ]
-    biases = [rng.normal(0.0, 0.3, size).astype(np.float32) for size in sizes[1:]]
-    expected = ROWS
-    for k, (weight, bias) in enumerate(zip(weights, biases, strict=True)):
-        expected = expected @ weight.T + bias
-        if k < len(hidden):
-            expected = np.tanh(expected) if activation == "Tanh" else np.maximum(expected, 0.0)
-    inner = [2 * k for k in range(len(hidden))]
-    for names, more, moves, squash in [
-        ([*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"], {}, True, False),
-        (
-            [*(f"mlp_extractor.policy_net.{k}" for k in inner), "action_net"],
-            {"log_std": 0},
-            False,
-            False,
-        ),
-        ([*(f"actor.latent_pi.{k}" for k in inner), "actor.mu"], {}, False, True),
-        ([f"actor.mu.{k}" for k in [*inner, 2 * len(hidden)]], {}, False, True),
-    ]:
-        state = {}
-        for name, weight, bias in zip(names, weights, biases, strict=True):
-            state |= {f"{name}.weight": torch.tensor(weight), f"{name}.bias": torch.tensor(bias)}
-        policy = actor_of("folder/mine.zip", {**state, **more}, activation)
-        assert (policy.name, policy.moves, policy.squash) == ("mine", moves, squash)
-        assert actor_of("mine", state, None).activation == (
-            "Tanh" if names[0].startswith("mlp") else "ReLU"
-        )
-        found = policy.predict(ROWS)[0]
-        if moves:
-            np.testing.assert_array_equal(found, expected.argmax(axis=1))
-        else:
-            np.testing.assert_allclose(found, np.tanh(expected) if squash else expected, atol=1e-4)
-        np.testing.assert_array_equal(policy.predict(ROWS[3])[0], found[3])
-    model = SimpleNamespace(policy=SimpleNamespace(state_dict=lambda: state), get_env=lambda: None)
-    assert plain_model(model, "mine").activation == "ReLU"
-    model.policy_kwargs = {"features_extractor_class": object}
-    assert plain_model(model, "mine") is model
-    refused("the activation is Sigmoid", actor_of, "mine", state, "Sigmoid")
-    refused(
-        "no actor of fully connected layers", actor_of, "mine", {**state, "lstm.weight": 0}, None
+def _write(file, settings, weights):
+    with zipfile.ZipFile(file, "w") as made:
+        made.writestr("data", settings)
+        made.writestr("policy.pth", weights)
+
+
+def test_an_actor_is_found_by_the_module_of_its_policy():
+    model = trained("PPO", drive(), **SMALL)
+    state, traits = (
+        model.policy.state_dict(),
+        PolicyTraits("stable_baselines3.common.policies", None, False, False, False),
     )
+    backwards = dict(reversed(state.items()))
+    digest = actor_of("mine", state, traits).content_hash
+    assert actor_of("mine", backwards, traits).content_hash == digest
+    short = {key: value for key, value in state.items() if key != "action_net.bias"}
+    refused("no weights or biases: 'action_net.bias'", actor_of, "short", short, traits)
+    refused(
+        "has an LSTM, which keeps a state", actor_of, "mine", {**state, "lstm.weight": 0}, traits
+    )
+    refused("has a policy class of mine", actor_of, "mine", state, traits._replace(module="mine"))
+    policy = actor_of("mine", state, traits)
+    refused("of 46 numbers; here they have 45", policy.predict, np.zeros((1, 45)))
 
 
 def test_a_scale_is_read_with_its_bounds(tmp_path):
@@ -242,8 +295,9 @@ def test_what_a_model_would_lose_is_refused_and_named(tmp_path, name, arguments)
     model = wrapped(**arguments)
     refused(f"was trained behind {name}; ", save_model, tmp_path / "model", model)
     assert not list(tmp_path.iterdir())
-    for race in (as_agent, lambda model: DriveEnv(track="Pipkin", opponent=model)):
-        refused(r"was trained behind \w+; ", race, model)
+    for race in (racer, lambda model: DriveEnv(track="Pipkin", opponent=model)):
+        if "VecNormalize" not in name:
+            refused(r"was trained behind \w+; ", race, model)
 
 
 @pytest.mark.parametrize(
@@ -270,73 +324,41 @@ def test_what_a_model_would_lose_is_refused_and_named(tmp_path, name, arguments)
 )
 def test_what_changes_neither_observations_nor_actions_may_be_around(tmp_path, arguments):
     model = wrapped(**arguments)
-    assert load_model(save_model(tmp_path / "model", model)).planner.drive.options.beams == 5
+    assert racer(save_model(tmp_path / "model", model)).planner.drive.options.beams == 5
 
 
-def test_environments_that_differ_have_no_arguments_in_common(tmp_path):
-    envs = vec.DummyVecEnv(
-        [
-            lambda step=step: DriveEnv(track="Pipkin", opponent=None, time_step=step)
-            for step in (0.1, 0.2)
-        ]
-    )
+def test_environments_that_differ_have_no_arguments_in_common():
+    envs = vec.DummyVecEnv([lambda step=step: drive(time_step=step) for step in (0.1, 0.2)])
     model = sb3.PPO("MlpPolicy", envs, n_steps=4, batch_size=4, device="cpu")
-    refused(
-        "differ in time_step; give one of them as env= or like=",
-        save_model,
-        tmp_path / "model",
-        model,
-    )
-    save_model(
-        tmp_path / "model", model, env=DriveEnv(track="Pipkin", opponent=None, time_step=0.2)
-    )
-    assert load_model(tmp_path / "model.zip").planner.drive.hold == 20
-    turned = wrapped(Turned, make_env=lambda *_, **__: DuelEnv(step_seconds=0.5, moves=2))
+    refused("differ; give one of them as like=", racer, model)
+    turned = wrapped(Turned, make_env=lambda *_, **__: duel())
     for opponent in (turned, [(1.0, turned)]):
-        refused("was trained behind Turned", DuelEnv, opponent=opponent, step_seconds=0.5, moves=2)
+        refused("was trained behind Turned", duel, opponent=opponent)
 
 
-@pytest.mark.parametrize(
-    ("kind", "more"), [("PPO", {}), ("SAC", {"buffer_size": 9}), ("TD3", {"buffer_size": 9})]
-)
-def test_a_model_that_drives_races_from_its_file_as_itself(tmp_path, kind, more):
+def test_a_model_races_from_its_file_as_itself_also_behind_a_scale(tmp_path):
     track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
-    env = DriveEnv(track=track, opponent=RIVAL, beams=5, time_step=0.2, vehicle={"mu": 0.9})
-    model = getattr(sb3, kind)("MlpPolicy", env, seed=1, device="cpu", **more)
-    file = str(save_model(tmp_path / "model", model))
-    kept, named = load_model(file).planner.drive, as_agent(model, "mine")
-    answer = np.clip(kept.model.predict(ROWS)[0], -1.0, 1.0)
-    np.testing.assert_allclose(answer, model.predict(ROWS, deterministic=True)[0], atol=1e-5)
-    assert (kept.hold, kept.options.beams, kept.options.vehicle[0].mu) == (20, 5, 0.9)
-    assert load_entrant(file, make_game_spec("default", "paper")).planner.drive.hold == 20
-    assert make(file).planner.drive.content_hash == named.planner.drive.content_hash
-    ends = [
-        run_races(track, one, parse_policy(RIVAL), config, seed=2)
-        for one in (load_model(file), *named.policies)
-    ]
+    env = DriveEnv(track=track, opponent=RIVAL, beams=5, time_step=0.2)
+    model = trained("SAC", env, buffer_size=9)
+    file = save_model(tmp_path / "model", model)
+    ends = [run_races(track, one, RIVAL, config, seed=2) for one in (file, model)]
     np.testing.assert_array_equal(ends[0].state.cars, ends[1].state.cars)
-    for opponent in (file, model):
+    assert racer(file).planner.drive.content_hash == racer(model).planner.drive.content_hash
+    for opponent in (str(file), model):
         rival = DriveEnv(track=track, opponent=opponent, race=config)
         rival.reset(seed=1)
         rival.step([0.0, -1.0])
         assert rival.batch.state.memory[0, 1, :2].any()
-    scaled = sb3.common.vec_env.VecNormalize(
-        sb3.common.vec_env.DummyVecEnv([lambda: env]), clip_obs=1.5
-    )
-    scaled.obs_rms.update(3.0 * ROWS[:, : env.observation_space.shape[0]] + 1.0)
+    scaled = vec.VecNormalize(vec.DummyVecEnv([lambda: env]), clip_obs=1.5)
+    scaled.obs_rms.update(3.0 * seen_in(env) + 1.0)
     model.set_env(scaled)
-    refused("behind VecNormalize; only save_model", as_agent, model, "mine")
-    seen, kept = (
-        env.reset(seed=3)[0][None],
-        load_model(save_model(tmp_path / "model", model)).planner.drive,
-    )
+    seen = env.reset(seed=3)[0][None]
     expected = np.clip(model.predict(scaled.normalize_obs(seen), deterministic=True)[0], -1.0, 1.0)
-    np.testing.assert_allclose(np.clip(kept.model.predict(seen)[0], -1.0, 1.0), expected, atol=1e-5)
-    assert kept.content_hash != named.planner.drive.content_hash
-    for harm, said in (("clip: 1.5", "clip: -1"), ("scale:", "scales:"), ("spread:", "spreads:")):
-        (tmp_path / "model.yaml").write_text(
-            (tmp_path / "model.yaml").read_text().replace(harm, said)
-        )
-        refused("scale", load_model, file)
-    (tmp_path / "model.yaml").unlink()
-    refused(r"model\.yaml with the arguments", load_model, file)
+    kept = [racer(one).planner.drive for one in (save_model(tmp_path / "model", model), model)]
+    for one in kept:
+        np.testing.assert_allclose(one._answers(seen), expected, atol=1e-5)
+    policy, _ = read_zip(file)
+    assert policy.scale.clip == 1.5
+    with zipfile.ZipFile(file, "a") as damaged, pytest.warns(UserWarning, match="Duplicate"):
+        damaged.writestr(SCALE_FILE, json.dumps({"mean": [0.0], "spread": [1.0], "clip": 1.0}))
+    refused("scale must hold mean and spread", racer, file)

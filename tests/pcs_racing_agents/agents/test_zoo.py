@@ -10,21 +10,20 @@ from zoo_games import CONFIG, measured_agent, untrained
 import pcs_racing_agents
 from pcs_racing import make_game
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.players import always, competitor, random_moves
+from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.agents import (
     Agent,
-    Driver,
     describe,
     make,
     make_game_spec,
     names,
-    parse_agent,
     register_agent,
     zoo,
 )
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.blind import always, random_moves
 from pcs_racing_agents.agents.game_spec import training_text
-from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, load_entrant, options
+from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
 from pcs_racing_agents.networks import NetworkSet
 from pcs_racing_agents.tournament.games import game_between
 
@@ -50,30 +49,24 @@ def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
     assert len(SHIPPED) + 1 <= 16  # and always-MOVE: few enough to read
     assert {"always-aggressiveness+", "always-restraint-"} <= set(listed)
     for name in listed:
+        if name.startswith("always-"):
+            continue
         created = build(name, spec, seed=3, **learned(name, spec))
         assert created.name == name
         if name in SHIPPED:
             assert signature(entries()[name].build).parameters["seed"].default == 0
-            assert entries()[name].moves == (not isinstance(created, Driver))
-        if isinstance(created, Driver):
-            assert name in ("random-policy", "lane-switcher")
+            assert entries()[name].moves == (not isinstance(created, PolicySet))
+        if isinstance(created, PolicySet):
+            assert name == "random-policy"
             continue
-        assert isinstance(created, Agent)
         for rows in seen[:-1]:
             chances = created.probabilities(rows)
             np.testing.assert_allclose(chances.sum(axis=1), 1.0, atol=1e-9)
             moves = created.act(rows)
             assert (chances[np.arange(len(rows)), moves] > 0.0).all()
-        if name in SHIPPED:
+        if isinstance(created, Agent):
             assert created.facts["does"] == entries()[name].summary
             assert created.facts["source"] == entries()[name].source
-
-
-def test_an_entrant_has_its_own_name_or_the_one_that_is_given(spec, tmp_path):
-    for text in ("lidar-ppo", "never-switch", "lattice:pace=0.5"):
-        assert load_entrant(text, spec).name == text
-        assert load_entrant(text, spec, name="other").name == "other"
-    refused("no file of weights", load_entrant, "a:b", spec, weights=tmp_path / "none.npz")
 
 
 def test_the_archive_of_a_setting_has_the_axes_of_the_game(archive):
@@ -94,36 +87,32 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     game, spec, oval
 ):
     agent = pcs_racing_agents.make("random-moves", race="contest", seed=1)
-    assert isinstance(agent, Agent)
-    assert agent.spec.race == "contest"
-    assert agent.spec.offered == 5  # the contest offers "stay" to everybody
+    assert agent.chances == (0.2,) * 5  # the contest offers "stay" to everybody
     assert "never-switch" in pcs_racing_agents.agents.names()
-    assert len(make("lane-switcher").policies) == 20
-    assert len(make("random-policy").policies) == len(agent.spec.archive.explored_parameters)
+    explored = len(make_game_spec().archive.explored_parameters)
+    assert len(make("random-policy").policies) == explored
     assert len(make("random-policy", first=80).policies) == 80
     refused("first is 0; it must be a whole number from 1 to", make, "random-policy", first=0)
     with pytest.raises(AttributeError, match="mak"):
         pcs_racing_agents.mak  # noqa: B018
-    other = make("never-switch")
+    other = make("cfr-argmax")
     refused(
-        r"agent 'never-switch' was made for archive 'default' \(.*\)",
+        r"agent 'cfr-argmax' was made for archive 'default' \(.*\)",
         game_between,
         game,
         other,
         other,
     )
-    agent, wider = random_moves(spec), make_game(oval, spec.archive, spec.config, epsilon=0.7)
+    agent = build("cfr-argmax", spec, network=untrained(spec))
+    wider = make_game(oval, spec.archive, spec.config, epsilon=0.7)
     refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
 
 def test_agents_as_text_and_bad_names_and_options(spec):
-    assert parse_agent("best-fixed:target=3", spec).name == "best-fixed:target=3"
-    assert parse_agent("always-restraint +", spec).name == "always-restraint+"
-    assert len(parse_agent("lane-switcher", spec).policies) == 20
-    (only,) = parse_agent("lane-switcher:4", spec).policies
-    assert only.name == "lane-switcher:4"
+    assert competitor("best-fixed:target=3", spec).name == "best-fixed:target=3"
+    assert competitor("always-restraint +", spec).name == "always-restraint+"
     spec = make_game_spec("contest", "contest")
-    drawn = parse_agent("cfr-argmax:decision=sample,network=contest-contest-regret", spec)
+    drawn = competitor("cfr-argmax:decision=sample,network=contest-contest-regret", spec)
     assert drawn.facts["decision"] == "sample"
     for text in (
         "best-fixed:3",
@@ -131,18 +120,15 @@ def test_agents_as_text_and_bad_names_and_options(spec):
         "best-fixed:name=x",
         "best-fixed:target=[1",
     ):
-        refused("agent 'best-fixed", parse_agent, text, spec)
+        refused("agent 'best-fixed", competitor, text, spec)
     for name, given, message in [
         ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
-        ("always-jump", {}, "'jump' is no move"),
         ("never-switch", {"speed": 3}, r"'never-switch' .*'speed'"),
         ("best-fixed", {"goal": 3}, "has no option 'goal'"),
-        ("always-restraint+", {"x": 1}, "has no option 'x'"),
-        (7, {}, "agent 7"),
+        ("always-restraint+", {"x": 1}, r"'always-restraint\+' is unknown"),
         ("lattice:pace=0.5", {"x": 1}, "'lattice:pace=0.5' is unknown"),
         ("random-policy", {"first": 1, "x": 2}, "has no option 'x'; it has first"),
         ("never-switch", {"x": 2}, "has no option 'x'; it has none"),
-        ("lattice:pace=7", {}, "must lie in"),
     ]:
         refused(message, build, name, spec, **given)
     refused(
@@ -163,9 +149,9 @@ def test_agents_of_other_people(spec, monkeypatch):
     assert "first-move" in names(spec.archive, spec.config)
     assert options("first-move") == {"bold": False}
     assert build("first-move", spec).name == "first-move"
-    assert isinstance(build("first-move", spec, bold=True), Agent)
+    assert build("first-move", spec, bold=True).chances[0] == 1.0
     register_agent("any-options", lambda spec, **given: third_party(spec, **given))
-    assert isinstance(build("any-options", spec, bold=True), Agent)
+    assert build("any-options", spec, bold=True).chances[0] == 1.0
     refused("agent 'first-move' already", register_agent, "first-move", random_moves)
     for name in ("", "a b", "nash", "always-x", "a:b"):
         refused("agent", register_agent, name, third_party)
@@ -181,24 +167,21 @@ def test_agents_of_other_people(spec, monkeypatch):
 def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
     """With its line in SHIPPED it is listed, made, asked and described, by the command as well."""
     (tmp_path / "bold_agent.py").write_text(
-        "from pcs_racing_agents.agents.blind import always\n"
+        "from pcs_racing_agents.agents.blind import best_fixed\n"
         "from pcs_racing_agents.agents.zoo import Entry\n"
-        "def bold(spec, *, name='bold', seed=0, move='aggressiveness +'):\n"
-        "    return always(spec, move, name=name, seed=seed)\n"
+        "def bold(spec, *, name='bold', seed=0, target=3):\n"
+        "    return best_fixed(spec, name=name, seed=seed, target=target)\n"
         "BOLD = Entry(bold, 'races ever more aggressively', 'a test')\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(SHIPPED, "bold", "bold_agent:BOLD")
     assert "bold" in names(spec.archive, spec.config)
-    assert options("bold") == {"move": "aggressiveness +"}
+    assert options("bold") == {"target": 3}
     created = build("bold", spec)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
-    assert (
-        created.spec.moves[created.act(np.zeros((1, len(spec.elements))))[0]] == "aggressiveness +"
-    )
     text = describe.describe("bold", entries()["bold"])
     assert "Races ever more aggressively." in text
-    assert "- Option `move`, by default `aggressiveness +`." in text
+    assert "- Option `target`, by default `3`." in text
 
 
 def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, monkeypatch):
@@ -235,7 +218,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
         "Network: contest-contest-"
     )
     plan, decision = "46 us for a plan with 0.1 s of simulation", "46 us for a decision"
-    for name, words in {"lane-switcher": plan, "nash": decision, "x": decision}.items():
+    for name, words in {"random-policy": plan, "nash": decision, "x": decision}.items():
         assert describe._cost(one._replace(agent=name, many_us=np.nan)) == words
     times = {np.nan: "", 0.5312: "0.531", 99.96: "100", 1234.4: "1,234"}
     assert list(map(describe.microseconds, times)) == list(times.values())

@@ -19,14 +19,14 @@ def study_folder(saved_archive, tmp_path_factory):
     agents = ("never-switch", "always-aggressiveness+")
     config = StudyConfig(
         archive=str(saved_archive),
-        table=TableConfig(("Pipkin",), ("lane-switcher",), agents, egos=2, variants=2, lines=2),
+        table=TableConfig(("Pipkin",), ("lane-switcher:any",), agents, egos=2, variants=2, lines=2),
         best=agents[1],
         seed=3,
     )
     study = Study(config, place, quiet=True)
     with claim_folder(place, "study", plain_settings(config)):
         game = study.game("Pipkin")
-        pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher")
+        pairs, rival = {"egos": 2, "opponents": 2}, study.agent("lane-switcher:any")
         pairings = [
             cross_pairing(game, study.agent(arm), rival, lines=2, seed=3, **pairs) for arm in agents
         ]

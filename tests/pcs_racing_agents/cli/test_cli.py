@@ -21,13 +21,14 @@ from PIL import Image
 from refusal import refused
 from replay_pages import race_in
 
-from pcs_racing import load_race_config, load_track, parse_policy, record_race
+from pcs_racing import load_race_config, load_track, racer, record_race
 from pcs_racing.base.settings import OptionalNames, Settings
+from pcs_racing.game.players import competitor
 from pcs_racing.planners import registry
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.agents import make_game_spec, parse_agent
-from pcs_racing_agents.agents.own_code import parse_own_policy
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
@@ -72,7 +73,7 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     assert (tmp_path / "race.gif").read_bytes().startswith(b"GIF89a")
     assert "candidates" in race_in((tmp_path / "race.html").read_text())
     track, config = load_track("Pipkin"), load_race_config(rules)
-    cars = [parse_policy(text) for text in PAIR[1::2]]
+    cars = [racer(text) for text in PAIR[1::2]]
     races = [record_race(track, *cars, config, seed=2, index=index) for index in (3, 4, 5)]
     one = races[1]
     driven = [
@@ -165,7 +166,7 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path
 def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(printed):
     out = printed("agents")
     listed = [line.split()[0] for line in out.splitlines()]
-    assert {"cfr-argmax", "always-MOVE", "lane-switcher"} <= set(listed)
+    assert {"cfr-argmax", "always-MOVE", "random-policy"} <= set(listed)
     assert len(listed) <= 16
     assert "MOVE: aggressiveness+, aggressiveness-, restraint+, restraint-\n" in out
     assert "- Option target, by default None. Index of the policy." in printed(
@@ -262,20 +263,19 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
             ["race", "--track", "Pipkin", *PAIR, "--replay", "race.mp4"],
             "must end in .html",
         ),
-        (["race", "--ego", "cfr-argmax"], "pcs-racing tournament --agents cfr-argmax"),
-        (["race", "--opponent", "always-speed+"], "--opponent is 'always-speed+'"),
+        (["race", "--ego", "cfr-argmax"], "race in 'pcs-racing tournament --agents'"),
+        (["race", "--opponent", "always-speed+"], "'always-speed+' is an agent"),
         (
-            ["tournament", "--track", "Pipkin", "--policies", "lattice"],
+            ["tournament", "--track", "Pipkin", "--agents", "lattice"],
             "a tournament needs at least 2",
         ),
-        (["tournament"], "name them after --agents"),
         (["tornament"], "command 'tornament' is unknown; did you mean 'tournament'?"),
         (["race", "--ego", "lane-switcher:33"], "no variant '33'; did you mean '3'?"),
         (["race", "--track", ""], "unknown track ''"),
         (["race", "--track", "pipkn"], "did you mean 'Pipkin'?"),
         (["race", *PAIR, "--video", "race.avi"], "must end in .mp4 or .gif"),
         (["race", "--ego", "os.path:nothing"], "os.path has no class and no function 'nothing'"),
-        (["race", "--ego", "random:Random"], "here it must be a planner, not an agent"),
+        (["race", "--ego", "random:Random"], "can't race; give a text, a policy"),
         (["tournament", "--track", "Pipkin", "--agents", "nahs", "nash"], "did you mean 'nash'?"),
         (
             ["tournament", "--agents", "random-moves", "nash", "--archive", "x"],
@@ -485,13 +485,13 @@ def test_own_code_is_named_alike_wherever_a_planner_or_an_agent_is(tmp_path, mon
     (tmp_path / "own_racers.py").write_text(OWN)
     spec = make_game_spec("default", "paper")
     for place in ("own_racers.py", "own_racers"):
-        assert parse_own_policy(f"{place}:Straight").name == f"{place}:Straight"
+        assert policy_racer(f"{place}:Straight", code=True).name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
-            assert parse_agent(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
-        assert parse_agent(f"{place}:last", spec, code=True).model.name == "default"
-        nobody = "no planner and no agent: .* has no class and no function 'Nobody'"
-        refused(nobody, parse_agent, f"{place}:Nobody", spec, code=True)
-        refused("here it must be a planner, not an agent", parse_own_policy, f"{place}:First")
+            assert competitor(f"{place}:{name}", spec, code=True).name == f"{place}:{name}"
+        assert competitor(f"{place}:last", spec, code=True).model.name == "default"
+        nobody = "has no class and no function 'Nobody'"
+        refused(nobody, competitor, f"{place}:Nobody", spec, code=True)
+        refused("is an agent, which moves", policy_racer, f"{place}:First", code=True)
 
 
 def test_own_code_races_in_other_processes_and_commands_find_it_again(
@@ -515,7 +515,7 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
             code, text, error = run(*line)
         assert code == (2 if len(line) == 3 else 0)
         # A folder alone makes no command run code: the user does.
-        assert ("(view: --agents own_racers.py" in error) == (len(line) == 3)
+        assert ("(in 'view' after --agents)" in error) == (len(line) == 3)
     assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
     assert "makes no moves, so there is nothing to explain; nor does" in run(*explain, 2)[2]
     assert "variants: Straight" in printed("policies", "own_racers.py")

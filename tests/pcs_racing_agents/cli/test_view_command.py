@@ -102,7 +102,10 @@ def test_a_study_is_viewed_too(study_folder, tmp_path, printed):
         (["{folder}", "--explain", "0", "--index", "1"], "--explain goes without --index"),
         (["{folder}", "--explain", "0", "--out", "a.html"], "must end in .png or .svg or .pdf"),
         (["{folder}", "--car", "0"], "--car goes with --explain"),
-        (["{folder}", "--explain", "{fixed}", "--car", "0"], "'lane-switcher' in car 0 makes no"),
+        (
+            ["{folder}", "--explain", "{fixed}", "--car", "0"],
+            "'lane-switcher:any' in car 0 makes no",
+        ),
         (["{folder}", "--agents", "nash"], "'nash' is not in the races of {folder}; there are"),
         (
             ["{folder}", "--track", "Tarnfjord"],
@@ -113,7 +116,7 @@ def test_a_study_is_viewed_too(study_folder, tmp_path, printed):
 )
 def test_what_is_asked_for_wrongly_is_named(folder, tournament_folder, arguments, message, told):
     rows = tournament_folder[1].races
-    fixed = next(i for i, row in enumerate(rows) if row.ego == "lane-switcher")
+    fixed = next(i for i, row in enumerate(rows) if row.ego == "lane-switcher:any")
     named = {"folder": folder, "fixed": fixed}
     given = [text.format(**named) for text in arguments]
     assert message.format(**named) in told("view", *given, "--no-open")
@@ -156,14 +159,16 @@ def test_a_race_with_another_end_is_refused(folder, run):
 
 def test_a_race_is_explained_and_drawn(folder, printed, tmp_path):
     text = printed("view", folder, "--explain", 1, "--out", tmp_path / "race.png")
-    assert text.startswith("random-moves (car 0) against lane-switcher on Pipkin, contest rules: ")
+    assert text.startswith(
+        "random-moves (car 0) against lane-switcher:any on Pipkin, contest rules: "
+    )
     assert (tmp_path / "race.png").read_bytes().startswith(b"\x89PNG")
     assert not (folder / "view.html").exists()
 
 
 def test_fixed_policies_are_left_to_the_other_car(tournament_folder, printed):
     place, tournament = tournament_folder
-    number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher")
+    number = next(i for i, row in enumerate(tournament.races) if row.ego == "lane-switcher:any")
     assert printed("view", place, "--explain", number).startswith(
         "never-switch (car 1) against lane-switcher"
     )
@@ -183,7 +188,7 @@ def test_races_of_a_study_are_found_again(study_folder, printed):
     place, pairings = study_folder
     races = len(pairings[1])
     text = printed("view", place, "--explain", races + 3)
-    assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher on Pipkin")
+    assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher:any on Pipkin")
     printed("view", place, "--explain", 2 * races + 2)
 
 

@@ -9,11 +9,12 @@ from zoo_games import untrained
 
 from pcs_racing import load_race_config, make_game
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.players import random_moves
 from pcs_racing_agents.agents import Agent, make_game_spec
 from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning import self_play
-from pcs_racing_agents.learning.responses.branches import branch_games, random_player
+from pcs_racing_agents.learning.responses.branches import branch_games
 from pcs_racing_agents.learning.self_play import (
     RaceSampler,
     learn_self_play,
@@ -140,7 +141,7 @@ def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(
     first, second = (
         Agent("x", self_play.ExploringStrategy(trained, 0.2, 5), spec, seed) for seed in (0, 1)
     )
-    before = random_player(game, spec, 2)
+    before = random_moves(game, seed=2)
     by_hand = branch_games(
         game_between(game, first, second), second, keys, 1, [before], first, "utility", 5
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError, load_track, parse_policy
+from pcs_racing import InputError, load_track, racer
 from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.lattice import LATTICE, REFERENCE
@@ -142,7 +142,7 @@ def test_rivals_of_other_planners_are_met_as_often_as_opponents_and_scored():
     raced = race_policies((scenarios, policies(3)))
     assert raced["rival"].sum(axis=1).tolist() == [12, 12, 12]
     for number, rival in enumerate(rivals, start=1):
-        races, policy = np.flatnonzero(scenarios.opponent == number), parse_policy(rival)
+        races, policy = np.flatnonzero(scenarios.opponent == number), racer(rival)
         opponents = np.tile(policy.parameters, (len(races), 1))
         setup, state, theta = by_hand(scenarios, races, policies(3)[1], opponents, policy.planner)
         advance(setup, state, theta, SHORT.ticks)

@@ -9,7 +9,7 @@ import pytest
 from long_jobs import files
 from refusal import refused
 
-from pcs_racing import PAPER, load_track, parse_policy
+from pcs_racing import PAPER, load_track, racer
 from pcs_racing.base.seeds import signed_seed
 from pcs_racing.race.races import RaceSetup, advance, start_races, winners
 from pcs_racing.race.start_grid import Starts
@@ -85,7 +85,7 @@ def test_a_line_of_the_check_counts_the_races_of_one_opponent_on_one_circuit(tun
         seed=signed_seed(np.random.SeedSequence(TINY.seed, spawn_key=(3,))),
     )
     races = np.flatnonzero((scenarios.track == 1) & (scenarios.opponent == 0))
-    rival = parse_policy(TINY.against[0])
+    rival = racer(TINY.against[0])
     track, rules = load_track("Tarnfjord"), replace(PAPER, duration=6.0)
     setup = RaceSetup(track, rules, (rival.planner, rival.planner))
     starts = Starts(scenarios.start_s[races], scenarios.side[races])
@@ -130,8 +130,8 @@ def test_crashes_beyond_the_limit_cost_more_than_the_races_that_they_lose():
 
 
 def test_a_policy_as_text_is_the_same_policy_to_four_digits():
-    policy = parse_policy("lattice:pace=1.23456,side_margin=0.1")
-    again = parse_policy(policy_text(policy.planner, policy.parameters))
+    policy = racer("lattice:pace=1.23456,side_margin=0.1")
+    again = racer(policy_text(policy.planner, policy.parameters))
     np.testing.assert_allclose(again.parameters, policy.parameters, rtol=1e-3, atol=1e-9)
 
 

@@ -27,11 +27,11 @@ def raced(tmp_path_factory):
     config = StudyConfig(
         game={"race": "contest", "step_seconds": 0.8},
         archive="contest",
-        table=TableConfig(("Pipkin",), ("lane-switcher",), ("random-moves",)),
+        table=TableConfig(("Pipkin",), ("lane-switcher:any",), ("random-moves",)),
         best="random-moves",
     )
     study = Study(config, tmp_path_factory.mktemp("study"), quiet=True)
-    cars = study.agent("random-moves"), study.agent("lane-switcher")
+    cars = study.agent("random-moves"), study.agent("lane-switcher:any")
     pairing = cross_pairing(study.game("Pipkin"), *cars, egos=4, opponents=4, lines=2, seed=3)
     return study, play_pairing(pairing)
 
@@ -129,7 +129,7 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
     browser.wait(f"{hidden} === 0")
     browser.wait(f"document.documentElement.scrollHeight > 1.5 * {screen}")
     assert browser.said == [
-        f"a race of random-moves,lane-switcher, {content['races'][0].replay.duration:g} s"
+        f"a race of random-moves,lane-switcher:any, {content['races'][0].replay.duration:g} s"
     ]
     assert browser.complaints == []
 
@@ -137,7 +137,7 @@ def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
 def test_the_closest_race_of_each_outcome_is_shown(raced, watched):
     races = raced[1]
     assert watched[0].text.startswith(
-        "random-moves (car 0) against lane-switcher on Pipkin, contest rules"
+        "random-moves (car 0) against lane-switcher:any on Pipkin, contest rules"
     )
     shown = {race.title: race.replay.lead[-1] for race in watched}
     switched = races.switches[:, 0] > 0

@@ -21,7 +21,7 @@ from pcs_racing_agents.study.report import best_baseline
 from pcs_racing_agents.study.study import Study
 
 AGENTS = ("never-switch", *BASELINES, "cfr-argmax", "response-quick")
-TABLE = TableConfig(("Pipkin",), ("never-switch", "lane-switcher"), AGENTS, 2, 2, 1)
+TABLE = TableConfig(("Pipkin",), ("never-switch", "lane-switcher:any"), AGENTS, 2, 2, 1)
 
 
 @pytest.fixture(scope="module")
@@ -144,7 +144,7 @@ def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tiny, tmp_pa
 def test_baselines_are_fitted_on_training_races_with_targets_spread_over_the_archive(
     tiny, tmp_path, monkeypatch, number
 ):
-    learning = replace(tiny.learning, fitting_opponents=("lane-switcher",))
+    learning = replace(tiny.learning, fitting_opponents=("lane-switcher:any",))
     study = Study(replace(tiny, learning=learning), tmp_path, quiet=True)
     fitted = {}
 
@@ -165,7 +165,7 @@ def test_baselines_are_fitted_on_training_races_with_targets_spread_over_the_arc
     assert (none, same) == ((), targets)
     assert len(set(targets or ())) == (3 if number == 3 else 0)
     names = [one.name for one in (*training.tracks, *training.opponents)]
-    assert (names, training.races, training.seed) == (["Pipkin", "lane-switcher"], 2, 2_000_003)
+    assert (names, training.races, training.seed) == (["Pipkin", "lane-switcher:any"], 2, 2_000_003)
 
 
 @pytest.mark.parametrize("better", BASELINES)

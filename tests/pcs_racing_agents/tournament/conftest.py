@@ -1,18 +1,19 @@
 import numpy as np
 import pytest
 
-from pcs_racing import load_race_config, load_track, make_game, parse_policy
+from pcs_racing import load_race_config, load_track, make_game, racer
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents import as_agent, make_game_spec
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import Pairing, Tournament, play_tournament
 
 CONTEST = load_race_config("contest", duration=6.0)
-POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
-MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
+POLICIES = [racer(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
+MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher:any", POLICIES[1]]
 GAMES = 12
 
 
@@ -27,7 +28,7 @@ def contest(oval, archive) -> RaceGame:
 @pytest.fixture(scope="session")
 def zoo(contest) -> dict:
     spec = make_game_spec(contest.archive, contest.config)
-    names = ("random-moves", "never-switch", "random-policy", "pure-pursuit", "lane-switcher")
+    names = ("random-moves", "never-switch", "random-policy", "pure-pursuit", "lane-switcher:any")
     return {name: build(name, spec) for name in names}
 
 
@@ -41,11 +42,11 @@ def games_of(contest, starts):
     """Twelve games of two competitors from the same starts, as a pairing."""
 
     def pairing(ego, opponent) -> Pairing:
-        ego, opponent = as_agent(ego), as_agent(opponent)
+        ego, opponent = competitor(ego, contest), competitor(opponent, contest)
         variants = np.random.default_rng(3).integers(0, 12, (GAMES, 2))
-        for car, competitor in enumerate((ego, opponent)):
+        for car, player in enumerate((ego, opponent)):
             # a fixed policy may have one variant
-            variants[:, car] %= len(getattr(competitor, "policies", range(12)))
+            variants[:, car] %= len(getattr(player, "policies", range(12)))
         return Pairing(contest, ego, opponent, variants, starts, race_seeds(6, GAMES), 0)
 
     return pairing

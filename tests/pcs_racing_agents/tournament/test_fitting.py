@@ -24,7 +24,7 @@ def short(archive):
 @pytest.fixture(scope="module")
 def training(oval, short) -> fits.TrainingRaces:
     return fits.TrainingRaces(
-        (oval,), (build("never-switch", short), build("lane-switcher", short)), short, races=8
+        (oval,), (build("never-switch", short), build("lane-switcher:any", short)), short, races=8
     )
 
 
@@ -96,7 +96,7 @@ def test_candidates_are_compared_in_the_same_races(training, short, oval, monkey
         np.testing.assert_array_equal(pairing.noise, schedule.seeds)
     assert two.facts(0.123456, 3) == {
         "tracks": "oval, Pipkin",
-        "opponents": "never-switch, lane-switcher",
+        "opponents": "never-switch, lane-switcher:any",
         "races": 8 * 2 * 2,
         "candidates": 3,
         "seed": 7,

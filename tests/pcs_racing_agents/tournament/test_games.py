@@ -9,9 +9,10 @@ from same_arrays import assert_same
 from same_move import Model
 
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.players import always, competitor, never_switch, random_moves
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents import as_agent, make_game_spec
-from pcs_racing_agents.agents.blind import always, best_fixed, never_switch, random_moves
+from pcs_racing_agents.agents import make_game_spec
+from pcs_racing_agents.agents.blind import best_fixed
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import play_pairing, repeat_race
 
@@ -94,7 +95,7 @@ def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, z
     races = played(replace(games_of(never_switch(spec), always(spec, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
-    counter = as_agent(Counter())
+    counter = competitor(Counter(), spec)
     for car, cars in enumerate([(counter, zoo["random-moves"]), (zoo["random-moves"], counter)]):
         for columns in games_of(*cars).race(
             [cars[0]] if car == 0 else [cars[0], zoo["never-switch"]]
@@ -134,7 +135,13 @@ def egos(contest, zoo) -> list:
         random_moves(spec, seed=9),
         best_fixed(spec, target=3),
     ]
-    return [zoo["never-switch"], zoo["random-moves"], *others, Leader(), as_agent(Counter())]
+    return [
+        zoo["never-switch"],
+        zoo["random-moves"],
+        *others,
+        Leader(),
+        competitor(Counter(), contest),
+    ]
 
 
 @pytest.mark.parametrize(
@@ -196,7 +203,7 @@ def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(
     "pair",
     [
         ("random-moves", "random-moves"),
-        ("random-moves", "lane-switcher"),
+        ("random-moves", "lane-switcher:any"),
         ("pure-pursuit", "random-policy"),
     ],
 )
@@ -252,9 +259,6 @@ def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monke
 
 def test_impossible_egos_and_moves_are_refused(zoo, games_of):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
-    other = build("never-switch", make_game_spec("default", "paper"))
-    for egos, value in [
-        ([zoo["random-moves"], other], "never-switch"),
-    ]:
-        refused(value, pairing.race, egos)
+    other = build("cfr-argmax", make_game_spec("default", "paper"))
+    refused("cfr-argmax", pairing.race, [zoo["random-moves"], other])
     refused("'Model': game 0: move 5", played, games_of(Model(5), zoo["never-switch"]))

@@ -30,7 +30,7 @@ def units(pairing):
 def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(
     contest, zoo, archive
 ):
-    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher:any"], **SIZE)
     assert len(pairing) == 4 * 3 * 2 * 2 == len(set(units(pairing)))
     egos, opponents, starts, sides = (np.unique(column) for column in np.array(units(pairing)).T)
     assert (len(egos), len(opponents), len(starts), sides.tolist()) == (4, 3, 16, [0, 1])
@@ -41,7 +41,7 @@ def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(
         of_pair = pairing.starts.s[(pairing.variants == pair).all(axis=1)]
         assert sorted(np.unique(of_pair, return_counts=True)[1].tolist()) == [2, 2]
     assert len(np.unique(pairing.noise)) == 48
-    paper = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"])
+    paper = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher:any"])
     # this archive has 12 policies to start with; with 20 it were 4,000
     assert len(paper) == 12 * 20 * 5 * 2
     np.testing.assert_array_equal(paper.noise, race_seeds(0, len(paper)))
@@ -68,7 +68,7 @@ def test_arms_pair_up_race_by_race(contest, zoo):
         arms = play_pairings(pairings)
         np.testing.assert_array_equal(arms[0].path[:, :, 0], arms[1].path[:, :, 0])
     same = play_pairing(cross_pairing(contest, zoo["never-switch"], zoo["never-switch"], **SIZE))
-    reseeded = build("never-switch", zoo["never-switch"].spec, seed=9)
+    reseeded = replace(zoo["never-switch"], seed=9)
     again = play_pairing(cross_pairing(contest, reseeded, zoo["never-switch"], **SIZE))
     np.testing.assert_array_equal(same.score, again.score)
 
@@ -98,7 +98,7 @@ def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(
     own races back.
     """
     pairings = [
-        cross_pairing(contest, zoo[ego], zoo["lane-switcher"], **SIZE)
+        cross_pairing(contest, zoo[ego], zoo["lane-switcher:any"], **SIZE)
         for ego in ("random-moves", "never-switch", "random-policy")
     ]
     expected = [list(play_pairing(pairing)) for pairing in pairings]
@@ -122,7 +122,7 @@ def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, mon
     """Blocks of one race at least, however many agents share them; names of any kind become those
     of files.
     """
-    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE).take(
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher:any"], **SIZE).take(
         [0, 1, 2]
     )
     monkeypatch.setattr(runner, "BLOCK", 4)
@@ -160,7 +160,7 @@ def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, mon
 
 
 def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):
-    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher"], **SIZE)
+    pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher:any"], **SIZE)
     with open_job(tmp_path / "job", "races", {}) as job:
         bare = play_pairing(pairing, job=job)
         (whole,) = play_pairings([pairing], observations=True, job=job)
@@ -186,6 +186,6 @@ def test_impossible_pairings_are_refused(contest, zoo):
             cross_pairing,
             contest,
             zoo["random-moves"],
-            zoo["lane-switcher"],
+            zoo["lane-switcher:any"],
             **SIZE | change,
         )

@@ -2,7 +2,7 @@ import pytest
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import load_archive, load_race_config, parse_policy
+from pcs_racing import load_archive, load_race_config, racer
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.config import GameConfig
 from pcs_racing_agents.agents import make_game_spec
@@ -16,8 +16,8 @@ from pcs_racing_agents.tournament import (
 from pcs_racing_agents.tournament.play import record_row
 
 CONTEST = load_race_config("contest", duration=6.0)
-POLICIES = [parse_policy(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
-MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher", POLICIES[1]]
+POLICIES = [racer(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
+MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher:any", POLICIES[1]]
 
 
 def test_every_pair_drives_the_same_races_on_every_track(tournament):
@@ -52,9 +52,7 @@ def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
             other.ego_variant,
         )
         assert (one.side, other.side) == (0, 1)
-    fixed = [
-        row for row in mixed.races if (row.ego, row.opponent) == ("random-moves", "lane-switcher")
-    ]
+    fixed = [row for row in mixed.races if (row.ego, row.opponent) == ("random-moves", MIXED[2])]
     assert [row.ego_variant for row in fixed] == [row.ego_variant for row in rows]
     assert all(0 <= row.opponent_variant < 20 for row in fixed)
     assert len({row.opponent_variant for row in fixed}) > 2

@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, parse_policy
-from pcs_racing_agents.agents import Driver, make_game_spec
+from pcs_racing import load_race_config, racer
+from pcs_racing.planners.planner import PolicySet
+from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
 from pcs_racing_agents.tournament.play import TournamentPlan
 from pcs_racing_agents.tournament.race_files import race_table
@@ -27,7 +28,7 @@ def race(ego: str, opponent: str, **result: object) -> RaceRow:
 
 
 def played(*rows: RaceRow, config=CONTEST) -> Tournament:
-    competitors = tuple(Driver(name, (parse_policy("lattice"),)) for name in "ab")
+    competitors = tuple(PolicySet(name, (racer("lattice"),)) for name in "ab")
     tracks = SimpleNamespace(name="oval"), SimpleNamespace(name="Pipkin")
     plan = TournamentPlan(
         competitors, tracks, make_game_spec("default", game_rules(config)), (), 2, 0

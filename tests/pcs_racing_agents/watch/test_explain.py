@@ -12,10 +12,10 @@ from zoo_games import untrained
 from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.moves import move_names, move_table
+from pcs_racing.game.players import competitor
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
-from pcs_racing_agents.agents.agent import as_agent
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
 from pcs_racing_agents.tournament import Pairing
@@ -240,12 +240,14 @@ def test_the_training_of_a_network_decides_the_unit_of_its_values(spec):
 
 
 def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, spec):
-    race = explained(contest, build("always-aggressiveness+", spec), build("lane-switcher", spec))
+    race = explained(
+        contest, build("always-aggressiveness+", spec), build("lane-switcher:any", spec)
+    )
     assert "makes open-loop moves" in story(race)
     assert "why:" not in story(race)
-    race = explained(contest, build("lane-switcher", spec), build("random-moves", spec), car=1)
+    race = explained(contest, build("lane-switcher:any", spec), build("random-moves", spec), car=1)
     assert re.search(r"drawn with a chance of 2[05]%", story(race))
-    cars = build("never-switch", spec), build("lane-switcher", spec)
+    cars = build("never-switch", spec), build("lane-switcher:any", spec)
     refused(
         "'lane-switcher' in car 1 makes no moves.*; try the other car",
         explained,
@@ -256,7 +258,7 @@ def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, sp
     refused(
         "car 0 makes no moves.*; nor does the other car's", explained, contest, *cars[1:], *cars[1:]
     )
-    race = explained(contest, as_agent(Model()), build("never-switch", spec))
+    race = explained(contest, competitor(Model()), build("never-switch", spec))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")

@@ -9,8 +9,8 @@ from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.game.config import load_game_config
+from pcs_racing.game.players import always, never_switch
 from pcs_racing_agents import make
-from pcs_racing_agents.agents.blind import always, never_switch
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job

@@ -7,8 +7,8 @@ from pcs_racing import InputError, make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.players import always, never_switch, random_moves
 from pcs_racing_agents import make
-from pcs_racing_agents.agents.blind import always, never_switch, random_moves
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import (
@@ -87,7 +87,7 @@ def test_branches_do_not_depend_on_the_batch_and_a_fixed_policy_may_be_the_oppon
     )
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
     # By hand: each key chooses the opponent's policy.
-    chosen = [rival.policies[int(key) % 20] for key in race_seeds(0, 3)]
+    chosen = [rival.policies[int(key) % len(rival.policies)] for key in race_seeds(0, 3)]
     for move in range(len(game.move_names)):
         state = game.reset(race_seeds(0, 3), opponents=chosen)
         for own_move in (move, len(game.move_names) - 1):
@@ -207,7 +207,7 @@ def test_games_without_opponents_and_different_games_are_refused(game, spec, tmp
     other = make_game("Tarnfjord", spec.archive, load_game_config(spec.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
         refused("one of each", learn_response, [game], [], spec, ResponseSettings(), job)
-        with pytest.raises(InputError, match="games of 2 moves"):
+        with pytest.raises(InputError, match="differs from the first in archive, moves or rules"):
             learn_response([game, other], [never_switch(spec)], spec, ResponseSettings(), job)
 
 
