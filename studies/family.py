@@ -28,9 +28,9 @@ HEAD = ("comparison", "races", "score [95 %]", "own crashes", "own crashes of th
 def archive_policies(name: str) -> list[str]:
     """Return the policies of an archive as text: its last champion, then all policies."""
     archive = load_archive(name)
-    if not archive.settings.get("champions"):
-        raise InputError(f"archive {name!r} has no champion; give one searched with champions")
-    champion = str(archive.settings[f"champion_{archive.settings['champions']}"])
+    if "champion_1" not in archive.settings:
+        raise InputError(f"archive {name!r} has no champion; give one of policies far apart")
+    champion = str(archive.settings["champion_1"])
     parts = [archive.policy(k) for k in range(len(archive))]
     return [champion, *(policy_text(one.planner, one.parameters) for one in parts)]
 

@@ -214,9 +214,9 @@ def statistics(folders: list[Path]) -> Digests:
 def archive(folders: list[Path]) -> Digests:
     """A small search."""
     from pcs_racing_agents.policies.archive_run import synthesize
-    from pcs_racing_agents.policies.config import ArchiveConfig
+    from pcs_racing_agents.policies.config import FrontConfig
 
-    config = ArchiveConfig(
+    config = FrontConfig(
         tracks=("Pipkin",),
         generations=3,
         population=12,
@@ -225,12 +225,9 @@ def archive(folders: list[Path]) -> Digests:
         starts=1,
         duration=8.0,
         candidates=16,
-        choice_opponents=2,
         choice_starts=1,
         final_duration=8.0,
-        final_opponents=2,
         final_starts=1,
-        min_policies=3,
         max_policies=8,
         seed=1,
     )

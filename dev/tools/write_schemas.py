@@ -17,13 +17,12 @@ from pcs_racing_agents.learning.psro import PSROSettings
 from pcs_racing_agents.learning.responses.learner import ResponseSettings
 from pcs_racing_agents.learning.self_play import SelfPlaySettings
 from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.policies.config import ArchiveConfig
+from pcs_racing_agents.policies.config import SELECTIONS
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.tournament.protocol import ProtocolConfig
 
 FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
 KINDS: dict[str, type[Settings]] = {
-    "archive": ArchiveConfig,
     "ppo": DuelSettings,
     "protocol": ProtocolConfig,
     "psro": PSROSettings,
@@ -66,6 +65,8 @@ def schemas() -> dict[str, str]:
         "default": "paper",
     }
     made["race"]["properties"]["preset"] = preset
+    front, spread = (schema_of(type(config)) for config in SELECTIONS.values())
+    made["archive"] = {"anyOf": [front, {**spread, "required": ["selection"]}]}
     first = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return {
         kind: json.dumps({**first, "title": kind, **schema}, indent=1) + "\n"

@@ -5,14 +5,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from pcs_racing.base.errors import require
+from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import TRACK_HELP, Workers
-from pcs_racing_agents.policies.archive_run import ArchiveCallback, ArchiveProgress, synthesize
+from pcs_racing_agents.policies.archive_run import ArchiveCallback, SearchProgress, synthesize
 from pcs_racing_agents.policies.config import (
     SHIPPED_TRACKS,
     ArchiveConfig,
-    list_archive_configs,
     load_archive_config,
 )
 
@@ -32,7 +32,7 @@ def run(
     config: Annotated[
         str | None,
         Option(
-            f"configuration: {', '.join(list_archive_configs())} or a YAML file; other options"
+            f"configuration: {', '.join(shipped_configs('archive'))} or a YAML file; other options"
             " override them",
             "C",
         ),
@@ -79,7 +79,6 @@ def run(
     for key in (
         "policies_not_beaten",
         "hypervolume",
-        "hypervolume_error",
         "own_crash_mean",
         "own_crash_max",
         "win_share",
@@ -92,13 +91,15 @@ def run(
 
 def show_search() -> ArchiveCallback:
     """Return a callback that keeps a line on stderr up to date: races, hypervolume, time left."""
-    show = show_progress("% of the races")
+    show = show_progress("steps")
 
-    def update(state: ArchiveProgress) -> None:
-        label = (
-            f"{state.stage}, generation {state.generation}/{state.generations}, hypervolume"
-            f" {state.hypervolume:.3f}, {state.front} policies, own crashes {state.own_crash:.1%}"
+    def update(stage: str, done: int, total: int, state: SearchProgress | None) -> None:
+        about = (
+            f", generation {state.generation}, hypervolume {state.hypervolume:.3f},"
+            f" {state.front} policies, own crashes {state.own_crash:.1%}"
+            if state
+            else ""
         )
-        show(int(100 * state.done), 100, label)
+        show(done, total, stage + about)
 
     return update

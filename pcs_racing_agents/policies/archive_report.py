@@ -1,6 +1,5 @@
 """Output files of a synthesis: the archive with its manifest, the search history, and a picture."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
@@ -21,13 +20,12 @@ from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.folders import package_version
 from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import Column, table_rows, write_csv
-from pcs_racing_agents.policies.config import SPREAD_SETTINGS, ArchiveConfig
+from pcs_racing_agents.policies.config import ArchiveConfig
 from pcs_racing_agents.policies.evaluate import Evaluation, summarise
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume
 
 Floats = NDArray[np.float64]
 
-RESAMPLES = 200
 COURSE = (
     Column("generation"),
     Column("evaluations"),
@@ -36,8 +34,6 @@ COURSE = (
     Column("own_crash", format=".4f"),
 )
 """Columns of ``hypervolume.csv``."""
-
-_log = logging.getLogger("pcs_racing_agents")
 
 
 def write_archive(
@@ -73,10 +69,6 @@ def write_archive(
         own_crash=measured.own_crash,
         explored_own_crash=explored[1].own_crash,
     )
-    if len(parameters) < config.min_policies:
-        _log.warning(
-            "the archive holds %d policies; %d were wanted", len(parameters), config.min_policies
-        )
     facts = _facts(archive, raced, scale)
     settings = {**stated_settings(config), **_versions(), **notes, **facts}
     archive = replace(archive, settings={key: _rounded(value) for key, value in settings.items()})
@@ -96,7 +88,6 @@ def _facts(archive: PolicyArchive, raced: Arrays, scale: Scale) -> dict[str, str
         "policies": len(archive),
         "policies_not_beaten": int(np.sum(front_layers(points) == 0)),
         "hypervolume": hypervolume(points),
-        "hypervolume_error": hypervolume_error(raced, scale),
         "own_crash_mean": crashes.mean(),
         "own_crash_max": crashes.max(),
         "win_share": (raced["winner"] == 0).mean(),
@@ -111,29 +102,9 @@ def _facts(archive: PolicyArchive, raced: Arrays, scale: Scale) -> dict[str, str
     return facts
 
 
-def hypervolume_error(raced: Arrays, scale: Scale) -> float:
-    """Return the standard error of a set's hypervolume over new draws of its races (bootstrap).
-
-    Pairs of races that differ only in the side are drawn together.
-    """
-    totals, segments = raced["totals"], raced["segments"].astype(np.float64)
-    pairs = totals.shape[1] // 2
-    rng = np.random.default_rng(0)
-    volumes = []
-    for _ in range(RESAMPLES):
-        # Both sides of a start line at once: their races share line and opponent, so they are not
-        # independent.
-        weights = np.repeat(np.bincount(rng.integers(pairs, size=pairs), minlength=pairs), 2)
-        sums = (totals * weights[:, None]).sum(axis=1)
-        volumes.append(hypervolume(scale(sums / (segments * weights).sum(axis=1)[:, None])))
-    return float(np.std(volumes, ddof=1))
-
-
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
-    """Return every option of a synthesis that matters, as a text or a number."""
+    """Return every option of a synthesis as a text or a number."""
     values = {**plain_settings(config), "characteristics": list(config.axes)}
-    if config.selection != "spread":
-        values = {key: value for key, value in values.items() if key not in SPREAD_SETTINGS}
     texts = {
         key: ", ".join(map(str, value)) for key, value in values.items() if isinstance(value, list)
     }
@@ -163,37 +134,27 @@ def _rounded(value: str | float) -> str | int | float | bool:
 def front_picture(archive: PolicyArchive) -> Any:
     """Draw the first two axes of an archive: policies with standard errors, and all explored ones.
 
-    Colours show own crash rates, if known.
+    Colours show own crash rates.
     """
-    axes = get_characteristics(archive.characteristics)
-    up, right = 0, min(1, len(axes) - 1)
+    second, first = get_characteristics(archive.characteristics[:2])
+    explored, front, errors = (
+        np.asarray(points)[:, 1::-1].T
+        for points in (archive.explored_coordinates, archive.coordinates, archive.spread)
+    )
     figure = new_figure(7.0, 5.0)
     plot = figure.subplots()
-    explored, front = archive.explored_coordinates, archive.coordinates
-    plot.plot(
-        explored[:, right],
-        explored[:, up],
-        ".",
-        color="0.8",
-        ms=3,
-        label=f"{len(explored)} explored",
+    plot.plot(*explored, ".", color="0.8", ms=3, label=f"{len(explored[0])} explored")
+    plot.errorbar(*front, errors[1], errors[0], fmt="none", ecolor="0.45", lw=0.7)
+    crashes = 100.0 * np.asarray(archive.own_crash)
+    dots = plot.scatter(*front, 22, crashes, zorder=3, label=f"{len(archive)} policies")
+    figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
+    plot.set_xlabel(f"{first.name} ({first.unit})")
+    plot.set_ylabel(f"{second.name} ({second.unit})")
+    correlation = archive.correlations[second.name, first.name]
+    plot.set_title(
+        f"archive {archive.name}, preset {archive.preset}; bars: one standard error; correlation"
+        f" {correlation:+.2f}"
     )
-    if archive.spread is not None:
-        errors = archive.spread[:, up], archive.spread[:, right]
-        plot.errorbar(front[:, right], front[:, up], *errors, fmt="none", ecolor="0.45", lw=0.7)
-    colours = "C0" if archive.own_crash is None else 100.0 * archive.own_crash
-    label = f"{len(front)} policies"
-    dots = plot.scatter(
-        front[:, right], front[:, up], 22, colours, cmap="viridis", zorder=3, label=label
-    )
-    if archive.own_crash is not None:
-        figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
-    plot.set_xlabel(f"{axes[right].name} ({axes[right].unit})")
-    plot.set_ylabel(f"{axes[up].name} ({axes[up].unit})")
-    title = f"archive {archive.name}, preset {archive.preset}; bars: one standard error"
-    if up != right:
-        title += f"; correlation {archive.correlations[axes[up].name, axes[right].name]:+.2f}"
-    plot.set_title(title)
     plot.legend(loc="lower left")
     tidy(plot)
     return figure

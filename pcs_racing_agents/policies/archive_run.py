@@ -1,25 +1,24 @@
 """Synthesis of an archive: search, choice and measurement of policies, as one resumable job.
 
-1. **Champions**, an option: tunings (:mod:`pcs_racing_agents.policies.tuning`) find strong
-   policies, each against the rivals and the champions before it.
-2. **Search.** Random policies (the initial sample) set the scale. Then the search proposes
+1. **Search.** Random policies (the initial sample) set the scale. Then the search proposes
    generation after generation, and every policy races in the same scenarios (Algorithm 1 of the
-   paper). The opponents are random policies, fixed for the run as in the paper, rivals and
-   champions.
-3. **Choice.** The best evaluated policies race again, in other scenarios. Policies are left out if
-   they crash too often, are clearly beaten by another policy, or nearly coincide with another
-   policy. With ``selection: spread`` the searches start at the last champion and go in all
-   directions of the axes, a policy much weaker than the champion violates a limit, and the choice
-   holds policies far apart.
-4. **Measurement.** The remaining policies race once more in new scenarios. The coordinates come
-   from these races alone, since the maximum of many noisy values is biased.
+   paper).
+2. **Choice.** The best evaluated policies race again, in other scenarios.
+3. **Measurement.** The chosen policies race once more in new scenarios. The coordinates come from
+   these races alone, since the maximum of many noisy values is biased.
+
+A front (:class:`FrontRun`) meets random policies, fixed for a stage as in the paper. Policies are
+left out if they crash too often, are clearly beaten by another policy, or nearly coincide with
+another policy. For policies far apart (:class:`SpreadRun`) a tuning finds the champion first. The
+searches start at the champion and go in all directions of the axes, a policy much weaker than the
+champion violates a limit, and the choice holds policies far apart.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +30,9 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.base.folders import clear_half_written
 from pcs_racing_agents.base.jobs import Job, open_job, run_races
-from pcs_racing_agents.base.progress import Progress
 from pcs_racing_agents.policies.archive_report import write_archive
-from pcs_racing_agents.policies.config import ArchiveConfig
+from pcs_racing_agents.policies.config import ArchiveConfig, FrontConfig, SpreadConfig
 from pcs_racing_agents.policies.evaluate import (
     Evaluation,
     Scenarios,
@@ -51,33 +48,29 @@ from pcs_racing_agents.policies.selection import (
     spread_out,
     thin_out,
 )
-from pcs_racing_agents.policies.tuning import TuningProgress, TuningRun, policy_text
+from pcs_racing_agents.policies.tuning import TuningConfig, TuningRun, policy_text
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Notes = Mapping[str, str | float]
 
 BLOCK = 2  # policies per task: a generation of 32 keeps 16 cores busy
+SPACING = 0.015
+"""Min distance between two policies of a front, in units of the front's ranges."""
 
 
-class ArchiveProgress(NamedTuple):
-    """Progress of a synthesis."""
+class SearchProgress(NamedTuple):
+    """Progress of a search, after the initial sample (generation 0) or a generation."""
 
-    #: Stage of the latest work: ``"champions"``, ``"search"``, ``"choice"`` or ``"measurement"``.
-    stage: str
-    #: ``generation``, ``generations``: Numbers of finished and requested generations.
     generation: int
-    generations: int
-    evaluations: int  #: Number of policies raced in the search so far.
+    evaluations: int  #: Number of policies raced so far.
     #: Hypervolume of the search's front, in units of the initial sample's range.
     hypervolume: float
     front: int  #: Number of policies in the search's front.
     own_crash: float  #: Mean own crash rate of the policies raced last.
-    done: float  #: Finished share of all racing, 0 to 1.
 
 
-ArchiveCallback = Callable[[ArchiveProgress], object]
-"""Callback after the initial sample (generation 0), every generation, and parts of later stages."""
+ArchiveCallback = Callable[[str, int, int, SearchProgress | None], object]
+"""Callback ``(stage, done, total, progress)``: after each generation, and parts of other stages."""
 
 
 def synthesize(
@@ -90,70 +83,66 @@ def synthesize(
     """Make an archive and write it: ``archive.npz``, ``manifest.yaml``, ``hypervolume.csv`` and
     ``front.png``.
 
-    Intermediate results are stored in the folder ``job``: an interrupted run resumes when it is
-    started again. The picture needs matplotlib; without matplotlib it is left out.
+    Finished races are stored in ``chunks``: an interrupted run resumes when it is started again.
+    The picture needs matplotlib; without matplotlib it is left out.
 
     Parameters
     ----------
+    config : FrontConfig or SpreadConfig
+        Configuration (:func:`pcs_racing_agents.policies.load_archive_config`).
     folder : str or Path
         A new or empty folder, or a folder with a started run of the same synthesis.
     executor : Executor, optional
         Executor of the races (:func:`pcs_racing_agents.base.executors.make_executor`). It has no
         influence on the result.
     callback : callable, optional
-        Called with the :class:`ArchiveProgress` during the run.
+        Called with stage, finished and total number of its parts, and in the search with the
+        :class:`SearchProgress`.
     """
     folder = Path(folder)
     hashes = {name: load_track(name).content_hash for name in config.tracks}
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     stage_scenarios(config)
-    _check_folder(folder)
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
-    with open_job(folder / "job", "archive", settings) as job:
-        clear_half_written(folder)
-        run = ArchiveRun(config, job, executor, callback or (lambda _: None))
-        run.find_champions()
-        search, choice, final = stage_scenarios(config, run.champions)
+    with open_job(folder, "archive", settings) as job:
+        run = RUNS[type(config)](config, job, executor, callback or (lambda *_: None))
+        search, choice, final = run.scenarios()
         run.search(search)
-        candidates, notes = run.choose(choice)
-        kept, raced, more = run.measure(candidates, final)
-        content = ", ".join(f"{name} {digest[:16]}" for name, digest in hashes.items())
-        champions = {f"champion_{k}": text for k, text in enumerate(run.champions, 1)}
-        notes = {**champions, **notes, **more, "track_hashes": content}
-        steps = [step for step in run.history if step.stage == "search"]
-        return write_archive(folder, config, run.explored(), run.scale, kept, raced, steps, notes)
+        kept, raced = run.measure(run.choose(choice), final)
+        run.notes["track_hashes"] = ", ".join(f"{k} {digest[:16]}" for k, digest in hashes.items())
+        return write_archive(
+            folder, config, run.explored(), run.scale, kept, raced, run.course, run.notes
+        )
 
 
 def stage_scenarios(
-    config: ArchiveConfig, champions: Sequence[str] = ()
+    config: ArchiveConfig, champion: str | None = None
 ) -> tuple[Scenarios, Scenarios, Scenarios]:
     """Return the scenarios of search, choice and measurement; no two stages share a race.
 
-    ``champions`` are met as well as the rivals.
+    ``champion`` is met as well as the rivals.
     """
-    search, choice, final, *_ = _roots(config)
 
-    def drawn(
-        root: np.random.SeedSequence, opponents: int, starts: int, duration: float
-    ) -> Scenarios:
-        policies = draw_policies(config, opponents, root)
-        seed = _number(root)
+    def drawn(stage: int, starts: int, duration: float) -> Scenarios:
+        root = _roots(config)[stage]
+        count, rivals = config.met(stage)
+        opponents = draw_policies(config, count, root)
         return draw_scenarios(
             config.planner,
             config.tracks,
             config.rules_of(duration),
-            opponents=policies,
-            rivals=config.rivals_with(champions),
+            opponents=opponents,
+            rivals=tuple(dict.fromkeys((*rivals, *([champion] if champion else [])))),
             characteristics=config.axes,
             segment_seconds=config.segment_seconds,
             starts=starts,
-            seed=seed,
+            seed=_number(root),
         )
 
     return (
-        drawn(search, config.opponents, config.starts, config.duration),
-        drawn(choice, config.choice_opponents, config.choice_starts, config.duration),
-        drawn(final, config.final_opponents, config.final_starts, config.final_duration),
+        drawn(0, config.starts, config.duration),
+        drawn(1, config.choice_starts, config.duration),
+        drawn(2, config.final_starts, config.final_duration),
     )
 
 
@@ -173,10 +162,7 @@ def draw_policies(config: ArchiveConfig, count: int, root: np.random.SeedSequenc
 
 
 def _roots(config: ArchiveConfig) -> list[np.random.SeedSequence]:
-    """Return the root seeds of all random parts of a synthesis.
-
-    The parts are the three stages, the initial sample, the search and the champions.
-    """
+    """Return the root seeds: of the three stages, the initial sample, the search, the champion."""
     return np.random.SeedSequence(config.seed).spawn(6)
 
 
@@ -186,17 +172,6 @@ def _number(root: np.random.SeedSequence) -> int:
     return signed_seed(root.spawn(1)[0])
 
 
-def _check_folder(folder: Path) -> None:
-    """Check that a folder with files holds a run of a synthesis: no other file is overwritten."""
-    if folder.is_dir() and not (folder / "job").is_dir():
-        others = sorted(entry.name for entry in folder.iterdir())
-        if others:
-            raise InputError(
-                f"{folder} holds {others[0]} but no run of a synthesis; choose a new or an empty"
-                " folder"
-            )
-
-
 @dataclass
 class ArchiveRun:
     """Stages of a synthesis, whose races are tasks of one job, and the record of its search.
@@ -204,25 +179,23 @@ class ArchiveRun:
     Parameters of policies have the shape (K, P), fixed ones included.
     """
 
+    min_policies: ClassVar[int] = 2  #: Min number of policies of an archive.
+
     config: ArchiveConfig
     job: Job
     executor: Executor | None
     callback: ArchiveCallback
-    champions: list[str] = field(default_factory=list)  #: Policies found by tuning, as texts.
-    min_score: float = 0.0  #: Min score against the rivals of a policy of the archive.
+    min_score: float = 0.0  #: Min score of a policy of the archive.
     #: Parameters and results of the initial sample and of each generation.
     searched: list[tuple[Floats, Evaluation]] = field(default_factory=list)
-    history: list[ArchiveProgress] = field(default_factory=list)
+    course: list[SearchProgress] = field(default_factory=list)
+    #: Further entries of the manifest: numbers of policies left out for each reason.
+    notes: dict[str, str | float] = field(default_factory=dict)
 
     @property
     def scale(self) -> Scale:
         """Range of the initial sample, the unit of hypervolumes."""
         return Scale.of(self.searched[0][1].coordinates)
-
-    @property
-    def evaluations(self) -> int:
-        """Number of policies raced in the search so far."""
-        return sum(len(parameters) for parameters, _ in self.searched)
 
     def explored(self) -> tuple[Floats, Evaluation]:
         """Return parameters and results of all policies of the search, in race order."""
@@ -231,40 +204,20 @@ class ArchiveRun:
             *(np.concatenate(arrays) for arrays in zip(*results, strict=True))
         )
 
+    def scenarios(self) -> tuple[Scenarios, Scenarios, Scenarios]:
+        """Return the scenarios of search, choice and measurement."""
+        return stage_scenarios(self.config)
+
+    def begin(self, scenarios: Scenarios) -> Floats | None:
+        """Race the initial sample, and return the parameters at which searches start."""
+        sample = draw_policies(self.config, self.config.initial_sample, _roots(self.config)[3])
+        self._searched("initial-sample", scenarios, sample)
+        return None
+
     def violation(self, evaluation: Evaluation) -> Floats:
-        """Return by how much policies violate the limits of the search, shape (K,).
-
-        Rates are per race; coordinates are in units of the initial sample's range.
-        """
+        """Return by how much policies violate the limits of the search, shape (K,)."""
         beyond = evaluation.own_crash - self.config.search_crash_limit
-        beyond = np.maximum(beyond, self.min_score - evaluation.score)
-        if self.config.min_coordinates is None:
-            return beyond
-        shortfall = (np.array(self.config.min_coordinates) - evaluation.coordinates) / (
-            self.scale.ideal - self.scale.nadir
-        )
-        return np.maximum(beyond, shortfall.max(axis=1))
-
-    @property
-    def strongest(self) -> Floats:
-        """Parameters of the last champion, or of the start without champions, shape (P,)."""
-        start = self.config.start_policy
-        return (parse_policy(self.champions[-1]) if self.champions else start).parameters
-
-    def find_champions(self) -> None:
-        """Tune the planner again and again, each time also against the policies found before."""
-        config, planner = self.config, get_planner(self.config.planner)
-
-        def show(stage: str, done: int, total: int, state: TuningProgress | None) -> None:
-            crash = state.own_crash if state else 0.0
-            part = (len(self.champions) + done / total) / config.champions
-            share = self._done("champions", part)
-            self.callback(ArchiveProgress("champions", 0, 0, 0, 0.0, 0, crash, share))
-
-        for number, root in enumerate(_roots(config)[5].spawn(config.champions), 1):
-            tuning = config.tuning(self.champions, _number(root))
-            run = TuningRun(tuning, self.job, self.executor, show, f"champion-{number}")
-            self.champions.append(policy_text(planner, run.choose(run.search())))
+        return np.maximum(beyond, self.min_score - evaluation.score)
 
     def search(self, scenarios: Scenarios) -> None:
         """Race the initial sample and generation after generation in the same scenarios.
@@ -272,29 +225,20 @@ class ArchiveRun:
         Each direction of the axes has a search of its own, which knows the initial sample.
         """
         config, planner = self.config, get_planner(self.config.planner)
-        first, seed = _roots(config)[3:5]
-        varied = planner.indices(config.varied)
-        spread = config.selection == "spread"
-        sample = draw_policies(config, config.initial_sample, first)
-        if spread:
-            # Halfway to the strongest policy: of policies drawn at random hardly any is strong.
-            sample = 0.5 * (sample + self.strongest)
-            sample[0] = self.strongest
-        sampled = self._searched("initial-sample", scenarios, sample)
-        if spread:
-            self.min_score = float(sampled.score[0]) - config.margin
+        varied, root = planner.indices(config.varied), _roots(config)[4]
+        start = self.begin(scenarios)
+        sample, sampled = self.searched[0]
         violation = self.violation(sampled)
         for number, signs in enumerate(config.directions):
             search = Search(
                 planner.bounds[varied],
                 population=config.population,
-                elite_ratio=config.elite_ratio,
                 step_size=config.step_size,
-                start=self.strongest[varied] if spread else None,
-                seed=_number(seed),
+                start=None if start is None else start[varied],
+                seed=_number(root),
             )
             search.add(sample[:, varied], signs * sampled.coordinates, violation)
-            self._note_search(search)
+            self._note(search)
             for generation in range(1, config.generations + 1):
                 name = f"generation-{number * config.generations + generation:05d}"
                 points = planner.complete(
@@ -302,13 +246,10 @@ class ArchiveRun:
                 )
                 found = self._searched(name, scenarios, points)
                 search.tell(signs * found.coordinates, self.violation(found))
-                self._note_search(search)
+                self._note(search)
 
-    def choose(self, scenarios: Scenarios) -> tuple[Floats, Notes]:
-        """Choose among the policies of the search, by new races.
-
-        Return the chosen policies, and the numbers of policies left out for each reason.
-        """
+    def choose(self, scenarios: Scenarios) -> Floats:
+        """Choose among the policies of the search, by new races."""
         config = self.config
         theta, explored = self.explored()
         # Points evaluated several times race once.
@@ -318,99 +259,56 @@ class ArchiveRun:
         if len(allowed) == 0:
             raise InputError(
                 f"all {len(rows)} policies crash in more than {config.search_crash_limit:.0%} of"
-                f" the races of {config.duration:g} s, lie below min_coordinates, or are weak;"
-                " raise crash_limit or margin, or lower min_coordinates"
+                f" the races of {config.duration:g} s, or are outside the other limits; raise"
+                " crash_limit or margin, or lower min_coordinates"
             )
-        choose = self._choose_spread if config.selection == "spread" else self._choose_front
-        chosen, notes = choose(allowed, scenarios)
         points = self.scale(explored.coordinates)
-        return chosen, {
+        self.notes |= {
             "search_over_crash_limit": int(crashing.sum()),
             "search_hypervolume": hypervolume(points[rows[~crashing[rows]]]),
             "search_hypervolume_without_crash_limit": hypervolume(points[rows]),
-            **notes,
         }
+        return self.chosen(theta, explored.coordinates, allowed, scenarios)
 
-    def measure(self, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays, Notes]:
+    def chosen(
+        self, theta: Floats, coordinates: Floats, allowed: Indices, scenarios: Scenarios
+    ) -> Floats:
+        """Race allowed policies of the search in new scenarios, and choose some of them."""
+        raise NotImplementedError
+
+    def unbeaten(self, raced: Arrays, rows: Indices) -> Indices:
+        """Return the policies in ``rows`` that no other one excludes from the archive."""
+        return rows
+
+    def measure(self, parameters: Floats, scenarios: Scenarios) -> tuple[Floats, Arrays]:
         """Race policies in new scenarios, sort them by the first axis, and filter them.
 
-        Policies that still crash too often or score too little are left out and, for a front, also
-        policies that another policy clearly beats. Beaten policies add nothing to the front, so
-        their removal makes the front look no better than it is. Return the remaining policies,
-        their races, and the numbers of policies left out.
+        Policies that still crash too often or score too little are left out, and policies that
+        another policy excludes. Return the remaining policies and their races.
         """
-        config = self.config
-        front = config.selection == "pareto"
-        within_limits = kept = np.zeros(0, np.int64)
-        if len(parameters):
-            raced = self._race("measurement", "measurement", scenarios, parameters)
-            measured = summarise(raced)
-            within_limits = kept = np.flatnonzero(
-                (measured.own_crash <= config.crash_limit) & (measured.score >= self.min_score)
-            )
-            if front:
-                kept = kept[~clearly_beaten(raced, kept, config.error_bars)]
-            # Sorted from the most careful to the fastest policy.
-            kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
-        minimum = 2 if front else 3
-        if len(kept) < minimum:
+        self._check_number(len(parameters))
+        raced = self._race("measurement", "measurement", scenarios, parameters)
+        measured = summarise(raced)
+        within = np.flatnonzero(
+            (measured.own_crash <= self.config.crash_limit) & (measured.score >= self.min_score)
+        )
+        kept = self.unbeaten(raced, within)
+        self._check_number(len(kept))
+        # Sorted from the most careful to the fastest policy.
+        kept = kept[np.argsort(measured.coordinates[kept, 0], kind="stable")]
+        self.notes |= {
+            "measurement_outside_limits": len(parameters) - len(within),
+            "measurement_beaten": len(within) - len(kept),
+        }
+        return parameters[kept], {key: values[kept] for key, values in raced.items()}
+
+    def _check_number(self, policies: int) -> None:
+        if policies < self.min_policies:
             raise InputError(
-                f"{len(kept)} policies remain below the crash limit of {config.crash_limit:.0%} and"
-                f" within the margin; an archive needs {minimum} at least: raise crash_limit or"
-                " margin, or search longer"
+                f"{policies} policies remain below the crash limit of {self.config.crash_limit:.0%}"
+                f" and within the other limits; an archive needs {self.min_policies} at least:"
+                " raise crash_limit or margin, or search longer"
             )
-        self._note("measurement", len(kept), measured)
-        notes = {
-            "measurement_outside_limits": len(parameters) - len(within_limits),
-            "measurement_beaten": len(within_limits) - len(kept),
-        }
-        return parameters[kept], {key: values[kept] for key, values in raced.items()}, notes
-
-    def _choose_front(self, allowed: Indices, scenarios: Scenarios) -> tuple[Floats, Notes]:
-        """Race the best allowed policies in new scenarios; choose policies not clearly beaten."""
-        config = self.config
-        theta, explored = self.explored()
-        points = _unit(explored.coordinates[allowed])
-        order = allowed[spread_first(points, 0.5 * config.spacing, config.candidates)]
-        raced = self._race("choice", "choice", scenarios, theta[order])
-        measured = summarise(raced)
-        within_limits = np.flatnonzero(self.violation(measured) <= 0.0)
-        not_beaten = within_limits[~clearly_beaten(raced, within_limits, config.error_bars)]
-        points = _unit(measured.coordinates[not_beaten])
-        distinct = not_beaten[thin_out(points, config.spacing, config.max_policies)]
-        self._note("choice", len(distinct), measured)
-        return theta[order[distinct]], {
-            "choice_candidates": len(order),
-            "choice_outside_limits": len(order) - len(within_limits),
-            "choice_beaten": len(within_limits) - len(not_beaten),
-            "choice_too_near_another": len(not_beaten) - len(distinct),
-        }
-
-    def _choose_spread(self, allowed: Indices, scenarios: Scenarios) -> tuple[Floats, Notes]:
-        """Race strong policies far apart in new scenarios; choose some that still are.
-
-        The start and the last champion are always among them.
-        """
-        config = self.config
-        theta, explored = self.explored()
-        others = allowed[allowed != 0]
-        rows = np.concatenate([[0], others])  # the first policy of the search is the strongest
-        order = rows[spread_out(_unit(explored.coordinates[rows]), config.candidates)]
-        known = np.unique([self.strongest, config.start_policy.parameters], axis=0)
-        candidates = np.concatenate([known, theta[order[1:]]])
-        raced = self._race("choice", "choice", scenarios, candidates)
-        measured = summarise(raced)
-        self.min_score = float(measured.score[: len(known)].max()) - config.margin
-        within_limits = np.flatnonzero(self.violation(measured) <= 0.0)
-        kept = np.unique(np.concatenate([np.arange(len(known)), within_limits]))
-        points = _unit(measured.coordinates[kept])
-        distinct = kept[spread_out(points, config.max_policies, len(known))]
-        self._note("choice", len(distinct), measured)
-        return candidates[distinct], {
-            "choice_candidates": len(candidates),
-            "choice_outside_limits": len(candidates) - len(within_limits),
-            "choice_min_score": self.min_score,
-        }
 
     def _searched(self, name: str, scenarios: Scenarios, parameters: Floats) -> Evaluation:
         """Race and record policies of the search."""
@@ -420,8 +318,12 @@ class ArchiveRun:
 
     def _race(self, stage: str, name: str, scenarios: Scenarios, parameters: Floats) -> Arrays:
         """Race policies as tasks of this name, or load results of an earlier run."""
-        # The search reports progress by generation, with the hypervolume, unknown to the tasks.
-        progress = None if stage == "search" else self._progress(stage)
+
+        def progress(done: int, total: int, _: str) -> None:
+            # The search reports by generation, with the hypervolume, unknown to the tasks.
+            if stage != "search":
+                self.callback(stage, done, total, None)
+
         blocks = range(0, len(parameters), BLOCK)
         tasks = [(scenarios, parameters[first : first + BLOCK]) for first in blocks]
         results = run_races(
@@ -429,43 +331,139 @@ class ArchiveRun:
         )
         return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
 
-    def _progress(self, stage: str) -> Progress:
-        """Return a callback for the tasks of a stage."""
-
-        def progress(done: int, total: int, _: str) -> None:
-            share = self._done(stage, done / total)
-            self.callback(self.history[-1]._replace(stage=stage, done=share))
-
-        return progress
-
-    def _note_search(self, search: Search) -> None:
+    def _note(self, search: Search) -> None:
         """Record a generation of the search, and call the callback."""
-        progress = ArchiveProgress(
-            stage="search",
-            generation=search.generation,
-            generations=self.config.generations,
-            evaluations=self.evaluations,
-            hypervolume=search.hypervolume,
-            front=len(search.parameters),
-            own_crash=float(self.searched[-1][1].own_crash.mean()),
-            # A search may resume, so its progress is the number of policies raced.
-            done=self._done("search", self.evaluations / self.config.evaluations),
+        raced = sum(len(parameters) for parameters, _ in self.searched)
+        crash = float(self.searched[-1][1].own_crash.mean())
+        self.course.append(
+            SearchProgress(
+                search.generation, raced, search.hypervolume, len(search.parameters), crash
+            )
         )
-        self.history.append(progress)
-        self.callback(progress)
+        self.callback("search", raced, self.config.evaluations, self.course[-1])
 
-    def _note(self, stage: str, front: int, evaluation: Evaluation) -> None:
-        """Record the end of a later stage, and call the callback."""
-        crash, done = float(evaluation.own_crash.mean()), self._done(stage, 1.0)
-        progress = self.history[-1]._replace(stage=stage, front=front, own_crash=crash, done=done)
-        self.history.append(progress)
-        self.callback(progress)
 
-    def _done(self, stage: str, share: float) -> float:
-        """Return the share of all racing that is done after a share of a stage."""
-        work = self.config.work
-        earlier = list(work)[: list(work).index(stage)]
-        return (sum(work[name] for name in earlier) + share * work[stage]) / sum(work.values())
+class FrontRun(ArchiveRun):
+    """Synthesis of a front of policies."""
+
+    config: FrontConfig
+
+    def violation(self, evaluation: Evaluation) -> Floats:
+        """Return by how much policies violate the limits of the search, shape (K,).
+
+        Rates are per race; coordinates are in units of the initial sample's range.
+        """
+        beyond = super().violation(evaluation)
+        if self.config.min_coordinates is None:
+            return beyond
+        shortfall = (np.array(self.config.min_coordinates) - evaluation.coordinates) / (
+            self.scale.ideal - self.scale.nadir
+        )
+        return np.maximum(beyond, shortfall.max(axis=1))
+
+    def chosen(
+        self, theta: Floats, coordinates: Floats, allowed: Indices, scenarios: Scenarios
+    ) -> Floats:
+        """Race the best policies in new scenarios; choose policies not clearly beaten."""
+        points = _unit(coordinates[allowed])
+        order = allowed[spread_first(points, 0.5 * SPACING, self.config.candidates)]
+        raced = self._race("choice", "choice", scenarios, theta[order])
+        measured = summarise(raced)
+        within = np.flatnonzero(self.violation(measured) <= 0.0)
+        kept = self.unbeaten(raced, within)
+        points = _unit(measured.coordinates[kept])
+        distinct = kept[thin_out(points, SPACING, self.config.max_policies)]
+        self.notes |= {
+            "choice_candidates": len(order),
+            "choice_outside_limits": len(order) - len(within),
+            "choice_beaten": len(within) - len(kept),
+            "choice_too_near_another": len(kept) - len(distinct),
+        }
+        return theta[order[distinct]]
+
+    def unbeaten(self, raced: Arrays, rows: Indices) -> Indices:
+        """Return the policies in ``rows`` that no other one clearly beats.
+
+        Beaten policies add nothing to the front, so their removal makes the front look no better
+        than it is.
+        """
+        return rows[~clearly_beaten(raced, rows)]
+
+
+class SpreadRun(ArchiveRun):
+    """Synthesis of strong policies that are far from each other."""
+
+    min_policies = 3
+
+    config: SpreadConfig
+    champion: Floats  #: shape (P,): Parameters of the champion, once it is tuned.
+
+    def scenarios(self) -> tuple[Scenarios, Scenarios, Scenarios]:
+        """Tune the champion, and return the scenarios, which meet it."""
+        config = self.config
+        tuning = TuningConfig(
+            planner=config.planner,
+            against=config.rivals,
+            tracks=config.tracks,
+            held_out=(),
+            preset=config.preset,
+            duration=config.final_duration,
+            start=config.start,
+            fixed=config.fixed,
+            generations=config.champion_generations,
+            crash_limit=min(config.crash_limit, TuningConfig.crash_limit),
+            seed=_number(_roots(config)[5].spawn(1)[0]),
+        )
+
+        def show(_: str, done: int, total: int, __: object) -> None:
+            self.callback("champion", done, total, None)
+
+        run = TuningRun(tuning, self.job, self.executor, show, "champion-1")
+        text = policy_text(get_planner(config.planner), run.choose(run.search()))
+        self.champion = parse_policy(text).parameters
+        self.notes["champion_1"] = text
+        return stage_scenarios(config, text)
+
+    def begin(self, scenarios: Scenarios) -> Floats:
+        """Race an initial sample around the champion, and return the champion."""
+        sample = draw_policies(self.config, self.config.initial_sample, _roots(self.config)[3])
+        # Halfway to the champion: of policies drawn at random hardly any is strong.
+        sample = 0.5 * (sample + self.champion)
+        sample[0] = self.champion
+        found = self._searched("initial-sample", scenarios, sample)
+        self.min_score = float(found.score[0]) - self.config.margin
+        return self.champion
+
+    def chosen(
+        self, theta: Floats, coordinates: Floats, allowed: Indices, scenarios: Scenarios
+    ) -> Floats:
+        """Race strong policies far apart in new scenarios; choose some that still are.
+
+        The start and the champion are always among them.
+        """
+        config = self.config
+        rows = np.concatenate([[0], allowed[allowed != 0]])  # the first one is the champion
+        order = rows[spread_out(_unit(coordinates[rows]), config.candidates)]
+        known = np.unique([self.champion, config.start_policy.parameters], axis=0)
+        candidates = np.concatenate([known, theta[order[1:]]])
+        measured = summarise(self._race("choice", "choice", scenarios, candidates))
+        self.min_score = float(measured.score[: len(known)].max()) - config.margin
+        within = np.flatnonzero(self.violation(measured) <= 0.0)
+        kept = np.unique(np.concatenate([np.arange(len(known)), within]))
+        points = _unit(measured.coordinates[kept])
+        self.notes |= {
+            "choice_candidates": len(candidates),
+            "choice_outside_limits": len(candidates) - len(within),
+            "choice_min_score": self.min_score,
+        }
+        return candidates[kept[spread_out(points, config.max_policies, len(known))]]
+
+
+RUNS: dict[type[ArchiveConfig], Callable[..., ArchiveRun]] = {
+    FrontConfig: FrontRun,
+    SpreadConfig: SpreadRun,
+}
+"""Algorithms by their configurations."""
 
 
 def _unit(points: Floats) -> Floats:

@@ -27,8 +27,6 @@ from pcs_racing_agents.base.chunks import Arrays
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-RACES_AT_ONCE = 4096  # bounded memory
-
 
 @dataclass(frozen=True, eq=False)
 class Scenarios:
@@ -53,15 +51,14 @@ class Scenarios:
 
 
 class Evaluation(NamedTuple):
-    """Coordinates, own crashes and wins of K policies."""
+    """Coordinates, own crashes and scores of K policies."""
 
     #: shape (K, G): Mean over all segments of races, in the characteristics' units.
     coordinates: Floats
     #: shape (K,): Share of the races that ended by a crash of the policy's own fault.
     own_crash: Floats
     spread: Floats  #: shape (K, G): Standard error of the coordinates over draws of the races.
-    won: Floats  #: shape (K,): Share of races won by the policy.
-    score: Floats  #: shape (K,): Score against rivals (win 1, tie 1/2); 1 without rivals.
+    score: Floats  #: shape (K,): Mean score (win 1, tie 1/2).
 
 
 def draw_scenarios(
@@ -138,29 +135,23 @@ def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:
     The arrays are ``totals`` (k, R, G): sums of the characteristics over the segments begun in each
     race; ``segments`` (k, R): number of segments begun; ``own_crash`` (k, R): True if the race
     ended by a crash of the policy's own fault; ``crashed`` (k, R): True if the race ended by a
-    crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none; ``rival`` (k, R): True if the
-    opponent is a rival.
+    crash; ``winner`` (k, R): 0 the policy, 1 its opponent, -1 none.
     """
     scenarios, parameters = task
     raced: Arrays = {}
     for setup, races, opponents in _meetings(scenarios):
         own = np.pad(parameters, ((0, 0), (0, setup.theta_size - parameters.shape[1])))
-        step = max(1, RACES_AT_ONCE // len(races))
-        for first in range(0, len(parameters), step):
-            egos = np.arange(first, min(first + step, len(parameters)))
-            ego, race = (i.ravel() for i in np.meshgrid(egos, np.arange(len(races)), indexing="ij"))
-            theta = np.ascontiguousarray(np.stack([own[ego], opponents[race]], axis=1))
-            race = races[race]
-            for key, values in _drive(setup, scenarios, race, theta, threads).items():
-                empty = np.zeros((len(parameters), len(scenarios), *values.shape[1:]), values.dtype)
-                raced.setdefault(key, empty)[ego, race] = values
+        ego, row = (indices.ravel() for indices in np.indices((len(own), len(races))))
+        theta = np.ascontiguousarray(np.stack([own[ego], opponents[row]], axis=1))
+        for key, values in _drive(setup, scenarios, races[row], theta, threads).items():
+            empty = np.zeros((len(own), len(scenarios), *values.shape[1:]), values.dtype)
+            raced.setdefault(key, empty)[ego, races[row]] = values
     progress, sums, time = (raced.pop(key) for key in ("progress", "sums", "time"))
     for g, axis in enumerate(get_characteristics(scenarios.characteristics)):
         for k in range(len(parameters) if axis.pooled else 0):
             whole = Segment(progress[k], sums[k], time[k], scenarios.segment_seconds)
             raced["totals"][k, :, g] = _pooled(axis, whole, raced["segments"][k])
-    rival = scenarios.opponent >= len(scenarios.opponents)
-    return {**raced, "rival": np.broadcast_to(rival, raced["winner"].shape)}
+    return raced
 
 
 def _meetings(scenarios: Scenarios) -> Iterator[tuple[RaceSetup, Indices, Floats]]:
@@ -260,7 +251,5 @@ def summarise(raced: Arrays) -> Evaluation:
     coordinates = totals.sum(axis=1) / begun
     residuals = totals - coordinates[:, None] * segments[..., None]
     spread = np.sqrt(races / max(races - 1, 1) * (residuals**2).sum(axis=1)) / begun
-    won, rival = raced["winner"] == 0, raced["rival"]
-    points = np.where(rival, race_points(raced), 0.0)
-    score = np.where(rival.any(axis=1), points.sum(axis=1) / np.maximum(rival.sum(axis=1), 1), 1.0)
-    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, won.mean(axis=1), score)
+    score = race_points(raced).mean(axis=1)
+    return Evaluation(coordinates, raced["own_crash"].mean(axis=1), spread, score)

@@ -70,9 +70,6 @@ class Search:
         Minimum and maximum value of each of at least 2 parameters.
     population : int
         Number of points per generation, 4 to 10,000.
-    elite_ratio : float
-        Share of a generation that is recombined and added to the archive (lambda of Algorithm 1),
-        above 0 to 1.
     step_size : float
         First standard deviation, as a share of the bounds' range, above 0 to 1.
     start : array_like, shape (P,), optional
@@ -84,7 +81,6 @@ class Search:
         bounds: ArrayLike,
         *,
         population: int = 50,
-        elite_ratio: float = 0.5,
         step_size: float = 0.2,
         start: ArrayLike | None = None,
         seed: int = 0,
@@ -94,8 +90,8 @@ class Search:
         mean = self._to_cube(check_array("start", middle, (len(self._low),)))
         self.population = check_whole("population", population, 4, 10_000)
         self._step_size = check_number("step_size", step_size, maximum=1.0, above=0.0)
-        ratio = check_number("elite_ratio", elite_ratio, maximum=1.0, above=0.0)
-        self._elite = max(1, round(ratio * self.population))
+        # Lambda of Algorithm 1: points that are recombined and added to the archive.
+        self._elite = round(0.5 * self.population)
         check_seed(seed, maximum=2**63 - 1)
         # Line 2: initialise lambda, mu, sigma, C = I, p_sigma = p_c = 0. The archive is empty.
         self._rng = np.random.default_rng(np.random.SeedSequence(int(seed)))

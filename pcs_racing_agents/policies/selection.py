@@ -22,7 +22,7 @@ Indices = NDArray[np.int64]
 # A front
 
 
-def clearly_beaten(raced: Arrays, rows: Indices, error_bars: float) -> NDArray[np.bool_]:
+def clearly_beaten(raced: Arrays, rows: Indices, error_bars: float = 1.0) -> NDArray[np.bool_]:
     """Return which of the policies in ``rows`` are beaten within ``rows``, shape (len(rows),).
 
     ``raced`` is the result of :func:`~pcs_racing_agents.policies.evaluate.race_policies`: the same

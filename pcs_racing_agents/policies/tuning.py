@@ -33,7 +33,6 @@ from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.curves import Curve, curves_picture
-from pcs_racing_agents.base.folders import clear_half_written
 from pcs_racing_agents.base.jobs import Job, open_job, run_races
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.style import save_picture
@@ -198,7 +197,6 @@ def tune(
             raise InputError(f"held_out names {name!r}, a circuit of the search")
     settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
     with open_job(folder, "tuning", settings) as job:
-        clear_half_written(folder)
         run = TuningRun(config, job, executor, callback or (lambda *_: None))
         text = policy_text(get_planner(config.planner), run.choose(run.search()))
         # The policy as it is written, with four digits.

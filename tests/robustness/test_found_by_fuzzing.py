@@ -46,7 +46,7 @@ from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
-from pcs_racing_agents.policies.config import ArchiveConfig
+from pcs_racing_agents.policies.config import FrontConfig
 from pcs_racing_agents.study.config import LearningConfig, StudyConfig, load_study_config
 from pcs_racing_agents.study.results import open_results
 from pcs_racing_agents.tournament.protocol import load_protocol
@@ -119,7 +119,7 @@ def test_values_of_other_types():
         lambda: LearningConfig(trees="many"),
         lambda: load_ppo_settings(None),
         lambda: load_train_settings(b"study"),
-        lambda: ArchiveConfig(tracks=None),
+        lambda: FrontConfig(tracks=None),
         lambda: Fit(["best-fixed"], 1, GameIdentity((), (), (0.5,), "a", "b", "c")),
         lambda: load_fit(-1),
         lambda: load_fit({"a": 1}),

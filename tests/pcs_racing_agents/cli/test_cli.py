@@ -33,7 +33,7 @@ from pcs_racing_agents.cli import synthesize
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
 from pcs_racing_agents.cli.options import output_file, output_folder
-from pcs_racing_agents.policies.archive_run import ArchiveProgress
+from pcs_racing_agents.policies.archive_run import SearchProgress
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
@@ -95,12 +95,12 @@ def test_progress_of_a_search_tells_its_generation_and_front(capsys, monkeypatch
     clock = iter([0.0, 10.0, 20.0])
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
     show = synthesize.show_search()
-    show(ArchiveProgress("search", 3, 60, 100, 0.5, 7, 0.125, 0.25))
-    show(ArchiveProgress("search", 60, 60, 2000, 0.6, 9, 0.0, 1.0))
+    show("search", 500, 2000, SearchProgress(3, 500, 0.5, 7, 0.125))
+    show("measurement", 4, 4, None)
     assert capsys.readouterr().err.splitlines() == [
-        "25/100 % of the races, 10 s, about 30 s left: search, generation 3/60, hypervolume 0.500,"
+        "500/2000 steps, 10 s, about 30 s left: search, generation 3, hypervolume 0.500,"
         " 7 policies, own crashes 12.5%",
-        "100/100 % of the races, 20 s",
+        "4/4 steps, 20 s",
     ]
 
 

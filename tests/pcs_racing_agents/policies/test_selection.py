@@ -29,7 +29,7 @@ def raced(totals, segments=None):
     """Races of which only the characteristics are known."""
     shape = totals.shape[:2]
     segments = np.full(shape, 2) if segments is None else segments
-    none = dict.fromkeys(("own_crash", "crashed", "rival"), np.zeros(shape, bool))
+    none = dict.fromkeys(("own_crash", "crashed"), np.zeros(shape, bool))
     return {"totals": totals, "segments": segments, "winner": np.full(shape, -1), **none}
 
 
