@@ -139,6 +139,10 @@ class ModelDriver:
         inputs = Inputs(track.arrays, settings, sight)
         races = Races(state, np.empty((0, 0, 0)), vehicles)
         observe_car(inputs, races, rows, car, buffers, seen)
+        return self.commands_of(seen)
+
+    def commands_of(self, seen: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Return steering angles (rad) and speeds (m/s) for observations, shape (n, 2)."""
         turn, low, top = self.options.limits
         kept = np.clip(self._answers(seen), -1.0, 1.0)
         return np.stack([turn * kept[:, 0], low + 0.5 * (top - low) * (1.0 + kept[:, 1])], axis=1)

@@ -17,19 +17,14 @@ from pcs_racing.planners.learned import folder_format, is_planner_folder
 from pcs_racing.planners.line_ppo import LINE_FORMAT
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
-from pcs_racing_agents.agents.onnx_planners import (
-    COMMAND,
-    lidar_graph,
-    line_graph,
-)
-from pcs_racing_agents.agents.sb3_files import (
-    Sb3Policy,
-    frozen_model,
-    read_zip,
-)
-from pcs_racing_agents.base.onnx_graph import OnnxGraph, Value
+from pcs_racing_agents.agents.onnx_planners import COMMAND, lidar_network, line_network
+from pcs_racing_agents.agents.sb3_files import Sb3Policy, frozen_model, read_zip
+from pcs_racing_agents.base.onnx_file import OnnxNetwork, Step, chain, layer_steps, write_onnx
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
+
+DRAWN = 64
+"""Number of drawn observations to which a file and its policy must answer alike."""
 
 
 def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
@@ -37,7 +32,8 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
 
     The command of a policy or planner is a steering angle (rad) and a speed (m/s); planners drive
     the F1TENTH car. The file of ``line-ppo`` chooses a candidate of its lattice, and an agent
-    makes a move.
+    makes a move. The file of a model or of an agent's network answers drawn observations as the
+    model or network itself, or it is not written.
 
     Parameters
     ----------
@@ -50,36 +46,32 @@ def export_onnx(model: Any, path: str | PathLike[str]) -> Path:
     """
     if Path(path).suffix != ".onnx":
         raise InputError(f"can't write {path}: its name must end in .onnx")
-    return _exported(model).write(Path(path))
+    return write_onnx(_exported(model), Path(path))
 
 
-def _exported(model: Any) -> OnnxGraph:
+def _exported(model: Any) -> OnnxNetwork:
     if isinstance(model, RegretNetwork):
         return _regrets(model)
     if isinstance(model, Policy):
         driver: Any = model.planner.drive
         return _control(driver) if isinstance(driver, ModelDriver) else _named(model.planner.name)
+    if isinstance(model, str | PathLike) and Path(model).suffix != ".zip":
+        return _named(str(model))
+    elements: Any = ()
     if isinstance(model, str | PathLike):
-        return _model_file(Path(model)) if Path(model).suffix == ".zip" else _named(str(model))
-    plain = _plain(model, type(model).__name__)
-    if plain.moves:
-        elements: Any = ()
+        plain, _ = read_zip(Path(model))
+    else:
+        plain = _plain(model, type(model).__name__)
         with suppress(AttributeError):  # a model without environment, or of another one
             (elements,) = model.get_env().get_attr("elements", [0])
-        return _moves(plain, elements)
-    return _exported(policy_racer(model))
+    return _moves(plain, elements) if plain.moves else _exported(policy_racer(model))
 
 
 def _plain(model: Any, name: str) -> Sb3Policy:
     return model if isinstance(model, Sb3Policy) else frozen_model(model, name)
 
 
-def _model_file(file: Path) -> OnnxGraph:
-    plain, _ = read_zip(file)
-    return _moves(plain, []) if plain.moves else _exported(policy_racer(file))
-
-
-def _named(name: str) -> OnnxGraph:
+def _named(name: str) -> OnnxNetwork:
     """Export the network of a folder, or a shipped network."""
     shipped = {one: place.shipped for place in FORMATS for one in place.shipped_names()}
     if name not in shipped and not is_planner_folder(name):
@@ -95,54 +87,90 @@ def _named(name: str) -> OnnxGraph:
 # Models of Stable-Baselines3, and networks of agents
 
 
-def _actor(graph: OnnxGraph, x: Value, plain: Sb3Policy) -> Value:
+def _standardized(mean: Any, spread: Any, limit: float = np.inf) -> list[Step]:
+    """Return the steps of ``(x - mean) / spread`` within a limit, computed in float64."""
+    middle, unit, low, high = (np.asarray(one, np.float64) for one in (mean, spread, -limit, limit))
+    bounded = (("Sub", middle), ("Div", unit), ("Max", low), ("Min", high))
+    return [("Cast <to = 11>",), *bounded, ("Cast <to = 1>",)]
+
+
+def _actor(plain: Sb3Policy) -> list[Step]:
     hidden = {"Tanh": "Tanh", "ReLU": "Relu"}[plain.activation]
-    x = x if plain.scale is None else graph.standardize(x, *plain.scale)
-    return graph.layers(x, plain.layers, hidden, "Tanh" if plain.squash else "Identity")
+    scaled = [] if plain.scale is None else _standardized(*plain.scale)
+    return scaled + layer_steps(plain.layers, hidden) + [("Tanh",)] * plain.squash
 
 
-def _control(driver: ModelDriver) -> OnnxGraph:
+def _control(driver: ModelDriver) -> OnnxNetwork:
     """Export a model of `Drive`; the observation is clipped and scaled as in the environment."""
     plain, options = _plain(driver.model, driver.name), driver.options
     elements = drive_elements(options, driver.cars)
-    low, high = np.array([(one.low, one.high) for one in elements]).T
-    graph = OnnxGraph(driver.name, options.time_step)
-    about = [one._asdict() for one in elements]
-    x = graph.input("observation", len(elements), about=about).clip(low, high)
-    if options.normalize:
-        x = x * (2.0 / (high - low)) - (high + low) / (high - low)
-    x = _actor(graph, x, plain)
+    low, high = np.array([(one.low, one.high) for one in elements], np.float32).T
     turn, slow, fast = options.limits
-    unit, middle = np.array([turn, 0.5 * (fast - slow)]), np.array([0.0, 0.5 * (fast + slow)])
-    if not (options.normalized or plain.squash):
-        x = (x - middle) / unit
-    graph.output("command", x.clip(-1.0, 1.0) * unit + middle, 2, about=COMMAND)
-    return graph
+    unit = np.array([turn, 0.5 * (fast - slow)], np.float32)
+    middle = np.array([0.0, 0.5 * (fast + slow)], np.float32)
+    scale, offset = 2.0 / (high - low), (high + low) / (high - low)
+    normalized = [("Mul", scale), ("Sub", offset)] if options.normalize else []
+    shares = [] if options.normalized or plain.squash else [("Sub", middle), ("Div", unit)]
+    one = np.float32(1.0)
+    within = [("Max", -one), ("Min", one), ("Mul", unit), ("Add", middle)]
+    steps = [("Max", low), ("Min", high), *normalized, *_actor(plain), *shares, *within]
+    drawn = np.random.default_rng(0).uniform(low, high, (DRAWN, len(low))).astype(np.float32)
+    seen = drawn * scale - offset if options.normalize else drawn
+    nodes, constants = chain("observation", "command", steps)
+    graph = f"(float[N,{len(low)}] observation) => (float[N,2] command) {{\n{nodes}\n}}"
+    about = {
+        "name": driver.name,
+        "period": options.time_step,
+        "inputs": {"observation": [one._asdict() for one in elements]},
+        "outputs": {"command": COMMAND},
+    }
+    answers = {"command": driver.commands_of(seen)}
+    return OnnxNetwork(graph, constants, about, {"observation": drawn}, answers)
 
 
-def _moves(plain: Sb3Policy, elements: Sequence[Any]) -> OnnxGraph:
-    graph = OnnxGraph(plain.name, None)
-    sizes, about = plain.layers.sizes, [one._asdict() for one in elements]
-    raw = _actor(graph, graph.input("observation", sizes[0], about=about), plain)
-    graph.output("values", raw, sizes[-1], about="logit of each move")
-    graph.choose("move", raw)
-    return graph
+def _chooser(
+    about: tuple[str, Any, Any], steps: Sequence[Step], last: str, drawn: Any, answers: Any
+) -> OnnxNetwork:
+    """Export a network of values of moves; the move has the max value before the last operator.
+
+    ``about`` holds the name, and the descriptions of the observation and of the values.
+    """
+    nodes, constants = chain("observation", "raw", steps)
+    moves = len(list(constants.values())[-1])  # biases of the last layer
+    graph = f"""(float[N,{drawn.shape[1]}] observation) => (float[N,{moves}] values, int64[N] move)
+        {{
+        {nodes}
+        values = {last} (raw)
+        move = ArgMax <axis = 1, keepdims = 0> (raw)
+        }}"""
+    name, inputs, outputs = about
+    described = {
+        "name": name,
+        "period": None,
+        "inputs": {"observation": inputs},
+        "outputs": {"values": outputs, "move": "index of the max value"},
+    }
+    return OnnxNetwork(graph, constants, described, {"observation": drawn}, answers)
 
 
-def _regrets(network: RegretNetwork) -> OnnxGraph:
-    graph = OnnxGraph(network.name, None)
-    elements, moves = ([{"name": one} for one in part] for part in network.identity[:2])
-    x = graph.input("observation", len(elements), about=elements)
-    x = graph.standardize(x, network.mean, network.scale, np.inf)
-    raw = graph.layers(x, network.layers, "Relu")
-    values = graph.add("Relu", raw) if network.clipped else raw
-    graph.output("values", values, len(moves), about=moves)
-    graph.choose("move", raw)
-    return graph
+def _moves(plain: Sb3Policy, elements: Sequence[Any]) -> OnnxNetwork:
+    drawn = np.random.default_rng(0).normal(size=(DRAWN, plain.layers.sizes[0])).astype(np.float32)
+    about = plain.name, [one._asdict() for one in elements], "logit of each move"
+    return _chooser(about, _actor(plain), "Identity", drawn, {"move": plain.predict(drawn)[0]})
 
 
-FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxGraph]] = {
-    LIDAR_FORMAT: lidar_graph,
-    LINE_FORMAT: line_graph,
+def _regrets(network: RegretNetwork) -> OnnxNetwork:
+    size, last = len(network.elements), "Relu" if network.clipped else "Identity"
+    drawn = np.random.default_rng(0).normal(network.mean, network.scale, (DRAWN, size))
+    drawn = drawn.astype(np.float32)
+    inputs, outputs = ([{"name": one} for one in part] for part in network.identity[:2])
+    steps = _standardized(network.mean, network.scale) + layer_steps(network.layers, "Relu")
+    answers = {"values": network(drawn), "move": network.choose(drawn)}
+    return _chooser((network.name, inputs, outputs), steps, last, drawn, answers)
+
+
+FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxNetwork]] = {
+    LIDAR_FORMAT: lidar_network,
+    LINE_FORMAT: line_network,
     NETWORK_FORMAT: lambda folder: _regrets(load_network(folder)),
 }

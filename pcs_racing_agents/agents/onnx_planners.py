@@ -1,12 +1,9 @@
-"""ONNX graphs of the learned planners: from observations or ranges to commands or candidates."""
+"""ONNX files of the learned planners: from observations or ranges to commands or candidates."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pcs_racing.base.dense import DenseLayers
 from pcs_racing.car.tyres import GRAVITY
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.field import lidar_ppo
@@ -24,7 +21,7 @@ from pcs_racing.planners.line_ppo import (
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
 from pcs_racing.race.config import DT, PLAN_EVERY
-from pcs_racing_agents.base.onnx_graph import OnnxGraph, Value
+from pcs_racing_agents.base.onnx_file import Constants, OnnxNetwork, chain, layer_steps
 
 COMMAND = [{"name": "steering angle", "unit": "rad"}, {"name": "speed", "unit": "m/s"}]
 _GRIP = F1TENTH.mu * GRAVITY
@@ -40,93 +37,174 @@ CAR = {
 }
 """Car of the commands, as in a planner's view: m, rad, rad s^2/m and rad s^4/m^2."""
 PERIOD = PLAN_EVERY * DT
-REJECTED = -1e30  # score of a rejected candidate
+
+# From ranges to an arc as `lidar_ppo.plan_by` and `lay_command`, and the command of the pursuit at
+# the start of the arc.
+LIDAR = f"""
+(float[N,{BEAMS}] ranges, float[N,3] own, float[N,{lidar_ppo.MEMORY}] memory)
+=> (float[N,{lidar_ppo.MEMORY}] next_memory, float[N,2] arc, float[N,2] command)
+{{
+    of_sectors = Gather <axis = 1> (ranges, sector_beams)
+    near = ReduceMin <axes = [2], keepdims = 0> (of_sectors)
+    near_in_range = Clip (near, zero, max_range)
+    root = Sqrt (near_in_range)
+    root_scaled = Mul (root, root_scale)
+    now = Sub (root_scaled, one)
+    begun, last_command, scans = Split <axis = 1> (memory, memory_parts)
+    has_begun = Greater (begun, zero)
+    now_twice = Concat <axis = 1> (now, now)
+    before = Where (has_begun, scans, now_twice)
+    difference = Sub (now_twice, before)
+    difference_scaled = Mul (difference, change)
+    changed = Clip (difference_scaled, minus_one, one)
+    own_scaled = Div (own, own_scale)
+    seen = Concat <axis = 1> (now, changed, own_scaled, last_command)
+    LAYERS
+    turn, push = Split <axis = 1> (action)
+    last_scan, earlier_scan = Split <axis = 1> (before)
+    none = Mul (begun, zero)
+    is_begun = Add (none, one)
+    next_memory = Concat <axis = 1> (is_begun, action, now, last_scan)
+    v, yaw_rate, delta = Split <axis = 1> (own)
+    v_share = Div (v, halved)
+    v_square = Mul (v_share, v_share)
+    easing = Add (v_square, one)
+    turn_scaled = Mul (turn, max_kappa)
+    kappa = Div (turn_scaled, easing)
+    push_scaled = Mul (push, max_push)
+    v_pushed = Add (v, push_scaled)
+    v_arc = Max (v_pushed, slowest)
+    arc = Concat <axis = 1> (kappa, v_arc)
+    v_braked = Sub (v, braking)
+    speed = Max (v_arc, v_braked)
+    v_missing = Sub (speed, v)
+    v_missing_scaled = Mul (v_missing, gain)
+    acceleration = Min (v_missing_scaled, max_acceleration)
+    slip_of_push = Mul (acceleration, understeer_gain)
+    slip = Add (slip_of_push, understeer)
+    slip_v = Mul (slip, v)
+    slip_v_v = Mul (slip_v, v)
+    slip_angle = Mul (slip_v_v, kappa)
+    bend = Mul (kappa, wheelbase)
+    course = Atan (bend)
+    steering_free = Add (course, slip_angle)
+    steering = Clip (steering_free, steer_min, steer_max)
+    command = Concat <axis = 1> (steering, speed)
+}}
+"""
+
+# Choice among the candidates, by features of `pcs_racing.planners.line_ppo`.
+LINE = f"""
+(float[N,{CONTEXT}] situation, float[N,{MOVE},{GOALS}] moves, float[N,{SPEED},{SPEEDS}] speeds,
+ float[N,{PAIR},{CANDIDATES}] candidates)
+=> (float[N,{CANDIDATES}] scores, int64[N] candidate)
+{{
+    context = Gemm (situation, context_weight, context_bias)
+    inner = Tanh (context)
+    move_each = Gather <axis = 2> (moves, move_of)
+    speed_each = Gather <axis = 2> (speeds, speed_of)
+    features = Concat <axis = 1> (move_each, speed_each, candidates)
+    hidden_shared = Gemm (inner, situation_weight, situation_bias)
+    hidden_biased = Add (hidden_shared, candidate_bias)
+    hidden_column = Unsqueeze (hidden_biased, axis_2)
+    candidate_rows = Transpose (candidate_weight)
+    hidden_own = MatMul (candidate_rows, features)
+    hidden = Add (hidden_own, hidden_column)
+    units = Relu (hidden)
+    score_row = Transpose (score_weight)
+    by_units = MatMul (score_row, units)
+    linear = Gemm (inner, weights_weight, weights_bias)
+    linear_row = Unsqueeze (linear, axis_1)
+    by_features = MatMul (linear_row, features)
+    correction = Add (by_units, by_features)
+    others, cost = Split <axis = 1> (candidates, cost_last)
+    price = Mul (cost, sharpness)
+    score = Sub (correction, price)
+    is_rejected = Less (cost, zero)
+    score_each = Where (is_rejected, rejected, score)
+    scores = Squeeze (score_each, axis_1)
+    candidate = ArgMax <axis = 1, keepdims = 0> (scores)
+}}
+"""
 
 
-def _layers(flat: NDArray[np.float64], shapes: Sequence[tuple[int, int]]) -> DenseLayers:
-    """Return layers of shapes (inputs, outputs) from the numbers of `DenseLayers.flat`."""
-    ends = np.cumsum([(below + 1) * above for below, above in shapes])[:-1]
-    parts = [
-        part.reshape(below + 1, above)
-        for part, (below, above) in zip(np.split(flat, ends), shapes, strict=True)
-    ]
-    return DenseLayers(tuple(part[1:].T for part in parts), tuple(part[0] for part in parts))
+def _constants(**values: float) -> Constants:
+    return {name: np.array(value, np.float32) for name, value in values.items()}
 
 
-def lidar_graph(folder: Path) -> OnnxGraph:
-    """Return the network of a lidar planner, from ranges to an arc as `lidar_ppo.plan_by`, and the
-    arc's command.
-    """
+def lidar_network(folder: Path) -> OnnxNetwork:
+    """Return the network of a lidar planner."""
     name, layers = lidar_ppo.read_lidar_planner(folder)
-    graph = OnnxGraph(name, PERIOD)
-    angle, size, sectors = 0.5 * FIELD_OF_VIEW, lidar_ppo.MEMORY, lidar_ppo.SECTORS
-    beams = {"beams": BEAMS, "angle_min": -angle, "angle_max": angle, "max_range": MAX_RANGE}
-    ranges = graph.input("ranges", BEAMS, about={"unit": "m", **beams})
-    names = {"speed": "m/s", "yaw rate": "rad/s", "steering angle": "rad"}
-    own = graph.input("own", 3, about=[{"name": k, "unit": v} for k, v in names.items()])
-    memory = graph.input("memory", size)
+    nodes, constants = chain("seen", "action", [*layer_steps(layers, "Relu"), ("Tanh",)])
     first, end = lidar_ppo.EDGES[:-1, None], lidar_ppo.EDGES[1:, None]
-    # A narrow sector names its last beam more than once.
-    number = graph.constant(np.minimum(first + np.arange((end - first).max()), end - 1), np.int64)
-    near = graph.add("ReduceMin", graph.add("Gather", ranges, number, axis=1), axes=[2], keepdims=0)
-    now = graph.add("Sqrt", near.clip(0.0, MAX_RANGE)) * (2.0 * MAX_RANGE**-0.5) - 1.0
-    both = graph.add("Concat", now, now, axis=1)
-    before = graph.add("Where", graph.add("Greater", memory[0:1], 0.0), memory[3:size], both)
-    change = ((both - before) * lidar_ppo.CHANGE).clip(-1.0, 1.0)
-    scaled = own / [8.0, 4.0, F1TENTH.steer_max]
-    x = graph.add("Concat", now, change, scaled, memory[1:3], axis=1)
-    x = graph.layers(x, layers, "Relu", "Tanh")
-    kept = memory[0:1] * 0.0 + 1.0, x, now, before[0:sectors]
-    graph.output("next_memory", graph.add("Concat", *kept, axis=1), size)
-    graph.about |= {"state": {"memory": "next_memory"}, "vehicle": CAR}
-    _add_command(graph, own[0:1], x[0:1], x[1:2])
-    return graph
+    constants |= _constants(
+        zero=0.0,
+        one=1.0,
+        minus_one=-1.0,
+        max_range=MAX_RANGE,
+        root_scale=2.0 * MAX_RANGE**-0.5,
+        change=lidar_ppo.CHANGE,
+        halved=lidar_ppo.HALVED,
+        max_kappa=lidar_ppo.MAX_KAPPA,
+        max_push=lidar_ppo.PUSH,
+        slowest=lidar_ppo.SLOWEST,
+        braking=0.1 * BRAKING,
+        gain=10.0,
+        max_acceleration=9.5,
+        steer_min=-F1TENTH.steer_max,
+        **CAR,
+    ) | {
+        # A narrow sector names its last beam more than once.
+        "sector_beams": np.minimum(first + np.arange((end - first).max()), end - 1),
+        "memory_parts": np.array([1, 2, lidar_ppo.MEMORY - 3]),
+        "own_scale": np.array([8.0, 4.0, F1TENTH.steer_max], np.float32),
+    }
+    angle = 0.5 * FIELD_OF_VIEW
+    beams = {"beams": BEAMS, "angle_min": -angle, "angle_max": angle, "max_range": MAX_RANGE}
+    own = {"speed": "m/s", "yaw rate": "rad/s", "steering angle": "rad"}
+    about = {
+        "name": name,
+        "period": PERIOD,
+        "inputs": {
+            "ranges": {"unit": "m", **beams},
+            "own": [{"name": k, "unit": v} for k, v in own.items()],
+        },
+        "outputs": {"arc": [{"name": "curvature", "unit": "1/m"}, COMMAND[1]], "command": COMMAND},
+        "state": {"memory": "next_memory"},
+        "vehicle": CAR,
+    }
+    return OnnxNetwork(LIDAR.replace("LAYERS", nodes), constants, about)
 
 
-def _add_command(graph: OnnxGraph, v: Value, turn: Value, push: Value) -> None:
-    """Add the arc of `lidar_ppo.lay_command`, and the command of the pursuit at its start."""
-    slower = v / lidar_ppo.HALVED
-    kappa = turn * lidar_ppo.MAX_KAPPA / (slower * slower + 1.0)
-    speed = graph.add("Max", v + push * lidar_ppo.PUSH, lidar_ppo.SLOWEST)
-    arc = [{"name": "curvature", "unit": "1/m"}, COMMAND[1]]
-    graph.output("arc", graph.add("Concat", kappa, speed, axis=1), 2, about=arc)
-    speed = graph.add("Max", speed, v - 0.1 * BRAKING)
-    harder = graph.add("Min", (speed - v) * 10.0, 9.5)
-    understeer = (harder * CAR["understeer_gain"] + CAR["understeer"]) * v * v * kappa
-    steering = graph.add("Atan", kappa * CAR["wheelbase"]) + understeer
-    steering = steering.clip(-CAR["steer_max"], CAR["steer_max"])
-    graph.output("command", graph.add("Concat", steering, speed, axis=1), 2, about=COMMAND)
-
-
-def line_graph(folder: Path) -> OnnxGraph:
-    """Return the choice among the candidates, by features of `pcs_racing.planners.line_ppo`."""
+def line_network(folder: Path) -> OnnxNetwork:
+    """Return the network of ``line-ppo``, from features to the chosen candidate."""
     fields, numbers = read_line_planner(folder)
-    graph, number = OnnxGraph(fields["name"], PERIOD), np.arange(CANDIDATES)
-    # Not a chain of layers: each is unpacked by itself.
-    flat, parts = numbers[LATTICE_SIZE:], {}
+    flat, number = numbers[LATTICE_SIZE:], np.arange(CANDIDATES)
+    constants = _constants(zero=0.0, rejected=-1e30, sharpness=SHARPNESS) | {
+        "move_of": number % GOALS,
+        "speed_of": number // GOALS,
+        "axis_1": np.array([1]),
+        "axis_2": np.array([2]),
+        "cost_last": np.array([PAIR - 1, 1]),
+    }
     for layer, (above, below) in LAYERS.items():
-        network = _layers(flat[: (below + 1) * above], [(below, above)])
-        parts[layer], flat = (network.weights[0], network.biases[0]), flat[(below + 1) * above :]
-    sizes = {"situation": (CONTEXT,), "moves": (MOVE, GOALS), "speeds": (SPEED, SPEEDS)}
-    sizes["candidates"] = (PAIR, CANDIDATES)
-    situation, moves, speeds, own = (
-        graph.input(name, *shape, about=f"features of shape {shape}")
-        for name, shape in sizes.items()
-    )
-    inner = graph.add("Tanh", graph.dense(situation, *parts["context"]))
-    moves, speeds = (
-        graph.add("Gather", one, graph.constant(index, np.int64), axis=2)
-        for one, index in ((moves, number % GOALS), (speeds, number // GOALS))
-    )
-    features = graph.add("Concat", moves, speeds, own, axis=1)
-    weight, bias = parts["candidate"]
-    hidden = (graph.dense(inner, *parts["situation"]) + bias).unsqueeze(2)
-    units = graph.add("Relu", graph.add("MatMul", weight, features) + hidden)
-    linear = graph.dense(inner, *parts["weights"]).unsqueeze(1)
-    score = graph.add("MatMul", parts["score"][0], units) + graph.add("MatMul", linear, features)
-    cost = own[PAIR - 1 : PAIR]
-    score = graph.add("Where", graph.add("Less", cost, 0.0), REJECTED, score - cost * SHARPNESS)
-    scores = graph.add("Squeeze", score, graph.constant([1], np.int64))
-    graph.output("scores", scores, CANDIDATES, about="score of each candidate")
-    graph.choose("candidate", scores)
-    return graph
+        part = flat[: (below + 1) * above].astype(np.float32).reshape(below + 1, above)
+        constants |= {f"{layer}_bias": part[0], f"{layer}_weight": part[1:]}
+        flat = flat[part.size :]
+    del constants["score_bias"]  # the same for all candidates
+    sizes = {
+        "situation": (CONTEXT,),
+        "moves": (MOVE, GOALS),
+        "speeds": (SPEED, SPEEDS),
+        "candidates": (PAIR, CANDIDATES),
+    }
+    about = {
+        "name": fields["name"],
+        "period": PERIOD,
+        "inputs": {name: f"features of shape {shape}" for name, shape in sizes.items()},
+        "outputs": {
+            "scores": "score of each candidate",
+            "candidate": "index of the max value",
+        },
+    }
+    return OnnxNetwork(LINE, constants, about)
