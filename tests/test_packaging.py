@@ -117,7 +117,6 @@ EXAMPLES = {
     "clients/openspiel_tree": ("pyspiel", "open_spiel"),
     "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
     "play_a_race": ("pygame", '".[window]"'),
-    "ppo_against_cfr": ("stable_baselines3", '".[learning]"'),
     "train_ppo": ("torch", '".[learning,plots]"'),
 }
 

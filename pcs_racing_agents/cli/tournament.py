@@ -110,7 +110,7 @@ def run(
         print(f"results: {write_results(table, out / 'results.csv')}")
         if fixed is None and can_draw("the payoff matrix"):
             from pcs_racing_agents.base.style import save_picture
-            from pcs_racing_agents.tournament.table import payoffs_picture
+            from pcs_racing_agents.tournament.pictures import payoffs_picture
 
             figure = payoffs_picture(plan.names, tournament.summary.scores)
             print(f"picture: {save_picture(figure, out / 'payoffs.png')}")

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.base.jobs import Run
+from pcs_racing_agents.base.statistics import clustered_mean, varied
+from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import (
     Pairing,
@@ -29,8 +31,9 @@ from pcs_racing_agents.tournament.pairings import (
     draw_schedule,
     schedule_pairing,
 )
+from pcs_racing_agents.tournament.pictures import payoffs_picture
 from pcs_racing_agents.tournament.races import RaceRow, RaceTable, concatenate_races, series_of
-from pcs_racing_agents.tournament.ratings import RoundRobin, round_robin
+from pcs_racing_agents.tournament.ratings import RoundRobin, agents_of, round_robin
 from pcs_racing_agents.tournament.runner import Recording, play_pairings, repeat_race
 
 Entrant = Any
@@ -71,9 +74,34 @@ class TournamentPlan:
         return self.spec.config.race_rules
 
 
+class AgentScore(NamedTuple):
+    """Score of an agent over all its races."""
+
+    agent: str
+    races: int
+    score: float  #: Mean score: 1 for a win, 0.5 for a tie, else 0.
+    low: float  #: ``low``, ``high``: 95 % interval, robust to clusters of start lines.
+    high: float
+    own_crash: float  #: Share of the races that ended in a crash by the agent's own fault.
+
+    @property
+    def interval(self) -> str:
+        """Interval as text."""
+        return f"[{self.low:.3f}, {self.high:.3f}]"
+
+
+SCORE_COLUMNS = (
+    Column("agent"),
+    Column("races"),
+    Column("score", format=".3f"),
+    Column("interval", "95 %"),
+    Column("own_crash", "own crashes", ".1%"),
+)
+
+
 @dataclass(frozen=True, eq=False)
 class Tournament:
-    """Played tournament with its races."""
+    """Played tournament with its races; ``print`` shows its table, ``plot`` draws its scores."""
 
     plan: TournamentPlan
     races: RaceTable
@@ -87,6 +115,36 @@ class Tournament:
     def summary(self) -> RoundRobin:
         """Scores against each other, ratings and equilibrium, in the plan's order."""
         return round_robin(self.plan.names, self.series, seed=self.plan.seed)
+
+    @cached_property
+    def scores(self) -> list[AgentScore]:
+        """Score of each agent, in the plan's order."""
+        series, raced = self.series, agents_of(self.plan.names, self.races)
+        seats = agents_of(self.plan.names, series)
+        won = np.stack([series.score, 1.0 - series.score], axis=1)
+        won[series.crashed & (series.winner < 0)] = 0.0  # a no-contest is no tie
+        table = []
+        for k, name in enumerate(self.plan.names):
+            rows, cars = np.nonzero(seats == k)
+            found = clustered_mean(won[rows, cars], *varied(series.places[rows]))
+            blamed = float((self.races.fault[raced == k] > 0).mean())
+            table.append(AgentScore(name, len(rows), found.mean, found.low, found.high, blamed))
+        return table
+
+    def __str__(self) -> str:
+        """Show the score, its interval and the own crashes of each agent, and each pair's score."""
+        names = self.plan.names
+        rows = table_rows(SCORE_COLUMNS, self.scores)
+        pairs = [("against", *names)]
+        for name, row in zip(names, self.summary.scores, strict=True):
+            pairs.append((name, *("-" if np.isnan(one) else f"{one:.3f}" for one in row)))
+        where = ", ".join(track.name for track in self.plan.tracks)
+        head = f"{where}, rules {self.plan.config.name}, seed {self.plan.seed}"
+        return "\n".join([head, *aligned(rows, left=1), "", *aligned(pairs, left=1)])
+
+    def plot(self) -> Any:
+        """Return a figure of matplotlib with the score of each agent against each other agent."""
+        return payoffs_picture(self.plan.names, self.summary.scores)
 
 
 def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:

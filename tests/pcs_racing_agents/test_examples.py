@@ -238,18 +238,12 @@ def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
 
 
 def test_ppo_against_cfr(tmp_path):
-    size = ("--track", "Pipkin", "--steps", 100, "--races", 4)
-    against = ("--opponent", "always-aggressiveness+")
-    out = run_python(EXAMPLES / "ppo_against_cfr.py", *size, *against, folder=tmp_path)
-    created = tmp_path / "out" / "ppo_against_cfr"
-    kept = {path.name for path in (created / "training" / "policy").iterdir()}
-    assert kept == {"weights.safetensors", "manifest.yaml", "curve.csv"}
-    table = [line.split() for line in out.splitlines() if re.search(r"\[[+-]", line)]
-    names = ["ppo", "line-ppo", "always-aggressiveness+", "never-switch"]
-    assert [cells[0] for cells in table] == names
-    assert all(0.0 <= float(share) <= 1.0 for cells in table for share in cells[1:5])
-    assert table[-1][5:] == ["+0.000", "[+0.000,", "+0.000]"]
-    assert (created / "race.html").is_file()
+    out = run_python(EXAMPLES / "ppo_against_cfr.py", "--steps", 100, "--races", 2, folder=tmp_path)
+    rows = [line.split() for line in out.splitlines()]
+    names = ["ppo", "cfr-argmax", "line-ppo", "never-switch"]
+    assert [row[0] for row in rows[2:6]] == names
+    assert all(0.0 <= float(row[2]) <= 1.0 for row in rows[2:6])
+    assert (tmp_path / "out" / "ppo.zip").is_file()
 
 
 def test_a_tree_in_openspiel(tmp_path):
@@ -265,20 +259,6 @@ def test_a_tree_in_openspiel(tmp_path):
     assert list(cells) == ["OpenSpiel CFR+", "OpenSpiel MCCFR", "pcs-racing CFR+", "pcs-racing"]
     assert cells["pcs-racing CFR+"] == pytest.approx(cells["OpenSpiel CFR+"], rel=0.01)
     assert abs(cells["pcs-racing"]) < 1e-12
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("--opponent", "nobody"), "agent 'nobody' is unknown"),
-        (("--races", "3"), "races_per_pair is 3; it must be an even number"),
-    ],
-)
-def test_bad_input_is_reported_before_the_training(tmp_path, arguments, message):
-    done = call_python(EXAMPLES / "ppo_against_cfr.py", *arguments, cwd=tmp_path)
-    assert done.returncode == 1
-    assert done.stderr.startswith(f"ppo_against_cfr: error: {message}")
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):

@@ -9,13 +9,12 @@ from pcs_racing import load_race_config, racer
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
+from pcs_racing_agents.tournament.pictures import payoffs_picture, ratings_picture
 from pcs_racing_agents.tournament.play import TournamentPlan
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.ratings import rate
 from pcs_racing_agents.tournament.table import (
-    payoffs_picture,
-    ratings_picture,
     standings,
     tournament_text,
 )
@@ -151,3 +150,15 @@ def test_pictures_hold_each_number_at_its_place():
     assert [line[0, 0] for line in lines[1::2]] == pytest.approx([elo, 0.0, -elo])
     labels = [label.get_text() for label in axes.get_yticklabels()]
     assert labels == ["b", "a", "c"]
+
+
+def test_a_tournament_prints_scores_with_intervals_and_own_crashes(tournament):
+    standing = {one.name: one for one in standings(tournament)}
+    for one in tournament.scores:
+        assert one.score == pytest.approx(standing[one.agent].score)
+        assert one.own_crash == standing[one.agent].own_crash
+        assert one.low <= one.score <= one.high
+    lines = str(tournament).splitlines()
+    assert lines[1].split() == ["agent", "races", "score", "95", "%", "own", "crashes"]
+    assert f"{tournament.scores[0].score:.3f}" in lines[2]
+    assert len(tournament.plot().axes[0].get_yticklabels()) == len(tournament.plan.names)
