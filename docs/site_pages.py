@@ -119,9 +119,9 @@ def environment_page(name: str) -> str:
 
 def _arguments(options: Any) -> list[str]:
     """Return lines about the arguments of an environment, from its configuration."""
-    listed = listed_settings(options, defaults=True)
+    listed = listed_settings(options)
     if issubclass(options, GameOptions):
-        listed += listed_settings(GameConfig, "race", defaults=True)
+        listed += listed_settings(GameConfig, "race")
     return listed
 
 

@@ -5,12 +5,15 @@ python dev/tools/write_schemas.py
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from types import UnionType
+from typing import Any, Literal, Union, get_args, get_origin
+
+from annotated_types import Interval, Len, MinLen
 
 import pcs_racing_agents
-from pcs_racing.base.settings import DIFFERENT, Settings, options_of
+from pcs_racing.base.settings import DIFFERENT, OneOf, Settings, options_of, split
 from pcs_racing.race.config import PRESETS, RaceConfig
 from pcs_racing_agents.learning.ppo.settings import DuelSettings
 from pcs_racing_agents.learning.psro import PSROSettings
@@ -21,6 +24,7 @@ from pcs_racing_agents.policies.config import SELECTIONS
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.tournament.protocol import ProtocolConfig
 
+TYPES = {bool: "boolean", float: "number", int: "integer", str: "string"}
 FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
 KINDS: dict[str, type[Settings]] = {
     "ppo": DuelSettings,
@@ -34,17 +38,47 @@ KINDS: dict[str, type[Settings]] = {
 }
 
 
+def schema_of_kind(kind: Any, notes: Iterable[Any]) -> dict[str, Any]:
+    """Return the schema of the values of a type with notes."""
+    origin, inner = get_origin(kind), get_args(kind)
+    schema: dict[str, Any] = {"type": TYPES[kind]} if kind in TYPES else {}
+    if origin is Literal:
+        schema = {"type": "string", "enum": list(inner)}
+    elif origin in (Union, UnionType):
+        schema = {
+            "anyOf": [
+                schema_of_kind(*split(one)) for one in inner if one in TYPES or get_origin(one)
+            ]
+        }
+    elif origin is Mapping:
+        schema = {"type": "object", "additionalProperties": schema_of_kind(*split(inner[1]))}
+    elif origin is tuple:
+        schema = {"type": "array", "items": schema_of_kind(*split(inner[0]))}
+        if inner[-1] is not Ellipsis:
+            schema |= {"minItems": len(inner), "maxItems": len(inner)}
+    for note in notes:
+        # multiples are left out: editors would refuse 0.3, no multiple of 0.1 in floating point
+        if isinstance(note, OneOf):
+            schema["enum"] = list(note.names)
+        elif isinstance(note, Interval):
+            schema |= {"minimum": note.ge, "maximum": note.le}
+        elif isinstance(note, MinLen | Len):
+            noun = {"string": "Length", "array": "Items", "object": "Properties"}[schema["type"]]
+            schema[f"min{noun}"] = note.min_length
+            if getattr(note, "max_length", None) is not None:
+                schema[f"max{noun}"] = note.max_length
+        elif note is DIFFERENT:
+            schema["uniqueItems"] = True
+    return schema
+
+
 def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
     """Return the schema of a file of settings; ``more`` are keys beside the options."""
     properties = {}
     for name, option in options_of(cls).items():
         kind = option.kind
         nested = isinstance(kind, type) and issubclass(kind, Settings)
-        schema = schema_of(kind) if nested else option.adapter.json_schema()
-        # editors would refuse 0.3, which is no multiple of 0.1 in floating point
-        schema.pop("multipleOf", None)
-        if DIFFERENT in option.notes:
-            schema["uniqueItems"] = True
+        schema = schema_of(kind) if nested else schema_of_kind(kind, option.notes)
         if kind is RaceConfig:
             schema = {"anyOf": [{"type": "string"}, schema]}
         if option.default is None:

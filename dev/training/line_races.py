@@ -93,9 +93,9 @@ WIDTHS = (2.2, 2.0, 3.0)  # m
 RULES = (
     CONTEST,
     CONTEST,
-    RaceConfig.known(**vars(CONTEST) | {"start": "side-by-side", "start_spacing": 0.62}),
+    RaceConfig(**vars(CONTEST) | {"start": "side-by-side", "start_spacing": 0.62}),
     CONTEST,
-    RaceConfig.known(**vars(CONTEST) | {"start_gap": 5.0}),
+    RaceConfig(**vars(CONTEST) | {"start_gap": 5.0}),
 )
 
 LEARNER = Planner(name="learner", parameters=(), memory_size=MEMORY)

@@ -21,7 +21,7 @@ from pcs_racing.base.files import (
     parse_yaml,
     read_limited,
     write_atomically,
-    write_new_folder,
+    write_together,
 )
 
 MANIFEST = "manifest.yaml"
@@ -52,7 +52,7 @@ class ManifestFormat:
 
     def write(self, file: Path, fields: Mapping[str, Any]) -> None:
         """Write a manifest; the file appears whole or not at all."""
-        write_atomically(file, self._manifest(fields))
+        write_atomically(file, self.text(fields))
 
     def read(self, file: str | os.PathLike[str]) -> dict[str, Any]:
         """Return the fields of a manifest."""
@@ -72,15 +72,14 @@ class ManifestFormat:
             )
         return {key: manifest[key] for key in self.keys}
 
-    def _manifest(self, fields: Mapping[str, Any]) -> bytes:
+    def text(self, fields: Mapping[str, Any]) -> bytes:
+        """Return the content of a manifest."""
         values = {
             "format": f"pcs-racing {self.noun}",
             "version": self.version,
             **{key: fields[key] for key in self.keys},
         }
-        return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110).encode(
-            "utf-8"
-        )
+        return yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=110).encode()
 
     def _content(self, file: str | os.PathLike[str], limit: int) -> bytes:
         try:
@@ -101,20 +100,15 @@ class ArtifactFormat(ManifestFormat):
     max_bytes: int = 32_000_000  #: Maximum size of the data.
     shipped: Path = Path()  #: Folder of the shipped artifacts, with a folder for each name.
 
-    def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
-        """Write data and manifest (``fields`` and the digest) into a folder; return the folder.
+    def files(self, fields: Mapping[str, Any], data: bytes) -> dict[str, bytes]:
+        """Return the files of a folder: data and manifest (``fields`` and the digest)."""
+        digest = hashlib.sha256(data).hexdigest()
+        return {self.data_file: data, MANIFEST: self.text({**fields, self.digest_key: digest})}
 
-        A missing folder is made, and appears whole or not at all. In an existing folder the
-        manifest is written last: until then its digest belongs to other data, and :meth:`load`
-        detects the mismatch.
-        """
+    def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
+        """Write data and manifest into a folder, made if missing; return the folder."""
         folder = Path(check_path(f"the folder of {self.a_noun}", folder))
-        manifest = self._manifest({**fields, self.digest_key: hashlib.sha256(data).hexdigest()})
-        # The manifest last: if the process ends in between, the digest reveals the mismatch.
-        files = {self.data_file: data, MANIFEST: manifest}
-        if not write_new_folder(folder, files):
-            for name, content in files.items():
-                write_atomically(folder / name, content)
+        write_together(folder, self.files(fields, data))
         return folder
 
     def load(self, folder: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:

@@ -1,5 +1,6 @@
-"""Checks of a value: each returns the value, or raises one error that names it and says what would
-be right.
+"""Checks of a value: each returns the value, or raises an error with the value and the right form.
+
+Ends of ranges belong to the ranges; in shapes, None is any length.
 """
 
 import math
@@ -16,38 +17,32 @@ from pcs_racing.base.errors import InputError
 
 Error = type[InputError]
 
-FEW = 32
-"""Numbers that are faster looked at one by one than by numpy."""
-
 
 def all_finite(values: NDArray[np.float64]) -> bool:
-    """Whether no element is infinite or NaN; fast for two numbers as for many."""
-    if values.size <= FEW:
-        return all(map(math.isfinite, values.ravel().tolist()))
-    return bool(np.isfinite(values).all())
+    """Return whether no element is infinite or NaN; fast for two numbers as for many."""
+    few = values.size <= 32
+    return (
+        all(map(math.isfinite, values.ravel().tolist())) if few else bool(np.isfinite(values).all())
+    )
 
 
 def is_flag(value: object) -> TypeGuard[bool]:
-    """Whether a value is a truth value of Python or numpy."""
+    """Return whether a value is a truth value of Python or numpy."""
     return isinstance(value, bool | np.bool_)
 
 
 def is_whole(value: object) -> TypeGuard[int]:
-    """Whether a value is a whole number of Python or numpy; truth values are none."""
+    """Return whether a value is a whole number of Python or numpy, and no truth value."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def is_number(value: object) -> TypeGuard[float]:
-    """Whether a value is a finite number of Python or numpy; truth values are none."""
-    if isinstance(value, bool) or not isinstance(value, int | float | np.integer | np.floating):
-        return False
-    return isinstance(value, int) or math.isfinite(value)
+    """Return whether a value is a finite number of Python or numpy, and no truth value."""
+    return is_whole(value) or (isinstance(value, float | np.floating) and math.isfinite(value))
 
 
 def within(minimum: float | None, maximum: float | None, above: float | None = None) -> str:
-    """Return the words for a range: ``from 0 to 1``, ``from 1``, ``above 0 up to 1``; empty where
-    there is none.
-    """
+    """Return a range as text: ``from 0 to 1``, ``from 1``, ``above 0 up to 1``, or nothing."""
     if above is not None:
         low, to = f" above {above:.12g}", " up to"
     else:
@@ -62,7 +57,7 @@ def check_whole(
     maximum: int | None = None,
     error: Error = InputError,
 ) -> int:
-    """Return a whole number within a range, both ends included, as an ``int``."""
+    """Return a whole number within a range as an ``int``."""
     if (
         not is_whole(value)
         or (minimum is not None and value < minimum)
@@ -81,20 +76,15 @@ def check_number(
     above: float | None = None,
     error: Error = InputError,
 ) -> float:
-    """Return a finite number within a range; ``minimum`` and ``maximum`` belong to it, ``above``
-    does not.
-
-    A number of Python is returned as it is, one of numpy as a number of Python.
-    """
-    fine = is_number(value)
-    # A number of Python from here on: numpy would bring the limits into the value's own type, such
-    # as float16.
+    """Return a finite number within a range, and above ``above``, as a number of Python."""
+    # numpy would convert the limits to the type of the value, such as float16.
     number: float = value.item() if isinstance(value, np.generic) else value
-    # Compared only now: what is no number need not have an order.
-    fine = (
-        fine and (minimum is None or number >= minimum) and (maximum is None or number <= maximum)
-    )
-    if not fine or (above is not None and not number > above):
+    if (
+        not is_number(value)
+        or (minimum is not None and number < minimum)
+        or (maximum is not None and number > maximum)
+        or (above is not None and not number > above)
+    ):
         kind = "finite number" if minimum is maximum is above is None else "number"
         raise error(f"{name} is {value!r}; it must be a {kind}{within(minimum, maximum, above)}")
     return number
@@ -108,18 +98,18 @@ def check_flag(name: str, value: Any, error: Error = InputError) -> bool:
 
 
 def check_text(name: str, value: Any, error: Error = InputError) -> str:
-    """Return a text that is not empty."""
+    """Return a non-empty text."""
     if not isinstance(value, str) or not value:
         raise error(f"{name} is {value!r}; it must be a non-empty text")
     return value
 
 
 def check_path(name: str, value: Any, error: Error = InputError) -> str | os.PathLike[str]:
-    """Return a name or a path that a file can have; the file need not exist."""
+    """Return a possible name or path of a file; the file need not exist."""
     fine = isinstance(value, str | os.PathLike) and bool(os.fspath(value))
     try:
         fine = fine and b"\0" not in os.fsencode(value)
-    except UnicodeEncodeError:  # half a character
+    except UnicodeEncodeError:  # a lone surrogate
         fine = False
     if not fine:
         raise error(f"{name} is {value!r:.200}; it must be a name or a path")
@@ -127,7 +117,7 @@ def check_path(name: str, value: Any, error: Error = InputError) -> str | os.Pat
 
 
 def check_choice(name: str, value: Any, choices: Iterable[str], error: Error = InputError) -> str:
-    """Return one of several names; a name that resembles one of them is suggested."""
+    """Return one of several names; the error suggests the nearest name."""
     known = list(choices)
     if not isinstance(value, str) or value not in known:
         raise error(
@@ -137,19 +127,15 @@ def check_choice(name: str, value: Any, choices: Iterable[str], error: Error = I
 
 
 def did_you_mean(name: Any, known: Iterable[str]) -> str:
-    """Return the end of a message that suggests a known name, or an empty text where none
-    resembles.
-    """
+    """Return the end of a message that suggests the nearest known name, if one is near."""
     close = get_close_matches(name, list(known), 1) if isinstance(name, str) else []
     return f" (did you mean {close[0]!r}?)" if close else ""
 
 
 def check_names(name: str, values: Any, error: Error = InputError) -> tuple[str, ...]:
-    """Return a list of different texts, none empty, as a tuple."""
-    listed = isinstance(values, list | tuple) and all(
-        isinstance(value, str) and value for value in values
-    )
-    if not listed or not values:
+    """Return a list of different non-empty texts as a tuple."""
+    listed = isinstance(values, list | tuple) and len(values) > 0
+    if not listed or not all(isinstance(value, str) and value for value in values):
         raise error(f"{name} is {values!r}; it must be a list of names")
     if len(set(values)) < len(values):
         raise error(f"{name} are {', '.join(values)}; name each once")
@@ -170,14 +156,11 @@ def check_array(
     maximum: float | None = None,
     error: Error = InputError,
 ) -> NDArray[np.float64]:
-    """Return a new array of finite numbers.
-
-    In ``shape`` None stands for any length; ``minimum`` and ``maximum`` belong to the range.
-    """
+    """Return a new array of finite numbers within a range."""
     try:
         if np.iscomplexobj(value):
             raise TypeError  # numpy would drop the imaginary part
-        # Always a copy: the caller may go on writing to what it passed.
+        # Always a copy: the caller may write to its array later.
         array = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
         raise error(f"{name} is {value!r:.200}; it must hold numbers") from None
@@ -195,7 +178,7 @@ def check_array(
 
 
 def _fits(array: NDArray[Any], shape: Sequence[int | None]) -> bool:
-    """Whether an array has a shape, in which None stands for any length."""
+    """Return whether an array has a shape."""
     return array.ndim == len(shape) and all(
         n in (None, m) for n, m in zip(shape, array.shape, strict=True)
     )
@@ -204,26 +187,21 @@ def _fits(array: NDArray[Any], shape: Sequence[int | None]) -> bool:
 def _outside(
     array: NDArray[Any], minimum: float | None, maximum: float | None
 ) -> NDArray[np.bool_]:
-    """Which numbers are beyond one of two limits."""
-    outside = np.zeros(array.shape, np.bool_)
-    if minimum is not None:
-        outside |= array < minimum
-    if maximum is not None:
-        outside |= array > maximum
-    return outside
+    """Return a mask of the numbers beyond one of two limits."""
+    below = False if minimum is None else array < minimum
+    above = False if maximum is None else array > maximum
+    return np.zeros(array.shape, np.bool_) | below | above
 
 
 def _first(array: NDArray[Any], wrong: NDArray[np.bool_]) -> str:
-    """The first of the wrong numbers, and where it stands."""
+    """Return the first of the wrong numbers, with its index."""
     place = tuple(int(i) for i in np.argwhere(wrong)[0])
     at = f" at {place[0] if len(place) == 1 else place}" if place else ""
     return f"{array[place]}{at}"
 
 
 def as_array(values: Any) -> NDArray[Any]:
-    """Return values as an array; an empty one of objects for lists of different lengths, to be
-    refused by its type.
-    """
+    """Return values as an array; of objects for lists of different lengths, to refuse its type."""
     try:
         return np.asarray(values)
     except (TypeError, ValueError):
@@ -237,10 +215,9 @@ def check_whole_array(
     minimum: int | None = None,
     maximum: int | None = None,
 ) -> NDArray[np.int64]:
-    """Return a new array of whole numbers; numbers with a fraction are refused, not cut off.
+    """Return a new array of whole numbers within a range, in one of the ``shapes`` if any.
 
-    Any of the ``shapes`` will do, and any shape if none is named; None stands for any length. Both
-    ends belong to the range.
+    Numbers with a fraction are refused.
     """
     array = as_array(value)
     if array.size == 0 and array.dtype == np.float64:  # numpy's type of an empty list

@@ -14,6 +14,7 @@ import shutil
 import stat
 import zipfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -23,6 +24,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
+
+NEXT = ".next"
+"""Folder of new files until all of them are at their places (:func:`write_together`)."""
 
 MAX_YAML = 200_000
 """Maximum size of a YAML file in bytes; larger files would take seconds to parse."""
@@ -45,6 +49,7 @@ def write_atomically(path: Path, content: bytes | str | Callable[[IO[bytes]], ob
         raise InputError(f"can't write {path}: there is no folder {path.parent}")
     if path.is_dir():
         raise InputError(f"can't write {path}: it is a folder")
+    _move_next(path.parent)
     # In the same folder, because a file can only be renamed within one file system; shortened,
     # because names have a limit.
     temporary = path.with_name(f".{path.name[:100]}.{secrets.token_hex(4)}")
@@ -63,28 +68,61 @@ def write_atomically(path: Path, content: bytes | str | Callable[[IO[bytes]], ob
         temporary.unlink(missing_ok=True)
 
 
-def write_new_folder(folder: Path, files: Mapping[str, bytes]) -> bool:
-    """Write files into a missing folder, which appears whole or not at all.
+def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files of a folder so that all of them appear at once, or none.
 
-    Return False, and write nothing, if the folder exists.
+    They are first written into a new folder, which is then renamed: to ``folder`` if that is
+    missing, else to ``folder/.next``. From the renaming on, :func:`read_limited` takes files in
+    ``.next`` in place of the files above it. At last they are moved there, by this call or, if it
+    was killed, by the next one.
     """
-    if folder.exists():
-        return False
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    temporary = folder.with_name(f".{folder.name[:100]}.{secrets.token_hex(4)}")
+    there = folder.is_dir()
+    temporary = (folder / NEXT if there else folder).with_name(
+        f".{folder.name[:100]}.{secrets.token_hex(4)}"
+    )
     try:
+        temporary.parent.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
         for name, data in files.items():
+            (temporary / name).parent.mkdir(exist_ok=True)
             (temporary / name).write_bytes(data)
-        temporary.rename(folder)
-        return True
+        while temporary.is_dir():
+            _move_next(folder)
+            try:
+                temporary.rename(folder / NEXT if there else folder)
+            except OSError:
+                # Another process may have written into the same folder in between.
+                if folder.is_dir() == there and not (folder / NEXT).is_dir():
+                    raise
+                there = folder.is_dir()
+        _move_next(folder)
     except OSError as error:
-        # A folder that exists by now comes from another process.
-        if not folder.is_dir():
-            raise OSError(error.errno, error.strerror, str(folder)) from None
-        return False
+        raise OSError(error.errno, error.strerror, str(folder)) from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _move_next(folder: Path) -> None:
+    """Move the files in ``.next`` to their places."""
+    for file in sorted((folder / NEXT).rglob("*")):
+        place = folder / file.relative_to(folder / NEXT)
+        if file.is_dir():
+            place.mkdir(exist_ok=True)
+        else:
+            # Another process may move the same files.
+            with suppress(FileNotFoundError):
+                file.replace(place)
+    shutil.rmtree(folder / NEXT, ignore_errors=True)
+
+
+def _current(path: str | os.PathLike[str]) -> str | os.PathLike[str]:
+    """Return the place of a file: its path, or a place in ``.next`` of one of the folders above."""
+    given = Path(path)
+    for above in given.parents[:2]:
+        pending = above / NEXT / given.relative_to(above)
+        if pending.is_file():
+            return pending
+    return path
 
 
 def read_limited(
@@ -98,7 +136,7 @@ def read_limited(
     refused = error or InputError
     check_path("the path of a file", path, refused)
     try:
-        with open(path, "rb", opener=_open_at_once) as file:
+        with open(_current(path), "rb", opener=_open_at_once) as file:
             status = os.fstat(file.fileno())
             # A pipe or a device may never end.
             if not stat.S_ISREG(status.st_mode):
@@ -130,7 +168,7 @@ def plain_yaml(data: bytes | str) -> Any:
         if node is None:
             return None
         if _size(node, {}, 0) > _MAX_VALUES:
-            raise InputError("it holds far more than it seems: its names stand for too much")
+            raise InputError("its aliases expand to too many values")
         return loader.construct_document(node)
     except InputError:
         raise

@@ -5,76 +5,55 @@ one place::
     class Soup(Settings):
         salt: Annotated[float, Interval(ge=0.0, le=1.0), "Salt, g."] = 0.5
 
-The notes behind a type are those of ``annotated_types``, which pydantic checks, and a text, the
-meaning. Everything else follows: the checks when settings are made, the attributes in the
-docstring, loading from YAML (:func:`load_settings`), the plain form for manifests
-(:func:`plain_settings`), the words of a command line (:func:`option_words`) and the JSON schema of
-a file (``dev/tools/write_schemas.py``). An option whose default is None may be None. Defaults are
-not checked, so pydantic is only imported for other values (it would double the time of ``import
-pcs_racing``).
+The notes behind a type are notes of ``annotated_types`` and a text, the meaning. Everything else
+follows: the checks of new settings, the attributes in the docstring, loading from YAML
+(:func:`load_settings`), the plain form for manifests (:func:`plain_settings`), the help texts of a
+command line (:func:`option_words`) and the JSON schema of a file (``dev/tools/write_schemas.py``).
+An option with the default None may be None. Defaults are not checked. An option of another class of
+settings may be written as a mapping.
 """
 
 import os
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, replace
 from enum import Enum
-from functools import cached_property, reduce
+from functools import reduce
 from inspect import cleandoc, get_annotations
 from operator import or_
 from pathlib import Path
-from textwrap import wrap
-from types import NoneType, SimpleNamespace, UnionType
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    ClassVar,
-    Literal,
-    Self,
-    TypeVar,
-    Union,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from textwrap import indent, wrap
+from types import NoneType, UnionType
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin
 
 import numpy as np
 from annotated_types import Interval, Len, MinLen, MultipleOf, Predicate
 
-from pcs_racing.base.checks import check_choice, did_you_mean, is_number, within
+from pcs_racing.base.checks import check_choice, did_you_mean, is_number, is_whole, within
 from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited
 
-if TYPE_CHECKING:
-    from pydantic import TypeAdapter
-
 S = TypeVar("S", bound="Settings")
 _NOUNS = {int: "a whole number", float: "a number", bool: "true or false", str: "a non-empty text"}
-_PLAIN = (bool, int, float, str, NoneType, tuple, dict)
 _PLURALS = {int: "whole numbers", float: "numbers", str: "names"}
+_IS_KIND: dict[Any, Callable[[object], bool]] = {int: is_whole, float: is_number}
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A note for values in forms of their own: a function of name and value returns the stored
-    value, or refuses.
+    """Note for values with a check of their own.
+
+    A function of name and value returns the stored value, or raises an error.
     """
 
     function: Callable[[str, Any], Any]
-    words: str = ""  #: The range, for docstrings and help texts.
+    words: str = ""  #: Range, for docstrings and help texts.
 
 
 class OneOf:
-    """A note for texts that are one of several names."""
+    """Note for texts that are one of several names."""
 
     def __init__(self, names: Iterable[str]) -> None:
         self.names = tuple(names)
-
-    def __get_pydantic_core_schema__(self, _source: Any, _handler: Any) -> Any:
-        from pydantic_core.core_schema import literal_schema
-
-        return literal_schema(list(self.names))
 
 
 def _different(values: tuple[Any, ...]) -> bool:
@@ -88,13 +67,13 @@ DIFFERENT = Predicate(_different)
 """All values of a list differ."""
 
 Text = Annotated[str, MinLen(1)]
-"""A text that is not empty, such as a name or a path."""
+"""Non-empty text, such as a name or a path."""
 
 Names = Annotated[tuple[Text, ...], MinLen(1), DIFFERENT]
-"""A list of different names."""
+"""List of different names."""
 
 OptionalNames = Annotated[tuple[Text, ...], DIFFERENT]
-"""A list of different names, which may be empty."""
+"""List of different names, possibly empty."""
 
 Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=4096)], ...], Len(0, 8)]
 """Units of each hidden layer of a network."""
@@ -103,7 +82,7 @@ Layers = Annotated[tuple[Annotated[int, Interval(ge=1, le=4096)], ...], Len(0, 8
 def number_range(
     minimum: float, maximum: float, what: str = "", is_kind: Callable[[Any], bool] = is_number
 ) -> Checked:
-    """Two numbers within limits, the second one not below the first; a single number is both."""
+    """Return a note for two numbers within limits, in order; a single number is both."""
 
     def check(name: str, value: Any) -> tuple[Any, Any]:
         pair = [value, value] if is_kind(value) else value
@@ -119,29 +98,19 @@ def number_range(
 
 @dataclass(frozen=True)
 class Option:
-    """A declared field."""
+    """Declared field."""
 
     kind: Any  #: Type without its notes and without None.
     notes: tuple[Any, ...]  #: Notes behind the type, its meaning among them.
     default: Any  #: ``dataclasses.MISSING`` if there is none.
-    type: Any  #: As it was declared.
 
     @property
     def meaning(self) -> str:
-        """The text among the notes."""
+        """Text among the notes."""
         return next(note for note in self.notes if isinstance(note, str))
 
-    @cached_property
-    def adapter(self) -> "TypeAdapter[Any]":
-        """The check of pydantic."""
-        from pydantic import TypeAdapter
-
-        kind: Any = Annotated[(self.kind, *self.notes)]
-        config: Any = {"strict": True, "allow_inf_nan": False, "arbitrary_types_allowed": True}
-        return TypeAdapter(kind, config=config)
-
     def checked(self, name: str, value: Any) -> Any:
-        """Return a value as settings store it."""
+        """Return a value in the form that settings store."""
         for note in self.notes:
             if isinstance(note, Checked):
                 try:
@@ -150,29 +119,23 @@ class Option:
                     raise
                 except InputError as error:
                     raise ConfigError(str(error)) from None
-        limits = [note for note in self.notes if not isinstance(note, str)]
-        within_them = (
-            isinstance(note, Interval) and note.ge <= value <= note.le for note in limits
-        )
-        # A number within its limits, the usual case, needs no pydantic.
-        if type(value) is self.kind and (limits or self.kind is bool) and all(within_them):
-            return value
+        if isinstance(self.kind, type) and issubclass(self.kind, Settings):
+            if isinstance(value, self.kind):
+                return value
+            if not isinstance(value, Mapping):
+                raise ConfigError(f"{name} is {value!r:.80}; it must be a mapping of settings")
+            _check_keys(name, self.kind(), value, "the arguments")
+            return self.kind(**value)
         plain = _plain(value)
-        from pydantic import ValidationError
-
-        try:
-            # Any other object with a __float__ would do for a number.
-            self.adapter.validate_python(plain if isinstance(plain, _PLAIN) else None)
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            held = isinstance(value, Mapping) and first["loc"]
-            wrong = f"holds {first['loc'][0]!r}: {first['input']!r}" if held else f"is {value!r}"
+        if not _fits(plain, self.kind, self.notes):
+            wrong = f"is {value!r}"
+            if get_origin(self.kind) is Mapping and isinstance(plain, Mapping):
+                odd = [key for key in plain if not _fits({key: plain[key]}, self.kind, ())]
+                wrong = f"holds {odd[0]!r}: {plain[odd[0]]!r}" if odd else wrong
             hint = did_you_mean(value, _choices(self.kind, self.notes))
             raise ConfigError(
                 f"{name} {wrong}; it must be {''.join(_wanted(self.kind, self.notes))}{hint}"
-            ) from None
-        # As it is, since a whole number that pydantic made a fraction would change the hashes of
-        # manifests.
+            )
         return plain
 
 
@@ -189,11 +152,40 @@ def _plain(value: Any) -> Any:
     return {key: _plain(one) for key, one in value.items()} if isinstance(value, Mapping) else value
 
 
-def _parts(kind: Any) -> tuple[Any, tuple[Any, ...]]:
-    """Return a type without notes and without None, and its notes."""
+def _fits(value: Any, kind: Any, notes: Iterable[Any]) -> bool:
+    """Return whether a plain value has a type and obeys its notes."""
+    origin, inner = get_origin(kind), [split(one) for one in get_args(kind)]
+    if known := _choices(kind, notes):
+        return isinstance(value, str) and value in known
+    if origin is tuple:
+        fine = isinstance(value, tuple) and all(_fits(one, *inner[0]) for one in value)
+    elif origin is Mapping:
+        pairs = value.items() if isinstance(value, Mapping) else [(None, None)]
+        fine = all(_fits(key, *inner[0]) and _fits(one, *inner[1]) for key, one in pairs)
+    else:
+        fine = _IS_KIND[kind](value) if kind in _IS_KIND else isinstance(value, kind)
+    return fine and all(_obeys(value, note) for note in notes)
+
+
+def _obeys(value: Any, note: Any) -> bool:
+    match note:
+        case Interval():
+            return bool(note.ge <= value <= note.le)
+        case MultipleOf():
+            # 1.1 is no multiple of 0.1 in floating point.
+            return bool(abs(value / note.multiple_of - round(value / note.multiple_of)) < 1e-6)
+        case MinLen() | Len():
+            return note.min_length <= len(value) <= (getattr(note, "max_length", None) or np.inf)
+        case Predicate():
+            return bool(note.func(value))
+    return True
+
+
+def split(kind: Any) -> tuple[Any, tuple[Any, ...]]:
+    """Return a declared type without notes and without None, and its notes."""
     kind, *notes = get_args(kind) if get_origin(kind) is Annotated else (kind,)
     if get_origin(kind) in (Union, UnionType) and NoneType in get_args(kind):
-        kind, inner = _parts(reduce(or_, (one for one in get_args(kind) if one is not NoneType)))
+        kind, inner = split(reduce(or_, (one for one in get_args(kind) if one is not NoneType)))
         notes = [*inner, *notes]
     return kind, tuple(notes)
 
@@ -222,20 +214,17 @@ def _wanted(kind: Any, notes: Iterable[Any], largest: float = np.inf) -> tuple[s
         return _NOUNS.get(kind, ""), limits
     few = by_type.get(Len)
     count = f" {few.min_length} to {few.max_length}".replace(" 0 to", " at most") if few else ""
-    inner, different = (
-        _parts(get_args(kind)[form != "a list of"]),
-        " different" if DIFFERENT in by_type.values() else "",
-    )
-    return (
-        f"{form}{count}{different} {_PLURALS.get(inner[0], 'values')}",
-        _wanted(*inner, largest)[1],
-    )
+    different = " different" if DIFFERENT in by_type.values() else ""
+    inner = split(get_args(kind)[-1 if form.startswith("a mapping") else 0])
+    noun = f"{form}{count}{different} {_PLURALS.get(inner[0], 'values')}"
+    return noun, _wanted(*inner, largest)[1]
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Base of declared configurations; checks between fields go into ``__post_init__`` after the
-    base's.
+    """Base of declared configurations.
+
+    Checks between fields are in ``__post_init__``, after the call of the base's.
     """
 
     #: Names of settings elsewhere, for the hint in an error: ours.
@@ -245,21 +234,17 @@ class Settings:
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         cls._options = options_of(cls)
-        # From Python 3.13 on the docstring is not indented anyway; before, both parts must be.
         own = cleandoc(cls.__dict__.get("__doc__") or "")
-        cls.__doc__ = "\n".join(
-            [own, "", "Attributes", "----------", *listed_settings(cls, defaults=True), ""]
-        )
+        cls.__doc__ = "\n".join([own, "", "Attributes", "----------", *listed_settings(cls), ""])
 
     def __post_init__(self) -> None:
         for name, option in self._options.items():
             value = getattr(self, name)
+            if value is option.default:
+                continue
             try:
-                # By their texts, since 1, 1.0 and True are equal.
-                same = isinstance(value, _PLAIN) and repr(value) == repr(option.default)
-                if not same and value is not option.default:
-                    # A check may bring a value into another form, such as a list into a tuple.
-                    object.__setattr__(self, name, option.checked(name, value))
+                # A check may bring a value into another form, such as a list into a tuple.
+                object.__setattr__(self, name, option.checked(name, value))
             except InputError:
                 raise
             except (RecursionError, ValueError):
@@ -268,31 +253,20 @@ class Settings:
                     " numbers, texts, lists and mappings"
                 ) from None
 
-    @classmethod
-    def known(cls, **values: Any) -> Self:
-        """Make settings out of values that need no check."""
-        made = object.__new__(cls)
-        defaults = {name: option.default for name, option in cls._options.items()}
-        vars(made).update(defaults | values)
-        return made
-
 
 def options_of(cls: type[Settings]) -> dict[str, Option]:
     """Return the options of a class, which need not have become a dataclass yet."""
     found = {}
-    # Derived classes last: their declarations take the place of inherited ones.
+    # Derived classes last: their declarations replace inherited ones.
     for base in reversed(cls.__mro__):
         made = base.__dict__.get("__dataclass_fields__", {})
         for name, kind in get_annotations(base).items():
-            parts, default = _parts(kind), made.get(name, base.__dict__.get(name, MISSING))
+            default = made.get(name, base.__dict__.get(name, MISSING))
             if isinstance(default, Field):
-                default = (
-                    default.default
-                    if default.default_factory is MISSING
-                    else default.default_factory()
-                )
+                factory = default.default_factory
+                default = default.default if factory is MISSING else factory()
             if get_origin(kind) is Annotated:
-                found[name] = Option(*parts, default, kind)
+                found[name] = Option(*split(kind), default)
     return found
 
 
@@ -305,12 +279,18 @@ def load_settings(
     /,
     **changes: Any,
 ) -> S:
-    """Return settings from a name out of ``named``, a YAML file, a mapping or settings, with some
-    fields changed.
+    """Return settings from a name, a YAML file, a mapping or settings, with some fields changed.
 
-    ``default`` is what a field is that a file leaves out, or all of them without a source; a file's
-    key ``base_key`` names other settings, out of ``named``, that take its place. ``kind`` ("race")
-    is for messages.
+    Parameters
+    ----------
+    kind : str
+        Kind of the settings for messages, such as "race".
+    default : Settings
+        Fields that a file or mapping leaves out; all fields without a source.
+    named : mapping, optional
+        Settings or YAML files by name.
+    base_key : str, optional
+        Key in a file that names other settings, out of ``named``, in place of ``default``.
     """
     known = dict(named or {})
     if isinstance(source, Mapping):
@@ -347,16 +327,15 @@ def load_settings(
 
 def read_settings(path: str | os.PathLike[str]) -> dict[Any, Any]:
     """Read a YAML file that holds a mapping; no code in it is run."""
-    values = parse_yaml(
-        path, read_limited(path, MAX_YAML, "a file of settings", ConfigError), ConfigError
-    )
+    content = read_limited(path, MAX_YAML, "a file of settings", ConfigError)
+    values = parse_yaml(path, content, ConfigError)
     if not isinstance(values, dict):
         raise ConfigError(f"{path} holds {type(values).__name__}; it must be a mapping of settings")
-    return dict(values)
+    return values
 
 
 def plain_settings(settings: Settings) -> dict[str, Any]:
-    """Return settings as plain values that YAML can hold; tuples become lists."""
+    """Return settings as plain values for YAML; tuples become lists."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, Settings):
@@ -377,33 +356,14 @@ def _check_keys(kind: str, settings: Settings, changes: Mapping[Any, Any], where
             )
 
 
-def listed_settings(cls: type[Settings], *without: str, defaults: bool = False) -> list[str]:
-    """Return lines of a docstring, two or more for each option of a class: its name and type, and
-    its meaning.
-    """
-    lines: list[str] = []
-    for name, option in options_of(cls).items():
-        if name not in without:
-            lines += listed_argument(name, type_name(option.type), option_words(option, defaults))
-    return lines
-
-
-def listed_argument(name: str, kind: str, meaning: str) -> list[str]:
-    """Return lines of a docstring about one argument."""
-    indent = " " * 4
-    first = name if kind == "Any" else f"{name} : {kind}"
-    return [first, *wrap(meaning, 108, initial_indent=indent, subsequent_indent=indent)]
-
-
-def type_name(kind: Any) -> str:
-    """Return a type as a docstring writes it."""
-    kind = get_type_hints(SimpleNamespace(__annotations__={"kind": kind}))["kind"]  # without notes
-    plain = kind.__name__ if isinstance(kind, type) and get_origin(kind) is None else str(kind)
-    return re.sub(
-        r"collections\.abc\.|typing\.",
-        "",
-        re.sub(r"typing\.Optional\[(.+)\]$", r"\1 | None", plain),
-    )
+def listed_settings(cls: type[Settings], *without: str) -> list[str]:
+    """Return entries of a docstring for the options of a class: name, type and meaning."""
+    return [
+        f"{name} : {getattr(option.kind, '__name__', 'object')}\n"
+        + indent("\n".join(wrap(option_words(option), 104)), "    ")
+        for name, option in options_of(cls).items()
+        if name not in without
+    ]
 
 
 def option_words(option: Option, with_default: bool = True) -> str:
@@ -411,6 +371,5 @@ def option_words(option: Option, with_default: bool = True) -> str:
     noun, limits = _wanted(option.kind, option.notes, 1e9)
     words = f"{noun}{limits}" if noun == "one of" else limits.strip(" ,")
     hidden = option.default in (None, MISSING) or isinstance(option.default, Settings)
-    shown = with_default and not hidden
-    default = f" (default: {option.default!r})" if shown else ""
+    default = "" if hidden or not with_default else f" (default: {option.default!r})"
     return f"{option.meaning.rstrip('.')}{f'; {words}' if words else ''}{default}."

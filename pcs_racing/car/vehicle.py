@@ -261,12 +261,12 @@ class VehicleParams(Settings):
 
 F1TENTH = VehicleParams()
 
-F1TENTH_PACEJKA = VehicleParams.known(tyres="pacejka")
+F1TENTH_PACEJKA = VehicleParams(tyres="pacejka")
 """The F1TENTH car with the Pacejka tyres of gymkhana's ``f1tenth_stp``, identified by ForzaETH's
 On-Track-SysID.
 """
 
-FORZAETH_NUC2 = VehicleParams.known(
+FORZAETH_NUC2 = VehicleParams(
     tyres="pacejka",
     mu=1.0,
     lf=0.162,

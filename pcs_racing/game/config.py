@@ -73,9 +73,9 @@ class GameConfig(Settings):
     moves: Annotated[
         int,
         Interval(ge=1, le=100),
-        "Moves of each player; one step without moves precedes the first. With moves, step_seconds"
-        " and first_steps all None the steps are those of the race; if one of them is given, 4"
-        " moves, 8 s and () stand for the others.",
+        "Moves of each player; one step without moves precedes the first. Without moves,"
+        " step_seconds and first_steps the race gives the steps; with one of them, the defaults of"
+        " the others are 4, 8 s and ().",
     ] = None  # type: ignore[assignment]
     step_seconds: Annotated[
         float,
@@ -86,7 +86,7 @@ class GameConfig(Settings):
     first_steps: Annotated[
         tuple[float, ...],
         FIRST_STEPS,
-        "Lengths of the first steps, s, where they are not step_seconds: with [0, 2], players move"
+        "Lengths of the first steps, s, if other than step_seconds: with [0, 2], players move"
         " before the start, 2 s after it, and then every step_seconds.",
     ] = None  # type: ignore[assignment]
     epsilon: Annotated[

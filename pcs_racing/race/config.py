@@ -194,7 +194,7 @@ class RaceConfig(Settings):
 PAPER = RaceConfig()
 """The race of the paper: deterministic, side by side, a crash is a no-contest."""
 
-CONTEST = RaceConfig.known(
+CONTEST = RaceConfig(
     name="contest",
     start="staggered",
     start_gap=1.4,
@@ -207,7 +207,7 @@ CONTEST = RaceConfig.known(
 )
 """The race in which adapting pays: staggered, disturbed, the car at fault loses."""
 
-ROBORACER = RaceConfig.known(
+ROBORACER = RaceConfig(
     name="roboracer",
     start_spacing=0.62,
     start_speed=0.0,

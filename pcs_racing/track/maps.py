@@ -15,7 +15,6 @@ with an image, gives the name.
 
 import io
 import os
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +27,7 @@ from PIL import Image
 from pcs_racing.base.artifacts import shipped_folder
 from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import MapError, UnknownNameError, choices
-from pcs_racing.base.files import MAX_YAML, read_limited, write_new_folder
+from pcs_racing.base.files import MAX_YAML, read_limited, write_together
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,
@@ -173,7 +172,7 @@ def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
 def write_map(content: MapFolder) -> Path:
     """Write a map folder (new, empty, or with a map of the same name), and return it.
 
-    A new folder appears whole; in an existing one each file is replaced as a whole.
+    All files appear at once, or none.
     """
     name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
     if (
@@ -188,16 +187,8 @@ def write_map(content: MapFolder) -> Path:
     same = not folder.exists() or (folder / f"{name}_map.yaml").is_file()
     if not same and not (folder.is_dir() and next(folder.iterdir(), None) is None):
         raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
-    files = _files(content)
     try:
-        if write_new_folder(folder, files):
-            return folder
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".map-") as new:
-            # All files are written before the first replacement: a full disk changes nothing.
-            for file, data in files.items():
-                Path(new, file).write_bytes(data)
-            for file in files:
-                os.replace(Path(new, file), folder / file)
+        write_together(folder, _files(content))
     except OSError as error:
         raise MapError(f"can't write {folder}: {error.strerror or error}") from error
     return folder

@@ -31,7 +31,7 @@ from pcs_racing.base.checks import (
 )
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import read_limited, write_atomically
+from pcs_racing.base.files import read_limited, write_together
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.models import KEPT, model_policy
 from pcs_racing.envs.opponents import WEIGHTS
@@ -174,8 +174,7 @@ def _planner(name: str, weight: float) -> dict[str, Any]:
 def save_league(folder: str | Path, league: League) -> Path:
     """Write a league into a folder, which is made if missing; return the folder.
 
-    The weights of new copies are written first, then ``league.yaml`` is replaced, so the folder
-    holds the former league or the new one at any time.
+    The folder holds the former league or the new one at any time.
     """
     folder = Path(check_path("the folder of the league", folder))
     try:
@@ -187,16 +186,15 @@ def save_league(folder: str | Path, league: League) -> Path:
 
 
 def _save(folder: Path, league: League) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
+    files: dict[str, bytes] = {}
     members = []
     for member in league.members:
         fields: dict[str, Any] = {key: getattr(member, key) for key in _KEYS}
         fields |= {key: float(fields[key]) for key in _KEYS[1:]}
         if member.model is not None:
             content = _weights(member.model)
-            file, scale = folder / f"{member.name}.safetensors", member.model.scale
-            if not file.is_file() or file.read_bytes() != content:
-                write_atomically(file, content)
+            scale = member.model.scale
+            files[f"{member.name}.safetensors"] = content
             fields |= {
                 "sha256": hashlib.sha256(content).hexdigest(),
                 "hidden": list(member.model.layers.hidden),
@@ -206,7 +204,7 @@ def _save(folder: Path, league: League) -> Path:
                 "arguments": dict(member.arguments),
             }
         members.append(fields)
-    LEAGUE_FORMAT.write(folder / FILE, {"members": members})
+    write_together(folder, {**files, FILE: LEAGUE_FORMAT.text({"members": members})})
     return folder
 
 

@@ -2,13 +2,14 @@
 
 The folder of a network holds ``weights.safetensors`` and a manifest. A set stores a mixture of
 learned strategies: a folder with a folder for each network and ``set.yaml``, with the name and the
-probability of each network. ``set.yaml`` is written last; until then the folder is no set.
+probability of each network.
 """
 
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,6 +18,7 @@ from pcs_racing.base.artifacts import ArtifactFormat, ManifestFormat, shipped_fo
 from pcs_racing.base.checks import check_facts, check_names, check_text
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.files import write_together
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.moves import check_epsilon
 from pcs_racing_agents.base.fingerprint import fingerprint
@@ -40,6 +42,11 @@ NETWORK_FORMAT = ArtifactFormat(
 
 def save_network(network: RegretNetwork, folder: str | Path) -> Path:
     """Write a network into a folder, made if missing; return the folder."""
+    return NETWORK_FORMAT.save(folder, *_content(network))
+
+
+def _content(network: RegretNetwork) -> tuple[dict[str, Any], bytes]:
+    """Return the fields of a network's manifest, and its weights."""
     identity = network.identity
     fields = {
         "name": network.name,
@@ -55,7 +62,7 @@ def save_network(network: RegretNetwork, folder: str | Path) -> Path:
         "training": dict(network.training),
     }
     scaling = dict(zip(_SCALING, (network.mean, network.scale), strict=True))
-    return NETWORK_FORMAT.save(folder, fields, layers_to_bytes(network.layers, scaling))
+    return fields, layers_to_bytes(network.layers, scaling)
 
 
 def list_networks() -> list[str]:
@@ -156,20 +163,21 @@ class NetworkSet:
 def save_network_set(networks: NetworkSet, folder: str | Path) -> Path:
     """Write a set into a folder, made if missing; return the folder."""
     folder = Path(folder)
-    names = [f"{i:02d}" for i in range(len(networks.networks))]
-    # The manifest is written last: a set with half-replaced networks is no set.
-    (folder / SET_FILE).unlink(missing_ok=True)
-    for name, network in zip(names, networks.networks, strict=True):
-        save_network(network, folder / name)
+    members = {f"{i:02d}": network for i, network in enumerate(networks.networks)}
+    files = {
+        f"{name}/{file}": data
+        for name, network in members.items()
+        for file, data in NETWORK_FORMAT.files(*_content(network)).items()
+    }
     fields = {
         "name": networks.name,
         "decision": networks.decision,
         "weights": [float(weight) for weight in networks.weights],
-        "networks": names,
+        "networks": list(members),
         "digests": [fingerprint(network.layers) for network in networks.networks],
         "training": dict(networks.training),
     }
-    SET_FORMAT.write(folder / SET_FILE, fields)
+    write_together(folder, {**files, SET_FILE: SET_FORMAT.text(fields)})
     return folder
 
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Checked, Names, OptionalNames, S, Settings, Text, load_settings
+from pcs_racing.base.settings import Checked, Names, OptionalNames, Settings, Text, load_settings
 from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.race.config import PAPER
@@ -107,35 +107,20 @@ def _game(_: str, value: Any) -> GameConfig:
     return load_game_config(rules, **{key: one for key, one in value.items() if key != "race"})
 
 
-def _section(kind: type[S]) -> Checked:
-    """Return the check of a nested configuration, written as a mapping."""
-
-    def check(name: str, value: Any) -> S:
-        if not isinstance(value, Mapping | kind):
-            raise ConfigError(f"{name} is {value!r:.80}; it must be a mapping of settings")
-        return load_settings(name, kind(), value)
-
-    return Checked(check)
-
-
 @dataclass(frozen=True)
 class StudyConfig(Settings):
     """Configuration of a study; it determines the results."""
 
     game: Annotated[GameConfig, Checked(_game), "Rules of the game."] = PAPER_GAME
     archive: Annotated[Text, "Name or folder of the policy archive."] = "default"
-    learning: Annotated[
-        LearningConfig, _section(LearningConfig), "Training of the networks and agents."
-    ] = LearningConfig()
+    learning: Annotated[LearningConfig, "Training of the networks and agents."] = LearningConfig()
     table: Annotated[
         TableConfig,
-        _section(TableConfig),
         "Main table, with the adaptivity gain if all baselines (best-fixed, best-schedule,"
         " best-lead-plan) are among its agents.",
     ] = TableConfig()
     further: Annotated[
         TableConfig | None,
-        _section(TableConfig),
         "Second table, of more opponents, tracks and agents; None for none.",
     ] = None
     best: Annotated[Text, "Agent of main interest in the tables."] = "cfr-argmax"

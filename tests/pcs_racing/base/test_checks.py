@@ -112,7 +112,7 @@ def test_facts_are_texts_and_numbers_by_name():
         refused(message, checks.check_facts, "training", wrong)
 
 
-@pytest.mark.parametrize("size", [1, checks.FEW, checks.FEW + 1, 1000])
+@pytest.mark.parametrize("size", [1, 32, 33, 1000])
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_whether_all_are_finite(size, wrong):
     values = np.full((size, 1), 1e300)

@@ -15,7 +15,7 @@ from pcs_racing.base.files import (
     read_limited,
     unpack_arrays,
     write_atomically,
-    write_new_folder,
+    write_together,
 )
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -40,9 +40,9 @@ def bomb(line: str, count: int = 40) -> str:
 
 def test_other_texts_are_refused_in_one_line():
     for text, why in [
-        (bomb("a{0}: &a{0} [*a{1}, *a{1}]"), "stand for too much"),
-        (bomb("a{0}: &a{0} {{<<: [*a{1}, *a{1}]}}"), "stand for too much"),
-        ("a: &a [*a]", "stand for too much"),
+        (bomb("a{0}: &a{0} [*a{1}, *a{1}]"), "too many values"),
+        (bomb("a{0}: &a{0} {{<<: [*a{1}, *a{1}]}}"), "too many values"),
+        ("a: &a [*a]", "too many values"),
         ("[" * 60 + "]" * 60, "nested"),
         ("[" * 100_000, "nested too deeply"),
         ("seed: " + "9" * 5000, "has 5000 characters"),
@@ -161,14 +161,33 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path):
         read_limited(tmp_path, 9, "a test")
 
 
-def test_a_new_folder_appears_whole_or_not_at_all(tmp_path):
+@pytest.mark.parametrize("there", [False, True])
+def test_files_are_written_together_or_not_at_all(tmp_path, there):
     folder = tmp_path / "above" / "new"
-    with pytest.raises(OSError, match="File name too long"):
-        write_new_folder(folder, {"a": b"1", "x" * 300: b"2"})
-    assert not list(folder.parent.iterdir())
-    assert write_new_folder(folder, {"a": b"1", "b": b"2"})
-    assert not write_new_folder(folder, {"a": b"3"})
-    assert {file.name: file.read_bytes() for file in folder.iterdir()} == {"a": b"1", "b": b"2"}
+    if there:
+        write_together(folder, {"a": b"0", "notes": b"mine"})
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    with pytest.raises(OSError, match="File name too long") as caught:
+        write_together(folder, {"a": b"1", "x" * 300: b"2"})
+    assert caught.value.filename == str(folder)
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
+    write_together(folder, {"a": b"1", "deep/b": b"2"})
+    found = {str(file.relative_to(folder)) for file in folder.rglob("*")}
+    assert found == {"a", "deep", "deep/b", *(["notes"] if there else [])}
+    assert (folder / "a").read_bytes() == b"1"
+    assert [file.name for file in folder.parent.iterdir()] == ["new"]
+
+
+def test_files_of_a_killed_write_count_and_are_moved_by_the_next_write(tmp_path):
+    write_together(tmp_path, {"a": b"0", "deep/b": b"0"})
+    write_together(tmp_path / ".next", {"a": b"1", "deep/b": b"1"})  # killed before it moved them
+    assert [read_limited(tmp_path / name, 9, "a test") for name in ("a", "deep/b")] == [b"1"] * 2
+    write_atomically(tmp_path / "a", "2")
+    assert [read_limited(tmp_path / name, 9, "a test") for name in ("a", "deep/b")] == [b"2", b"1"]
+    assert not (tmp_path / ".next").exists()
+
+
+def test_a_file_is_replaced_by_text_bytes_or_a_function(tmp_path):
     for content in ("é", "é".encode(), lambda file: file.write("é".encode())):
-        write_atomically(folder / "a", content)
-        assert (folder / "a").read_text(encoding="utf-8") == "é"
+        write_atomically(tmp_path / "a", content)
+        assert (tmp_path / "a").read_text(encoding="utf-8") == "é"
