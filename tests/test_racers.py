@@ -19,11 +19,12 @@ from pcs_racing.envs.duel import DuelEnv
 from pcs_racing.planners.planner import Policy, PolicySet
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner
+from pcs_racing_agents.agents import export_onnx
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.tournament import plan_tournament
 
-sb3, torch = (pytest.importorskip(name) for name in ("stable_baselines3", "torch"))
+sb3, torch, onnx = (pytest.importorskip(name) for name in ("stable_baselines3", "torch", "onnx"))
 
 NETWORKS = "pcs_racing_agents/data/networks/"
 PLANNER = "pcs_racing/data/planners/line-ppo"
@@ -44,6 +45,7 @@ POLICIES = {
     "lane-switcher:any": PolicySet,
     "default[3]": Policy,
     "drive.zip": Policy,
+    "drive.onnx": Policy,
     "planner folder": Policy,
 }
 AGENTS = (
@@ -53,6 +55,7 @@ AGENTS = (
     "cfr-argmax",
     "cfr-regret-matching:decision=argmax",
     "duel.zip",
+    "duel.onnx",
     "network folder",
 )
 CODE = ("mine.py:own_policy", "mine.py:own_agent")
@@ -93,6 +96,7 @@ def text_of(models, tmp_path_factory):
     place = tmp_path_factory.mktemp("racers")
     for name, model in models.items():
         model.save(place / name)
+        export_onnx(place / name, (place / name).with_suffix(".onnx"))
     (place / "mine.py").write_text(OWN)
     folders = {
         "planner folder": str(REPOSITORY / PLANNER),
@@ -258,3 +262,16 @@ def test_an_object_is_the_same_racer_at_all_places(row, models, game):
 @pytest.mark.parametrize("wrong", [3, Acts, np.zeros(2), SimpleNamespace(), None])
 def test_an_object_without_any_of_the_methods_is_refused(wrong, game):
     refused("can't race; give a text, a policy", racer, wrong, game)
+
+
+def test_an_onnx_file_drives_and_moves_as_the_model(models, text_of, game):
+    drive, duel = models.values()
+    box = drive.observation_space
+    low, high = np.clip(box.low, -1.0, 1.0), np.clip(box.high, -1.0, 1.0)
+    rows = np.random.default_rng(0).uniform(low, high, (50, 41)).astype(np.float32)
+    own, file = (racer(one).planner.drive for one in (drive, text_of("drive.onnx")))
+    np.testing.assert_allclose(file.commands_of(rows), own.commands_of(rows), atol=1e-5)
+    seen = rows[:, :31]
+    agent = racer(text_of("duel.onnx"), game)
+    np.testing.assert_array_equal(agent.model.predict(seen)[0], duel.predict(seen)[0])
+    refused("made for games of 4 moves", racer, text_of("duel.onnx"), make_game("Pipkin", moves=3))

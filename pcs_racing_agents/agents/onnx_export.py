@@ -1,6 +1,6 @@
 """ONNX files of policies, planners' networks and agents' networks, for programs without ours."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from os import PathLike
 from pathlib import Path
@@ -10,15 +10,15 @@ import numpy as np
 
 from pcs_racing.base.artifacts import ArtifactFormat
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.envs.drive_options import drive_elements
-from pcs_racing.envs.models import ModelDriver
+from pcs_racing.envs.drive_options import drive_arguments, drive_elements
+from pcs_racing.envs.models import ModelDriver, origin_of
 from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT
 from pcs_racing.planners.learned import folder_format, is_planner_folder
 from pcs_racing.planners.line_ppo import LINE_FORMAT
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing_agents.agents.onnx_planners import COMMAND, lidar_network, line_network
-from pcs_racing_agents.agents.sb3_files import Sb3Policy, frozen_model, read_zip
+from pcs_racing_agents.agents.sb3_files import Sb3Policy, frozen_model, is_sb3, read_zip, scaler_of
 from pcs_racing_agents.base.onnx_file import OnnxNetwork, Step, chain, layer_steps, write_onnx
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
@@ -59,12 +59,18 @@ def _exported(model: Any) -> OnnxNetwork:
         return _named(str(model))
     elements: Any = ()
     if isinstance(model, str | PathLike):
-        plain, _ = read_zip(Path(model))
+        plain, origin = read_zip(Path(model))
     else:
+        origin = _origin(model) if is_sb3(model) else None
         plain = _plain(model, type(model).__name__)
         with suppress(AttributeError):  # a model without environment, or of another one
             (elements,) = model.get_env().get_attr("elements", [0])
-    return _moves(plain, elements) if plain.moves else _exported(policy_racer(model))
+    game = (origin or {}).get("game")
+    return _moves(plain, elements, game) if plain.moves else _exported(policy_racer(model))
+
+
+def _origin(model: Any) -> Mapping[str, Any] | None:
+    return origin_of(model, type(model).__name__, kept=scaler_of(model.get_env()))
 
 
 def _plain(model: Any, name: str) -> Sb3Policy:
@@ -123,17 +129,19 @@ def _control(driver: ModelDriver) -> OnnxNetwork:
         "period": options.time_step,
         "inputs": {"observation": [one._asdict() for one in elements]},
         "outputs": {"command": COMMAND},
+        "origin": {"environment": "drive", **drive_arguments(options, driver.cars)},
     }
     answers = {"command": driver.commands_of(seen)}
     return OnnxNetwork(graph, constants, about, {"observation": drawn}, answers)
 
 
 def _chooser(
-    about: tuple[str, Any, Any], steps: Sequence[Step], last: str, drawn: Any, answers: Any
+    about: tuple[str, Any, Any, Any], steps: Sequence[Step], last: str, drawn: Any, answers: Any
 ) -> OnnxNetwork:
     """Export a network of values of moves; the move has the max value before the last operator.
 
-    ``about`` holds the name, and the descriptions of the observation and of the values.
+    ``about`` holds the name, the descriptions of the observation and of the values, and the game of
+    the training, if it is known.
     """
     nodes, constants = chain("observation", "raw", steps)
     moves = len(list(constants.values())[-1])  # biases of the last layer
@@ -143,19 +151,20 @@ def _chooser(
         values = {last} (raw)
         move = ArgMax <axis = 1, keepdims = 0> (raw)
         }}"""
-    name, inputs, outputs = about
+    name, inputs, outputs, game = about
     described = {
         "name": name,
         "period": None,
         "inputs": {"observation": inputs},
         "outputs": {"values": outputs, "move": "index of the max value"},
+        **({} if game is None else {"origin": {"environment": "duel", "game": game}}),
     }
     return OnnxNetwork(graph, constants, described, {"observation": drawn}, answers)
 
 
-def _moves(plain: Sb3Policy, elements: Sequence[Any]) -> OnnxNetwork:
+def _moves(plain: Sb3Policy, elements: Sequence[Any], game: Any) -> OnnxNetwork:
     drawn = np.random.default_rng(0).normal(size=(DRAWN, plain.layers.sizes[0])).astype(np.float32)
-    about = plain.name, [one._asdict() for one in elements], "logit of each move"
+    about = plain.name, [one._asdict() for one in elements], "logit of each move", game
     return _chooser(about, _actor(plain), "Identity", drawn, {"move": plain.predict(drawn)[0]})
 
 
@@ -166,7 +175,8 @@ def _regrets(network: RegretNetwork) -> OnnxNetwork:
     inputs, outputs = ([{"name": one} for one in part] for part in network.identity[:2])
     steps = _standardized(network.mean, network.scale) + layer_steps(network.layers, "Relu")
     answers = {"values": network(drawn), "move": network.choose(drawn)}
-    return _chooser((network.name, inputs, outputs), steps, last, drawn, answers)
+    about = network.name, inputs, outputs, network.identity._asdict()
+    return _chooser(about, steps, last, drawn, answers)
 
 
 FORMATS: dict[ArtifactFormat, Callable[[Path], OnnxNetwork]] = {

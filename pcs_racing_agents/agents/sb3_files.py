@@ -291,7 +291,7 @@ def frozen_model(model: Any, name: str) -> Sb3Policy:
 
 def drive_arguments_of(model: Any, name: str) -> dict[str, Any]:
     """Return the arguments of the Drive environment that a model was trained in."""
-    origin = dict(origin_of(model, name, kept=_scaler(model.get_env())) or {})
+    origin = dict(origin_of(model, name, kept=scaler_of(model.get_env())) or {})
     if origin.pop("environment", None) != "drive":
         raise InputError(f"model {name!r} was not trained in an environment of steering and speed")
     return origin
@@ -330,13 +330,13 @@ def read_sb3(request: Request) -> Racer | None:
     if text or not is_sb3(given):
         return None
     name, env = own_name(given), given.get_env()
-    list(layers(env, _scaler(env)))  # refuses a wrapper that the model would lose
+    list(layers(env, scaler_of(env)))  # refuses a wrapper that the model would lose
     try:
         policy = frozen_model(given, name)
     except InputError:
         return None  # the model itself drives
     usual = {"environment": "duel" if policy.moves else "drive"}
-    origin = origin_of(given, name, request.like, kept=_scaler(env))
+    origin = origin_of(given, name, request.like, kept=scaler_of(env))
     return _racer(policy, name, origin or usual, request)
 
 
@@ -354,7 +354,7 @@ def _racer(policy: Sb3Policy, name: str, origin: Mapping[str, Any], request: Req
 SB3 = Reader(read_sb3)
 
 
-def _scaler(env: Any) -> Any:
+def scaler_of(env: Any) -> Any:
     """Return the ``VecNormalize`` around environments, if it changes their observations."""
     while env is not None and type(env).__name__ != "VecNormalize":
         env = vars(env).get("venv")
@@ -362,7 +362,7 @@ def _scaler(env: Any) -> Any:
 
 
 def _scale_of(env: Any) -> ObservationScale | None:
-    scaler = _scaler(env)
+    scaler = scaler_of(env)
     if scaler is None:
         return None
     seen = scaler.obs_rms
@@ -403,7 +403,7 @@ def save_model(path: str | Path, model: Any) -> Path:
     target = Path(path).with_suffix(".zip")
     frozen = frozen_model(model, target.stem)
     env = model.get_env()
-    list(layers(env, _scaler(env)))  # refuses a wrapper that the model would lose
+    list(layers(env, scaler_of(env)))  # refuses a wrapper that the model would lose
     content = io.BytesIO()
     model.save(content)
     if frozen.scale is not None:
