@@ -8,6 +8,7 @@ from http.server import ThreadingHTTPServer
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.progress import show_progress
 from pcs_racing_agents.cli.commands import Option, command
@@ -18,8 +19,7 @@ if TYPE_CHECKING:
     from pcs_racing_agents.watch.results_folder import ResultsFolder
 
 
-REPLAYS = 60
-MAX_REPLAYS = 2000
+REPLAYS, MAX_REPLAYS = 60, 2000
 
 
 @command(
@@ -51,7 +51,7 @@ def run(
         Path | None,
         Option(
             "file for the page (default: view.html in the folder of the results); with --explain,"
-            " for a picture (.png, .svg or .pdf)",
+            " for a picture (.png or .svg)",
             "FILE",
         ),
     ] = None,
@@ -87,10 +87,8 @@ def run(
         raise InputError("--out goes without --serve: a page that is served is not written")
     if port is not None and not serve:
         raise InputError("--port goes with --serve")
-    if replays is not None and not 0 <= replays <= MAX_REPLAYS:
-        raise InputError(f"--replays is {replays}; it must be from 0 to {MAX_REPLAYS}")
-    if len(index) > MAX_REPLAYS:
-        raise InputError(f"--index names {len(index)} races; a page holds at most {MAX_REPLAYS}")
+    if replays is not None:
+        check_whole("--replays", replays, 0, MAX_REPLAYS)
     if explain is not None and (serve or index or replays is not None):
         raise InputError("--explain goes without --index, --replays and --serve: it makes no page")
     if car is not None and explain is None:
@@ -98,7 +96,7 @@ def run(
     if not results.is_dir():
         raise InputError(f"there is no folder {results}; give one of a tournament or a study")
     if explain is not None:
-        picture = None if out is None else output_file(out, ".png", ".svg", ".pdf")
+        picture = None if out is None else output_file(out, ".png", ".svg")
         _explain(open_results(results, agents, track), explain, car, picture)
         return
     target = output_file(out or results / "view.html", ".html")

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.players import Competitor, ConstantPlayer
 from pcs_racing.game.rules import RaceGame
@@ -18,25 +17,17 @@ from pcs_racing.planners.planner import PolicySet
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import OpenLoopStrategy, WalkStrategy
-from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
+from pcs_racing_agents.agents.observing import earlier, lead, opponent
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
 
 Floats = NDArray[np.float64]
 
 
-class Unit(NamedTuple):
-    """The unit of a network's values."""
-
-    scale: float  #: Factor from a difference of two values to the unit.
-    text: str  #: Name of the unit, such as ``"of a win"``; ``""`` for relative values.
-
-
 class ExplainedDecision(NamedTuple):
     """A decision: the observation, values and move of the explained car."""
 
     time: float  #: Time since the start, s.
-    own: Floats  #: shape (G,): Normalised coordinates of the own policy, from the archive.
     #: shape (G,): Normalised coordinates of the opponent: the agent's measurement of the last step.
     opponent: Floats
     lead: float  #: Own lead, m.
@@ -44,30 +35,25 @@ class ExplainedDecision(NamedTuple):
     policy: int  #: ``policy``, ``next_policy``: Own policy before and after the move.
     next_policy: int
     probabilities: Floats | None  #: shape (M,): Probabilities of the moves, if known.
-    values: Floats | None  #: shape (V,): Values of the first V moves, in units of the network.
-    opponent_move: int  #: Index of the opponent's move; -1 for a planner.
+    values: Floats | None  #: shape (V,): Values of the first V moves, if known.
 
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
     """A race with the decisions of one of its agents."""
 
-    archive: PolicyArchive
-    moves: tuple[str, ...]  #: Names of the M moves.
-    names: tuple[str, str]  #: Names of the competitors in car 0 and car 1.
+    game: RaceGame
     car: int  #: Index of the explained car.
-    race: str  #: Name of the rules.
-    ends: tuple[float, ...]  #: End of each step, s; moves take place at all ends but the last.
     steps: tuple[ExplainedDecision, ...]  #: Decisions, one per move; fewer after a crash.
     replay: Replay  #: Replay of the race, with the moves as events.
     played: RaceTable  #: Result of the race (one game).
-    unit: Unit | None  #: Unit of the values.
+    unit: str  #: Unit of the values, such as ``"of a win"``; empty for relative values.
     open_loop: bool  #: True if the agent is known to ignore the opponent.
 
     @property
     def middle(self) -> Floats:
         """Median of the archive's normalised coordinates, shape (G,): reference of adjectives."""
-        return np.median(self.archive.normalised, axis=0)
+        return np.median(self.game.archive.normalised, axis=0)
 
     @property
     def lead(self) -> Floats:
@@ -91,61 +77,41 @@ def explain_race(pairing: Pairing, race: int, *, car: int = 0) -> Explanation:
         )
     recording = repeat_race(pairing, race, candidates=False)
     played, game = recording.played, recording.game
-    names = recording.replay.car_names
-    config, strategy = game.config, getattr(competitor, "strategy", None)
     # A strategy may have a network of another kind, without values of moves.
-    network = getattr(strategy, "network", None)
+    network = getattr(getattr(competitor, "strategy", None), "network", None)
     network = network if isinstance(network, RegretNetwork) else None
-    return Explanation(
-        archive=game.archive,
-        moves=game.move_names,
-        names=(names[0], names[1]),
-        car=car,
-        race=config.race.name,
-        ends=config.ends,
-        steps=_steps(game, competitor, played, car, network),
-        replay=mark_moves(recording.replay, played, game.move_names, config.ends),
-        played=played,
-        unit=None if network is None else value_unit(network, str(config.utility)),
-        open_loop=is_open_loop(competitor),
-    )
-
-
-def _steps(
-    game: RaceGame,
-    competitor: Competitor,
-    played: RaceTable,
-    car: int,
-    network: RegretNetwork | None,
-) -> tuple[ExplainedDecision, ...]:
-    axes = len(game.characteristics)
+    scale, unit = (1.0, "") if network is None else value_unit(network, str(game.config.utility))
     steps = []
     for k in range(int((played.moves.codes[0, car] >= 0).sum())):
         # The last observation holds all earlier observations: cut it at this move.
-        observation = earlier(played.observations[:, car], axes, k)
+        axes = len(game.characteristics)
+        seen = earlier(played.observations[:, car], axes, k)
+        chances, values = None, None
+        if isinstance(competitor, Agent | ConstantPlayer):
+            chances = competitor.probabilities(seen)[0]
+        if network is not None:
+            values = scale * network.unclipped(seen)[0].astype(np.float64)
         steps.append(
             ExplainedDecision(
                 time=game.config.ends[k],
-                own=own(observation, axes)[0].astype(np.float64),
-                opponent=opponent(observation, axes)[0].astype(np.float64),
-                lead=LEAD_SCALE * float(lead(observation, axes)[0]),
+                opponent=opponent(seen, axes)[0].astype(np.float64),
+                lead=LEAD_SCALE * float(lead(seen, axes)[0]),
                 move=int(played.moves.codes[0, car, k]),
                 policy=int(played.path[0, car, k]),
                 next_policy=int(played.path[0, car, k + 1]),
-                probabilities=(
-                    competitor.probabilities(observation)[0]
-                    if isinstance(competitor, Agent)
-                    else None
-                ),
-                values=(
-                    None
-                    if network is None
-                    else network.unclipped(observation)[0].astype(np.float64)
-                ),
-                opponent_move=int(played.moves.codes[0, 1 - car, k]),
+                probabilities=chances,
+                values=values,
             )
         )
-    return tuple(steps)
+    return Explanation(
+        game=game,
+        car=car,
+        steps=tuple(steps),
+        replay=mark_moves(recording.replay, played, game.move_names, game.config.ends),
+        played=played,
+        unit=unit,
+        open_loop=is_open_loop(competitor),
+    )
 
 
 def is_open_loop(competitor: Competitor) -> bool:
@@ -154,18 +120,18 @@ def is_open_loop(competitor: Competitor) -> bool:
     return isinstance(strategy, ConstantPlayer | OpenLoopStrategy | WalkStrategy)
 
 
-def value_unit(network: RegretNetwork, utility: str) -> Unit:
-    """Return the unit of a network's values.
+def value_unit(network: RegretNetwork, utility: str) -> tuple[float, str]:
+    """Return the unit of a network's values: a factor to it, and its name (empty: relative).
 
     ``network``: the fact ``worth`` of its training decides ("win": shares of races won), else its
     target and the utility. ``utility``: one of :data:`pcs_racing.game.config.UTILITIES`.
     """
     if network.training.get("worth") == "win":
-        return Unit(1.0, "of a win")
+        return 1.0, "of a win"
     if network.target in ("advantage", "static-q"):
         # A race won instead of lost is a difference of 2 in this utility.
-        return Unit(0.5, "of a win") if utility == "win" else Unit(1.0, "m of lead")
-    return Unit(1.0, "")
+        return (0.5, "of a win") if utility == "win" else (1.0, "m of lead")
+    return 1.0, ""
 
 
 def mark_moves(

@@ -1,5 +1,6 @@
 """Pictures of the Policy Characteristic Space: explored policies, the archive, and its moves."""
 
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -8,14 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
-from pcs_racing_agents.base.style import (
-    COLOURS,
-    SOFT,
-    new_figure,
-    picture,
-    short,
-    tidy,
-)
+from pcs_racing_agents.base.style import COLOURS, new_figure, picture, short, tidy
 
 Floats = NDArray[np.float64]
 
@@ -37,28 +31,16 @@ def draw_archive(axes: Any, archive: PolicyArchive, *, faint: bool = False) -> N
     as a background.
     """
     right, up = plane(archive)
-    everything, policies = archive.explored_coordinates, archive.coordinates
-    if len(everything):
-        axes.plot(
-            everything[:, right],
-            everything[:, up],
-            ".",
-            color="#c3ccd6",
-            ms=3.2,
-            mew=0.0,
-            rasterized=True,
-        )
     # Thousands of explored policies are pixels even in a vector picture, below the archive.
+    explored = archive.explored_coordinates[:, [right, up]]
+    axes.plot(*explored.T, ".", color="#c3ccd6", ms=3.2, mew=0.0, rasterized=True)
+    policies = archive.coordinates[:, [right, up]]
     options: dict[str, Any] = {"s": 30, "zorder": 3, "linewidths": 0.5, "edgecolors": "white"}
     if faint or archive.own_crash is None:
-        axes.scatter(
-            policies[:, right], policies[:, up], color="#8b97a5" if faint else COLOURS[0], **options
-        )
+        axes.scatter(*policies.T, color="#8b97a5" if faint else COLOURS[0], **options)
     else:
         shares = 100.0 * archive.own_crash
-        dots = axes.scatter(
-            policies[:, right], policies[:, up], c=shares, cmap="cividis", vmin=0.0, **options
-        )
+        dots = axes.scatter(*policies.T, c=shares, cmap="cividis", vmin=0.0, **options)
         bar = axes.figure.colorbar(dots, ax=axes, shrink=0.75, aspect=24, pad=0.02)
         bar.set_label("own crashes, % of races")
         bar.outline.set_visible(False)
@@ -86,15 +68,10 @@ def axis_limits(archive: PolicyArchive, axis: int, reach: float) -> tuple[float,
     return low - 0.08 * size, high + 0.08 * size
 
 
-def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str, **options: Any) -> None:
+def draw_arrow(axes: Any, start: ArrayLike, end: ArrayLike, colour: str) -> None:
     """Draw an arrow between two points of a plane."""
-    style = {
-        "arrowstyle": "-|>,head_width=0.25,head_length=0.5",
-        "color": colour,
-        "lw": 1.6,
-        "shrinkA": 4.0,
-    }
-    arrow = {**style, "shrinkB": 3.0, "mutation_scale": 10.0, **options}
+    head = {"arrowstyle": "-|>,head_width=0.25,head_length=0.5", "mutation_scale": 10.0}
+    arrow = {**head, "color": colour, "lw": 1.6, "shrinkA": 4.0, "shrinkB": 3.0}
     axes.annotate("", xy=np.asarray(end), xytext=np.asarray(start), arrowprops=arrow, zorder=4)
 
 
@@ -108,34 +85,22 @@ def archive_picture(archive: PolicyArchive, *, epsilon: float | tuple[float, ...
     figure = new_figure(7.2, 5.2)
     axes = figure.subplots()
     draw_archive(axes, archive)
-    right, up = plane(archive)
-    points = archive.coordinates
-    point = points[start, [right, up]]
-    axes.plot(*point, "o", ms=9, mfc="none", mec=COLOURS[1], mew=1.6, zorder=5)
-    leads_to = move_table(archive, epsilon)[start]
-    ineffective: list[str] = []
+    points = archive.coordinates[:, list(plane(archive))]
+    ring = {"ms": 9, "mfc": "none", "mec": COLOURS[1], "mew": 1.6, "zorder": 5}
+    ends = move_table(archive, epsilon)[start]
+    axes.plot(*points[start], "o", **ring, label=f"policy {start}")
     # Moves to the same policy share an arrow.
-    for i, target in enumerate(dict.fromkeys(leads_to.tolist())):
-        names = [
-            name
-            for name, end in zip(move_names(archive, epsilon), leads_to, strict=True)
-            if end == target
-        ]
+    for target, colour in zip(dict.fromkeys(ends.tolist()), cycle(COLOURS[1:]), strict=False):
+        named = zip(move_names(archive, epsilon), ends, strict=True)
+        moves = ", ".join(name for name, end in named if end == target)
         if target == start:
-            ineffective = names
-            continue
-        colour = COLOURS[1:][i % len(COLOURS[1:])]
-        draw_arrow(axes, point, points[target, [right, up]], colour)
-        axes.plot([], [], color=colour, lw=1.6, label=", ".join(names))
+            axes.plot([], [], color="none", label=f"{moves}: no effect")
+        else:
+            draw_arrow(axes, points[start], points[target], colour)
+            axes.plot([], [], color=colour, lw=1.6, label=moves)
     axes.legend(loc="lower left")
     title = f"{len(archive)} policies"
     if len(archive.explored_coordinates):
         title += f", grey: {len(archive.explored_coordinates)} explored"
     axes.set_title(f"Archive {short(archive.name)}, preset {archive.preset}: {title}")
-    text = f"arrows: moves of policy {start}"
-    if ineffective:
-        text += f"; {', '.join(ineffective)} keep{'s' if len(ineffective) == 1 else ''} it"
-    axes.text(
-        1.0, 1.0, text, transform=axes.transAxes, ha="right", va="top", color=SOFT, fontsize=8.5
-    )
     return figure

@@ -7,7 +7,7 @@ tracks alternate; each group of races is sorted by the final distance between th
 races are closer than typical races; the tournament's table gives the typical results.
 """
 
-from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,51 +67,33 @@ def choose_races(races: RaceTable, count: int) -> dict[int, str]:
     The keys are lines of the results, counted from 0, and the values agent and outcome, e.g.
     ``"cfr-argmax: a win by switching"``.
     """
-    agents = range(len(races.agents.words))
-    by_car = np.array([outcomes(races, car) for car in range(2)])
-    # Outcomes outside, agents inside: each outcome goes through all agents before the next outcome.
-    piles = [
-        (
-            agent,
-            outcome,
-            _in_turns(races, agent, (by_car == outcome) & (agent == races.agents.codes.T)),
-        )
-        for outcome in range(len(OUTCOMES))
-        for agent in agents
-    ]
+    # An entry for each race and car: the car's agent and outcome, its opponent and the circuit.
+    agent, other = races.agents.codes.T.ravel(), races.agents.codes[:, ::-1].T.ravel()
+    outcome = np.concatenate([outcomes(races, car) for car in range(2)])
+    track, gap = np.tile(races.track.codes, 2), np.tile(np.abs(races.lead), 2)
+    turn = _places(gap, agent, outcome, other, track)
+    # Each agent starts with another opponent: else all agents would show the same one.
+    rival = (other - agent) % len(races.agents.words)
+    place = _places(np.stack([track, rival, turn]), agent, outcome)
     picks: dict[int, str] = {}
-    while piles and len(picks) < min(count, len(races)):
-        remaining = []
-        for agent, outcome, pile in piles:
-            race = next((number for number in pile if number not in picks), None)
-            if race is None:
-                continue
-            remaining.append((agent, outcome, pile))
-            picks[race] = f"{races.agents.words[agent]}: {OUTCOMES[outcome]}"
-            if len(picks) >= count:
-                break
-        piles = remaining
+    # Each outcome goes through all agents before the next outcome.
+    for entry in np.lexsort((agent, outcome, place)).tolist():
+        if len(picks) >= count:
+            break
+        why = f"{races.agents.words[agent[entry]]}: {OUTCOMES[outcome[entry]]}"
+        picks.setdefault(entry % len(races), why)
     return picks
 
 
-def _in_turns(races: RaceTable, agent: int, mask: NDArray[np.bool_]) -> Iterator[int]:
-    """Yield an agent's races of an outcome: tracks and opponents alternate, closest races first.
+def _places(keys: NDArray[Any], *groups: NDArray[Any]) -> NDArray[np.int64]:
+    """Return the place of each entry among the entries with equal values in all groups.
 
-    ``mask``: shape (2, N), the races by the agent's car.
+    ``keys``: shape (E,) or (K, E), order of the entries, the last key first. ``groups``: shape (E,)
+    each.
     """
-    cars, numbers = np.nonzero(mask)
-    gap = np.abs(races.lead[numbers])
-    others = races.agents.codes[numbers, 1 - cars]
-    tracks = races.track.codes[numbers]
-    groups: list[Sequence[int]] = []
-    for pair in sorted(
-        {*zip(tracks.tolist(), others.tolist(), strict=True)}, key=lambda pair: pair[::-1]
-    ):
-        rows = np.flatnonzero((tracks == pair[0]) & (others == pair[1]))
-        groups.append(numbers[rows][np.argsort(gap[rows], kind="stable")].tolist())
-    # Each agent starts with another group: else all agents would show the same opponent.
-    groups = groups[agent % len(groups) :] + groups[: agent % len(groups)] if groups else []
-    for turn in range(max(map(len, groups), default=0)):
-        for group in groups:
-            if turn < len(group):
-                yield group[turn]
+    order = np.lexsort((*np.atleast_2d(keys), *groups))
+    values = np.stack(groups)[:, order]
+    begins = np.append(True, (values[:, 1:] != values[:, :-1]).any(axis=0))
+    places = np.arange(len(order))
+    places[order] = places - np.maximum.accumulate(np.where(begins, places, 0))
+    return places

@@ -20,7 +20,7 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import page_values, safe_json
 from pcs_racing_agents.agents.observing import opponent, step_count
 from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.tournament import Pairing, RaceRow, RaceTable, repeat_race
+from pcs_racing_agents.tournament import RaceRow, RaceTable, repeat_race
 from pcs_racing_agents.watch.explain import mark_moves
 from pcs_racing_agents.watch.pcs_picture import axis_limits, in_units, plane
 from pcs_racing_agents.watch.results_folder import ResultsFolder
@@ -42,7 +42,7 @@ class RaceRepeater:
         self.circuits: dict[str, dict[str, Any]] = {}
         #: Policy Characteristic Space (:func:`space_values`); None before the first race.
         self.space: dict[str, Any] | None = None
-        self._pairing = lru_cache(maxsize=MAX_PAIRINGS)(self._make_pairing)
+        self._pairing = lru_cache(maxsize=MAX_PAIRINGS)(results.pairing)
 
     def answer(self, path: str) -> Answer:
         """Answer ``/race/NUMBER`` with the race, its track and space as JSON, or ``error``."""
@@ -59,13 +59,11 @@ class RaceRepeater:
         values = {"race": race, "circuit": circuit, "space": self.space}
         return Answer(200, safe_json(values).encode())
 
-    def _make_pairing(self, track: str, ego: str, opponent: str, seed: int) -> Pairing:
-        return self.results.pairing(RaceRow(track=track, ego=ego, opponent=opponent, seed=seed))
-
     def drive(self, number: int) -> dict[str, Any]:
         """Repeat the race on a line of the results, and return its data for the page."""
         row = self.results.row(number)
-        recording = repeat_race(self._pairing(*_pair(row)), row.race, candidates=False)
+        pair = RaceRow(track=row.track, ego=row.ego, opponent=row.opponent, seed=row.seed)
+        recording = repeat_race(self._pairing(pair), row.race, candidates=False)
         played, game = recording.played, recording.game
         # An edited folder is detected by the lead.
         self.results.check_lead(number, played.lead[0])
@@ -88,19 +86,13 @@ class RaceRepeater:
     def drive_all(
         self, numbers: Iterable[int], progress: Progress | None = None
     ) -> dict[int, dict[str, Any]]:
-        """Repeat the races of several lines, grouped by pair, and return their data."""
-        rows = self.results.row
-        order = sorted(numbers, key=lambda number: (_pair(rows(number)), number))
-        races = {}
+        """Repeat the races of several lines, and return their data."""
+        races, order = {}, sorted(numbers)  # races of a pair follow each other
         for number in order:
             races[number] = self.drive(number)
             if progress is not None:
-                progress(len(races), len(order), rows(number).track)
+                progress(len(races), len(order), self.results.row(number).track)
         return races
-
-
-def _pair(row: RaceRow) -> tuple[str, str, str, int]:
-    return (row.track, row.ego, row.opponent, row.seed)
 
 
 def _seen(archive: PolicyArchive, played: RaceTable, car: int) -> list[list[float] | None]:

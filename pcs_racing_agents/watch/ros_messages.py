@@ -5,7 +5,6 @@ Humble and later) are in ``ros2_messages.txt``. Times are race times, from 0.
 """
 
 import os
-import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -139,21 +138,11 @@ def race_messages(replay: Replay, track: Track, *, beams: int = 1080) -> Iterato
 
 
 def definition(kind: str) -> str:
-    """Return the definition of a message type and its component types, in ROS 2 file format."""
+    """Return the definition of a message type, then all others, in ROS 2 file format."""
     text = (Path(__file__).parent / "ros2_messages.txt").read_text(encoding="utf-8")
-    known = dict(part.split("\n", 1) for part in re.split(r"^MSG: ", text, flags=re.MULTILINE)[1:])
-    needed = [kind]
-    for one in needed:  # grows during the loop
-        parts = [
-            f"{package}/msg/{name}"
-            for package, name in re.findall(r"^(\w+)/(\w+)", known[one], re.MULTILINE)
-        ]
-        needed += [part for part in parts if part not in needed]
-    rest = [
-        f"{'=' * 80}\nMSG: {one.replace('/msg/', '/')}\n{known[one].strip()}\n"
-        for one in needed[1:]
-    ]
-    return "".join([f"{known[kind].strip()}\n", *rest])
+    known = dict(part.strip().split("\n", 1) for part in text.split("MSG: ")[1:])
+    parts = [f"MSG: {one.replace('/msg/', '/')}\n{known[one]}" for one in known if one != kind]
+    return f"\n{'=' * 80}\n".join([known[kind], *parts]) + "\n"
 
 
 def write_bag(

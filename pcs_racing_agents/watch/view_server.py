@@ -6,7 +6,6 @@ refused by the requested host name (a page that rebinds its own name to 127.0.0.
 that name) and by the origin that the browser reports.
 """
 
-import socket
 import threading
 from collections.abc import Callable
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -17,6 +16,13 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.race.replay import safe_json
 
 MAX_PATH = 100
+HEADERS = {
+    "Cache-Control": "no-store",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "SAMEORIGIN",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+}
 
 
 class Answer(NamedTuple):
@@ -45,29 +51,22 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
     port : int
         Port; 0 takes a free port.
     """
-    check_whole("port", port, 0, 65535)  # 0 takes a free port
+    check_whole("port", port, 0, 65535)
     # Each request has its own thread, but the service holds shared data of the races.
-    content, busy = page.encode(), threading.Lock()
+    content, busy = Answer(200, page.encode(), "text/html; charset=utf-8"), threading.Lock()
 
     class Handler(BaseHTTPRequestHandler):
-        """Handler of a viewer's requests."""
+        """Handler of a viewer's requests, one per connection: no body becomes a next request."""
 
-        protocol_version = "HTTP/1.1"
-        server_version = "pcs-racing"
-        sys_version = ""
         timeout = 60
 
         def do_GET(self) -> None:
             """Send the page, or the service's answer."""
             # The port chosen for port 0 is known only now; the host of a request includes it.
             own_port = self.connection.getsockname()[1]
-            hosts = self.headers.get_all("Host", [])
-            sites, origins = (
-                self.headers.get_all(name, []) for name in ("Sec-Fetch-Site", "Origin")
+            hosts, sites, origins = (
+                self.headers.get_all(name, []) for name in ("Host", "Sec-Fetch-Site", "Origin")
             )
-            # A body is not read, and must not be parsed as the next request.
-            self.close_connection |= self.headers.get_all("Content-Length", ["0"]) != ["0"]
-            self.close_connection |= "Transfer-Encoding" in self.headers
             # With two headers the first might pass and the second might count.
             if hosts not in ([f"127.0.0.1:{own_port}"], [f"localhost:{own_port}"]):
                 self._send(error_answer(403, "this server answers for 127.0.0.1 only"))
@@ -77,34 +76,19 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
             ):
                 self._send(error_answer(403, "another site's page asked for this"))
             elif self.path == "/":
-                self._send(Answer(200, content, "text/html; charset=utf-8"))
+                self._send(content)
             elif len(self.path) > MAX_PATH:
                 self._send(error_answer(404, f"an address here has at most {MAX_PATH} characters"))
             else:
                 with busy:
-                    found = None if self._left() else answer(self.path)
-                if found is not None:
-                    self._send(found)
-
-        def _left(self) -> bool:
-            """Return whether the viewer has closed the connection while the request waited."""
-            self.connection.settimeout(0.0)
-            try:
-                return not self.connection.recv(1, socket.MSG_PEEK)
-            except BlockingIOError:
-                return False
-            finally:
-                self.connection.settimeout(self.timeout)
+                    found = answer(self.path)
+                self._send(found)
 
         def _send(self, sent: Answer) -> None:
             self.send_response(sent.status)
-            self.send_header("Content-Type", sent.kind)
-            self.send_header("Content-Length", str(len(sent.body)))
-            self.send_header("Cache-Control", "no-store")
-            self.send_header("X-Content-Type-Options", "nosniff")
-            self.send_header("X-Frame-Options", "SAMEORIGIN")
-            self.send_header("Cross-Origin-Resource-Policy", "same-origin")
-            self.send_header("Referrer-Policy", "no-referrer")
+            sizes = {"Content-Type": sent.kind, "Content-Length": str(len(sent.body))}
+            for name, value in {**sizes, **HEADERS}.items():
+                self.send_header(name, value)
             self.end_headers()
             self.wfile.write(sent.body)
 
@@ -112,9 +96,8 @@ def make_server(page: str, answer: Callable[[str], Answer], port: int = 0) -> Th
             """Log nothing."""
 
     class Server(ThreadingHTTPServer):
-        """Server that ends with the command and does not report disconnected viewers."""
+        """Server that does not report disconnected viewers."""
 
-        daemon_threads = True
         request_queue_size = 128  # max waiting connections; 5 refuses most of 200 at once
 
         def handle_error(self, *_: Any) -> None:

@@ -146,7 +146,7 @@ def tournament_folder(saved_archive, tmp_path_factory):
     """A tournament of 18 races in a folder, as the command leaves it; and the tournament."""
     folder = tmp_path_factory.mktemp("tournaments") / "three agents"
     rules = load_race_config("contest", duration=5.0, steps=(1.0,) * 5)
-    agents = ["random-moves", "lane-switcher", "never-switch"]
+    agents = ["random-moves", "lane-switcher:any", "never-switch"]
     plan = plan_tournament(
         load_track("Pipkin"), agents, rules, archive=saved_archive, races_per_pair=6, seed=2
     )

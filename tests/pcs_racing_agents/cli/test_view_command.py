@@ -86,12 +86,8 @@ def test_a_study_is_viewed_too(study_folder, tmp_path, printed):
         (["{folder}", "--out", "{folder}/none/page.html"], "there is no folder"),
         (["{folder}", "--out", "a.html", "--serve"], "--out goes without --serve"),
         (["{folder}", "--port", "80"], "--port goes with --serve"),
-        (["{folder}", "--replays", "-1"], "--replays is -1; it must be from 0 to 2000"),
+        (["{folder}", "--replays", "-1"], "--replays is -1; it must be"),
         (["{folder}", "--replays", "2001"], "--replays is 2001; it must be"),
-        (
-            ["{folder}", "--index", *["1"] * 2001],
-            "--index names 2001 races; a page holds at most 2000",
-        ),
         (["{folder}", "--index", "18"], "--index names 18; there are races 0 to 17"),
         (["{folder}", "--index", "-1"], "--index names -1"),
         (["{folder}", "--serve", "--port", "70000"], "port is 70000"),
@@ -100,7 +96,7 @@ def test_a_study_is_viewed_too(study_folder, tmp_path, printed):
             "there is no race 18 in {folder}; it holds races 0 to 17",
         ),
         (["{folder}", "--explain", "0", "--index", "1"], "--explain goes without --index"),
-        (["{folder}", "--explain", "0", "--out", "a.html"], "must end in .png or .svg or .pdf"),
+        (["{folder}", "--explain", "0", "--out", "a.html"], "must end in .png or .svg"),
         (["{folder}", "--car", "0"], "--car goes with --explain"),
         (
             ["{folder}", "--explain", "{fixed}", "--car", "0"],
@@ -319,34 +315,6 @@ def test_two_origins_or_hosts_are_none_and_a_body_is_no_request():
         server.shutdown()
     assert answers == ["403", "403", "403", "200", "200"]
     assert asked == ["/race/1"] * 2
-
-
-def test_no_race_is_driven_for_a_viewer_who_has_left():
-    asked, first, go_on = [], threading.Event(), threading.Event()
-
-    def answer(path):
-        asked.append(path)
-        first.set()
-        assert go_on.wait(60)
-        return Answer(200, b"{}")
-
-    with make_server("", answer) as server:
-        threading.Thread(target=server.serve_forever).start()
-        ask = (
-            f"GET /race/{{}} HTTP/1.1\r\nHost: 127.0.0.1:{server.server_address[1]}\r\nConnection:"
-            " close\r\n\r\n"
-        )
-        waiting = [socket.create_connection(server.server_address, 60) for _ in range(3)]
-        waiting[0].sendall(ask.format(0).encode())
-        assert first.wait(60)
-        for number in (1, 2):
-            waiting[number].sendall(ask.format(number).encode())
-        waiting[1].close()
-        go_on.set()
-        with waiting[0], waiting[2], waiting[2].makefile("rb") as answered:
-            assert answered.readline().startswith(b"HTTP/1.1 200")
-        server.shutdown()
-    assert sorted(asked) == ["/race/0", "/race/2"]
 
 
 def test_the_command_serves_until_it_is_ended(folder, capsys, monkeypatch):

@@ -19,7 +19,7 @@ from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
 from pcs_racing_agents.tournament import Pairing
-from pcs_racing_agents.watch.explain import Unit, explain_race, value_unit
+from pcs_racing_agents.watch.explain import explain_race, value_unit
 from pcs_racing_agents.watch.pcs_picture import archive_picture, in_units
 from pcs_racing_agents.watch.pictures import explanation_picture
 from pcs_racing_agents.watch.words import lead_words, story, why
@@ -60,9 +60,6 @@ def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(cont
     for k, step in enumerate(race.steps):
         assert step.time == pytest.approx(0.8 * (k + 1))
         assert step.policy == state.policy[0, 0]
-        assert step.own == pytest.approx(
-            np.clip(contest.archive.normalised[step.policy], -1, 2), abs=1e-6
-        )
         # measured in the step before
         assert step.opponent == pytest.approx(state.estimates[0, 1, k], abs=1e-6)
         assert step.lead == pytest.approx(
@@ -71,18 +68,18 @@ def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(cont
         assert step.move == np.argmax(step.values)
         assert step.probabilities[step.move] == 1.0
         assert step.next_policy == spec.table[step.policy, step.move]
-        state = contest.step(state, np.array([[step.move, step.opponent_move]]))
+        state = contest.step(state, race.played.moves.codes[:, :, k])
     assert contest.done(state).all()
     assert race.played.lead == state.race.lead
     events = [
         (event.time, event.car, event.text) for event in race.replay.events if event.kind == "move"
     ]
     made = [
-        (step.time, car, race.moves[(step.move, step.opponent_move)[car]])
-        for step in race.steps
+        (0.8 * (k + 1), car, contest.move_names[race.played.moves.codes[0, car, k]])
+        for k in range(len(race.steps))
         for car in (0, 1)
     ]
-    assert sorted(events) == sorted(made)
+    assert sorted(events) == [(pytest.approx(time), *rest) for time, *rest in sorted(made)]
 
 
 def test_the_other_car_sees_the_other_side(contest, spec):
@@ -90,7 +87,7 @@ def test_the_other_car_sees_the_other_side(contest, spec):
     first, second = (explained(contest, ego, rival, car=car) for car in (0, 1))
     for own, rival_step in zip(first.steps, second.steps, strict=True):
         assert own.lead == pytest.approx(-rival_step.lead, abs=1e-5)
-        assert (own.move, own.opponent_move) == (rival_step.opponent_move, rival_step.move)
+        assert own.time == rival_step.time
     assert np.array_equal(first.lead, -second.lead)
     assert story(second).startswith("random-moves (car 1) against random-moves (car 0)")
 
@@ -136,7 +133,6 @@ def told(race):
             next_policy=5,
             values=values,
             probabilities=chances,
-            opponent_move=1,
         ),
         second._replace(
             time=1.6,
@@ -147,14 +143,13 @@ def told(race):
             next_policy=5,
             values=values,
             probabilities=np.eye(5)[2],
-            opponent_move=-1,
         ),
     )
-    return replace(race, steps=steps, replay=replay, ends=(0.8, 1.6, 2.4, 3.2, 4.0))
+    return replace(race, steps=steps, replay=replay)
 
 
 def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
-    before, after = told.archive.normalised[[3, 5]]
+    before, after = told.game.archive.normalised[[3, 5]]
     by, to = ("aggressiveness", "restraint")
     assert story(told).splitlines() == [
         "cfr-argmax (car 0) against random-moves on oval, contest rules: car 1 crashed",
@@ -198,7 +193,7 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
 
 
 VALUES = np.array([0.3, 0.1, 0.22, -0.1, 0.2])
-WIN, METRES, BARE = Unit(1.0, "of a win"), Unit(0.5, "m of lead"), Unit(0.5, "")
+WIN, METRES = "of a win", "m of lead"
 
 
 @pytest.mark.parametrize(
@@ -210,33 +205,25 @@ WIN, METRES, BARE = Unit(1.0, "of a win"), Unit(0.5, "m of lead"), Unit(0.5, "")
         (4, VALUES[:3], WIN, "its network has no value for stay"),
         (0, None, WIN, ""),
         (0, VALUES[:1], WIN, "there is no other move"),
-        (0, VALUES, METRES, "worth 0.05 {} more than staying, 0.04 {} more than restraint +"),
-        (
-            0,
-            VALUES,
-            BARE,
-            "the highest value of all moves, worth 0.05 more than staying, 0.04 more than"
-            " restraint + (relative values, without a unit)",
-        ),
+        (0, VALUES, METRES, "worth 0.10 {} more than staying, 0.08 {} more than restraint +"),
         (
             2,
             VALUES,
-            BARE,
-            "worth 0.01 more than staying, 0.04 less than aggressiveness + (relative values,"
-            " without a unit)",
+            "",
+            "worth 0.02 more than staying, 0.08 less than aggressiveness + (relative values)",
         ),
     ],
 )
 def test_a_move_is_compared_with_staying_in_the_unit_of_values(race, move, values, unit, words):
     step = race.steps[0]._replace(move=move, values=values)
-    assert why(replace(race, unit=unit), step) == words.replace("{}", unit.text)
+    assert why(replace(race, unit=unit), step) == words.replace("{}", unit)
 
 
 def test_the_training_of_a_network_decides_the_unit_of_its_values(spec):
-    assert value_unit(network_of(spec, worth="win"), "lead") == WIN
-    assert value_unit(network_of(spec), "win") == Unit(0.5, "of a win")
-    assert value_unit(network_of(spec, "static-q"), "lead") == Unit(1.0, "m of lead")
-    assert value_unit(network_of(spec, "regret"), "win") == Unit(1.0, "")
+    assert value_unit(network_of(spec, worth="win"), "lead") == (1.0, WIN)
+    assert value_unit(network_of(spec), "win") == (0.5, WIN)
+    assert value_unit(network_of(spec, "static-q"), "lead") == (1.0, METRES)
+    assert value_unit(network_of(spec, "regret"), "win") == (1.0, "")
 
 
 def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, spec):
@@ -249,7 +236,7 @@ def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, sp
     assert re.search(r"drawn with a chance of 2[05]%", story(race))
     cars = build("never-switch", spec), build("lane-switcher:any", spec)
     refused(
-        "'lane-switcher' in car 1 makes no moves.*; try the other car",
+        "'lane-switcher:any' in car 1 makes no moves.*; try the other car",
         explained,
         contest,
         *cars,
@@ -258,7 +245,7 @@ def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, sp
     refused(
         "car 0 makes no moves.*; nor does the other car's", explained, contest, *cars[1:], *cars[1:]
     )
-    race = explained(contest, competitor(Model()), build("never-switch", spec))
+    race = explained(contest, competitor(Model(), spec), build("never-switch", spec))
     assert all(step.values is None and step.probabilities is None for step in race.steps)
     assert story(race).startswith("Model (car 0)")
     assert picture_bytes(explanation_picture(race)).startswith(b"<?xml")
@@ -287,22 +274,25 @@ def written(axes):
 def test_the_signs_of_a_race_stand_where_things_happened(told):
     figure = explanation_picture(told)
     space, track, *panels = figure.axes
-    at, signs = told.replay.cars[:, :, :2].tolist(), []
-    for car in (0, 1):
-        signs += [("s", at[0][car], CARS[car]), ("o", at[-1][car], "white")]
-    signs += [("^", at[16][1], CARS[1]), ("^", at[24][0], CARS[0]), ("^", at[32][1], CARS[1])]
-    assert marks(track) == [*signs, ("X", at[-1][1], "#c22443")]
+    at = told.replay.cars[:, :, :2].tolist()
+    assert marks(track) == [
+        ("s", at[0][0], CARS[0]),
+        ("s", at[0][1], CARS[1]),
+        ("^", at[16][1], CARS[1]),
+        ("^", at[24][0], CARS[0]),
+        ("X", at[-1][1], CARS[1]),
+    ]
     assert written(track) == {
         (str(k + 1), tuple(np.round(at[16 * (k + 1)][car], 9).tolist()))
         for k in (0, 1)
         for car in (0, 1)
     }
     # The arrow of the first move; the second one keeps its policy.
-    before, after = told.archive.coordinates[[3, 5]][:, [1, 0]]
+    before, after = told.game.archive.coordinates[[3, 5]][:, [1, 0]]
     (arrow,) = (text for text in space.texts if text.get_text() == "")
     assert (*arrow.xy, *arrow.xyann) == (*after, *before)
     seen = [
-        tuple(np.round(in_units(told.archive, step.opponent)[[1, 0]], 9).tolist())
+        tuple(np.round(in_units(told.game.archive, step.opponent)[[1, 0]], 9).tolist())
         for step in told.steps
     ]
     assert {("1", seen[0]), ("2", seen[1]), ("2: kept", tuple(np.round(after, 9).tolist()))} <= (
@@ -314,31 +304,19 @@ def test_the_signs_of_a_race_stand_where_things_happened(told):
 @pytest.mark.parametrize(
     ("unit", "change", "label"),
     [
-        (Unit(0.5, "of a win"), {}, "value of each move, wins; coloured: made"),
-        (Unit(0.5, ""), {}, "value of each move; coloured: made"),
-        (None, {"values": None}, "chance of each move; coloured: made"),
+        ("of a win", {}, "value (of a win) of each move; coloured: made"),
+        ("", {}, "value (relative) of each move; coloured: made"),
+        ("", {"values": None}, "chance of each move; coloured: made"),
     ],
 )
 def test_bars_are_values_in_their_unit_or_chances(told, unit, change, label):
     steps = tuple(step._replace(**change) for step in told.steps)
     figure = explanation_picture(replace(told, unit=unit, steps=steps))
-    expected = 0.5 * told.steps[0].values if unit else told.steps[0].probabilities
-    widths = [patch.get_width() for patch in figure.axes[2].patches]
-    assert widths == pytest.approx(expected.tolist())
+    expected = told.steps[0].probabilities if change else told.steps[0].values
+    panel = figure.axes[2]
+    assert [patch.get_width() for patch in panel.patches] == pytest.approx(expected.tolist())
+    assert panel.get_title("left") == "1: 0.8 s, aggressiveness +"
     assert label in {text.get_text() for panel in figure.subfigs for text in panel.texts}
-
-
-def test_a_move_that_the_network_does_not_know_is_marked_and_chances_stand_in_for_values(
-    race, contest, spec
-):
-    steps = [step._replace(values=step.values[: step.move]) for step in race.steps]
-    panels = explanation_picture(replace(race, steps=steps)).axes[2:]
-    assert [[text.get_text() for text in axes.texts] for axes in panels[: len(steps)]] == [
-        ["made"]
-    ] * len(steps)
-    race = explained(contest, build("random-moves", spec), build("never-switch", spec))
-    panels = [axes for axes in explanation_picture(race).axes[2:] if axes.get_visible()]
-    assert sum(patch.get_width() for patch in panels[0].patches) == pytest.approx(1.0)
 
 
 def test_the_archive_shows_where_moves_lead(archive, tmp_path):
@@ -357,11 +335,11 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
         drawn, [points, 100.0 * crashes, explored, points[start : start + 1]], strict=True
     ):
         np.testing.assert_array_equal(found, expected)
-    named = [text.get_text() for text in axes.get_legend().get_texts()]
-    moved = {
-        name for name, end in zip(move_names(archive, 0.5), leads_to, strict=True) if end != start
-    }
-    assert set(", ".join(named).split(", ")) == moved
+    first, *named = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert first == f"policy {start}"
+    shown = ", ".join(name for name in named if not name.endswith(": no effect"))
+    moves = zip(move_names(archive, 0.5), leads_to, strict=True)
+    assert set(shown.split(", ")) == {name for name, end in moves if end != start}
     arrows = {
         (*text.xy, *text.xyann)
         for text in axes.texts

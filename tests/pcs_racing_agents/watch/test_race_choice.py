@@ -131,17 +131,16 @@ def by_definition(races, count):
         groups = {}
         for car, number in product((0, 1), range(len(races))):
             if by_car[car][number] == outcome and races.agents.codes[number, car] == agent:
-                place = int(races.agents.codes[number, 1 - car]), int(races.track.codes[number])
+                rival = (int(races.agents.codes[number, 1 - car]) - agent) % len(names)
+                place = rival, int(races.track.codes[number])
                 groups.setdefault(place, []).append((abs(races.lead[number]), car, number))
         order = [[number for *_, number in sorted(groups[place])] for place in sorted(groups)]
-        order = [order[(k + agent) % len(order)] for k in range(len(order))]
         piles[agent, outcome] = [
             number for turn in zip_longest(*order) for number in turn if number is not None
         ]
     picks = {}
-    while len(picks) < min(count, len(races)):
-        for (agent, outcome), pile in piles.items():
-            left = [number for number in pile if number not in picks]
-            if left and len(picks) < count:
-                picks[left[0]] = f"{names[agent]}: {OUTCOMES[outcome]}"
+    for turn in zip_longest(*piles.values()):
+        for (agent, outcome), number in zip(piles, turn, strict=True):
+            if number is not None and len(picks) < count:
+                picks.setdefault(number, f"{names[agent]}: {OUTCOMES[outcome]}")
     return picks
