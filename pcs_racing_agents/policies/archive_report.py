@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -84,7 +84,8 @@ def _facts(archive: PolicyArchive, raced: Arrays, scale: Scale) -> dict[str, str
     """Return the manifest's entries about the policies of an archive and their races."""
     points = scale(archive.coordinates)
     crashes = raced["own_crash"].mean(axis=1)
-    facts: dict[str, str | float] = {
+    axes = zip(archive.characteristics, scale.ideal, scale.nadir, strict=True)
+    return {
         "policies": len(archive),
         "policies_not_beaten": int(np.sum(front_layers(points) == 0)),
         "hypervolume": hypervolume(points),
@@ -93,13 +94,12 @@ def _facts(archive: PolicyArchive, raced: Arrays, scale: Scale) -> dict[str, str
         "win_share": (raced["winner"] == 0).mean(),
         "no_op_share": no_op_share(archive),
         "duplicate_share": duplicate_share(archive),
+        **{
+            f"hypervolume_unit_{axis}": f"0 at {low:.4f}, 1 at {high:.4f} (initial sample)"
+            for axis, high, low in axes
+        },
+        **{f"correlation_{a}_{b}": value for (a, b), value in archive.correlations.items()},
     }
-    for axis, high, low in zip(archive.characteristics, scale.ideal, scale.nadir, strict=True):
-        unit = f"0 at {low:.4f}, 1 at {high:.4f} (range of the initial sample)"
-        facts[f"hypervolume_unit_{axis}"] = unit
-    for (one, other), value in archive.correlations.items():
-        facts[f"correlation_{one}_{other}"] = value
-    return facts
 
 
 def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool]:
@@ -114,13 +114,9 @@ def stated_settings(config: ArchiveConfig) -> dict[str, str | int | float | bool
 
 
 def _versions() -> dict[str, str]:
-    versions = {"package_version": package_version(), "numpy_version": np.__version__}
-    for library in ("numba", "cma", "moocore"):
-        try:
-            versions[f"{library}_version"] = version(library)
-        except PackageNotFoundError:
-            continue
-    return versions
+    libraries = ("numpy", "numba", "cma", "moocore")
+    versions = {f"{library}_version": version(library) for library in libraries}
+    return {"package_version": package_version(), **versions}
 
 
 def _rounded(value: str | float) -> str | int | float | bool:

@@ -30,14 +30,14 @@ from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.base.jobs import Job, open_job, run_races
+from pcs_racing_agents.base.jobs import Job, Run, open_job
 from pcs_racing_agents.policies.archive_report import write_archive
 from pcs_racing_agents.policies.config import ArchiveConfig, FrontConfig, SpreadConfig
 from pcs_racing_agents.policies.evaluate import (
     Evaluation,
     Scenarios,
     draw_scenarios,
-    race_policies,
+    race_in_blocks,
     summarise,
 )
 from pcs_racing_agents.policies.pareto import Scale, hypervolume
@@ -324,12 +324,8 @@ class ArchiveRun:
             if stage != "search":
                 self.callback(stage, done, total, None)
 
-        blocks = range(0, len(parameters), BLOCK)
-        tasks = [(scenarios, parameters[first : first + BLOCK]) for first in blocks]
-        results = run_races(
-            name, race_policies, tasks, job=self.job, executor=self.executor, progress=progress
-        )
-        return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
+        run: Run = {"job": self.job, "executor": self.executor, "progress": progress}
+        return race_in_blocks(name, scenarios, parameters, BLOCK, **run)
 
     def _note(self, search: Search) -> None:
         """Record a generation of the search, and call the callback."""

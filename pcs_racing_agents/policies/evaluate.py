@@ -7,7 +7,7 @@ draws happen once per run, so that policies differ by their driving and not by c
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, 
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.jobs import Run, run_races
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -126,6 +127,15 @@ def draw_scenarios(
 
 PolicyTask: TypeAlias = tuple[Scenarios, Floats]
 """Scenarios, and parameters of the policies to race, shape (k, P)."""
+
+
+def race_in_blocks(
+    name: str, scenarios: Scenarios, parameters: Floats, block: int, **run: Unpack[Run]
+) -> Arrays:
+    """Race policies as tasks of this name, ``block`` policies each; see :func:`race_policies`."""
+    tasks = [(scenarios, parameters[k : k + block]) for k in range(0, len(parameters), block)]
+    results = run_races(name, race_policies, tasks, **run)
+    return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
 
 
 def race_policies(task: PolicyTask, threads: int | None = None) -> Arrays:

@@ -102,7 +102,6 @@ class Search:
         self._scale = Scale(np.zeros(0), np.zeros(0))
         self._stalled = 0
         self.generation = 0  #: Number of generations so far.
-        self.evaluations = 0  #: Number of evaluated points so far.
         self.restarts = 0  #: Number of restarts so far.
         self.hypervolume = 0.0  #: Hypervolume of the archive's front, in units of the scale.
 
@@ -115,11 +114,6 @@ class Search:
     def objectives(self) -> Floats:
         """Objectives of the archive's Pareto front, shape (K, G)."""
         return self._front.objectives
-
-    @property
-    def step_size(self) -> float:
-        """Maximum standard deviation as a share of a parameter's range."""
-        return self._es.step_size
 
     def ask(self) -> Floats:
         """Return the points to evaluate next, shape (n, P)."""
@@ -153,7 +147,6 @@ class Search:
         elite = np.sort(order[: self._elite])
         self._join(unit[elite], self._from_cube(unit[elite]), values[elite], beyond[elite])
         self.generation += 1
-        self.evaluations += len(unit)
         # Lines 11-13: evolution paths, step size, covariance and mean.
         ranks = np.empty(len(unit))
         ranks[order] = np.arange(len(unit))
@@ -171,7 +164,6 @@ class Search:
         unit = self._to_cube(points)
         values, beyond = self._checked(len(points), objectives, violation)
         self._join(unit, points, values, beyond)
-        self.evaluations += len(points)
 
     def _to_cube(self, points: Floats) -> Floats:
         if not (np.all(points >= self._low) and np.all(points <= self._high)):

@@ -33,7 +33,7 @@ from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.curves import Curve, curves_picture
-from pcs_racing_agents.base.jobs import Job, open_job, run_races
+from pcs_racing_agents.base.jobs import Job, open_job
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.style import save_picture
 from pcs_racing_agents.base.tables import Column, table_rows, write_csv
@@ -41,8 +41,8 @@ from pcs_racing_agents.policies.evaluate import (
     Evaluation,
     Scenarios,
     draw_scenarios,
+    race_in_blocks,
     race_points,
-    race_policies,
     summarise,
 )
 from pcs_racing_agents.policies.search import CubeCMAES
@@ -304,10 +304,8 @@ class TuningRun:
 
     def _raced(self, name: str, theta: Floats, scenarios: Scenarios) -> Arrays:
         """Race policies as tasks of this name, a few at once, or load results of earlier runs."""
-        step = max(1, len(theta) // 4)
-        tasks = [(scenarios, theta[first : first + step]) for first in range(0, len(theta), step)]
-        results = run_races(name, race_policies, tasks, job=self.job, executor=self.executor)
-        return {key: np.concatenate([result[key] for result in results]) for key in results[0]}
+        block = max(1, len(theta) // 4)
+        return race_in_blocks(name, scenarios, theta, block, job=self.job, executor=self.executor)
 
 
 def fitness(found: Evaluation, crash_limit: float, price: float = 1.0) -> Floats:

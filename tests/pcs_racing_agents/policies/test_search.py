@@ -124,19 +124,21 @@ def test_a_search_repeats_itself_stays_within_bounds_and_leaves_numpy_alone():
 
 def test_the_first_generation_lies_around_the_middle_and_the_initial_sample_is_the_scale():
     search = Search(np.tile([-1.0, 3.0], (20, 1)), population=400, step_size=0.05)
-    assert search.step_size == pytest.approx(0.05, rel=1e-3)  # pycma makes the axes a bit unequal
+    assert search._es.step_size == pytest.approx(
+        0.05, rel=1e-3
+    )  # pycma makes the axes a bit unequal
     points = search.ask()
     np.testing.assert_allclose(points.mean(axis=0), 1.0, atol=0.05)
     np.testing.assert_allclose(points.std(axis=0), 0.2, rtol=0.2)
     search = Search(np.tile([-2.0, 4.0], (6, 1)), population=4)
     search.add([[-2.0] * 6, [4.0] * 6], [[0.0, 4.0], [2.0, 0.0]], [0.0, 0.5])
-    assert (search.generation, search.evaluations) == (0, 2)
+    assert search.generation == 0
     assert search.parameters.tolist() == [[-2.0] * 6]
     assert search.hypervolume == pytest.approx(0.1 * 1.1)
     search.ask()
     search.tell([[0.0, 0.0]] * 4)
     search.add([[0.0] * 6], [[2.0, 4.0]])
-    assert (search.evaluations, search.parameters.tolist()) == (7, [[0.0] * 6])
+    assert search.parameters.tolist() == [[0.0] * 6]
     assert search.hypervolume == pytest.approx(1.1 * 1.1)
 
 
@@ -158,7 +160,7 @@ def test_it_restarts_at_a_point_of_the_front_the_likelier_the_more_it_adds():
         for seed in range(12):
             search = begun(objectives=objectives, seed=seed, step_size=0.02)
             assert generations_until_restart(search, nothing, feasible, 12) == 10
-            assert search.step_size == pytest.approx(0.01, rel=1e-3)
+            assert search._es.step_size == pytest.approx(0.01, rel=1e-3)
             starts[name].append(search.ask().mean())
     assert {round(start, 1) for start in starts["equal"]} == {0.1, 0.9}
     assert np.mean(np.array(starts["one"]) > 0.5) > 0.8
@@ -176,7 +178,7 @@ def test_a_search_that_gains_does_not_restart_and_one_that_has_collapsed_restart
         search = Search(UNIT[:4], population=10, step_size=0.5e-4, seed=seed)
         search.ask()
         search.tell(np.vstack([CORNERS, np.zeros((8, 2))]), np.ones(10))
-        assert (search.restarts, search.step_size) == (1, pytest.approx(0.5e-4, rel=0.3))
+        assert (search.restarts, search._es.step_size) == (1, pytest.approx(0.5e-4, rel=0.3))
         starts.append(search.ask().mean(axis=0))
     assert np.std(starts) == pytest.approx(0.29, abs=0.1)
 
