@@ -58,6 +58,7 @@ def _exported(model: Any) -> OnnxNetwork:
     if isinstance(model, str | PathLike) and Path(model).suffix != ".zip":
         return _named(str(model))
     elements: Any = ()
+    origin: Mapping[str, Any] | None
     if isinstance(model, str | PathLike):
         plain, origin = read_zip(Path(model))
     else:
