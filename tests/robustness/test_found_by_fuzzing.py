@@ -117,7 +117,6 @@ def test_values_of_other_types():
         lambda: StudyConfig(game=("contest",)),
         lambda: StudyConfig(archive=0.5),
         lambda: LearningConfig(trees="many"),
-        lambda: load_ppo_settings(None),
         lambda: load_train_settings(b"study"),
         lambda: FrontConfig(tracks=None),
         lambda: Fit(["best-fixed"], 1, GameIdentity((), (), (0.5,), "a", "b", "c")),
