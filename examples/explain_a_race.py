@@ -73,7 +73,7 @@ def main() -> None:
         chances = cars[0].probabilities(observations[:, 0])[0]
         before = state.leads[0, state.step[0]]
         state = game.step(state, np.array([moves]))
-        made = [game.move_names[move] for move in moves]
+        made = [game.moves[move] for move in moves]
         print(f"move {int(state.step[0])}: lead {before:+.1f} m; measured opponent: {about}")
         chance, policy = chances[moves[0]], state.policy[0, 0]
         print(
@@ -84,7 +84,7 @@ def main() -> None:
     recording = repeat_race(Pairing(game, *cars, first[None], start, key), 0)
     assert recording.played.lead[0] == state.race.lead[0]  # identical
     print(recording.replay.outcome)
-    replay = watch.mark_moves(recording.replay, recording.played, game.move_names, game.config.ends)
+    replay = watch.mark_moves(recording.replay, recording.played, game.moves, game.config.ends)
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("page:", save_replay(replay, arguments.out / "race.html"))
 

@@ -54,7 +54,8 @@ model = PPO(
 model.learn(arguments.steps)
 
 print(f"{'opponent':28} {'utility':>8} {'+-':>6} {'won':>6}")
-names = [f"always-{move}" for move in envs.get_attr("game")[0].move_names]
+duel = envs.get_attr("game")[0]
+names = [f"always-{move}" for move in duel.moves[: duel.offered]]
 for opponent in ("random-moves", "never-switch", *names):
     duels = DuelVectorEnv(arguments.games, opponent=opponent, **game)
     observations, _ = duels.reset(seed=1_000_000 + arguments.seed)

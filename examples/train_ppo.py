@@ -73,9 +73,8 @@ def main() -> None:
         f" {arguments.games} games each:"
     )
     print(f"{'agent':28} {'utility':>8} {'+-':>6} {'won':>6} {'crashed':>8}")
-    constant = {
-        f"always {name}": move for move, name in enumerate(envs.get_attr("game")[0].move_names)
-    }
+    duel = envs.get_attr("game")[0]
+    constant = {f"always {name}": move for move, name in enumerate(duel.moves[: duel.offered])}
     rng = np.random.default_rng(arguments.seed)
     moves = len(constant)
     players = {

@@ -190,7 +190,7 @@ class GameBatch:
         # The game on the first track; the rules are the same on the other tracks.
         self.game, self.opponents = self.game_on(0)
         self.weights = weights_of(self.opponents)  #: Weights of the opponents in the draw.
-        moves = {NO_MOVE: "none", **dict(enumerate(self.game.competitor_moves))}
+        moves = {NO_MOVE: "none", **dict(enumerate(self.game.moves))}
         self.codes: Mapping[str, Mapping[int, str]] = {
             **common_codes(each.name for each in self.opponents),
             "move": moves,
@@ -205,7 +205,7 @@ class GameBatch:
         )
         origin = {"game": game_identity(self.game)._asdict()}
         self.observation_space = mark(spaces.Box(low, high, dtype=np.float32), "duel", origin)
-        self.action_space = mark(spaces.Discrete(len(self.game.move_names)), "duel", origin)
+        self.action_space = mark(spaces.Discrete(self.game.offered), "duel", origin)
         self.state: GameState | None = None  #: State of the games; None before the first `restart`.
         self.before: GameState | None = None  # state before the last step, to drive films again
         #: shape (episodes, 2, D): Observations of both players.
@@ -249,7 +249,7 @@ class GameBatch:
 
     def check_actions(self, actions: Any, shape: tuple[int, ...]) -> NDArray[np.int64]:
         """Return actions in the shape (episodes, players)."""
-        moves = self.game.move_names
+        moves = self.game.moves[: self.game.offered]
         checked = check_moves(actions, moves, shape, ("environment",), player="action")
         return checked.reshape(self.episodes, self.players)
 
@@ -529,7 +529,7 @@ class GameBatch:
             lengths = np.array([track.length for track in tracks])
             check_games("the state's games", values[0], self.game, lengths)
         check_within("the state's opponents", values[1], 0, max(1, len(self.opponents)) - 1)
-        check_within("the state's moves", values[2], NO_MOVE, len(self.game.competitor_moves) - 1)
+        check_within("the state's moves", values[2], NO_MOVE, len(self.game.moves) - 1)
         return tracks
 
     def set_state(self, values: tuple[Any, ...]) -> None:

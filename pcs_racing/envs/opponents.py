@@ -200,7 +200,7 @@ class MovingOpponents:
         self.game.record_step(games, rows, estimates)
         asked = {"observation": self.game.observation(games)[:, 1], "memories": self._memories}
         moves = replies(opponents, drawn, self.game, games, rows, **asked)
-        games.policy[rows, 1] = self.game.next_policy(games.policy[rows, 1], moves[rows])
+        games.policy[rows, 1] = self.game.table[games.policy[rows, 1], moves[rows]]
         games.step[rows] += 1
         self._remember(rows, races)
         self._set_theta(rows, theta)

@@ -42,10 +42,11 @@ class _HasRules(Protocol):
 def game_identity(game: _HasRules) -> GameIdentity:
     """Return the identity of a game, or of an agent's archive and rules."""
     archive, config = game.archive, game.config
+    names = move_names(archive, config.epsilon)
     elements = observation_elements(get_characteristics(archive.characteristics), config.moves)
     return GameIdentity(
         elements=tuple(element.name for element in elements),
-        moves=move_names(archive, config.epsilon, bool(config.stay)),
+        moves=names if config.stay else names[:-1],
         epsilon=config.epsilon if isinstance(config.epsilon, tuple) else (config.epsilon,),
         archive=archive.name,
         archive_sha256=archive.content_hash,

@@ -20,7 +20,7 @@ EPSILON = 0.5
 """Default length of a move: half of the archive's range on an axis."""
 
 STAY = "stay"
-"""Name of the move that keeps the policy; it is the last move, if there is one."""
+"""Name of the last move, which keeps the policy."""
 
 MAX_NAMES = 24  # max number of moves that an error lists by name
 
@@ -39,14 +39,12 @@ def move(
     return archive.nearest(targets)
 
 
-def move_table(
-    archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False
-) -> Indices:
+def move_table(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> Indices:
     """Return the policy that every move leads to from every policy, shape (K, M).
 
     The moves of the first epsilon come first: characteristic 0 more, characteristic 0 less,
-    characteristic 1 more, and so on; then the moves of the next epsilon; the move that keeps the
-    policy, if there is one, comes last.
+    characteristic 1 more, and so on; then the moves of the next epsilon; "stay", the move that
+    keeps the policy, comes last.
     """
     policies = np.arange(len(archive))
     columns = [
@@ -55,16 +53,16 @@ def move_table(
         for axis in range(len(archive.characteristics))
         for sign in (1, -1)
     ]
-    return np.stack([*columns, policies] if stay else columns, axis=1)
+    return np.stack([*columns, policies], axis=1)
 
 
 def move_names(
-    archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON, stay: bool = False
+    archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON
 ) -> tuple[str, ...]:
     """Return names of the moves in the order of :func:`move_table`.
 
-    They are ``"aggressiveness +"`` (with several epsilons ``"aggressiveness + 0.5"``) and
-    ``"stay"``.
+    They are ``"aggressiveness +"`` (with several epsilons ``"aggressiveness + 0.5"``) and, as the
+    last one, ``"stay"``.
     """
     steps = check_epsilon(epsilon)
     names = [
@@ -73,17 +71,22 @@ def move_names(
         for axis in archive.characteristics
         for sign in "+-"
     ]
-    return (*names, STAY) if stay else tuple(names)
+    return (*names, STAY)
 
 
 def no_op_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
-    """Return the share of all (policy, move) pairs that lead back to the policy itself."""
-    return float(np.mean(move_table(archive, epsilon) == np.arange(len(archive))[:, None]))
+    """Return the share of all (policy, move) pairs that lead back to the policy itself, without
+    "stay".
+    """
+    switches = move_table(archive, epsilon)[:, :-1]
+    return float(np.mean(switches == np.arange(len(archive))[:, None]))
 
 
 def duplicate_share(archive: PolicyArchive, epsilon: float | Sequence[float] = EPSILON) -> float:
-    """Return the share of all (policy, move) pairs with the same target as an earlier move."""
-    return float(np.mean(duplicate_moves(move_table(archive, epsilon))))
+    """Return the share of all (policy, move) pairs with the same target as an earlier move, without
+    "stay".
+    """
+    return float(np.mean(duplicate_moves(move_table(archive, epsilon)[:, :-1])))
 
 
 def duplicate_moves(table: Indices) -> NDArray[np.bool_]:

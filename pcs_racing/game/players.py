@@ -3,7 +3,7 @@
 An agent has a ``name`` and a method ``act(observations, turn)``, which returns the moves of one car
 in a batch of games (:class:`SupportsAct`). A :class:`pcs_racing.planners.planner.PolicySet` also
 takes part in games, without moves. Agents may always stay, whatever moves the rules offer:
-:attr:`pcs_racing.game.rules.RaceGame.competitor_moves`.
+:attr:`pcs_racing.game.rules.RaceGame.moves`.
 """
 
 import hashlib
@@ -21,7 +21,7 @@ from pcs_racing.base.errors import InputError, one_line
 from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
-from pcs_racing.game.moves import STAY, check_moves, move_names
+from pcs_racing.game.moves import STAY, check_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.planners.planner import Policy, PolicySet
@@ -52,7 +52,7 @@ class Turn:
     @property
     def stay(self) -> int:
         """Move that keeps the policy."""
-        return len(self.game.competitor_moves) - 1
+        return len(self.game.moves) - 1
 
     def generator(self, row: int) -> np.random.Generator:
         """Return the generator of a game's move: a function of the game's key, step and car."""
@@ -71,7 +71,7 @@ class SupportsAct(Protocol):
     def act(self, observations: Observation, turn: Turn) -> ArrayLike:
         """Return the moves in n games, shape (n,), from observations of shape (n, D).
 
-        Moves are indices of :attr:`RaceGame.competitor_moves`. Each game is decided independently,
+        Moves are indices of :attr:`RaceGame.moves`. Each game is decided independently,
         so that batches of all sizes give the same moves.
         """
 
@@ -138,10 +138,10 @@ class ConstantPlayer:
 
     def check_fits(self, game: RaceGame) -> None:
         """Check that a game has as many moves."""
-        if len(game.competitor_moves) != len(self.chances):
+        if len(game.moves) != len(self.chances):
             raise InputError(
                 f"agent {self.name!r} has {len(self.chances)} moves; this game has"
-                f" {len(game.competitor_moves)}"
+                f" {len(game.moves)}"
             )
 
 
@@ -155,7 +155,7 @@ def always(spec: Any, move: str, *, name: str | None = None, seed: int = 0) -> C
 
     ``spec`` is a game, or an archive with rules.
     """
-    names = move_names(spec.archive, spec.config.epsilon, True)
+    names = spec.moves
     plain = ["".join(one.split()) for one in names]
     wanted = "".join(move.split())
     if wanted not in plain:
@@ -171,7 +171,7 @@ def never_switch(spec: Any, *, name: str = NEVER_SWITCH, seed: int = 0) -> Const
 
 def random_moves(spec: Any, *, name: str = RANDOM_MOVES, seed: int = 0) -> ConstantPlayer:
     """Return an agent that draws each move uniformly among the moves that the rules offer."""
-    count, offered = len(move_names(spec.archive, spec.config.epsilon, True)), spec.offered
+    count, offered = len(spec.moves), spec.offered
     return ConstantPlayer(name, (1.0 / offered,) * offered + (0.0,) * (count - offered), seed)
 
 
@@ -249,8 +249,8 @@ def competitor(
 def read_player(request: Request) -> Racer | None:
     """Return a constant player, a policy of an archive, or an agent in memory.
 
-    The rules of a request, a game or an archive with rules, have an ``archive``, a ``config`` and
-    the number of ``offered`` moves.
+    The rules of a request, a game or an archive with rules, have an ``archive``, a ``config``,
+    ``moves`` and the number of ``offered`` moves.
     """
     given, text = request.given, request.text
     if text == NEVER_SWITCH:
@@ -292,8 +292,7 @@ def model_agent(model: Any, name: str, arguments: Any, rules: Any) -> ModelAgent
     The game of the training must be the game of the rules.
     """
     if arguments is not None:
-        moves = move_names(rules.archive, rules.config.epsilon, True)
-        identity = game_identity(rules)._replace(moves=moves)
+        identity = game_identity(rules)._replace(moves=rules.moves)
         check_same_game(read_identity(arguments), identity, f"model {name!r}")
     return ModelAgent(name, model)
 
@@ -325,7 +324,7 @@ def check_competitor(game: RaceGame, competitor: Competitor) -> None:
     if hasattr(model, "check_fits"):
         model.check_fits(game)
     model = getattr(model, "model", model)
-    size, moves = len(game.observation_elements), game.competitor_moves
+    size, moves = len(game.observation_elements), game.moves
     shape = getattr(getattr(model, "observation_space", None), "shape", None)
     if shape is not None and tuple(shape) != (size,):
         raise InputError(
@@ -353,7 +352,7 @@ def ask_moves(
 ) -> Indices:
     """Ask a competitor for the moves of one car in a batch of B games.
 
-    Returns indices in :attr:`RaceGame.competitor_moves`, shape (B,); 0 for policies without moves
+    Returns indices in :attr:`RaceGame.moves`, shape (B,); 0 for policies without moves
     and in games without a request.
 
     The request covers the games ``rows``, by default all, except finished games. ``observation``,
@@ -376,6 +375,6 @@ def ask_moves(
     if memories is not None:
         for row, memory in zip(rows.tolist(), kept, strict=True):
             memories[row] = memory
-    names = game.competitor_moves
+    names = game.moves
     moves[rows] = check_moves(answer, names, rows.shape, ("game",), rows=rows, player=player)
     return moves

@@ -140,11 +140,7 @@ class RaceGame:
     @cached_property
     def table(self) -> Indices:
         """Policy that each move leads to from every policy, shape (K, M)."""
-        return move_table(self.archive, self.config.epsilon, bool(self.config.stay))
-
-    @cached_property
-    def _table_with_stay(self) -> Indices:
-        return move_table(self.archive, self.config.epsilon, True)
+        return move_table(self.archive, self.config.epsilon)
 
     @cached_property
     def points(self) -> Floats:
@@ -161,22 +157,14 @@ class RaceGame:
         )
 
     @cached_property
-    def move_names(self) -> tuple[str, ...]:
-        """Names of the M moves that the rules offer."""
-        return move_names(self.archive, self.config.epsilon, bool(self.config.stay))
+    def moves(self) -> tuple[str, ...]:
+        """Names of the M moves; the last one is "stay"."""
+        return move_names(self.archive, self.config.epsilon)
 
     @property
     def offered(self) -> int:
-        """Number of the first competitor's moves that the rules offer."""
-        return len(self.move_names)
-
-    @cached_property
-    def competitor_moves(self) -> tuple[str, ...]:
-        """Names of the moves of a competitor.
-
-        They are the moves of the rules and, whatever the rules offer, "stay".
-        """
-        return move_names(self.archive, self.config.epsilon, True)
+        """Number of first moves that the rules offer: all, or all but "stay"."""
+        return len(self.moves) - (not self.config.stay)
 
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
@@ -341,18 +329,17 @@ class RaceGame:
     def step(self, state: GameState, actions: ArrayLike) -> GameState:
         """Let both players of every game move, and drive a step.
 
-        ``actions``, shape (B, 2), are indices of each car's move in :attr:`move_names`; the action
-        of a policy from outside the archive has no effect. Finished games do not change. The given
-        state is not modified.
+        ``actions``, shape (B, 2), are indices of each car's move among the :attr:`offered` ones;
+        the action of a policy from outside the archive has no effect. Finished games do not change.
+        The given state is not modified.
         """
-        return self.apply(
-            state, check_moves(actions, self.move_names, (state.games, 2), ("game", "car"))
-        )
+        offered = self.moves[: self.offered]
+        return self.apply(state, check_moves(actions, offered, (state.games, 2), ("game", "car")))
 
     def apply(
         self, state: GameState, moves: Indices, conditions: RaceConditions = AS_THE_SETUP
     ) -> GameState:
-        """Do the work of :meth:`step` with checked moves, indices in :attr:`competitor_moves`.
+        """Do the work of :meth:`step` with checked moves, indices in :attr:`moves`.
 
         The conditions are as in :meth:`reset`.
         """
@@ -360,32 +347,28 @@ class RaceGame:
         going = ~self.done(state)
         moving = going[:, None] & (state.policy != OUTSIDE)
         # The value looked up for a policy from outside (-1) is not used.
-        new.policy[:] = np.where(moving, self.next_policy(state.policy, moves), state.policy)
+        new.policy[:] = np.where(moving, self.table[state.policy, moves], state.policy)
         new.theta[:] = np.where(moving[..., None], self.theta(new.policy), state.theta)
         new.step[:] = state.step + going
         self._drive(new, going, conditions)
         return new
 
-    def next_policy(self, policies: Indices, moves: Indices) -> Indices:
-        """Return the policies of the archive that moves (:attr:`competitor_moves`) lead to."""
-        return self._table_with_stay[policies, moves]
-
     def action_mask(self, state: GameState) -> NDArray[np.bool_]:
-        """Return the mask of allowed moves, shape (B, 2, M).
+        """Return which of the :attr:`offered` moves are allowed, shape (B, 2, offered).
 
         With ``mask_duplicates`` it excludes moves with the same target as "stay" or an earlier
         move.
         """
         if not self.config.mask_duplicates:
-            return np.ones((state.games, 2, len(self.move_names)), np.bool_)
+            return np.ones((state.games, 2, self.offered), np.bool_)
         allowed = ~self._duplicates[state.policy]
         allowed[state.policy == OUTSIDE] = True
         return allowed
 
     @cached_property
     def _duplicates(self) -> NDArray[np.bool_]:
-        if not self.config.stay:
-            return duplicate_moves(self.table)
+        if self.offered < len(self.moves):
+            return duplicate_moves(self.table[:, : self.offered])
         # "stay" comes last, and stays allowed among the moves that change nothing.
         return np.roll(duplicate_moves(np.roll(self.table, 1, axis=1)), -1, axis=1)
 

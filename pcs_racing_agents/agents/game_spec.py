@@ -25,22 +25,22 @@ class GameSpec:
 
     archive: PolicyArchive  #: Archive with the axes of the game.
     config: GameConfig  #: Rules with the move "stay", so every agent can keep its policy.
-    offered: int  #: Number of first moves offered by the rules alone: all, or all but "stay".
+    offered: int  #: Number of first moves that the rules offer: all, or all but "stay".
 
     @cached_property
     def identity(self) -> GameIdentity:
         """Identity of the game, with "stay" among its moves."""
         return game_identity(self)
 
-    @property
+    @cached_property
     def moves(self) -> tuple[str, ...]:
         """Names of the M moves; the last one is "stay"."""
-        return self.identity.moves
+        return move_names(self.archive, self.config.epsilon)
 
     @cached_property
     def table(self) -> NDArray[np.int64]:
-        """Policy that every move leads to from every policy, shape (K, M)."""
-        return move_table(self.archive, self.config.epsilon, True)
+        """Policy that each move leads to from every policy, shape (K, M)."""
+        return move_table(self.archive, self.config.epsilon)
 
     @property
     def elements(self) -> tuple[str, ...]:
@@ -103,5 +103,5 @@ def make_game_spec(
     policies = load_archive(archive)
     if config.characteristics is not None and config.characteristics != policies.characteristics:
         policies = policies.project(config.characteristics)
-    count = len(move_names(policies, config.epsilon, bool(config.stay)))
-    return GameSpec(policies, replace(config, stay=True), count)
+    offered = len(move_names(policies, config.epsilon)) - (not config.stay)
+    return GameSpec(policies, replace(config, stay=True), offered)

@@ -58,7 +58,7 @@ def run(
     changes: dict[str, Any] = {key: value for key, value in stated.items() if value is not None}
     config = load_game_config(rules, **changes)
     game = make_game(track, archive_for(archive, config.race), config)
-    count = len(game.move_names)
+    count = game.offered
     check_size(count, game.config.moves)
     print(
         f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {count}"

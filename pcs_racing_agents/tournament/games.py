@@ -141,7 +141,7 @@ def _drive(
             moves[running, 1, step] = replies[branch][running]
         # Egos with different moves to the same policy stay in one branch. Finished games count as
         # policy 0: they are not simulated, and must not multiply.
-        policies = np.where(running, game.next_policy(state.policy[branch, 0], own), 0)
+        policies = np.where(running, game.table[state.policy[branch, 0], own], 0)
         _, chosen, after = np.unique(
             branch * len(game.archive) + policies, return_index=True, return_inverse=True
         )

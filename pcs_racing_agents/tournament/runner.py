@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.moves import move_names
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing.race.recording import record_drive
@@ -161,7 +160,7 @@ def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTab
         duration=columns["duration"],
         variants=narrow(pairing.variants),
         path=columns["path"],
-        moves=Categorical(move_names(pairing.game.archive, config.epsilon, True), columns["moves"]),
+        moves=Categorical(pairing.game.moves, columns["moves"]),
         best_laps=columns["best_laps"],
         observations=columns.get("observations"),
     )

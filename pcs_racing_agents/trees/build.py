@@ -131,8 +131,8 @@ def build_tree(
             f"policies are {policies!r}; give two policies of archive {game.archive.name!r}"
         )
     root = game.reset(keys, policies=pair, starts=place.take(np.zeros(len(keys), np.int64)))
-    moves = game.config.moves
-    paths = [policy_paths(game.table, int(policy), moves) for policy in pair]
+    moves, table = game.config.moves, game.table[:, : game.offered]
+    paths = [policy_paths(table, int(policy), moves) for policy in pair]
     grown = [_grow(game, take_games(root, [i]), paths, share) for i in range(len(keys))]
     payoffs, leads, estimates, over, numbers = zip(*grown, strict=True)
     driven, live, crashed = np.array(numbers, np.int64).T
@@ -141,7 +141,7 @@ def build_tree(
         start_s=float(place.s[0]),
         side=int(place.side[0]),
         seeds=keys.astype(np.uint64),
-        table=game.table,
+        table=table,
         points=game.points,
         path_payoffs=np.stack(payoffs),
         path_leads=tuple(np.stack(level) for level in zip(*leads, strict=True)),
@@ -167,7 +167,7 @@ def check_game(game: RaceGame) -> None:
                 f"car {car} is driven by planner {planner.name!r}; in a game tree both cars drive"
                 f" policies of archive {game.archive.name!r} (planner {game.archive.planner!r})"
             )
-    check_size(game.table.shape[1], game.config.moves)
+    check_size(game.offered, game.config.moves)
 
 
 Grown = tuple[

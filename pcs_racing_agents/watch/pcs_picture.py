@@ -87,11 +87,11 @@ def archive_picture(archive: PolicyArchive, *, epsilon: float | tuple[float, ...
     draw_archive(axes, archive)
     points = archive.coordinates[:, list(plane(archive))]
     ring = {"ms": 9, "mfc": "none", "mec": COLOURS[1], "mew": 1.6, "zorder": 5}
-    ends = move_table(archive, epsilon)[start]
+    ends = move_table(archive, epsilon)[start, :-1]
     axes.plot(*points[start], "o", **ring, label=f"policy {start}")
     # Moves to the same policy share an arrow.
     for target, colour in zip(dict.fromkeys(ends.tolist()), cycle(COLOURS[1:]), strict=False):
-        named = zip(move_names(archive, epsilon), ends, strict=True)
+        named = zip(move_names(archive, epsilon)[:-1], ends, strict=True)
         moves = ", ".join(name for name, end in named if end == target)
         if target == start:
             axes.plot([], [], color="none", label=f"{moves}: no effect")

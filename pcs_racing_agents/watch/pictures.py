@@ -97,7 +97,7 @@ def _frame(explanation: Explanation, time: float) -> int:
 
 def draw_values(figure: Any, explanation: Explanation) -> None:
     """Draw the values of the moves at each decision, or their probabilities without a network."""
-    steps, names = explanation.steps, explanation.game.move_names
+    steps, names = explanation.steps, explanation.game.moves
     valued = all(step.values is not None for step in steps)
     # One panel per move of the game: races of different length have comparable sheets.
     moves = explanation.game.config.moves

@@ -67,14 +67,14 @@ class RaceRepeater:
         played, game = recording.played, recording.game
         # An edited folder is detected by the lead.
         self.results.check_lead(number, played.lead[0])
-        replay = mark_moves(recording.replay, played, game.move_names, game.config.ends)
+        replay = mark_moves(recording.replay, played, game.moves, game.config.ends)
         if replay.paths is not None:
             replay = replace(replay, paths=replay.paths[::PLAN_SKIP])
         replay = replace(replay, plan_dt=PLAN_SKIP * replay.plan_dt, ittc=None)
         values = page_values(replay)
         self.circuits[row.track] = {part: values.pop(part) for part in ("walls", "line")}
         if self.space is None:
-            self.space = space_values(game.archive, game.move_names)
+            self.space = space_values(game.archive, game.moves)
         values["space"] = {
             "ends": game.config.ends,
             "policies": played.path[0].tolist(),

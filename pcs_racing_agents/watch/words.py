@@ -66,7 +66,7 @@ def lead_words(lead: float) -> str:
 
 def move_words(explanation: Explanation, step: ExplainedDecision) -> str:
     """Describe the move and the change of policy."""
-    archive, text = explanation.game.archive, explanation.game.move_names[step.move]
+    archive, text = explanation.game.archive, explanation.game.moves[step.move]
     unchanged = f"kept policy {step.policy}"
     if text != "stay":
         unchanged = f"no policy lies that way: {unchanged}"
@@ -84,7 +84,7 @@ def move_words(explanation: Explanation, step: ExplainedDecision) -> str:
 
 def why(explanation: Explanation, step: ExplainedDecision) -> str:
     """Describe the value of the move relative to other moves; empty without values."""
-    values, names = step.values, explanation.game.move_names
+    values, names = step.values, explanation.game.moves
     if values is None:
         return ""
     if step.next_policy == step.policy and names[step.move] != "stay":

@@ -189,7 +189,7 @@ def duel(name: str) -> Values:
         game = env.unwrapped.game
         names = {
             "elements": np.array([element.name for element in game.observation_elements]),
-            "moves": np.array(game.move_names),
+            "moves": np.array(game.moves[: game.offered]),
         }
         out |= named(race, {**episode, "ends": episode["ends"][:, 0], **names})
         env.close()

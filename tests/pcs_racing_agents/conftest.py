@@ -94,7 +94,7 @@ def seen(game) -> list[np.ndarray]:
     steps = []
     for _ in range(game.config.moves):
         steps.append(game.observation(state).reshape(40, -1))
-        state = game.step(state, rng.integers(0, len(game.move_names), (20, 2)))
+        state = game.step(state, rng.integers(0, game.offered, (20, 2)))
     return [*steps, game.observation(state).reshape(40, -1)]
 
 

@@ -128,7 +128,7 @@ def branch_games(
             moves[rows] = ask_moves(behaviour, game, take_games(state, rows), 0)
         state = game.step(state, np.stack([moves, ask_moves(opponent, game, state, 1)], axis=1))
     running = np.flatnonzero(~game.done(state))
-    count = len(game.move_names) if count is None else count
+    count = game.offered if count is None else count
     state = take_games(state, running)
     observations = game.observation(state)[:, 0]
     # The opponent moves simultaneously, without knowing the branch: one query serves all branches.
@@ -157,7 +157,7 @@ def _different_branches(
     branch : ndarray, shape (R, count)
         Index of the branch of each game after each move.
     """
-    after = game.next_policy(state.policy[:, :1], np.arange(count))
+    after = game.table[state.policy[:, :1], np.arange(count)]
     first = np.argmax(after[:, :, None] == after[:, None, :], axis=2)
     driven = first == np.arange(count)
     rows, moves = np.nonzero(driven)

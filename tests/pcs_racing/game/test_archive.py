@@ -74,8 +74,8 @@ def test_a_move_goes_to_the_nearest_policy_and_the_table_lists_all_moves():
     assert move(toy, 1, 0, -1, 0.35) == 0
     # off the end of the front: stays there
     np.testing.assert_array_equal(move(toy, [0, 4], 0, [-1, 1], 0.35), [0, 4])
-    table = move_table(toy, (0.35, 0.7), stay=True)
-    names = move_names(toy, (0.35, 0.7), stay=True)
+    table = move_table(toy, (0.35, 0.7))
+    names = move_names(toy, (0.35, 0.7))
     assert names == (
         "aggressiveness + 0.35",
         "aggressiveness - 0.35",
@@ -94,7 +94,8 @@ def test_a_move_goes_to_the_nearest_policy_and_the_table_lists_all_moves():
         ):
             assert table[policy, column] == move(toy, policy, axis, sign, step)
     np.testing.assert_array_equal(table[:, -1], np.arange(5))
-    assert move_names(toy) == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+    switches = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+    assert move_names(toy) == (*switches, "stay")
 
 
 points = hnp.arrays(
@@ -132,7 +133,7 @@ def test_shares_of_useless_moves():
     assert no_op_share(toy, 0.6) == 1.0
     assert duplicate_share(toy, 0.6) == 6 / 8
     # A step of 3 asks for (3, 1), nearest to (1, 0), and for (0, -2), nearest to it too.
-    np.testing.assert_array_equal(move_table(toy, 3.0)[0], [1, 0, 0, 1])
+    np.testing.assert_array_equal(move_table(toy, 3.0)[0], [1, 0, 0, 1, 0])
     assert no_op_share(toy, 3.0) == 0.5
     assert duplicate_share(toy, 3.0) == 0.5
     table = np.random.default_rng(0).integers(0, 4, (30, 6))
@@ -190,7 +191,7 @@ def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     toy = archive().project(("restraint",))
     np.testing.assert_array_equal(toy.coordinates, COORDINATES[:, 1:])
     np.testing.assert_array_equal(toy.ideal, [4.0])
-    assert move_names(toy) == ("restraint +", "restraint -")
+    assert move_names(toy) == ("restraint +", "restraint -", "stay")
     spread = np.arange(10.0).reshape(5, 2)
     np.testing.assert_array_equal(
         archive(spread=spread).project(("restraint",)).spread, spread[:, 1:]

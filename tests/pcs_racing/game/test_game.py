@@ -114,9 +114,7 @@ def test_players_may_move_before_the_start(track):
     actions = [(0, 3), (2, 1), (1, 1)]
     ends = [play(game, start, actions[:k]) for k in range(4)]
     assert [end.race.tick[0] for end in ends] == [0, 200, 500, 800]
-    np.testing.assert_array_equal(
-        ends[1].policy, game.next_policy(start.policy, np.array(actions[0]))
-    )
+    np.testing.assert_array_equal(ends[1].policy, game.table[start.policy, np.array(actions[0])])
     assert game.done(ends[3]).all()
     # The second game is a move ahead of the first one.
     mixed = start.copy()
@@ -261,8 +259,7 @@ def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
 
 def test_several_step_sizes_and_three_characteristics(track):
     game = make_game(track, epsilon=(0.2, 0.6), stay=True, step_seconds=2.0, moves=2)
-    assert len(game.move_names) == 9
-    assert game.move_names[-1] == "stay"
+    assert game.offered == len(game.moves) == 9
     state = game.reset(games=2)
     after = game.step(state, np.array([[8, 4], [0, 8]]))
     assert after.policy[0, 0] == state.policy[0, 0]
@@ -270,7 +267,7 @@ def test_several_step_sizes_and_three_characteristics(track):
     assert after.policy[0, 1] == move(game.archive, int(state.policy[0, 1]), 0, 1, 0.6)
     assert after.policy[1, 0] == move(game.archive, int(state.policy[1, 0]), 0, 1, 0.2)
     game = make_game(track, three_axes(load_archive("default"), "smoothness"), step_seconds=2.0)
-    assert game.move_names[4:] == ("smoothness +", "smoothness -")
+    assert game.moves[4:] == ("smoothness +", "smoothness -", "stay")
     assert len(game.observation_elements) == 5 * 8 + 1
     end = play(game, game.reset(games=2), [(4, 5)] * 4)
     assert game.observation(end).shape == (2, 2, 41)
@@ -282,7 +279,8 @@ def test_several_step_sizes_and_three_characteristics(track):
     two = make_game(
         track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint")
     )
-    assert two.move_names == ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+    switches = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
+    assert (two.moves, two.offered) == ((*switches, "stay"), 4)
 
 
 @pytest.mark.parametrize(
@@ -407,7 +405,7 @@ def test_masks_and_the_table_of_an_observation(track, game):
     staying = make_game(track, stay=True)
     assert staying.action_mask(staying.reset(games=50))[..., -1].all()
     for allowed, policy in zip(mask.reshape(-1, 4), state.policy.reshape(-1), strict=True):
-        there = strict.table[policy]
+        there = strict.table[policy, : strict.offered]
         assert sorted(there[allowed]) == sorted(set(there))
     elements = observation_elements(game.characteristics, 4)
     assert elements == game.observation_elements

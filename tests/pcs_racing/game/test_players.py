@@ -79,7 +79,7 @@ def test_a_function_draws_by_the_key_the_step_and_the_car_of_each_game(game, sta
     assert not ask_moves(competitor("pure-pursuit", game), game, state, 0).any()
     over = state.copy()
     over.race.crash[1] = 2
-    first = always(game, game.competitor_moves[3])
+    first = always(game, game.moves[3])
     assert ask_moves(first, game, over, 0).tolist() == [3, 0, 3, 3]
 
 
@@ -152,7 +152,7 @@ def test_any_error_of_a_competitor_is_one_line(game, state, error):
 
 def test_a_competitor_that_does_not_fit_the_game_is_refused_before_a_race(game):
     """The spaces of a model, also within an agent, are compared with the game."""
-    size, moves = len(game.observation_elements), len(game.competitor_moves)
+    size, moves = len(game.observation_elements), len(game.moves)
 
     def model(shape=(size,), n=moves):
         spaces = {

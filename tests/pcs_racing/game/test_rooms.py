@@ -12,8 +12,7 @@ from same_move import Model
 import pcs_racing
 from pcs_racing.envs import game_batch
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
-from pcs_racing.game import competitor as competitors
-from pcs_racing.game import rules
+from pcs_racing.game import players, rules
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race import driving
@@ -62,7 +61,7 @@ def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarr
 
     thetas: list[np.ndarray] = []
     monkeypatch.setattr(driving, "advance_races", kernel)
-    for module in (rules, competitors, game_batch):
+    for module in (rules, players, game_batch):
         monkeypatch.setattr(module, "check_moves", checking)
     return ways, checked, thetas
 

@@ -178,17 +178,15 @@ def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(
     assert driven == [GAMES] * 4
     driven.clear()
     pairing.race(egos)
-    assert GAMES < driven[0] <= len(contest.competitor_moves) * GAMES < len(egos) * GAMES
+    assert GAMES < driven[0] <= len(contest.moves) * GAMES < len(egos) * GAMES
     assert driven == sorted(driven)  # games part, and never meet again
     assert driven[0] < driven[-1] <= len(egos) * GAMES
     # From the edge of the archive some moves lead nowhere, as to stay does.
-    targets = contest.next_policy(np.zeros(5, int), np.arange(5))
+    targets = contest.table[0]
     nowhere, *_ = [
-        move
-        for move in range(4)
-        if targets[move] == targets[contest.competitor_moves.index("stay")]
+        move for move in range(4) if targets[move] == targets[contest.moves.index("stay")]
     ]
-    other = always(make_game_spec(contest.archive, contest.config), contest.move_names[nowhere])
+    other = always(make_game_spec(contest.archive, contest.config), contest.moves[nowhere])
     pairing = replace(
         games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int)
     )

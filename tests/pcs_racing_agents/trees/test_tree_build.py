@@ -165,7 +165,7 @@ def test_the_statistics_count_what_they_say_and_histories_stand_in_row_major_ord
 
 def sequences(game: RaceGame, start: int, k: int):
     """Policies that every sequence of ``k`` moves leads through."""
-    for moves in product(range(len(game.move_names)), repeat=k):
+    for moves in product(range(game.offered), repeat=k):
         policies = [start]
         for move in moves:
             policies.append(int(game.table[policies[-1], move]))

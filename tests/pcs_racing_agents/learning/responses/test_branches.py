@@ -39,9 +39,9 @@ def test_a_branch_is_what_comes_of_playing_its_moves(game, spec):
     result = branch_games(game, random_moves(spec, seed=1), keys, 1, [stay], stay, payoff="utility")
     # The same by hand: stay, then the move, against the same opponent.
     rival = random_moves(spec, seed=1)
-    for move in range(len(game.move_names)):
+    for move in range(game.offered):
         state = game.reset(keys)
-        for own_move in (len(game.move_names) - 1, move):
+        for own_move in (game.offered - 1, move):
             reply = rival.act(game.observation(state)[:, 1])
             state = game.step(state, np.stack([np.full(4, own_move), reply], axis=1))
         np.testing.assert_array_equal(result.outcomes[:, move], game.reward(state)[result.game, 0])
@@ -59,9 +59,7 @@ def test_moves_that_lead_to_the_same_policy_are_driven_once(game, spec):
 
     keys, stay = race_seeds(3, 60), never_switch(spec)
     result = branch_games(game, stay, keys, 0, [stay], Stays(), payoff="utility")
-    after = game.next_policy(game.reset(keys).policy[:, :1], np.arange(len(game.move_names)))[
-        result.game
-    ]
+    after = game.table[game.reset(keys).policy[:, :1], np.arange(game.offered)][result.game]
     assert asked[0] <= sum(len(np.unique(policies)) for policies in after) < after.size
     for policies, outcomes in zip(after, result.outcomes, strict=True):
         for policy in np.unique(policies):
@@ -88,9 +86,9 @@ def test_branches_do_not_depend_on_the_batch_and_a_fixed_policy_may_be_the_oppon
     assert np.isin(result.outcomes, (0.0, 0.5, 1.0)).all()
     # By hand: each key chooses the opponent's policy.
     chosen = [rival.policies[int(key) % len(rival.policies)] for key in race_seeds(0, 3)]
-    for move in range(len(game.move_names)):
+    for move in range(game.offered):
         state = game.reset(race_seeds(0, 3), opponents=chosen)
-        for own_move in (move, len(game.move_names) - 1):
+        for own_move in (move, game.offered - 1):
             state = game.step(state, np.stack([np.full(3, own_move), np.zeros(3, int)], axis=1))
         np.testing.assert_array_equal(result.outcomes[:, move], outcome(game, state)[result.game])
 
