@@ -37,7 +37,7 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of
 from pcs_racing.race.config import PRESETS, RaceConfig
-from pcs_racing.race.driving import drive, kernel_settings
+from pcs_racing.race.driving import BareField, advance, kernel_settings
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import KAPPA, SPEED, X, Y
 from pcs_racing.track.maps import list_tracks
@@ -118,7 +118,8 @@ class Alone:
     def drive(self, ticks: int) -> RaceState:
         """Drive on; returns the state, which is overwritten by the next call."""
         planners, cars = (self.planner, self.planner), (F1TENTH, F1TENTH)
-        drive(self.track, self.settings, planners, cars, self.state, self.theta, ticks)
+        field = BareField(self.track, self.settings, planners, cars)
+        advance(field, self.state, self.theta, ticks)
         return self.state
 
     def result(self) -> tuple[float, float]:

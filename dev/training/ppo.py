@@ -20,8 +20,8 @@ from pcs_racing.envs.draws import Randomization
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import CONTEST
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceResult, RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceResult, RaceSetup, draw_starts, start_races
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 

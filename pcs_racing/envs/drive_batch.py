@@ -76,8 +76,8 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.race.conditions import RaceConditions, Share, runs_of
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import (
+    advance,
     default_threads,
-    drive,
     largest_scratch,
     planner_error,
     pointers_of,
@@ -567,8 +567,7 @@ class DriveBatch:
                 planners=self._planners[first:last] if self._several else None,
             )
             setup = self.circuit(int(circuits[first])).setup
-            fixed = (setup.track, setup.settings, setup.car_planners, setup.vehicles)
-            drive(*fixed, part, self.theta[first:last], ticks, conditions=conditions)
+            advance(setup, part, self.theta[first:last], ticks, conditions=conditions)
 
     def infos(self) -> dict[str, NDArray[Any]]:
         """Return the infos of all players, described in :mod:`pcs_racing.envs.infos`."""

@@ -59,7 +59,7 @@ from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import DT, RaceConfig
-from pcs_racing.race.races import advance
+from pcs_racing.race.driving import advance
 from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, empty_state, take
@@ -340,15 +340,13 @@ class GameBatch:
         groups = self.randomization.groups(self._rows)
         if len(groups) == 1:
             circuit, rows = groups[0]
-            return self.game_on(circuit)[0].apply(state, moves, self.randomization.conditions(rows))
+            conditions = self.randomization.conditions(rows)
+            return self.game_on(circuit)[0].step(state, moves, conditions, checked=True)
         new = state.copy()
         for circuit, rows in groups:
             conditions = self.randomization.conditions(rows)
-            put_games(
-                new,
-                rows,
-                self.game_on(circuit)[0].apply(take_games(state, rows), moves[rows], conditions),
-            )
+            game, own = self.game_on(circuit)[0], take_games(state, rows)
+            put_games(new, rows, game.step(own, moves[rows], conditions, checked=True))
         return new
 
     def _replies(

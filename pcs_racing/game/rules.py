@@ -54,7 +54,8 @@ from pcs_racing.game.state import GameState, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import NO_CRASH, RaceState, take
 from pcs_racing.track.track import Track
@@ -114,7 +115,7 @@ class RaceGame:
 
     @cached_property
     def setup(self) -> RaceSetup:
-        """Track, race rules and planners, as input of :func:`pcs_racing.race.races.advance`."""
+        """Track, race rules and planners, as input of :func:`pcs_racing.race.driving.advance`."""
         family = self.archive.family()
         first, second = (
             get_planner(planner) if isinstance(planner, str) else planner or family
@@ -281,11 +282,11 @@ class RaceGame:
         state.policy[:] = policy
         state.theta[:] = self.theta(policy)
         state.theta[outside] = theta[outside]
-        everybody = np.ones(len(policy), np.bool_)
         if self.config.end_ticks[0] > 0:
-            self._drive(state, everybody, conditions)
+            estimates = self.drive(state.race, state.theta, conditions)
         else:
-            self.record_step(state, np.flatnonzero(everybody), self.measure(state.race, state.race))
+            estimates = self.measure(state.race, state.race)
+        self.record_step(state, np.arange(len(policy)), estimates)
         return state
 
     def _starts(self, bits: NDArray[np.uint64]) -> Starts:
@@ -326,23 +327,33 @@ class RaceGame:
 
     # Moves
 
-    def step(self, state: GameState, actions: ArrayLike) -> GameState:
+    def step(
+        self,
+        state: GameState,
+        actions: ArrayLike,
+        conditions: RaceConditions = AS_THE_SETUP,
+        *,
+        checked: bool = False,
+    ) -> GameState:
         """Let both players of every game move, and drive a step.
 
-        ``actions``, shape (B, 2), are indices of each car's move among the :attr:`offered` ones;
-        the action of a policy from outside the archive has no effect. Finished games do not change.
-        The given state is not modified.
-        """
-        offered = self.moves[: self.offered]
-        return self.apply(state, check_moves(actions, offered, (state.games, 2), ("game", "car")))
+        Finished games do not change. The given state is not modified.
 
-    def apply(
-        self, state: GameState, moves: Indices, conditions: RaceConditions = AS_THE_SETUP
-    ) -> GameState:
-        """Do the work of :meth:`step` with checked moves, indices in :attr:`moves`.
-
-        The conditions are as in :meth:`reset`.
+        Parameters
+        ----------
+        state : GameState
+        actions : array of int, shape (B, 2)
+            Index of each car's move among the :attr:`offered` ones; the action of a policy from
+            outside the archive has no effect.
+        conditions : RaceConditions
+            Cars and tracks of single games, as in :meth:`reset`.
+        checked : bool
+            True for an array of int64 that was checked already, with indices in :attr:`moves`.
         """
+        moves = np.asarray(actions)
+        if not checked:
+            offered = self.moves[: self.offered]
+            moves = check_moves(actions, offered, (state.games, 2), ("game", "car"))
         new = state.copy()
         going = ~self.done(state)
         moving = going[:, None] & (state.policy != OUTSIDE)
@@ -350,7 +361,8 @@ class RaceGame:
         new.policy[:] = np.where(moving, self.table[state.policy, moves], state.policy)
         new.theta[:] = np.where(moving[..., None], self.theta(new.policy), state.theta)
         new.step[:] = state.step + going
-        self._drive(new, going, conditions)
+        estimates = self.drive(new.race, new.theta, conditions)
+        self.record_step(new, np.flatnonzero(going), estimates)
         return new
 
     def action_mask(self, state: GameState) -> NDArray[np.bool_]:
@@ -413,12 +425,38 @@ class RaceGame:
 
     # A step of driving
 
-    def _drive(
-        self, state: GameState, going: NDArray[np.bool_], conditions: RaceConditions
-    ) -> None:
-        """Drive a step in place, and record the observable values of games that were running."""
-        estimates = self._advance(state.race, state.theta, conditions)
-        self.record_step(state, np.flatnonzero(going), estimates)
+    def drive(
+        self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP
+    ) -> Floats:
+        """Drive each race in place to the end of its next step; finished races do not change.
+
+        This is the driving part of :meth:`step`, for callers without a :class:`GameState`, such as
+        builders of game trees. ``theta``, shape (B, 2, P), holds the parameters of the cars'
+        policies. Returns the entry of :attr:`GameState.estimates` for this step, shape (B, 2, G).
+        """
+        before = races._replace(
+            progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy()
+        )
+        ends = self.config.end_ticks
+        lengths = (
+            np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
+        )
+        lengths[races.over] = 0
+        different = np.unique(lengths[lengths > 0])
+        for ticks in different.tolist():
+            if len(different) == 1:
+                # Steps of a usual batch are equally long: no races are taken out and put back.
+                # Finished races do not move.
+                advance(
+                    self.setup, races, theta, ticks, threads=self.threads, conditions=conditions
+                )
+                break
+            rows = np.flatnonzero(lengths == ticks)
+            some, own = take(races, rows), conditions.take(rows)
+            advance(self.setup, some, theta[rows], ticks, threads=self.threads, conditions=own)
+            for name, driven in some._asdict().items():
+                getattr(races, name)[rows] = driven
+        return self.measure(before, races)
 
     def record_step(self, state: GameState, rows: Indices, estimates: Floats) -> None:
         """Write, in place, the observable values of the last step of some games.
@@ -433,64 +471,12 @@ class RaceGame:
         )
         state.leads[rows, now] = state.race.lead[rows]
 
-    def _advance(
-        self, races: RaceState, theta: Floats, conditions: RaceConditions = AS_THE_SETUP
-    ) -> Floats:
-        before = races._replace(
-            progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy()
-        )
-        self._drive_step(races, theta, conditions)
-        return self.measure(before, races)
-
-    def _drive_step(self, races: RaceState, theta: Floats, conditions: RaceConditions) -> None:
-        """Drive each race in place to the end of its next step; finished races do not change."""
-        ends = self.config.end_ticks
-        lengths = (
-            np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
-        )
-        lengths[races.over] = 0
-        different = np.unique(lengths[lengths > 0])
-        if len(different) == 1:
-            # Steps of a usual batch are equally long: no races are taken out and put back. Finished
-            # races do not move.
-            advance(
-                self.setup,
-                races,
-                theta,
-                int(different[0]),
-                threads=self.threads,
-                conditions=conditions,
-            )
-            return
-        for ticks in different:
-            rows = np.flatnonzero(lengths == ticks)
-            some, own = take(races, rows), conditions.take(rows)
-            advance(
-                self.setup,
-                some,
-                theta[rows],
-                int(ticks),
-                threads=self.threads,
-                conditions=own,
-            )
-            for name, driven in some._asdict().items():
-                getattr(races, name)[rows] = driven
-
     def measure(self, before: RaceState, after: RaceState) -> Floats:
         """Return the cars' measured coordinates (normalised) over one step, shape (B, 2, G)."""
         segment = Segment.between(before, after, self.config.step_seconds)
         so_far = Segment.so_far(after, self.config.step_seconds)
         points = self.archive.normalise(measure(segment, self.characteristics, so_far))
         return np.minimum(np.maximum(points, LOW), HIGH)  # in a third of the time of np.clip
-
-    def drive(self, races: RaceState, policies: Indices) -> Floats:
-        """Drive a step of the game in place, with policies of the archive.
-
-        This is the driving part of :meth:`step`, for callers without a :class:`GameState`, such as
-        builders of game trees. Finished races do not change. Returns the entry of
-        :attr:`GameState.estimates` for this step, shape (B, 2, G).
-        """
-        return self._advance(races, self.theta(policies))
 
     def theta(self, policies: Indices) -> Floats:
         """Return the parameters (..., P) of archive policies for the simulator."""

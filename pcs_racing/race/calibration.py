@@ -24,7 +24,7 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import CONTEST, DT, PAPER, PRESETS, RaceConfig
 from pcs_racing.race.contacts import END
-from pcs_racing.race.driving import drive, kernel_settings, pad_parameters
+from pcs_racing.race.driving import BareField, advance, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_places import crashes_of_pairs, fit_places, places_of
 from pcs_racing.race.state import empty_state
@@ -130,16 +130,8 @@ def hazard_scan(
             state.cars[:, car, _vehicle.V] = scale * track.arrays.line[sample, SPEED]
             state.frenet[:, car, 0] = s
             state.progress[:, car] = 0.5 * car * track.length
-        drive(
-            track,
-            settings,
-            (REFERENCE, REFERENCE),
-            (F1TENTH, F1TENTH),
-            state,
-            theta,
-            settings.end_tick,
-            threads=threads,
-        )
+        field = BareField(track, settings, (REFERENCE, REFERENCE), (F1TENTH, F1TENTH))
+        advance(field, state, theta, settings.end_tick, threads=threads)
         # A race ends for both cars at the first crash, so count crashes per time driven rather than
         # per car.
         driven = 2.0 * DT * float(state.tick.sum())

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,36 @@ from pcs_racing.race.state import RaceState
 from pcs_racing.race.steering import disturbed_speed
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
+
+
+class Field(Protocol):
+    """Constants of a batch of races, such as a :class:`pcs_racing.race.races.RaceSetup`."""
+
+    @property
+    def track(self) -> Track:
+        """Track of the races."""
+
+    @property
+    def settings(self) -> KernelSettings:
+        """Numbers that the compiled loop needs."""
+
+    @property
+    def car_planners(self) -> tuple[Planner | None, ...]:
+        """Planner of each car; None for a car that is steered from outside."""
+
+    @property
+    def vehicles(self) -> tuple[VehicleParams, ...]:
+        """Vehicle of each car."""
+
+
+class BareField(NamedTuple):
+    """A field of races without rules for starts and winners."""
+
+    track: Track
+    settings: KernelSettings
+    car_planners: tuple[Planner | None, ...]
+    vehicles: tuple[VehicleParams, ...]
+
 
 Run = tuple[Track, int, int]  # track, first race on it, last race on it + 1
 
@@ -86,27 +116,49 @@ def pointers_of(shares: Sequence[Share], races: int) -> Any:
     return tuple(cars) if len(cars) <= 2 else cars
 
 
-def drive(
-    track: Track,
-    settings: KernelSettings,
-    planners: tuple[Planner | None, ...],
-    vehicles: tuple[VehicleParams, ...],
+def advance(
+    setup: Field,
     state: RaceState,
     theta: NDArray[np.float64],
     ticks: int,
     *,
     threads: int | None = None,
+    ittc: bool = True,
     conditions: RaceConditions = AS_THE_SETUP,
 ) -> None:
     """Advance all races of a batch by ``ticks`` steps of 0.01 s, in place; ended races stand still.
 
-    This is :func:`pcs_racing.race.races.advance` for cars, planners and loop settings without a
-    setup. A ``drive`` in Python with a method ``commands`` gives the commands of all races in one
-    call. A ``drive`` in Python with an attribute ``hold`` is called every ``hold`` simulation
-    steps. (:class:`pcs_racing.envs.models.ModelDriver` has both.)
+    The result depends neither on the number of threads nor on the division of a race into calls.
+
+    A ``drive`` in Python with a method ``commands`` gives the commands of all races in one call. A
+    ``drive`` in Python with an attribute ``hold`` is called every ``hold`` simulation steps.
+    (:class:`pcs_racing.envs.models.ModelDriver` has both.)
+
+    Parameters
+    ----------
+    setup : RaceSetup or BareField
+        Track, settings, planners and vehicles.
+    state : RaceState
+        State of the batch; overwritten.
+    theta : ndarray, shape (B, N, P)
+        Parameter vectors of the policies in each race, padded to the setup's ``theta_size``.
+    ticks : int
+        Number of steps.
+    threads : int, optional
+        Number of threads that share the races; all cores by default, 1 if a planner is plain
+        Python.
+    ittc : bool
+        Whether to sample the minimum time to collision. False saves time, and changes only the sums
+        ``ITTC`` and ``ITTC_SAMPLES``.
+    conditions : RaceConditions
+        Cars and tracks of single races.
     """
-    cars, runs = conditions.rows(vehicles, state.races), conditions.runs(track, state.races)
-    shares = conditions.shares(planners, state.races)
+    if ticks < 0:
+        raise InputError(f"ticks is {ticks}; it must be a number from 0")
+    settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
+    cars = conditions.rows(setup.vehicles, state.races)
+    runs = conditions.runs(setup.track, state.races)
+    shares = conditions.shares(setup.car_planners, state.races)
     in_python = [one.drive for one in _planners_of(shares) if one is not None and one.drive]
     if not in_python:
         _drive_compiled(runs, settings, shares, cars, state, theta, ticks, threads)

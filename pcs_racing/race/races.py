@@ -25,8 +25,8 @@ from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import CONTROL_EVERY, DT, PAPER, RaceConfig, load_race_config
-from pcs_racing.race.driving import drive, kernel_settings, largest_theta, pad_parameters
+from pcs_racing.race.config import DT, PAPER, RaceConfig, load_race_config
+from pcs_racing.race.driving import advance, kernel_settings, largest_theta, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.sensing import history_size
 from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
@@ -222,44 +222,6 @@ def _check_delays(setup: RaceSetup, conditions: RaceConditions) -> None:
             f"race {race}: {late[race, car]:g} commands of car {car} are delayed; the setup has"
             f" room for {room}: give it a car with these delays as max_delays"
         )
-
-
-def advance(
-    setup: RaceSetup,
-    state: RaceState,
-    theta: NDArray[np.float64],
-    ticks: int,
-    *,
-    threads: int | None = None,
-    ittc: bool = True,
-    conditions: RaceConditions = AS_THE_SETUP,
-) -> None:
-    """Advance all races of a batch by ``ticks`` steps of 0.01 s, in place; ended races stand still.
-
-    The result depends neither on the number of threads nor on the division of a race into calls.
-
-    Parameters
-    ----------
-    state : RaceState
-        State of the batch; overwritten.
-    theta : ndarray, shape (B, N, P)
-        Parameter vectors of the policies in each race, padded to the setup's ``theta_size``.
-    ticks : int
-        Number of steps, even: planners give a command every second step.
-    threads : int, optional
-        Number of threads that share the races; all cores by default, 1 if a planner is plain
-        Python.
-    ittc : bool
-        Whether to sample the minimum time to collision. False saves time, and changes only the sums
-        ``ITTC`` and ``ITTC_SAMPLES``.
-    conditions : RaceConditions
-        Cars and tracks of single races.
-    """
-    if ticks < 0 or ticks % CONTROL_EVERY:
-        raise InputError(f"ticks is {ticks}; it must be an even number from 0")
-    settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
-    fixed = (setup.track, settings, setup.car_planners, setup.vehicles)
-    drive(*fixed, state, theta, ticks, threads=threads, conditions=conditions)
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,16 +26,9 @@ from pcs_racing.race.config import (
     PLAN_EVERY,
     RaceConfig,
 )
-from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.kernel import fill_view
-from pcs_racing.race.races import (
-    RaceResult,
-    RaceSetup,
-    advance,
-    rules_on,
-    start_races,
-    starts_of,
-)
+from pcs_racing.race.races import RaceResult, RaceSetup, rules_on, start_races, starts_of
 from pcs_racing.race.replay import Replay, ReplayEvent
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import (

@@ -22,7 +22,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.driving import drive
+from pcs_racing.race.driving import BareField, advance
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState
@@ -115,17 +115,8 @@ def _race(
         track, config, spacing, settings.speed_low, cars, starts, REFERENCE.memory_total
     )
     state.seed[:] = np.arange(first_key, first_key + len(starts), dtype=np.uint64)
-    settings = settings._replace(ittc_horizon=0.0)
-    drive(
-        track,
-        settings,
-        (REFERENCE, REFERENCE),
-        cars,
-        state,
-        np.ascontiguousarray(theta),
-        settings.end_tick,
-        threads=threads,
-    )
+    field, ticks = BareField(track, settings, (REFERENCE, REFERENCE), cars), settings.end_tick
+    advance(field, state, np.ascontiguousarray(theta), ticks, threads=threads, ittc=False)
     return state
 
 

@@ -24,7 +24,8 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.calling import bounds_checked
 from pcs_racing.planners.planner import Planner
 from pcs_racing.race.config import PAPER, load_race_config
-from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceSetup, draw_starts, start_races
 from pcs_racing.race.state import SUMS, RaceState, take
 from pcs_racing.track.track import Track
 

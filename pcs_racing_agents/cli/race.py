@@ -13,8 +13,8 @@ from pcs_racing.car.vehicle import VehicleParams, load_vehicles
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, start_races, starts_of, winners
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceSetup, start_races, starts_of, winners
 from pcs_racing.race.recording import LAST_INDEX, record_race
 from pcs_racing.race.replay import Replay, save_replay
 from pcs_racing.race.state import MAX_CARS

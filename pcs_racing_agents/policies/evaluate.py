@@ -18,8 +18,8 @@ from pcs_racing.game.characteristics import Characteristic, Segment, get_charact
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, start_lines, start_races, winners
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.base.chunks import Arrays

@@ -148,7 +148,7 @@ def _drive(
         parents = branch.reshape(-1)[chosen]
         both = np.stack([own.reshape(-1)[chosen], replies[parents]], axis=1)
         opponent_memories = _branched(opponent_memories, parents)
-        state = game.apply(take_games(state, parents), both)
+        state = game.step(take_games(state, parents), both, checked=True)
         branch = after.reshape(branch.shape)
         path[running, :, step + 1] = state.policy[branch][running]
     return _SharedGames(state, branch, path, moves)

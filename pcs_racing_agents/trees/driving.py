@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import PLAN_EVERY
-from pcs_racing.race.driving import default_threads
-from pcs_racing.race.races import advance
+from pcs_racing.race.driving import advance, default_threads
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
 
 Indices = NDArray[np.int64]
@@ -93,7 +92,7 @@ def drive_children(
 
     def drive(chunk: slice) -> tuple[RaceState, Floats]:
         races = take(parents, rows[chunk])
-        return races, single.drive(races, policies[chunk])
+        return races, single.drive(races, game.theta(policies[chunk]))
 
     none = take(parents, rows[:0]), np.zeros((0, 2, len(game.characteristics)))
     races, estimates = zip(none, *_in_chunks(game, len(rows), drive), strict=True)

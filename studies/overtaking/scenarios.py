@@ -29,7 +29,7 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.conditions import AS_THE_SETUP
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.driving import drive, kernel_settings
+from pcs_racing.race.driving import BareField, advance, kernel_settings
 from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
@@ -171,8 +171,8 @@ def race_scenarios(
         state.cars[:, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
         state.progress[:, car] = ahead
     settle(track, cars, state, AS_THE_SETUP)
-    settings = kernel_settings(RULES, SPEED_RANGE)._replace(ittc_horizon=0.0)
-    drive(track, settings, planners, cars, state, theta, RULES.ticks, threads=threads)
+    field = BareField(track, kernel_settings(RULES, SPEED_RANGE), planners, cars)
+    advance(field, state, theta, RULES.ticks, threads=threads, ittc=False)
     fault = np.where(state.crashed, (state.fault > 0) @ [1, 2], 0)
     names = np.full(races, track.name)
     label = np.char.add(np.char.add(names, " "), start.astype(str))

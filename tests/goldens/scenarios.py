@@ -18,8 +18,8 @@ from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.lattice import REFERENCE
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceSetup, draw_starts, start_races
 
 TRACK = "Pipkin"
 RACES_ID = "pcs_racing/Races-v1"

@@ -13,7 +13,7 @@ from refusal import refused
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.video import RecordRaces
-from pcs_racing.race.races import advance
+from pcs_racing.race.driving import advance
 
 SHORT = {"step_seconds": 1.0, "moves": 3}
 

@@ -7,8 +7,8 @@ from refusal import refused
 from pcs_racing import load_race_config, load_track, racer
 from pcs_racing.envs import PolicyOnCar
 from pcs_racing.envs.models import model_policy
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceSetup, draw_starts, start_races
 
 TRACK = "Pipkin"
 

@@ -22,8 +22,8 @@ from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import TIE_WITHIN, advance, start_lines, start_races
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import TIE_WITHIN, start_lines, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import empty_state
 
@@ -194,7 +194,7 @@ def test_any_moment_can_be_kept_and_continued_and_a_step_driven_without_a_state(
     before = game.reset(games=6)
     after = game.step(before, np.full((6, 2), 2))
     races = before.race.copy()
-    seen = game.drive(races, after.policy)
+    seen = game.drive(races, after.theta)
     assert_same(races, after.race)
     np.testing.assert_array_equal(seen, after.estimates[:, :, 1])
     end = play(game, after, [(0, 0)] * 3)

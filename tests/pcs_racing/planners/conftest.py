@@ -10,7 +10,8 @@ from pcs_racing import load_track, run_races
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.races import RaceResult, RaceSetup, advance, start_races
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceResult, RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track

@@ -10,7 +10,8 @@ from refusal import refused
 from pcs_racing import load_race_config, load_track, run_races
 from pcs_racing.planners.calling import control_address
 from pcs_racing.planners.planner import Planner
-from pcs_racing.race.races import RaceSetup, advance, draw_starts, start_races
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceSetup, draw_starts, start_races
 
 
 def control(track, theta, view, memory, scratch, path, command):

@@ -20,7 +20,8 @@ from pcs_racing.planners.view import (
     SPEED_LOW,
 )
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.races import RaceSetup, advance, draw_starts, run_races, start_races
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceSetup, draw_starts, run_races, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import KAPPA, SPEED
 from pcs_racing.track.maps import list_tracks

@@ -8,7 +8,8 @@ from test_many_cars import of_cars
 from pcs_racing import load_race_config, load_track, racer, run_races
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
 from pcs_racing.race.config import ROBORACER
-from pcs_racing.race.races import RaceResult, advance, winners
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceResult, winners
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, WALL_CRASH
 from pcs_racing.track.moving import moving_poses
 from pcs_racing.track.obstacles import with_obstacles

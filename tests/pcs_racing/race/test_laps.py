@@ -10,15 +10,8 @@ from same_arrays import assert_same
 from pcs_racing import load_race_config, racer, run_races
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.planners.planner import Planner
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import (
-    RaceSetup,
-    advance,
-    draw_starts,
-    finishing_order,
-    start_races,
-    winners,
-)
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceSetup, draw_starts, finishing_order, start_races, winners
 from pcs_racing.race.recording import record_race
 from pcs_racing.race.state import ENDED_AT, LAPS, empty_state
 

@@ -16,9 +16,9 @@ from pcs_racing import load_race_config, racer, record_race, save_replay
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.view import VIEW
 from pcs_racing.race.conditions import RaceConditions
+from pcs_racing.race.driving import advance
 from pcs_racing.race.races import (
     RaceSetup,
-    advance,
     draw_starts,
     finishing_order,
     pair_scores,

@@ -16,10 +16,9 @@ from pcs_racing.car.vehicle import BETA, VehicleParams, load_vehicle
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
-from pcs_racing.race.driving import pad_parameters
+from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import (
     RaceSetup,
-    advance,
     draw_starts,
     run_races,
     start_lines,
@@ -289,7 +288,7 @@ def test_bad_arguments_are_refused(oval):
             lambda oval, *_: run_races(oval, lattice(), MUTE.policy(), SHORT),
             r"'mute' returned \('left', None\); it",
         ),
-        (lambda _, setup, state, theta: advance(setup, state, theta, 3), "ticks is 3"),
+        (lambda _, setup, state, theta: advance(setup, state, theta, -2), "ticks is -2"),
         (
             lambda _, setup, state, theta: advance(setup, state, theta[..., :3], 2),
             r"theta .*\(1, 2, 3\)",

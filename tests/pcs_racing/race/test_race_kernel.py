@@ -15,9 +15,10 @@ from pcs_racing.car.ittc import minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle, simulate
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW
+from pcs_racing.race.driving import advance
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.positions import move_along
-from pcs_racing.race.races import RaceSetup, advance, start_races
+from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import CAR_CRASH, NO_CRASH, SUMS, WALL_CRASH, empty_state
 from pcs_racing.race.steering import delayed

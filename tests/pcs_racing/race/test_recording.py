@@ -14,8 +14,8 @@ from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.view import PATH_SPEED, PATH_X
 from pcs_racing.race import recording
 from pcs_racing.race.config import PLAN_EVERY
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceResult, RaceSetup, advance, run_races, start_races
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceResult, RaceSetup, run_races, start_races
 from pcs_racing.race.recording import LAST_INDEX, record_drive, tell_apart
 from pcs_racing.race.replay import ReplayEvent, save_replay
 from pcs_racing.race.start_grid import Starts

@@ -18,7 +18,8 @@ from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.planners.scanning import BEAMS, SCAN_SIZE, scan
 from pcs_racing.planners.view import VIEW
-from pcs_racing.race.races import RaceSetup, advance, start_races
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import take
 from pcs_racing.track.loading import load_track

@@ -10,7 +10,7 @@ from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.planners import scanning
 from pcs_racing.planners import view as seen
-from pcs_racing.race.races import advance
+from pcs_racing.race.driving import advance
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.state import WALL_CRASH
 from pcs_racing.track.frenet import LEFT, RIGHT

@@ -11,8 +11,8 @@ from pcs_racing.game import characteristics
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.lattice import LATTICE, REFERENCE
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.driving import pad_parameters
-from pcs_racing.race.races import RaceSetup, advance, start_races, winners
+from pcs_racing.race.driving import advance, pad_parameters
+from pcs_racing.race.races import RaceSetup, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import SUMS
 from pcs_racing_agents.policies.config import FrontConfig

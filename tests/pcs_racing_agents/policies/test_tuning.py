@@ -11,7 +11,8 @@ from refusal import refused
 
 from pcs_racing import PAPER, load_track, racer
 from pcs_racing.base.seeds import signed_seed
-from pcs_racing.race.races import RaceSetup, advance, start_races, winners
+from pcs_racing.race.driving import advance
+from pcs_racing.race.races import RaceSetup, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies import TuningConfig, tune

@@ -160,13 +160,13 @@ def test_games_of_several_egos_are_those_of_each_alone(zoo, games_of, egos, oppo
 def driven(monkeypatch) -> list[int]:
     """Games that each step drives, which a test fills by playing."""
     counts: list[int] = []
-    apply = RaceGame.apply
+    step = RaceGame.step
 
-    def counted(self, state, *arguments):
+    def counted(self, state, *arguments, **more):
         counts.append(state.games)
-        return apply(self, state, *arguments)
+        return step(self, state, *arguments, **more)
 
-    monkeypatch.setattr(RaceGame, "apply", counted)
+    monkeypatch.setattr(RaceGame, "step", counted)
     return counts
 
 
