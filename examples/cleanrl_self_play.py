@@ -59,7 +59,7 @@ def main() -> None:
     torch.manual_seed(given.seed)
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     # of the protocol
-    game = {"track": ["Brackwater", "Pipkin"], "archive": "contest", "race": "contest"}
+    game = {"track": ["Brackwater", "Pipkin"], "archive": "contest", "rules": "contest"}
     envs = SelfPlayVectorEnv(ENVS, autoreset_mode="SAME_STEP", **game)
     size, moves = envs.single_observation_space.shape[0], int(envs.single_action_space.n)
     actor, critic = network(size, moves, 0.01), network(size, 1, 1.0)

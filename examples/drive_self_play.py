@@ -136,7 +136,7 @@ def main() -> None:
     races = [
         DriveHeadToHeadVectorEnv(
             arguments.envs // 2,
-            race=race,
+            rules=race,
             duration=arguments.duration,
             rivalry=arguments.rivalry,
             autoreset_mode="SAME_STEP",
@@ -165,7 +165,7 @@ def main() -> None:
     for race, archive in RULES.items():
         rivals = {
             f"archive {archive}": archive_races(race, arguments.races, task),
-            "lidar-ppo": DriveVectorEnv(arguments.races, opponent="lidar-ppo", race=race, **task),
+            "lidar-ppo": DriveVectorEnv(arguments.races, opponent="lidar-ppo", rules=race, **task),
         }
         for name, against in rivals.items():
             ends = race_against(model, against)
@@ -181,7 +181,7 @@ def archive_races(race: str, count: int, task: dict[str, Any]) -> DriveVectorEnv
     """Make races against the archive of the rules; the opponent's policy is drawn for each race."""
     archive = load_archive(RULES[race])
     return DriveVectorEnv(
-        count, opponent=[archive.policy(k) for k in range(len(archive))], race=race, **task
+        count, opponent=[archive.policy(k) for k in range(len(archive))], rules=race, **task
     )
 
 

@@ -44,7 +44,7 @@ def main() -> None:
     game = make_game(arguments.track, arguments.archive, arguments.rules, stay=True)
     names = (arguments.ego, arguments.opponent)
     cars = [
-        make(name, archive=arguments.archive, race=arguments.rules, seed=arguments.seed)
+        make(name, archive=arguments.archive, rules=arguments.rules, seed=arguments.seed)
         for name in names
     ]
     axes = len(game.archive.characteristics)

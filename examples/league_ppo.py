@@ -47,7 +47,7 @@ TESTS = ("gap-follower:top_speed=4", "pure-pursuit", "stanley", "lattice")
 def main() -> None:
     given = parse()
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-    task = {"track": given.track, "race": "contest", "normalize": True, "duration": 20.0}
+    task = {"track": given.track, "rules": "contest", "normalize": True, "duration": 20.0}
     pay = {"progress_reward": 0.1, "rivalry": 0.5, "crash_penalty": 1.0}
     folder, file = given.out / "league", given.out / "model.zip"
     league = learning.load_league(folder) if folder.exists() else learning.make_league(PLANNERS)

@@ -30,7 +30,7 @@ except ModuleNotFoundError as error:
     ) from None
 
 OUT = Path("out/maskable_ppo")
-WORLD = {"archive": "contest", "race": "contest"}
+WORLD = {"archive": "contest", "rules": "contest"}
 """Archive and rules of the protocol."""
 TRACKS = ["Brackwater", "Pipkin"]
 """Training tracks of the protocol."""

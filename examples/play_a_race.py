@@ -47,7 +47,7 @@ def main() -> None:
         "pcs_racing:pcs_racing/Drive-v1",
         track=arguments.track,
         opponent=arguments.opponent,
-        race=arguments.rules,
+        rules=arguments.rules,
         time_step=TIME_STEP,
         render_mode="human",
         view="car_0",

@@ -125,7 +125,7 @@ def main() -> None:
     opponent = None if given.opponent == "none" else given.opponent
     options = {
         "track": given.track,
-        "race": given.rules,
+        "rules": given.rules,
         "duration": given.duration,
         "beams": given.beams,
     }

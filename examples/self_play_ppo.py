@@ -37,7 +37,7 @@ parser.add_argument("--seed", type=int, default=0, help="seed of all random numb
 arguments = parser.parse_args()
 
 torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
-game = {"track": arguments.track, "archive": arguments.archive, "race": arguments.rules}
+game = {"track": arguments.track, "archive": arguments.archive, "rules": arguments.rules}
 envs = make_sb3_vec_env("self-play", 64, **game)
 model = PPO(
     "MlpPolicy",

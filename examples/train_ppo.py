@@ -48,7 +48,7 @@ def main() -> None:
     torch.set_num_threads(1)  # the networks are small: more threads only wait for each other
     arguments.out.mkdir(parents=True, exist_ok=True)
     game = {name: getattr(arguments, name) for name in ("track", "archive", "opponent")} | {
-        "race": arguments.rules
+        "rules": arguments.rules
     }
     envs = make_sb3_vec_env("duel", arguments.envs, **game)
     model = PPO(

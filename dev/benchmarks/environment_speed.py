@@ -161,7 +161,7 @@ def main() -> None:
                     **track,
                     **step,
                     cars=cars,
-                    race="contest",
+                    rules="contest",
                     beams=beams,
                 ),
                 100,

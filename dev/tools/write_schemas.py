@@ -93,12 +93,12 @@ def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
 def schemas() -> dict[str, str]:
     """Return the text of each schema by its kind."""
     made = {kind: schema_of(cls) for kind, cls in KINDS.items()}
-    preset = {
+    base = {
         "enum": list(PRESETS),
         "description": "Rules that give the defaults.",
         "default": "paper",
     }
-    made["race"]["properties"]["preset"] = preset
+    made["race"]["properties"]["rules"] = base
     front, spread = (schema_of(type(config)) for config in SELECTIONS.values())
     made["archive"] = {"anyOf": [front, {**spread, "required": ["selection"]}]}
     first = {"$schema": "https://json-schema.org/draft/2020-12/schema"}

@@ -23,7 +23,7 @@ ALONE = ("pcs_racing/Duel-v1", "pcs_racing/Drive-v1")
 
 def meet(opponent: object, archive: str) -> None:
     """Race an opponent in each environment, for a few steps."""
-    game = {"archive": archive, "race": GAMES[archive]}
+    game = {"archive": archive, "rules": GAMES[archive]}
     for name in ALONE:
         env = gym.make(name, opponent=opponent, **game)
         env.reset(seed=1)
@@ -47,7 +47,7 @@ def main() -> None:
         shipped, missing = [], []
         for name in pcs_racing_agents.agents.names(archive, race):
             try:
-                agent = pcs_racing_agents.make(name, archive=archive, race=race)
+                agent = pcs_racing_agents.make(name, archive=archive, rules=race)
             except InputError as error:  # it has no network for this archive
                 missing.append(str(error))
                 continue

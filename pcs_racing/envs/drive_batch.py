@@ -142,10 +142,10 @@ def drive_rules(
     cars, track = players + len(given), randomization.circuits.track(0)
     changes = {name: getattr(options, name) for name in ("start_lines", "duration", "laps")}
     changes = {name: value for name, value in changes.items() if value is not None}
-    config = load_race_config(options.race, **changes)
+    config = load_race_config(options.rules, **changes)
 
     def make_game() -> RaceGame:
-        rules = load_game_config(options.race)
+        rules = load_game_config(options.rules)
         return RaceGame(
             track, load_archive(options.archive), rules, vehicles=randomization.cars[:2]
         )

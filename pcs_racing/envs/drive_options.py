@@ -85,7 +85,7 @@ class DriveArguments(EpisodeArguments, total=False):
 
     opponent: Any
     opponents: Sequence[Any] | None
-    race: str | Path | RaceConfig
+    rules: str | Path | RaceConfig
     duration: float | None
     laps: int | None
     time_step: float
@@ -146,7 +146,7 @@ class DriveOptions(EpisodeOptions):
         "One opponent for each other car, in place of `opponent`; planners may differ."
         " `opponent` in the infos is -1 if there are several.",
     ] = None
-    race: Annotated[
+    rules: Annotated[
         str | Path | RaceConfig,
         _source(RaceConfig),
         'Rules of the race: "paper", "contest", a YAML file or a configuration.',

@@ -82,7 +82,7 @@ class GameArguments(EpisodeArguments, total=False):
 
     archive: PolicyArchive | str | Path
     opponent: Any
-    race: GameConfig | RaceConfig | str | Path
+    rules: GameConfig | RaceConfig | str | Path
     deterministic_opponent: bool
     moves: int
     step_seconds: float
@@ -119,7 +119,7 @@ class GameOptions(EpisodeOptions):
         " may also stay, with all rules. With None a second agent drives car 1,"
         " where the environment has one.",
     ] = "random-moves"
-    race: Annotated[
+    rules: Annotated[
         GameConfig | RaceConfig | str | Path,
         ANYTHING,
         'Rules: "paper", "contest", a YAML file or a configuration.',
@@ -138,11 +138,11 @@ class GameOptions(EpisodeOptions):
 
     @classmethod
     def read(cls, arguments: Mapping[str, Any]) -> Self:
-        """Return the configuration with these arguments; fields of the rules change ``race``."""
+        """Return the configuration with these arguments; fields of the rules change ``rules``."""
         own = {one.name for one in fields(cls)}
         options = cls(**{name: value for name, value in arguments.items() if name in own})
         rules = {name: value for name, value in arguments.items() if name not in own}
-        return replace(options, race=load_game_config(options.race, **rules))
+        return replace(options, rules=load_game_config(options.rules, **rules))
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ class GameBatch:
         self.episodes, self.players = int(episodes), players
         self.randomization = EpisodeRandomization(self.episodes, options)
         self._archive = load_archive(options.archive)
-        self._rules = load_game_config(options.race)
+        self._rules = load_game_config(options.rules)
         #: Game and opponents on a track, by the track's number.
         self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
         # The game on the first track; the rules are the same on the other tracks.

@@ -17,7 +17,7 @@ from pcs_racing.track.track import Track
 def make_game(
     track: Track | str | Path,
     archive: PolicyArchive | str | Path = "default",
-    race: GameConfig | RaceConfig | str | Path = "paper",
+    rules: GameConfig | RaceConfig | str | Path = "paper",
     *,
     opponent_planner: Planner | str | None = None,
     threads: int | None = None,
@@ -28,10 +28,10 @@ def make_game(
 ) -> RaceGame:
     """Make a game from names or objects.
 
-    ``race`` holds the rules of the game, or of the race alone: a config, a preset's name or a YAML
+    ``rules`` hold the rules of the game, or of the race alone: a config, a preset's name or a YAML
     file; ``settings`` are fields of :class:`GameConfig` to change. The other arguments are fields
     of :class:`RaceGame`.
     """
-    rules = load_game_config(race, **settings)
+    config = load_game_config(rules, **settings)
     planners = opponent_planner, threads, ego_planner
-    return RaceGame(as_track(track), load_archive(archive), rules, *planners, vehicles, max_delays)
+    return RaceGame(as_track(track), load_archive(archive), config, *planners, vehicles, max_delays)

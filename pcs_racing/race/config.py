@@ -232,7 +232,7 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
     changed.
 
     A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the
-    default, and ``preset`` names the preset that the defaults come from.
+    default, and ``rules`` names the preset that the defaults come from.
 
     Examples
     --------
@@ -240,5 +240,5 @@ def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceCon
     'staggered'
     """
     if not isinstance(source, RaceConfig):
-        check_path("race", source, ConfigError)
-    return load_settings("race", PAPER, source, PRESETS, "preset", **changes)
+        check_path("rules", source, ConfigError)
+    return load_settings("race", PAPER, source, PRESETS, "rules", **changes)

@@ -319,7 +319,7 @@ def run_races(
     track: Track,
     egos: Drivers,
     opponents: Drivers,
-    config: RaceConfig | str = PAPER,
+    rules: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
     starts: Starts | None = None,
@@ -333,7 +333,7 @@ def run_races(
     egos, opponents : Policy, str, model, or list of these
         Racers of car 0 and car 1 (:func:`pcs_racing.racer`), which are no agents; a single one
         drives in all races. Planners may differ between races.
-    config : RaceConfig or str
+    rules : RaceConfig or str
         Rules, also by the name of a preset or a file.
     seed : int
         Root of the start lines and of the noise of every race.
@@ -353,7 +353,7 @@ def run_races(
     return run_field(
         track,
         (egos, opponents),
-        config,
+        rules,
         seed=seed,
         starts=starts,
         vehicle=vehicle,
@@ -364,7 +364,7 @@ def run_races(
 def run_field(
     track: Track,
     drivers: Sequence[Drivers],
-    config: RaceConfig | str = PAPER,
+    rules: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
     starts: Starts | None = None,
@@ -376,7 +376,7 @@ def run_field(
     ``drivers`` holds for each car its policy, or its policies in all races. The other arguments are
     as in :func:`run_races`.
     """
-    config = rules_on(track, config)
+    config = rules_on(track, rules)
     vehicles = load_vehicles(vehicle, len(drivers))
     policies = [_policies(one) for one in drivers]
     given = [len(one) for one in policies if not isinstance(one, Policy)]
@@ -433,11 +433,11 @@ def _policies(given: Drivers) -> Policy | list[Policy]:
     return [known[id(one)] for one in given]
 
 
-def rules_on(track: Track, config: RaceConfig | str) -> RaceConfig:
+def rules_on(track: Track, rules: RaceConfig | str) -> RaceConfig:
     """Return the rules of races, also by name; refuse a track that is not loaded."""
     if not isinstance(track, Track):
         raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
-    return load_race_config(config)
+    return load_race_config(rules)
 
 
 def _widen_memory(state: RaceState, size: int) -> RaceState:

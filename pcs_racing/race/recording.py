@@ -54,7 +54,7 @@ def record_race(
     track: Track,
     ego: Any,
     opponent: Any,
-    config: RaceConfig | str = PAPER,
+    rules: RaceConfig | str = PAPER,
     *,
     seed: int = 0,
     index: int = 0,
@@ -83,7 +83,7 @@ def record_race(
         Recording with 25 frames a second; it ends with the race, possibly in a crash.
     """
     check_whole("index", index, 0, LAST_INDEX)
-    config = rules_on(track, config)
+    config = rules_on(track, rules)
     others = opponent if isinstance(opponent, list | tuple) else [opponent]
     drivers = list(map(policy_racer, [ego, *others]))
     vehicles = load_vehicles(vehicle, len(drivers))

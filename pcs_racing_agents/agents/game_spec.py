@@ -88,7 +88,7 @@ def shipped_name(spec: GameSpec, kind: str, known: Sequence[str], agent: str, ho
 
 def make_game_spec(
     archive: PolicyArchive | str | Path = "default",
-    race: GameConfig | RaceConfig | str | Path = "paper",
+    rules: GameConfig | RaceConfig | str | Path = "paper",
 ) -> GameSpec:
     """Return the spec of a game from an archive and rules, or their names.
 
@@ -96,10 +96,10 @@ def make_game_spec(
     ----------
     archive : PolicyArchive, str or path
         The archive, its name or its folder.
-    race : GameConfig, RaceConfig, str or path
+    rules : GameConfig, RaceConfig, str or path
         Rules, as in :func:`pcs_racing.make_game`.
     """
-    config = load_game_config(race)
+    config = load_game_config(rules)
     policies = load_archive(archive)
     if config.characteristics is not None and config.characteristics != policies.characteristics:
         policies = policies.project(config.characteristics)

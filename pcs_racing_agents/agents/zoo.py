@@ -93,14 +93,14 @@ def entries() -> dict[str, Entry]:
 
 def names(
     archive: PolicyArchive | str | Path = "default",
-    race: GameConfig | RaceConfig | str | Path = "paper",
+    rules: GameConfig | RaceConfig | str | Path = "paper",
 ) -> list[str]:
     """Return the names of all agents and fixed policies for an archive, sorted.
 
     Trained agents also need a network or a fit (:class:`Entry`).
     """
     constant = [
-        f"{ALWAYS}{''.join(move.split())}" for move in make_game_spec(archive, race).moves[:-1]
+        f"{ALWAYS}{''.join(move.split())}" for move in make_game_spec(archive, rules).moves[:-1]
     ]
     return sorted({*_declared(), *_registered, *SHIPPED, *constant})
 
@@ -109,7 +109,7 @@ def make(
     name: str,
     *,
     archive: PolicyArchive | str | Path = "default",
-    race: GameConfig | RaceConfig | str | Path = "paper",
+    rules: GameConfig | RaceConfig | str | Path = "paper",
     seed: int = 0,
     **options: Any,
 ) -> Any:
@@ -121,7 +121,7 @@ def make(
     ----------
     name : str
         Text for :func:`pcs_racing.racer`.
-    archive, race
+    archive, rules
         Game of the agent, as in :func:`pcs_racing.make_game`.
     seed : int
         Seed of the draws of mixed strategies.
@@ -133,7 +133,7 @@ def make(
     >>> make("always-aggressiveness+").name
     'always-aggressiveness+'
     """
-    return build(name, make_game_spec(archive, race), seed=seed, **options)
+    return build(name, make_game_spec(archive, rules), seed=seed, **options)
 
 
 def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:

@@ -46,7 +46,7 @@ def run(
         ),
     ] = None,
     rules: Annotated[
-        str | None, Option("preset of the rules (default: from the configuration)")
+        str | None, Option("rules of the races (default: from the configuration)")
     ] = None,
     changes: Annotated[
         dict[str, Any],
@@ -58,14 +58,14 @@ def run(
     if track is not None:
         changes["tracks"] = tuple(track)
     if rules is not None:
-        changes["preset"] = rules
+        changes["rules"] = rules
     if config is None:
         changes.setdefault("name", out.resolve().name)
     settings = load_archive_config(config, **changes)
     # A missing library is reported before hours of work, not after them.
     require("moocore", "cma", extra="synthesis")
     print(
-        f"{settings.name}: {', '.join(settings.tracks)}, preset {settings.preset}, "
+        f"{settings.name}: {', '.join(settings.tracks)}, rules {settings.rules}, "
         f"{settings.generations} generations of {settings.population} policies",
         flush=True,
     )

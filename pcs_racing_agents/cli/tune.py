@@ -73,7 +73,7 @@ def run(
     rest = tuple(name for name in HELD_OUT if name not in searched)
     changes["held_out"] = tuple(held_out) or rest
     if rules is not None:
-        changes["preset"] = rules
+        changes["rules"] = rules
     config = TuningConfig(planner=planner, **changes)
     # A missing library is reported before the races, not after them.
     require("cma", extra="synthesis")

@@ -103,7 +103,7 @@ def synthesize(
     hashes = {name: load_track(name).content_hash for name in config.tracks}
     # Drawn before the folder is made: an invalid option must not leave a folder behind.
     stage_scenarios(config)
-    settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
+    settings = {**plain_settings(config), "rules": config.race_rules, "track_hashes": hashes}
     with open_job(folder, "archive", settings) as job:
         run = RUNS[type(config)](config, job, executor, callback or (lambda *_: None))
         search, choice, final = run.scenarios()
@@ -402,7 +402,7 @@ class SpreadRun(ArchiveRun):
             against=config.rivals,
             tracks=config.tracks,
             held_out=(),
-            preset=config.preset,
+            rules=config.rules,
             duration=config.final_duration,
             start=config.start,
             fixed=config.fixed,

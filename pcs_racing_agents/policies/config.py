@@ -42,7 +42,7 @@ class ArchiveConfig(Settings):
     """
 
     name: Annotated[Text, "Name of the archive."] = "archive"
-    preset: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "paper"
+    rules: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "paper"
     duration: Annotated[float, _SECONDS, "Length of a race during search and selection, s."] = 16.0
     final_duration: Annotated[float, _SECONDS, "Length of a race in the final measurement, s."] = (
         40.0
@@ -124,13 +124,13 @@ class ArchiveConfig(Settings):
         get_characteristics(self.axes)
 
     @property
-    def rules(self) -> RaceConfig:
+    def race_rules(self) -> RaceConfig:
         """Rules of the races, with the duration of a race in the search."""
         return self.rules_of(self.duration)
 
     def rules_of(self, duration: float) -> RaceConfig:
         """Return the rules of the races, with another duration."""
-        return load_race_config(self.preset, duration=float(duration))
+        return load_race_config(self.rules, duration=float(duration))
 
     @property
     def search_crash_limit(self) -> float:
@@ -144,7 +144,7 @@ class ArchiveConfig(Settings):
         """Names of the characteristics."""
         if self.characteristics is not None:
             return self.characteristics
-        first = self.rules.aggressiveness
+        first = self.race_rules.aggressiveness
         return (
             "aggressiveness" if first == "lead" else first,
             "reaction" if first == "speed" else "restraint",

@@ -69,7 +69,7 @@ class TuningConfig(Settings):
         TUNING_TRACKS
     )
     held_out: Annotated[OptionalNames, "Circuits of the check only."] = HELD_OUT
-    preset: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "contest"
+    rules: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "contest"
     duration: Annotated[float, Interval(ge=0.1, le=3600.0), "Length of a race, s."] = 40.0
     start: Annotated[
         Text | None, "Policy that the search starts from, by default the planner's default policy."
@@ -110,7 +110,7 @@ class TuningConfig(Settings):
         both = set(self.tracks) & set(self.held_out)
         if both:
             raise ConfigError(f"held_out names {sorted(both)[0]!r}, a circuit of the search")
-        _ = self.rules
+        _ = self.race_rules
 
     @property
     def start_policy(self) -> Policy:
@@ -118,9 +118,9 @@ class TuningConfig(Settings):
         return parse_policy(self.start or self.planner)
 
     @property
-    def rules(self) -> RaceConfig:
+    def race_rules(self) -> RaceConfig:
         """Rules of the races."""
-        return load_race_config(self.preset, duration=float(self.duration))
+        return load_race_config(self.rules, duration=float(self.duration))
 
 
 class TuningProgress(NamedTuple):
@@ -195,7 +195,7 @@ def tune(
     for name in config.held_out:
         if hashes[name] in {hashes[track] for track in config.tracks}:
             raise InputError(f"held_out names {name!r}, a circuit of the search")
-    settings = {**plain_settings(config), "rules": config.rules, "track_hashes": hashes}
+    settings = {**plain_settings(config), "rules": config.race_rules, "track_hashes": hashes}
     with open_job(folder, "tuning", settings) as job:
         run = TuningRun(config, job, executor, callback or (lambda *_: None))
         text = policy_text(get_planner(config.planner), run.choose(run.search()))
@@ -296,7 +296,7 @@ class TuningRun:
         return draw_scenarios(
             config.planner,
             tracks,
-            config.rules,
+            config.race_rules,
             rivals=config.against,
             starts=starts,
             seed=signed_seed(seed),

@@ -147,44 +147,44 @@ class Tournament:
         return payoffs_picture(self.plan.names, self.summary.scores)
 
 
-def game_rules(race: Rules = "paper", **settings: Any) -> GameConfig:
+def game_rules(rules: Rules = "paper", **settings: Any) -> GameConfig:
     """Return the rules of a game with the duration of a race, by an equal stretch of all steps.
 
     Parameters
     ----------
-    race : GameConfig, RaceConfig, str or path
+    rules : GameConfig, RaceConfig, str or path
         Rules of a race, or of a game (not stretched).
     **settings
         Fields of :class:`pcs_racing.game.config.GameConfig` to change; with ``step_seconds`` or
         ``first_steps`` nothing is stretched.
     """
-    if isinstance(race, GameConfig):
-        return load_game_config(race, **settings)
-    rules = load_race_config(race)
-    config = load_game_config(rules, **settings)
+    if isinstance(rules, GameConfig):
+        return load_game_config(rules, **settings)
+    race = load_race_config(rules)
+    config = load_game_config(race, **settings)
     if {"step_seconds", "first_steps"} & settings.keys():
         return config
     # Whole tenths of a second, the time between two plans: a step of 8.1666 s would end between two
     # plans.
     parts = np.diff(config.end_ticks, prepend=0)
     parts //= np.gcd.reduce(parts)
-    unit, rest = divmod(rules.ticks, 10 * int(parts.sum()))
+    unit, rest = divmod(race.ticks, 10 * int(parts.sum()))
     if unit == 0 or rest:
         raise InputError(
-            f"duration is {rules.seconds:g} s; a game of {config.moves} moves lasts a multiple of "
+            f"duration is {race.seconds:g} s; a game of {config.moves} moves lasts a multiple of "
             f"{0.1 * int(parts.sum()):g} s"
         )
     lengths = [round(0.1 * int(part) * unit, 1) for part in parts]
     first = lengths[: len(config.first_steps)]
     return load_game_config(
-        rules, **{**settings, "moves": config.moves}, step_seconds=lengths[-1], first_steps=first
+        race, **{**settings, "moves": config.moves}, step_seconds=lengths[-1], first_steps=first
     )
 
 
 def plan_tournament(
     tracks: Track | Sequence[Track],
     entrants: Sequence[Entrant] | Mapping[str, Entrant],
-    race: Rules = "paper",
+    rules: Rules = "paper",
     *,
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
@@ -198,14 +198,14 @@ def plan_tournament(
     """
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
-    spec = make_game_spec(archive, game_rules(race))
+    spec = make_game_spec(archive, game_rules(rules))
     named = entrants.items() if isinstance(entrants, Mapping) else [(None, e) for e in entrants]
     competitors = []
     for name, entrant in named:
         competitors.append(competitor(entrant, spec, code, name=name, like=like, seed=seed))
     _check_distinct("competitors", [own_name(entrant) for entrant in competitors], 2)
-    rules = spec.config.race_rules
-    schedules = tuple(draw_schedule(track, rules, races_per_pair, seed) for track in circuits)
+    race = spec.config.race_rules
+    schedules = tuple(draw_schedule(track, race, races_per_pair, seed) for track in circuits)
     source = spec.identity.archive
     if not isinstance(archive, PolicyArchive) and archive not in list_archives():
         source = str(Path(archive).resolve())
@@ -223,7 +223,7 @@ def plan_tournament(
 def play_tournament(
     tracks: Track | Sequence[Track],
     entrants: Sequence[Entrant] | Mapping[str, Entrant],
-    race: Rules = "paper",
+    rules: Rules = "paper",
     *,
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
@@ -240,7 +240,7 @@ def play_tournament(
     ----------
     entrants : sequence, or mapping by name
         At least two texts or objects (:func:`pcs_racing.racer`), with different names.
-    race : GameConfig, RaceConfig, str or path
+    rules : GameConfig, RaceConfig, str or path
         Rules. Race rules give a game of the same duration (:func:`game_rules`); their
         ``start_lines`` is not used, since every two races draw their own line.
     races_per_pair : int
@@ -255,7 +255,13 @@ def play_tournament(
         :func:`tournament_settings`.
     """
     plan = plan_tournament(
-        tracks, entrants, race, archive=archive, races_per_pair=races_per_pair, seed=seed, like=like
+        tracks,
+        entrants,
+        rules,
+        archive=archive,
+        races_per_pair=races_per_pair,
+        seed=seed,
+        like=like,
     )
     return play_plan(plan, **run)
 

@@ -158,7 +158,7 @@ def drive(name: str) -> Values:
     out: Values = {}
     for what, options in {
         "paper": {"opponent": "lattice:early"},
-        "contest": {"race": "contest", "opponent": "lane-switcher:3", "beams": 16},
+        "contest": {"rules": "contest", "opponent": "lane-switcher:3", "beams": 16},
         "alone": {"opponent": None, "normalize": True},
     }.items():
         episode, env = vector_episode(name, 5, actions(20, 3), **options)
@@ -184,7 +184,7 @@ def duel(name: str) -> Values:
     for race in PRESETS:
         moves = ((np.arange(3) + step) % 4 for step in range(6))
         episode, env = vector_episode(
-            name, 7, moves, race=race, opponent="random-moves", **SHORT_GAME
+            name, 7, moves, rules=race, opponent="random-moves", **SHORT_GAME
         )
         game = env.unwrapped.game
         names = {
@@ -202,7 +202,7 @@ def head_to_head(name: str) -> Values:
     for race in PRESETS:
         moves = ((step + np.arange(2)) % 4 for step in range(4))
         out |= named(
-            race, pair_episode(name, 3, moves, pcs_racing.parallel_env, race=race, **SHORT_GAME)[0]
+            race, pair_episode(name, 3, moves, pcs_racing.parallel_env, rules=race, **SHORT_GAME)[0]
         )
     return out
 
@@ -213,7 +213,7 @@ def drive_head_to_head(name: str) -> Values:
     for what, options in {
         "paper": {},
         "contest": {
-            "race": "contest",
+            "rules": "contest",
             "beams": 16,
             "see_opponent": "in sight",
             "win_reward": 1.0,

@@ -263,7 +263,7 @@ KINDS = {
     ),
     "set of networks": Kind(
         shipped("pcs_racing_agents/data/networks", "contest-contest-psro/set.yaml"),
-        lambda file: make("psro", archive="contest", race="contest", networks=file.parent),
+        lambda file: make("psro", archive="contest", rules="contest", networks=file.parent),
     ),
     "lidar driver": Kind(
         shipped("pcs_racing/data/planners", "lidar-ppo/manifest.yaml"),
@@ -280,7 +280,7 @@ KINDS = {
     ),
     "fit": Kind(
         shipped("pcs_racing_agents/data/fits", "default-paper-best-fixed.yaml"),
-        lambda file: make("best-fixed", archive="default", race="paper", fit=file),
+        lambda file: make("best-fixed", archive="default", rules="paper", fit=file),
     ),
     "trees": Kind(
         settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"

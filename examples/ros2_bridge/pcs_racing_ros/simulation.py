@@ -30,7 +30,7 @@ class Simulation:
     def __post_init__(self) -> None:
         self.env = DriveHeadToHeadEnv(
             track=self.track,
-            race=self.rules,
+            rules=self.rules,
             opponent=self.opponent,
             time_step=TIME_STEP,
             normalized=False,

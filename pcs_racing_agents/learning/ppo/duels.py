@@ -91,7 +91,7 @@ class DuelTask:
                 share,
                 track=track,
                 archive=self.archive,
-                race=self.game.config,
+                rules=self.game.config,
                 opponent=group,
                 autoreset_mode=AutoresetMode.SAME_STEP,
                 threads=max(1, self.threads // (len(self.tracks) * len(groups))),
@@ -150,13 +150,13 @@ def make_duel_task(
     """
     overrides = {} if rules is None else {"game": asdict(rules)}
     archive = load_archive(settings.archive) if archive is None else archive
-    rules = load_game_config(settings.race, epsilon=settings.epsilon) if rules is None else rules
+    rules = load_game_config(settings.rules, epsilon=settings.epsilon) if rules is None else rules
     tracks = tuple(load_track(name) for name in settings.tracks)
     games = [make_game(track, archive, rules) for track in tracks]
     each = max(2, settings.evaluation_races // len(settings.opponents))
     batches = {
         Matchup(track.name, rules.race.name, name): GameBatch(
-            each, GameOptions(track=track, archive=archive, race=rules, opponent=name), threads=1
+            each, GameOptions(track=track, archive=archive, rules=rules, opponent=name), threads=1
         )
         for track in tracks
         for name in settings.opponents

@@ -27,7 +27,7 @@ class DuelSettings(Settings):
     """Settings of training in the duel; hyperparameters are named as in Schulman et al. 2017."""
 
     archive: Annotated[Text, "Name or folder of the archive of policies."] = "default"
-    race: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
+    rules: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
     epsilon: Annotated[
         float, Interval(ge=1e-6, le=10.0), "Length of a move, in units of the archive's range."
     ] = 0.5

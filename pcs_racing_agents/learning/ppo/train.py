@@ -208,7 +208,7 @@ def _named(
         settings = replace(settings, archive=archive.name)
     if rules is not None:
         epsilon = rules.epsilon if isinstance(rules.epsilon, float) else settings.epsilon
-        settings = replace(settings, race=rules.race.name, epsilon=epsilon)
+        settings = replace(settings, rules=rules.race.name, epsilon=epsilon)
     return settings
 
 

@@ -38,13 +38,13 @@ def six_policies() -> PolicyArchive:
 
 
 DRIVE = {
-    "race": "contest",
+    "rules": "contest",
     "duration": 1.0,
     "time_step": 0.1,
     "beams": 3,
     "vehicle": {"lidar_noise": 0.1},
 }
-GAME = {"step_seconds": 0.5, "moves": 2, "race": "contest"}
+GAME = {"step_seconds": 0.5, "moves": 2, "rules": "contest"}
 USUAL = {
     DriveEnv: DRIVE,
     DuelEnv: GAME,

@@ -82,7 +82,7 @@ VARIANTS = [
     ("kind", "arguments"),
     [
         (DriveEnv, {"duration": 40.0}),
-        (DriveEnv, {"opponent": None, "beams": 20, "race": "paper"}),
+        (DriveEnv, {"opponent": None, "beams": 20, "rules": "paper"}),
         (DriveEnv, {"normalize": True, "beams": 5}),
         (DuelEnv, {"opponent": "lane-switcher:3"}),
         (DuelEnv, {"opponent": MIXTURE}),
@@ -123,7 +123,7 @@ STEERED = {"time_step": 0.1, "duration": 3.0}
             drive,
             {
                 **STEERED,
-                "race": "contest",
+                "rules": "contest",
                 "beams": 9,
                 "see_opponent": "in sight",
                 "win_reward": 1.0,
@@ -257,14 +257,14 @@ def test_the_same_seed_is_the_same_episodes(kind):
 
 RACE = load_race_config("contest", duration=3.0)
 DRIVES = [
-    {"race": RACE, "duration": None, "beams": 12, "vehicle": {"lidar_noise": 0.05}},
+    {"rules": RACE, "duration": None, "beams": 12, "vehicle": {"lidar_noise": 0.05}},
     {
-        "race": RACE,
+        "rules": RACE,
         "duration": None,
         "opponent": ["lattice:pace=0.1", "lattice:pace=0.9"],
         "time_step": 0.06,
     },
-    {"race": RACE, "duration": None, "opponent": None, "normalize": True},
+    {"rules": RACE, "duration": None, "opponent": None, "normalize": True},
 ]
 LONGER = {"step_seconds": 1.0, "moves": 3}
 DUELS = [
@@ -397,7 +397,7 @@ def test_steps_at_the_wrong_time_are_refused(kind):
 @pytest.mark.parametrize("kind", PAIRS)
 def test_max_cycles_truncates_and_decides_nothing(kind):
     env = (
-        make(kind, max_cycles=2, race="paper", moves=4)
+        make(kind, max_cycles=2, rules="paper", moves=4)
         if kind is HeadToHeadEnv
         else make(kind, max_cycles=2)
     )
@@ -489,8 +489,8 @@ def test_a_step_with_an_own_fault_costs_one(kind):
     """Also in a batch, and from a kept moment on."""
     rules = load_race_config("contest", contact="restart", steering_noise=0.15)
     longer = {"duration": 30.0} if kind is DriveEnv else {"step_seconds": 6.0, "moves": 4}
-    one, other = (make(kind, race=rules, **longer) for _ in range(2))
-    many = make_many(kind, 2, race=rules, **longer)
+    one, other = (make(kind, rules=rules, **longer) for _ in range(2))
+    many = make_many(kind, 2, rules=rules, **longer)
     _, info = one.reset(seed=3)
     _, infos = many.reset(seed=3)
     known, costs, over = info["fault"], [info["cost"]], False

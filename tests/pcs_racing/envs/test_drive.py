@@ -67,7 +67,7 @@ def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normali
         env = DriveEnv(
             track=oval,
             opponent=None,
-            race=rules,
+            rules=rules,
             min_speed=speed,
             top_speed=6.0,
             normalized=normalized,
@@ -115,7 +115,7 @@ def both(*actions):
 def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
     """Bit for bit, until one of them drives into the other."""
     quiet = load_race_config("contest", steering_noise=0.0)
-    options = {"beams": 31, "see_opponent": "in sight", "win_reward": 3.0, "race": quiet}
+    options = {"beams": 31, "see_opponent": "in sight", "win_reward": 3.0, "rules": quiet}
     envs = [make(coarse_oval, **options) for _ in range(2)]
     places = poses(coarse_oval, (2.0, 0.1, 3.0), (5.0, -0.1, 1.0))
     starts = zip(envs, (places, places[::-1]), strict=True)
@@ -208,7 +208,7 @@ def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(
     coarse_oval, race, penalties, results
 ):
     race = load_race_config(race, steering_noise=0.0)
-    env = make(coarse_oval, race=race, progress_reward=0.0, crash_penalty=7.0, win_reward=5.0)
+    env = make(coarse_oval, rules=race, progress_reward=0.0, crash_penalty=7.0, win_reward=5.0)
     for car in range(2):
         env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 4.0), (28.0, 0.0, 4.0))})
         turn, go = (1.0, 0.0), (0.0, -1.0)

@@ -20,9 +20,9 @@ AHEAD = (0.0, 1.5, 30.0, 49.0)
 RACE = load_race_config("contest", start_lines=3, steering_noise=0.0)
 
 
-def begun(track, opponent=None, race=RACE, seed=0, duration=8.0, **options):
+def begun(track, opponent=None, rules=RACE, seed=0, duration=8.0, **options):
     env = DriveEnv(
-        track=track, opponent=opponent, race=race, look_ahead=AHEAD, duration=duration, **options
+        track=track, opponent=opponent, rules=rules, look_ahead=AHEAD, duration=duration, **options
     )
     env.reset(seed=seed)
     return env
@@ -199,7 +199,7 @@ def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
 
 def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_oval):
     opponents = [HOLD.policy({"speed": speed}) for speed in (1.0, 2.0)]
-    options = DriveOptions(track=coarse_oval, opponent=opponents, race=RACE, start_lines=3)
+    options = DriveOptions(track=coarse_oval, opponent=opponents, rules=RACE, start_lines=3)
     batch = DriveBatch(64, options, threads=1)
     rows = np.arange(64)
     batch.restart(rows, [np.random.default_rng(k) for k in rows])

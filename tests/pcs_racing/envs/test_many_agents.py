@@ -29,7 +29,7 @@ with warnings.catch_warnings():
 
 X, Y, _, V, PSI = range(5)
 DRIVERS = ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]
-SHORT = {"race": "contest", "duration": 1.0, "time_step": 0.1}
+SHORT = {"rules": "contest", "duration": 1.0, "time_step": 0.1}
 
 
 def named(env, observation):
@@ -147,7 +147,7 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
     """Every fault is paid for once, in its step, and costs once; the infos count them."""
     rules = load_race_config("paper", contact=contact, duration=6.0)
     three = DriveHeadToHeadEnv(
-        track=oval, cars=3, race=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
+        track=oval, cars=3, rules=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
     )
     three.reset(options={"poses": poses(oval, (3.0, 0.0, 5.0), (6.0, 0.0, 0.0), (20.0, 0.0, 0.0))})
     paid, cost, crashes = np.zeros(3), np.zeros(3), set()
@@ -208,7 +208,7 @@ def test_commands_take_effect_every_hundredth_of_a_second(oval):
     """Two steps of 0.01 s are one of 0.02 s, the noise of steering included; another command
     between them counts.
     """
-    given = {"race": "contest", "opponent": "lattice"}
+    given = {"rules": "contest", "opponent": "lattice"}
     slow, fast, other = (
         begun(DriveEnv(track=oval, time_step=step, **given), seed=4) for step in (0.02, 0.01, 0.01)
     )
@@ -255,7 +255,7 @@ def test_an_angle_is_the_same_angle_whatever_the_other_car_can_steer(oval):
 @pytest.mark.parametrize("laps", [1, 2])
 def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
     one, many = (kind(track=oval, opponent=None, laps=laps) for kind in (DriveEnv, DriveVectorEnv))
-    other = DriveEnv(track=oval, opponent=None, race=load_race_config("paper", laps=laps))
+    other = DriveEnv(track=oval, opponent=None, rules=load_race_config("paper", laps=laps))
     seen, _ = one.reset(seed=1)
     many.reset(seed=1)
     other.reset(seed=1)

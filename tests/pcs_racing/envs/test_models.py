@@ -29,7 +29,7 @@ def test_a_model_races_as_it_drives_in_its_environment(oval, arguments):
     policy, starts = model_policy(weave, **arguments), draw_starts(oval, CONFIG, 4, 3)
     raced = run_races(oval, policy, racer(RIVAL), CONFIG, seed=3, starts=starts)
     for race in range(4):
-        env = DriveEnv(track=oval, opponent=RIVAL, race=CONFIG, **arguments)
+        env = DriveEnv(track=oval, opponent=RIVAL, rules=CONFIG, **arguments)
         seen, _ = env.reset(options={"start": (float(starts.s[race]), int(starts.side[race]))})
         over = late = False
         while not (over or late):

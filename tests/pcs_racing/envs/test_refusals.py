@@ -26,7 +26,7 @@ SELF_PLAY = (SelfPlayVectorEnv, DriveHeadToHeadVectorEnv)
 EVERYWHERE = (*ALL, *VECTORS, *SELF_PLAY)
 NAN = float("nan")
 PLAIN = [
-    (EVERYWHERE, {"track": ([],), "race": (5,), "render_mode": ("ansi",), "view": ("moon",)}),
+    (EVERYWHERE, {"track": ([],), "rules": (5,), "render_mode": ("ansi",), "view": ("moon",)}),
     (
         VECTORS,
         {
@@ -76,7 +76,7 @@ PLAIN = [
         (GAMES, {"opponent": [(1, 2, "random-moves")]}, "opponent 0"),
         (GAMES, {"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
         (GAMES, {"archive": "nothing"}, "unknown archive 'nothing'"),
-        (GAMES, {"race": "rally"}, "race settings 'rally' are unknown"),
+        (GAMES, {"rules": "rally"}, "race settings 'rally' are unknown"),
         (GAMES, {"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
         (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
         (

@@ -168,7 +168,7 @@ def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game)
 
 
 def test_a_game_by_laps_ends_in_the_step_of_the_last_lap(track):
-    game = make_game(track, race=load_race_config("paper", laps=1))
+    game = make_game(track, rules=load_race_config("paper", laps=1))
     state = game.reset(games=8)
     while not game.done(state).all():
         state = game.step(state, np.zeros((8, 2), int))
@@ -292,9 +292,9 @@ def test_several_step_sizes_and_three_characteristics(track):
         ({"fault_penalty": 3.0}, (1, 0), -3.0),
         ({"fault_penalty": 3.0}, (0, 1), 3.0),
         ({"fault_penalty": 3.0}, (1, 1), 0.0),
-        ({"race": "contest"}, (1, 0), -1.0),
-        ({"race": "contest"}, (0, 1), 1.0),
-        ({"race": "contest", "discount": 0.5}, (0, 1), 0.25),
+        ({"rules": "contest"}, (1, 0), -1.0),
+        ({"rules": "contest"}, (0, 1), 1.0),
+        ({"rules": "contest", "discount": 0.5}, (0, 1), 0.25),
     ],
 )
 def test_what_a_crash_is_worth(track, settings, fault, expected):
@@ -321,7 +321,7 @@ def test_who_leads_at_the_end_wins(track):
 
 
 def test_games_that_end_while_watching_are_drawn_again(track):
-    game = make_game(track, race=replace(CONTEST, steering_noise=0.08), step_seconds=4.0)
+    game = make_game(track, rules=replace(CONTEST, steering_noise=0.08), step_seconds=4.0)
     once = game.reset(games=40, redraw=False)
     again = game.reset(games=40)
     crashed = once.race.crashed

@@ -83,7 +83,7 @@ def test_every_number_has_a_least_and_a_largest_value(key, low, high, more):
 
 def test_a_configuration_by_name_or_from_yaml_and_bad_files(tmp_path):
     file = tmp_path / "my rules.yaml"
-    file.write_text("preset: contest\nname: sprint\nduration: 12.5\nspeed_range: [0.8, 1.1]\n")
+    file.write_text("rules: contest\nname: sprint\nduration: 12.5\nspeed_range: [0.8, 1.1]\n")
     config = load_race_config(file, start_gap=3.0)
     assert config == dataclasses.replace(
         CONTEST, name="sprint", duration=12.5, speed_range=(0.8, 1.1), start_gap=3.0
@@ -95,7 +95,7 @@ def test_a_configuration_by_name_or_from_yaml_and_bad_files(tmp_path):
     )
     for text, message in [
         ("durration: 4", "rules.yaml: unknown race setting 'durration'"),
-        ("preset: cup", "preset is 'cup'"),
+        ("rules: cup", "rules is 'cup'"),
     ]:
         file = tmp_path / "rules.yaml"
         file.write_text(text)
@@ -107,7 +107,7 @@ def test_laps_have_40_s_each_unless_the_rules_have_a_duration(tmp_path):
     assert load_race_config("roboracer", laps=100).seconds == 3600.0
     assert load_race_config("roboracer", laps=20, duration=300.0).ticks == 30_000
     file = tmp_path / "race.yaml"
-    file.write_text("preset: roboracer\nlaps: 20\n")
+    file.write_text("rules: roboracer\nlaps: 20\n")
     assert load_race_config(file) == load_race_config("roboracer", laps=20)
     for laps in (0, -1, 1.5, 1000):
         words = f"^laps is {laps}; it must be a whole number from 1 to 100$"

@@ -56,7 +56,7 @@ def test_the_noise_of_the_speed_is_drawn_for_each_command_and_car(oval):
         vehicle={"speed_noise": 0.3},
         time_step=0.01,
         top_speed=TOP,
-        race="contest",
+        rules="contest",
     )
     commands, _ = in_force(env, asked)
     noise = commands[:, 1] - 1.0

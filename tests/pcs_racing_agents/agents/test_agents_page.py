@@ -38,7 +38,7 @@ def test_every_agent_was_measured_as_it_is_now(archive, race):
     shipped = {}
     for name in {*names(archive, race), *known}:
         try:
-            shipped[name] = competitor_hash(make(name, archive=archive, race=race))
+            shipped[name] = competitor_hash(make(name, archive=archive, rules=race))
         except LookupError:  # nothing is shipped for it
             continue
     changed = sorted(name for name in {*known, *shipped} if known.get(name) != shipped.get(name))

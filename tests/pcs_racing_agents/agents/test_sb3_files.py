@@ -345,7 +345,7 @@ def test_a_model_races_from_its_file_as_itself_also_behind_a_scale(tmp_path):
     np.testing.assert_array_equal(ends[0].state.cars, ends[1].state.cars)
     assert racer(file).planner.drive.content_hash == racer(model).planner.drive.content_hash
     for opponent in (str(file), model):
-        rival = DriveEnv(track=track, opponent=opponent, race=config)
+        rival = DriveEnv(track=track, opponent=opponent, rules=config)
         rival.reset(seed=1)
         rival.step([0.0, -1.0])
         assert rival.batch.state.memory[0, 1, :2].any()

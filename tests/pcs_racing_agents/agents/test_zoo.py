@@ -86,7 +86,7 @@ def test_the_archive_of_a_setting_has_the_axes_of_the_game(archive):
 def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(
     game, spec, oval
 ):
-    agent = pcs_racing_agents.make("random-moves", race="contest", seed=1)
+    agent = pcs_racing_agents.make("random-moves", rules="contest", seed=1)
     assert agent.chances == (0.2,) * 5  # the contest offers "stay" to everybody
     assert "never-switch" in pcs_racing_agents.agents.names()
     explored = len(make_game_spec().archive.explored_parameters)

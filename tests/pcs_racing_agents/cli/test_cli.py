@@ -66,7 +66,7 @@ def copied(tmp_path) -> Path:
 def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printed, tmp_path):
     """Race 4 is the second of races 3 to 5."""
     rules = tmp_path / "rules.yaml"
-    rules.write_text("preset: contest\nname: sprint\nduration: 3.0\nheats: 3\n")
+    rules.write_text("rules: contest\nname: sprint\nduration: 3.0\nheats: 3\n")
     words = ["race", "--track", "Pipkin", *PAIR, "--rules", rules, "--index", 4, "--seed", 2]
     out = printed(*words)
     printed(*words, "--replay", tmp_path / "race.html", "--video", tmp_path / "race.gif")

@@ -173,7 +173,7 @@ def test_a_network_of_the_game_fits(game):
     # the move that it does not know comes last
     made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))
     made_for(game).check_fits(
-        make_game("Tarnfjord", race="contest", moves=4, epsilon=0.35, stay=False)
+        make_game("Tarnfjord", rules="contest", moves=4, epsilon=0.35, stay=False)
     )
     state = game.reset(games=2)
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)

@@ -44,7 +44,7 @@ TINY = FrontConfig(
 )
 SPREAD = SpreadConfig(
     name="spread",
-    preset="contest",
+    rules="contest",
     tracks=("Pipkin",),
     rivals=("lane-switcher", "gap-follower"),
     champion_generations=2,
@@ -269,15 +269,15 @@ def test_other_folders_and_runs_are_left_alone(made, tmp_path):
 def test_limits_leave_out_policies(tmp_path, made):
     """Rules under which many crash, and a least coordinate."""
     wild = tmp_path / "wild.yaml"
-    wild.write_text("preset: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
-    config = replace(TINY, preset=str(wild), crash_limit=0.3, seed=12)
+    wild.write_text("rules: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
+    config = replace(TINY, rules=str(wild), crash_limit=0.3, seed=12)
     archive = synthesize(config, tmp_path / "archive")
     assert (archive.preset, archive.characteristics) == ("wild", ("speed", "reaction"))
     assert (archive.own_crash <= 0.3).all()
     over = archive.explored.own_crash > config.search_crash_limit
     assert archive.settings["search_over_crash_limit"] == over.sum() > 0
-    wild.write_text("preset: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
-    hopeless = replace(TINY, preset=str(wild), crash_limit=0.0, tracks=("Tarnfjord",))
+    wild.write_text("rules: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
+    hopeless = replace(TINY, rules=str(wild), crash_limit=0.0, tracks=("Tarnfjord",))
     refused(r"all 30 policies|crash limit of 0%", synthesize, hopeless, tmp_path / "none")
     archive = synthesize(replace(TINY, min_coordinates=(0.0, 0.0), seed=7), tmp_path / "least")
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
@@ -315,7 +315,7 @@ def test_a_measurement_leaves_out_policies_that_score_too_little(monkeypatch, tm
         (TINY, {"fixed": LATTICE.parameter_names[1:]}, "fixed leaves 1 parameters"),
         (TINY, {"characteristics": ("speed",)}, "characteristics is"),
         (TINY, {"characteristics": ("speed", "charm")}, "characteristic 'charm' is unknown"),
-        (TINY, {"preset": "nothing"}, "race settings 'nothing' are unknown"),
+        (TINY, {"rules": "nothing"}, "race settings 'nothing' are unknown"),
         (TINY, {"rivals": ("lattice",)}, "unknown archive setting 'rivals'"),
         (SPREAD, {"opponents": 3}, "unknown archive setting 'opponents'"),
         (SPREAD, {"rivals": ()}, "rivals is"),

@@ -19,14 +19,14 @@ from pcs_racing_agents.policies.config import FrontConfig
 from pcs_racing_agents.policies.evaluate import draw_scenarios, race_policies, summarise
 
 CONFIG = FrontConfig(
-    preset="contest",
+    rules="contest",
     tracks=("Tarnfjord", "Pipkin"),
     characteristics=("pace", "restraint"),
     duration=4.0,
     final_duration=4.0,
     segment_seconds=2.0,
 )
-SHORT = CONFIG.rules
+SHORT = CONFIG.race_rules
 
 
 def policies(count, seed=0):

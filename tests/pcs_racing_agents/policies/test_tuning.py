@@ -25,7 +25,7 @@ TINY = TuningConfig(
     planner="pure-pursuit",
     start="pure-pursuit:pace=0",
     against=("pure-pursuit:pace=0.6", "gap-follower"),
-    preset="paper",
+    rules="paper",
     tracks=("Pipkin",),
     held_out=("Tarnfjord",),
     duration=6.0,
@@ -80,7 +80,7 @@ def test_a_line_of_the_check_counts_the_races_of_one_opponent_on_one_circuit(tun
     scenarios = module.draw_scenarios(
         TINY.planner,
         ("Pipkin", "Tarnfjord"),
-        TINY.rules,
+        TINY.race_rules,
         rivals=TINY.against,
         starts=4,
         seed=signed_seed(np.random.SeedSequence(TINY.seed, spawn_key=(3,))),
@@ -156,7 +156,7 @@ def test_a_policy_as_text_is_the_same_policy_to_four_digits():
         ({"against": ("nobody",)}, "planner 'nobody' is unknown"),
         ({"step_size": float("nan")}, "step_size is nan"),
         ({"population": 3}, "population is 3"),
-        ({"preset": "nothing.yaml"}, "race settings 'nothing.yaml' are unknown"),
+        ({"rules": "nothing.yaml"}, "race settings 'nothing.yaml' are unknown"),
     ],
 )
 def test_impossible_settings_are_refused(changes, message):

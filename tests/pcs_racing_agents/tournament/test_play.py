@@ -144,12 +144,12 @@ def test_bad_input_is_refused_before_any_race(oval):
         ({"races_per_pair": 3}, "races_per_pair is 3"),
         ({"races_per_pair": 0}, "races_per_pair is 0"),
         ({"races_per_pair": 2002}, "races_per_pair is 2002"),
-        ({"race": load_race_config("paper", start_spacing=5.0)}, "no place"),
+        ({"rules": load_race_config("paper", start_spacing=5.0)}, "no place"),
     ]:
         arguments = {
             "tracks": oval,
             "entrants": POLICIES,
-            "race": CONTEST,
+            "rules": CONTEST,
             "races_per_pair": 2,
         } | change
         refused(

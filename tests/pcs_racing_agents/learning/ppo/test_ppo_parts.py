@@ -69,7 +69,7 @@ def test_duels_are_played_as_in_the_environment(duel_settings):
             env = DuelEnv(
                 track="Pipkin",
                 archive=task.archive,
-                race=task.game.config,
+                rules=task.game.config,
                 opponent=matchup.opponent,
             )
             seen, _ = env.reset(seed=seed + game)

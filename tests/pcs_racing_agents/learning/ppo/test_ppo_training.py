@@ -216,7 +216,7 @@ def test_what_settings_name_must_exist(settings):
     for changes, message in [
         ({"tracks": ("Nowhere",)}, "Nowhere"),
         ({"archive": "nothing"}, "nothing"),
-        ({"race": "sunday"}, "sunday"),
+        ({"rules": "sunday"}, "sunday"),
         ({"opponents": {"always-wrong": 1}}, "opponent 'always-wrong' is unknown"),
     ]:
         refused(message, make_duel_task, replace(settings, **changes), None, None, 1)
