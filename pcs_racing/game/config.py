@@ -191,7 +191,6 @@ def load_game_config(
     # what the race decides is not decided before its rules are known
     if not isinstance(source, GameConfig):
         own = ("moves", "step_seconds", "first_steps")
-        source = GameConfig(
-            changes.pop("race", source), **{name: changes.pop(name, None) for name in own}
-        )
+        race = changes.pop("race") if "race" in changes else _race("rules", source)
+        source = GameConfig(race, **{name: changes.pop(name, None) for name in own})
     return load_settings("game", source, **changes)

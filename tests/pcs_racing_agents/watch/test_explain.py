@@ -75,7 +75,7 @@ def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(cont
         (event.time, event.car, event.text) for event in race.replay.events if event.kind == "move"
     ]
     made = [
-        (0.8 * (k + 1), car, contest.move_names[race.played.moves.codes[0, car, k]])
+        (0.8 * (k + 1), car, contest.moves[race.played.moves.codes[0, car, k]])
         for k in range(len(race.steps))
         for car in (0, 1)
     ]
