@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
 from pcs_racing.track.loading import load_track
@@ -37,8 +37,6 @@ from pcs_racing_agents.tournament import (
     tournament_settings,
 )
 from pcs_racing_agents.tournament.ratings import agents_of
-
-Floats = NDArray[np.float64]
 
 SIZE = 16
 """Max size of a pool by default."""

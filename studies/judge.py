@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.race.config import load_race_config
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.policies.evaluate import draw_scenarios, race_points, race_policies
 
-Floats = NDArray[np.float64]
 Labels = NDArray[np.str_]
 
 SEED = 77

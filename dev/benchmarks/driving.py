@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing import CONTEST, load_track, racer, run_races
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
@@ -77,7 +77,6 @@ SLIDING = F1TENTH.mu * _vehicle.GRAVITY
 BEFORE = 0.5  # s before a crash in which the tyres may have slid
 
 Row = dict[str, Any]
-Floats = NDArray[np.float64]
 
 
 class Alone:

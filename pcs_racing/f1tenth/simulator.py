@@ -11,6 +11,7 @@ from pcs_racing.base.checks import all_finite, check_array, check_number, check_
 from pcs_racing.base.compilation import compiled, first_call
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.numba_parts import compiled_for
+from pcs_racing.base.typing import Floats
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.lidar_kernel import WORK_SHAPE
 from pcs_racing.f1tenth import kernel as k
@@ -28,8 +29,6 @@ from pcs_racing.f1tenth.kernel import (
 from pcs_racing.f1tenth.maps import GymMap, load_map
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
-
-Floats = NDArray[np.float64]
 
 DEFAULT_PARAMS = {
     "mu": 1.0489,

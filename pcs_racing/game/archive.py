@@ -12,7 +12,7 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import (
     check_array,
@@ -22,12 +22,10 @@ from pcs_racing.base.checks import (
     check_whole_array,
 )
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 MAX_COORDINATE = 1e9
 """Max parameter or coordinate of an archive; sums of their squares stay finite."""

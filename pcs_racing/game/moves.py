@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import as_array, is_flag, is_number
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive import PolicyArchive
-
-Indices = NDArray[np.int64]
 
 EPSILON = 0.5
 """Default length of a move: half of the archive's range on an axis."""

@@ -6,10 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.characteristics import Characteristic
-
-Indices = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 LOW, HIGH = -1.0, 2.0
 """Bounds of the normalised characteristics that players observe."""

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.errors import InputError, one_line
 from pcs_racing.base.seeds import GOLDEN, scramble_one
+from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.moves import STAY, check_moves
@@ -28,7 +29,6 @@ from pcs_racing.planners.planner import Policy, PolicySet
 from pcs_racing.planners.racers import Racer, Reader, Request, own_name, racer
 
 Observation = NDArray[np.float32]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
@@ -59,9 +60,6 @@ from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import NO_CRASH, RaceState, take
 from pcs_racing.track.track import Track
-
-Indices = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 OUTSIDE = -1
 """Index in a state's ``policy`` of a policy from outside the archive."""

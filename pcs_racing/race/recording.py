@@ -15,6 +15,7 @@ from pcs_racing.base.checks import check_whole
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seed
+from pcs_racing.base.typing import Floats
 from pcs_racing.car.vehicle import F1TENTH, V, load_vehicles
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
 from pcs_racing.planners.racers import policy_racer
@@ -47,7 +48,6 @@ LAST_INDEX = 2**32 - 1
 """Maximum number of a race: it is one 32-bit word of the key of the race's noise."""
 
 FRAME_EVERY = 4  # steps: 25 frames a second; the loop can be stopped after every second step
-Floats = NDArray[np.float64]
 
 
 def record_race(

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import RaceConfig
@@ -28,7 +29,6 @@ from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-Floats = NDArray[np.float64]
 Stretches = tuple[tuple[float, float], ...]
 Places = dict[str, Stretches]
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import arctangent2
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError
+from pcs_racing.base.typing import Floats
 from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
 from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, wall_clearance
 from pcs_racing.track.building.curves import sample_closed
@@ -21,8 +22,6 @@ from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.grid import distance_to_walls
 from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
 from pcs_racing.track.track import Track, build_track, calibration_from_values, calibration_values
-
-Floats = NDArray[np.float64]
 
 TOLERANCE = 0.02
 """Max shortfall of a given race line's CLEARANCE, in m: about the size of a cell's corner."""

@@ -18,9 +18,9 @@ from PIL import Image, UnidentifiedImageError
 from pcs_racing.base import files
 from pcs_racing.base.checks import check_number, is_number
 from pcs_racing.base.errors import MapError, say
+from pcs_racing.base.typing import Floats
 from pcs_racing.track.building.causes import at_cell
 
-Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
 MAX_PIXELS = 25_000_000  # 5,000 x 5,000, at some 40 bytes of memory each

@@ -28,6 +28,7 @@ from pcs_racing.base.artifacts import shipped_folder
 from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import MapError, UnknownNameError, choices
 from pcs_racing.base.files import MAX_YAML, read_limited, write_together
+from pcs_racing.base.typing import Floats
 from pcs_racing.track.map_files import (
     CENTERLINE_COLUMNS,
     RACELINE_COLUMNS,
@@ -40,8 +41,6 @@ from pcs_racing.track.map_files import (
     turned,
     without_specks,
 )
-
-Floats = NDArray[np.float64]
 
 MAX_BYTES = 256_000_000  # size of a picture
 MAX_LINE = 8_000_000  # bytes: size of a csv or json file

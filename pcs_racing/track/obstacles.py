@@ -3,12 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import check_array
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.track.building.walls import corners_along
 from pcs_racing.track.moving import make_lanes
 from pcs_racing.track.track import Track
@@ -30,8 +31,6 @@ MAX_BOXES = 100
 MIN_SIDE, MAX_SIDE = 0.05, 10.0  # m: limits of box sides and diameters
 MAX_SPEED, MAX_SWAY = 20.0, 10.0  # m/s, m
 CORNERS = 16  # corners of a circle: the sides are at most 2 % of the radius inside it
-
-Floats = NDArray[np.float64]
 
 
 def with_obstacles(track: Track, boxes: ArrayLike) -> Track:

@@ -7,18 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.errors import MapError
+from pcs_racing.base.typing import Floats
 from pcs_racing.track import frenet
 from pcs_racing.track.building.build import build_arrays, check_centerline, check_line
 from pcs_racing.track.building.clearance import checked_grid
 from pcs_racing.track.building.islands import fill_islands
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
 from pcs_racing.track.grid import distance_to_walls
-
-Floats = NDArray[np.float64]
 
 WIDTH_TOLERANCE = 0.4
 """Max excess of a centre line's stated widths over the picture, m; real tracks reach 0.19."""

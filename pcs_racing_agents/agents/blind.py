@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import is_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.players import never_switch, random_moves
 from pcs_racing_agents.agents.agent import Agent
@@ -24,8 +25,6 @@ from pcs_racing_agents.agents.fits import FitSource, find_fit
 from pcs_racing_agents.agents.game_spec import GameSpec, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_made, own
 from pcs_racing_agents.agents.zoo import Entry
-
-Floats = NDArray[np.float64]
 
 LEAD_PLAN = ("behind", "ahead")
 """Situations of a lead plan, with a policy for each."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
@@ -19,8 +20,6 @@ from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import list_networks, load_network
-
-Floats = NDArray[np.float64]
 
 
 def argmax(values: NDArray[Any]) -> Floats:

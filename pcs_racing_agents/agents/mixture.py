@@ -10,9 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.identity import check_same_game
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import network_agent
@@ -27,7 +28,6 @@ from pcs_racing_agents.networks.network_files import (
     load_network_set,
 )
 
-Floats = NDArray[np.float64]
 NetworkSetSource = str | NetworkSet | None
 """A network set, its name or folder, or None for the shipped set."""
 

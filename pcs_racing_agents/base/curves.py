@@ -4,11 +4,9 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats
 from pcs_racing_agents.base.style import COLOURS, SOFT, new_figure, picture, short, tidy
-
-Floats = NDArray[np.float64]
 
 
 class Curve(NamedTuple):

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_array
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.typing import Floats
 from pcs_racing_agents.networks.rows import Rows, pair_number
 from pcs_racing_agents.solvers import (
     CFRResult,
@@ -32,7 +33,6 @@ from pcs_racing_agents.solvers import (
 if TYPE_CHECKING:
     from pcs_racing_agents.trees import RaceTree
 
-Floats = NDArray[np.float64]
 Solution = CFRResult | ExactResult
 """Result of :func:`solve_for`."""
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
@@ -23,8 +23,6 @@ from pcs_racing_agents.base.tables import Column, table_rows, write_csv
 from pcs_racing_agents.policies.config import ArchiveConfig
 from pcs_racing_agents.policies.evaluate import Evaluation, summarise
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume
-
-Floats = NDArray[np.float64]
 
 COURSE = (
     Column("generation"),

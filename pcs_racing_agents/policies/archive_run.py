@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import plain_settings
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.track.loading import load_track
@@ -49,9 +49,6 @@ from pcs_racing_agents.policies.selection import (
     thin_out,
 )
 from pcs_racing_agents.policies.tuning import TuningConfig, TuningRun, policy_text
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 BLOCK = 2  # policies per task: a generation of 32 keeps 16 cores busy
 SPACING = 0.015

@@ -6,13 +6,10 @@ spanned by the items' features: the more similar two items are, the less often t
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_choice, check_whole
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.archive import PolicyArchive
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 METHODS = {
     "kdpp": "random, similar ones seldom together",

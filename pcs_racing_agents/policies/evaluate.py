@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
@@ -24,9 +25,6 @@ from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.jobs import Run, run_races
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

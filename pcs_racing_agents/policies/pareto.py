@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError, require
-
-Floats = NDArray[np.float64]
+from pcs_racing.base.typing import Floats
 
 REFERENCE = -0.1
 """Reference point on every axis: a tenth of the scale's range below its worst values."""

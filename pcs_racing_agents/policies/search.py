@@ -28,10 +28,11 @@ where the paper leaves room:
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.checks import check_array, check_number, check_seed, check_whole
 from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.typing import Floats
 from pcs_racing_agents.policies.pareto import (
     Scale,
     contributions,
@@ -39,8 +40,6 @@ from pcs_racing_agents.policies.pareto import (
     non_dominated,
     uncrowded_improvement,
 )
-
-Floats = NDArray[np.float64]
 
 MIN_STEP = 1e-4  # share of the range of the parameters
 PATIENCE = 10  # generations

@@ -11,13 +11,10 @@ policies remain, they may be as far from each other as possible instead, in all 
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.policies.evaluate import summarise
 from pcs_racing_agents.policies.pareto import front_layers
-
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
 
 # A front
 

@@ -21,12 +21,12 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import yaml
 from annotated_types import Interval
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import write_atomically
 from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text, plain_settings
+from pcs_racing.base.typing import Floats
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig, load_race_config
@@ -46,8 +46,6 @@ from pcs_racing_agents.policies.evaluate import (
     summarise,
 )
 from pcs_racing_agents.policies.search import CubeCMAES
-
-Floats = NDArray[np.float64]
 
 CRASH_PRICE = 3.0
 """Lost races that an own crash beyond the limit is worth, besides the race that it loses."""

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 
-Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 
 CHANCE_TOLERANCE = 1e-9

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Indices
 from pcs_racing.game.players import Competitor, ask_moves, check_competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
@@ -25,8 +26,6 @@ from pcs_racing.race.config import DT
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.tournament.races import narrow
-
-Indices = NDArray[np.int64]
 
 CARS = ("ego", "opponent")
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.typing import Floats
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.tournament.races import (
     CRASHES,
@@ -34,7 +35,6 @@ MAX_TEXT = 300
 MAX_RACES = 2_000_000
 MAX_STEPS = 100_000_000
 
-Floats = NDArray[np.float64]
 CARS = ("ego", "opponent")
 _SEED = re.compile(r"0|[1-9][0-9]*")  # one text for each seed: no leading zeros
 _PATH = re.compile(r"([0-9]{1,6}(; [0-9]{1,6})*)?")

@@ -13,6 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.typing import Floats
+
 WINNERS = ("ego", "opponent", "none")
 """Labels of ``RaceTable.winner``; -1 indexes the last label."""
 CRASHES = ("none", "wall", "car")
@@ -20,7 +22,6 @@ FAULTS = ("none", "ego", "opponent", "both")
 
 BLOCK = 10_000  # number of rows converted together
 
-Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 

@@ -19,10 +19,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.races import RaceTable
-
-Floats = NDArray[np.float64]
 
 BATCH = 100  # number of bootstrap replicates fitted together
 ELO = 400.0 / np.log(10.0)

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_seed, check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
@@ -15,8 +16,6 @@ from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.trees.driving import drive_children, finish
 from pcs_racing_agents.trees.tree import PolicyPaths, RaceTree, check_size, policy_paths
-
-Indices = NDArray[np.int64]
 
 ATTEMPTS = 20  # same number as in RaceGame.reset
 NOISY_SEEDS = 4

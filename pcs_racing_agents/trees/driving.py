@@ -23,13 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import PLAN_EVERY
 from pcs_racing.race.driving import advance, default_threads
 from pcs_racing.race.state import RaceState, concatenate, empty_state, take
-
-Indices = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 CHUNK = 64
 """Races that a thread drives at a time: about 30 ms of work, and 1.2 kB of state per race."""

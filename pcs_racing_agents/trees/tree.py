@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.observation import encode_observation
-
-Indices = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 MAX_LEAVES = 10_000_000
 

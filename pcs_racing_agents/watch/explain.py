@@ -21,7 +21,7 @@ from pcs_racing_agents.agents.observing import earlier, lead, opponent
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
 
-Floats = NDArray[np.float64]
+
 
 
 class ExplainedDecision(NamedTuple):

@@ -4,14 +4,13 @@ from itertools import cycle
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import move_names, move_table
 from pcs_racing_agents.base.style import COLOURS, new_figure, picture, short, tidy
-
-Floats = NDArray[np.float64]
 
 
 def plane(archive: PolicyArchive) -> tuple[int, int]:

@@ -11,10 +11,11 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.packing import pack
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.race.replay import page_values, safe_json
@@ -29,8 +30,6 @@ from pcs_racing_agents.watch.view_server import Answer, error_answer
 PLAN_SKIP = 2  # every second plan is stored
 MAX_PAIRINGS = 64
 _RACE = re.compile(r"/race/([0-9]{1,7})")
-
-Floats = NDArray[np.float64]
 
 
 class RaceRepeater:

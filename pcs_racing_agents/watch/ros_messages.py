@@ -10,17 +10,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import require
 from pcs_racing.base.files import write_atomically
+from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.race.replay import Replay
 from pcs_racing.track.track import Track
-
-Floats = NDArray[np.float64]
 
 
 class RosMessage(NamedTuple):

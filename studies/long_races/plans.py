@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from typing import NamedTuple, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import WalkStrategy, walk_to
@@ -14,8 +14,6 @@ from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.observing import ObservationBatch, lead
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.fitting import TrainingRaces, evaluate
-
-Floats = NDArray[np.float64]
 
 EDGES = (5.0, 20.0)
 """Candidates for the lead at which a plan by the size of the lead changes its policy, m."""

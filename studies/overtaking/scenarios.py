@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import MapError
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.planner import Policy
@@ -52,8 +53,6 @@ MAX_SPEED = 20.0  # m/s
 MAX_GAP = 2.0  # m: spacing of a line's points
 MERGE = 8  # samples before and behind a narrow place, for a lane's transition
 PUBLISHED = ("End2Race, published", 0.942, 0.592)  # collision-free and overtaking; n = 2,400
-
-Floats = NDArray[np.float64]
 
 
 class Lines(NamedTuple):

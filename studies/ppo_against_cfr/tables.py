@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Floats
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.style import COLOURS, INK, new_figure, picture, save_picture, tidy
 from pcs_racing_agents.base.tables import with_interval
 from pcs_racing_agents.tournament.races import RaceTable
 from studies.ppo_against_cfr.races import CIRCUITS, CROSS_PLAY, LEVELS, OPPONENTS, Key, racers
 
-Floats = NDArray[np.float64]
 Labels = NDArray[np.str_]
 BASES = ("best-fixed", "cfr-argmax", "lattice")
 """Open loop, counterfactual regret and planner, for the differences."""

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.errors import MapError
+from pcs_racing.base.typing import Floats
 from pcs_racing.track.building.causes import find_gap
 from pcs_racing.track.building.curves import (
     MAX_LENGTH,
@@ -33,7 +34,6 @@ from pcs_racing.track.frenet import (
 from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid
 from pcs_racing.track.moving import LANES
 
-Floats = NDArray[np.float64]
 Grid = NDArray[np.bool_]
 
 LINE_SPACING = 0.1  # sample spacing of the race line, m

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import headings, lengths, sine_cosine
-
-Floats = NDArray[np.float64]
+from pcs_racing.base.typing import Floats
 
 # Five-point Gauss-Legendre rule on [0, 1], the same bits everywhere (numpy computes it by LAPACK):
 # exact for the arc length of near-cubic curves.
