@@ -18,6 +18,7 @@ from typing import Any
 from pcs_racing.base.settings import listed_settings
 from pcs_racing.envs.game_batch import GameOptions
 from pcs_racing.game.config import GameConfig
+from pcs_racing.game.observation import ObservationElement
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -39,6 +40,8 @@ NAMES = {
     "duel": '`gym.make("pcs_racing/Duel-v1")`',
     "drive": '`gym.make("pcs_racing/Drive-v1")`',
 }
+TABLES: dict[str, dict[str, Any]] = {"duel": {}, "drive": {"beams": 2}}
+"""Arguments of the environments whose pages list the elements of an observation."""
 COPIES = {
     "changelog": "CHANGELOG.md",
     "contributing": "CONTRIBUTING.md",
@@ -113,8 +116,29 @@ def environment_page(name: str) -> str:
     summary, _, rest = text.partition("\n")
     head = f"# {title}\n\n{summary}\n\n{NAMES[name]}; the class is `{module}.{class_name}`.\n"
     listed = ["Parameters", "----------", *_arguments(described.options_type)]
+    if name in TABLES:
+        table = element_table(described(**TABLES[name]).elements)
+        rest = rest.replace("\n## Rewards\n", f"\n{table}\n\n## Rewards\n", 1)
     before, mark, after = rest.partition("## Vectorized environment")
     return head + _to_markdown("\n".join([before, *listed, "", mark + after])) + "\n"
+
+
+def element_table(elements: Sequence[ObservationElement]) -> str:
+    """Return the table of the elements of an observation; # replaces the number in a name."""
+    rows: dict[tuple[str, ...], list[tuple[int, str]]] = {}
+    for index, one in enumerate(elements):
+        number = re.search(r"\d+", one.name)
+        name = re.sub(r"\d+", "#", one.name)
+        meaning = re.sub(rf"\b{number[0]}\b", "#", one.meaning, count=1) if number else one.meaning
+        row = (name, one.unit, f"{one.low:g}", f"{one.high:g}")
+        rows.setdefault(row, []).append((index, meaning))
+    lines = ["| index | name | unit | low | high | meaning |", "|---|---|---|---|---|---|"]
+    for row, found in rows.items():
+        place = str(found[0][0])
+        if len(found) > 1:
+            place += f" + {found[1][0] - found[0][0]} i".replace(" 1 i", " i")
+        lines.append(f"| {' | '.join([place, *row, found[0][1]])} |")
+    return "\n".join(lines)
 
 
 def _arguments(options: Any) -> list[str]:

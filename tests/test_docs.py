@@ -228,6 +228,13 @@ def test_environment_pages_have_all_headings_and_copied_pages_their_links(site, 
         assert "``" not in page.replace("```", "")
         assert ":class:" not in page
     assert "- `beams` (int): Beams of the lidar" in site.environment_page("drive")
+    for name, row in (
+        ("drive", "| 9 + 4 i | line speed # m ahead | m/s | 0 | 20 | speed of the race line # m"),
+        ("drive", "| 41 + i | beam # | m | 0 | 30 | range of beam #, counted counter-clockwise |"),
+        ("duel", "| 5 + 6 i | seen_# | 1 | 0 | 1 | 1 once step # is over; until then it and the"),
+        ("duel", "| 30 | step | 1 | 0 | 1 | share of the moves that have been made |"),
+    ):
+        assert f"\n{row}" in site.environment_page(name)
     for source in site.COPIES.values():
         for link in re.findall(r"\]\(([^)\s#]+)", site.copied_page(source)):
             if "://" not in link and link not in made:

@@ -398,14 +398,22 @@ class Handling(NamedTuple):
 @inner_kernel(forceinline=True)
 def handling(p):
     """Compute :class:`Handling` from a row of parameters."""
+    return handling_within(
+        p, p[STEER_MAX], p[STEER_RATE_MAX], p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH]
+    )
+
+
+@inner_kernel(forceinline=True)
+def handling_within(p, steer_max, steer_rate_max, v_min, v_max, a_max, v_switch):
+    """Compute :class:`Handling` from the first parameters of a row, up to `INERTIA`, and limits."""
     slip_gain = p[MU] / (p[LF] + p[LR])
     return Handling(
-        p[STEER_MAX],
-        p[STEER_RATE_MAX],
-        p[V_MIN],
-        p[V_MAX],
-        p[A_MAX],
-        p[V_SWITCH],
+        steer_max,
+        steer_rate_max,
+        v_min,
+        v_max,
+        a_max,
+        v_switch,
         p[LF],
         p[LR],
         p[C_SF] * GRAVITY * p[LR],

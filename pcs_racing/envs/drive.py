@@ -47,36 +47,11 @@ class DriveEnv(ScalarEnv):
 
     ## Observation Space
 
-    A flat ``Box`` of float32. ``env.unwrapped.elements`` holds the name, unit, bounds and meaning
-    of every element. Values are clipped to the bounds. With ``normalize=True`` the bounds are
-    mapped to -1 and 1. The default has 41 elements. Each lidar beam adds one, up to ``max_range``:
-
-    Here # is a distance of ``look_ahead`` (0, 1, 2, 4, 6 and 9 m) or the number of a beam:
-
-    | index | name | unit | low | high | meaning |
-    | --- | --- | --- | --- | --- | --- |
-    | 0 | speed | m/s | -5 | 20 | own speed |
-    | 1 | steering | rad | -0.4189 | 0.4189 | own steering angle, positive to the left |
-    | 2 | yaw rate | rad/s | -20 | 20 | own yaw rate |
-    | 3 | slip | rad | -3.14159 | 3.14159 | own slip angle: course minus heading |
-    | 4 | target steering | rad | -0.4189 | 0.4189 | steering of the last action |
-    | 5 | target speed | m/s | 0 | 20 | speed of the last action |
-    | 6 | offset | m | -10 | 10 | distance from the race line, positive to the left |
-    | 7 | heading error | rad | -3.14159 | 3.14159 | own heading minus heading of the race line |
-    | 8 + 4i | curvature # m ahead | 1/m | -5 | 5 | of the race line, positive to the left |
-    | 9 + 4i | line speed # m ahead | m/s | 0 | 20 | of the race line, at speed scale 1 |
-    | 10 + 4i | left # m ahead | m | 0 | 10 | free width left of the race line |
-    | 11 + 4i | right # m ahead | m | 0 | 10 | free width right of the race line |
-    | 32 | opponent | 1 | 0 | 1 | 1 if there is an opponent (in sight), else all nine are 0 |
-    | 33 | opponent gap | m | -30 | 30 | lead of the opponent along the line, the short way |
-    | 34 | opponent offset | m | -20 | 20 | offset of the opponent minus own offset |
-    | 35 | opponent x | m | -30 | 30 | position in the own car's frame, forward |
-    | 36 | opponent y | m | -30 | 30 | position in the own car's frame, to the left |
-    | 37 | opponent heading | rad | -3.14159 | 3.14159 | heading of the opponent minus own heading |
-    | 38 | opponent vx | m/s | -30 | 30 | velocity minus own velocity, forward in the own frame |
-    | 39 | opponent vy | m/s | -30 | 30 | velocity minus own velocity, to the left |
-    | 40 | lead | m | -1000 | 1000 | own progress minus progress of the opponent |
-    | 41 + i | beam # | m | 0 | 30 | range of a beam, counted counter-clockwise |
+    A flat ``Box`` of float32. ``env.unwrapped.elements`` is the table of its elements: name, unit,
+    bounds and meaning of each. Values are clipped to the bounds. With ``normalize=True`` the bounds
+    are mapped to -1 and 1. The default has 41 elements: 8 of the own car, 4 of the race line at
+    each of the 6 distances of ``look_ahead``, and 9 of the opponent. Each lidar beam adds one, up
+    to ``max_range``.
 
     The numbers are measurements of the car: its parameters (`vehicle`) may give its localization
     and its lidar errors, and let it see opponents late, or not for a while.

@@ -279,13 +279,13 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             Element("steering", "rad", -turn, turn, "own steering angle, positive to the left"),
             Element("yaw rate", "rad/s", -20.0, 20.0, "own yaw rate"),
             Element("slip", "rad", -pi, pi, "own slip angle: course minus heading"),
-            Element("target steering", "rad", -turn, turn, "what the last action asked for"),
+            Element("target steering", "rad", -turn, turn, "steering angle of the last action"),
             Element(
                 "target speed",
                 "m/s",
                 float(options.min_speed),
                 top,
-                "what the last action asked for",
+                "speed of the last action",
             ),
             Element(
                 "offset", "m", -10.0, 10.0, "distance from the race line, positive to the left"
@@ -324,42 +324,42 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
                 "1",
                 0.0,
                 1.0,
-                "1 if there is an opponent (in sight); else it and the next eight are 0",
+                "1 if there is an opponent (in sight), else all nine are 0",
             ),
             Element(
                 "opponent gap",
                 "m",
                 -30.0,
                 30.0,
-                "how far ahead the opponent is along the race line, the short way",
+                "lead of the opponent along the race line, the short way",
             ),
             Element(
                 "opponent offset",
                 "m",
                 -20.0,
                 20.0,
-                "its distance from the race line minus the own one",
+                "offset of the opponent minus own offset",
             ),
-            Element("opponent x", "m", -30.0, 30.0, "its position in the own car's frame, forward"),
+            Element("opponent x", "m", -30.0, 30.0, "position in the own car's frame, forward"),
+            Element("opponent y", "m", -30.0, 30.0, "position in the own car's frame, to the left"),
             Element(
-                "opponent y", "m", -30.0, 30.0, "its position in the own car's frame, to the left"
+                "opponent heading", "rad", -pi, pi, "opponent's heading minus own heading"
             ),
-            Element("opponent heading", "rad", -pi, pi, "its heading minus the own one"),
             Element(
                 "opponent vx",
                 "m/s",
                 -30.0,
                 30.0,
-                "its velocity minus the own one, forward in the own frame",
+                "velocity minus own velocity, forward in the own frame",
             ),
             Element(
                 "opponent vy",
                 "m/s",
                 -30.0,
                 30.0,
-                "its velocity minus the own one, to the left in the own frame",
+                "velocity minus own velocity, to the left in the own frame",
             ),
-            Element("lead", "m", -1000.0, 1000.0, "own progress minus the opponent's"),
+            Element("lead", "m", -1000.0, 1000.0, "own progress minus progress of the opponent"),
         ]
         # Of several opponents the nearest comes first.
         for k in range(max(1, cars - 1)):

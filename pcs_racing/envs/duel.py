@@ -77,21 +77,9 @@ class DuelEnv(OverGames, ScalarEnv):
     ## Observation Space
 
     ``Box(float32)`` with ``(moves + 1) (2 G + 2) + 1`` elements, 31 by default;
-    ``env.unwrapped.elements`` holds the name, unit, bounds and meaning of each element. In step 0
-    the players only watch; step ``k`` follows move ``k``. "Range" means that 0 is the archive's
-    min value and 1 its max value. Values beyond the bounds are clipped.
-
-    Here # is the step k:
-
-    | index | name | unit | low | high | meaning |
-    | --- | --- | --- | --- | --- | --- |
-    | 6k | own_aggressiveness_# | range | -1 | 2 | own policy's, in the archive |
-    | 6k + 1 | own_restraint_# | range | -1 | 2 | own policy's, in the archive |
-    | 6k + 2 | opponent_aggressiveness_# | range | -1 | 2 | measured in step k alone |
-    | 6k + 3 | opponent_restraint_# | range | -1 | 2 | measured in step k alone |
-    | 6k + 4 | lead_# | 20 m | -5 | 5 | own lead at the end of step k |
-    | 6k + 5 | seen_# | 1 | 0 | 1 | 1 after step k; before, all six are 0 |
-    | 30 | step | 1 | 0 | 1 | share of the moves that were made |
+    ``env.unwrapped.elements`` is the table of its elements: name, unit, bounds and meaning of each.
+    In step 0 the players only watch; step ``k`` follows move ``k``. "Range" means that 0 is the
+    archive's min value and 1 its max value. Values beyond the bounds are clipped.
 
     ## Rewards
 

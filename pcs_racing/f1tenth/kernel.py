@@ -17,29 +17,23 @@ from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
     BETA,
     DELTA,
-    GRAVITY,
+    INERTIA,
+    LF,
+    LR,
     PSI,
     PSI_DOT,
     STATE_SIZE,
-    Handling,
     V,
     X,
     Y,
     derivative,
+    handling_within,
 )
 from pcs_racing.track.frenet import TrackArrays, locate
 from pcs_racing.track.grid import cast
 
-# Columns of a car's parameters, in the gym's order.
+# Columns of a car's parameters, in the gym's order; the first are `MU` to `INERTIA` of our cars.
 (
-    MU,
-    C_SF,
-    C_SR,
-    LF,
-    LR,
-    H,
-    M,
-    INERTIA,
     S_MIN,
     S_MAX,
     SV_MIN,
@@ -50,7 +44,7 @@ from pcs_racing.track.grid import cast
     V_MAX,
     WIDTH,
     LENGTH,
-) = range(18)
+) = range(INERTIA + 1, INERTIA + 11)
 
 # Columns of a car: its state, its pose before a wall stopped it, the delayed steering, the index of
 # the car in contact (-1 for none), laps, its start, and its place on the race line.
@@ -179,23 +173,7 @@ def handling(p):
 
     Steering is limited elsewhere: its limits may differ by side.
     """
-    slip_gain = p[MU] / (p[LF] + p[LR])
-    return Handling(
-        np.inf,
-        np.inf,
-        p[V_MIN],
-        p[V_MAX],
-        p[A_MAX],
-        p[V_SWITCH],
-        p[LF],
-        p[LR],
-        p[C_SF] * GRAVITY * p[LR],
-        p[C_SF] * p[H],
-        p[C_SR] * GRAVITY * p[LF],
-        p[C_SR] * p[H],
-        slip_gain * p[M] / p[INERTIA],
-        slip_gain,
-    )
+    return handling_within(p, np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH])
 
 
 @kernel

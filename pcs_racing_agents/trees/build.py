@@ -11,13 +11,12 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.reward import reward
-from pcs_racing.game.rules import RaceGame
+from pcs_racing.game.rules import REDRAWS, RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.trees.driving import drive_children, finish
 from pcs_racing_agents.trees.tree import PolicyPaths, RaceTree, check_size, policy_paths
 
-ATTEMPTS = 20  # same number as in RaceGame.reset
 NOISY_SEEDS = 4
 
 
@@ -70,10 +69,10 @@ def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Gene
     # always crashes has a tree of crashes only.
     noisy = game.config.race.steering_noise > 0.0
     start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)
-    for _ in range(ATTEMPTS):
+    for _ in range(REDRAWS):
         start_s, side = float(rng.choice(game.start_lines)), int(rng.integers(2))
         kept = np.zeros(0, np.uint64)
-        for _ in range(ATTEMPTS if noisy else 1):
+        for _ in range(REDRAWS if noisy else 1):
             keys = rng.integers(2**64, size=seeds - len(kept), dtype=np.uint64)
             starts = Starts(np.full(len(keys), start_s), np.full(len(keys), side))
             crashed = game.reset(keys, policies=policies, starts=starts).race.crashed

@@ -207,18 +207,10 @@ HEADINGS = [
 
 @EVERY
 def test_the_class_documents_itself(kind):
-    """Its table has the elements of the default, of which it has as many as its page says."""
-    env, text = kind(), inspect.getdoc(kind)
+    """It has every heading, and says how many elements the default observation has."""
+    size, text = len(kind().elements), inspect.getdoc(kind)
     assert re.findall(r"^## (.*)$", text, re.MULTILINE) == HEADINGS
-    size = len(env.elements)
     assert f"{size} elements" in text or f"{size} by default" in text
-    table = re.findall(
-        r"^\| [^|]+ \| (.+?) \| (\S+(?: m)?) \| (\S+) \| (\S+) \| [^|]+ \|$", text, re.M
-    )
-    rows = dict(zip((row[0] for row in table), (row[1:] for row in table), strict=True))
-    for one in env.elements if kind in SINGLE else ():
-        name = one.name if one.name in rows else re.sub(r"\d+", "#", one.name)
-        assert rows[name] == (one.unit, f"{one.low:g}", f"{one.high:g}")
 
 
 @pytest.mark.parametrize("kind", PAIRS)
