@@ -12,13 +12,14 @@ import inspect
 import os
 import re
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.settings import listed_settings
+from pcs_racing.base.typing import ObservationElement
 from pcs_racing.envs.game_batch import GameOptions
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.observation import ObservationElement
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 

@@ -13,9 +13,7 @@ Examples
 import lazy_loader
 
 from pcs_racing.envs.registration import register_environments
-from pcs_racing.f1tenth import register_environments as register_old_environments
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 register_environments()
-register_old_environments()

@@ -92,7 +92,8 @@ def coarse_oval():
 
 
 def _stadium(resolution: float):
-    from pcs_racing.track.track import Calibration, build_track
+    from pcs_racing.track.building.tracks import build_track
+    from pcs_racing.track.track import Calibration
 
     straight, radius, half_width = 12.0, 4.0, 1.1
     quarter = np.linspace(0.0, np.pi, 40, endpoint=False)

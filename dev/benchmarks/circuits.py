@@ -25,7 +25,8 @@ from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.calibration import calibration_of
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.track.maps import find_map, find_shipped, list_tracks, parse_map, read_bytes
+from pcs_racing.track.map_files import parse_map
+from pcs_racing.track.maps import find_map, find_shipped, list_tracks, read_bytes
 from pcs_racing.track.track import Track
 
 EARLY = 2.0  # s

@@ -11,7 +11,8 @@ from pcs_racing import load_track
 from pcs_racing.race.config import PRESETS
 from pcs_racing.track.building.raceline import lap_time
 from pcs_racing.track.frenet import SPEED
-from pcs_racing.track.maps import list_tracks, read_map
+from pcs_racing.track.map_files import read_map
+from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
 
 ROOT = Path(__file__).resolve().parents[2]

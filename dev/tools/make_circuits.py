@@ -10,8 +10,8 @@ import sys
 from pathlib import Path
 
 from pcs_racing.base.errors import MapError
+from pcs_racing.track.map_files import read_map, write_map
 from pcs_racing.track.mapping.circuits import generate_map
-from pcs_racing.track.maps import read_map, write_map
 from pcs_racing.track.track import Track
 
 SETTINGS = ("seed", "style", "direction", "width", "length_range", "resolution")

@@ -20,6 +20,7 @@ from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.draws import Randomization, draw_vehicles
+from pcs_racing.envs.random_circuits import RandomCircuits, random_circuit
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SIGHT, SPEEDS
 from pcs_racing.planners.line_ppo import (
@@ -46,13 +47,12 @@ from pcs_racing.planners.line_ppo import (
 )
 from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.view import VIEW_SIZE
-from pcs_racing.race.calibration import hazard_scan
+from pcs_racing.race.calibrating import hazard_scan
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
 from pcs_racing.race.config import CONTEST, RaceConfig
 from pcs_racing.race.driving import pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup, start_lines
-from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
 from pcs_racing.race.start_grid import Starts, place_on_grid
 from pcs_racing.race.state import RaceState
 from pcs_racing.race.state import take as take_races

@@ -27,15 +27,6 @@ from pcs_racing.base.files import (
 MANIFEST = "manifest.yaml"
 
 
-def shipped_folder(package: Path, name: str) -> Path:
-    """Return the folder ``data/NAME`` of a package; in a checkout, tracks are in the top ``maps``.
-
-    The top folder also holds the drawings and the page of the tracks; readers look for them there.
-    """
-    inside = package / "data" / name
-    return inside if inside.is_dir() else package.parent / name
-
-
 @dataclass(frozen=True)
 class ManifestFormat:
     """Format of a YAML manifest, with its writer and reader."""

@@ -265,3 +265,12 @@ def _array(content: bytes) -> NDArray[Any]:
     if stream.read(1):
         raise InputError(f"more follows an array of type {array.dtype} and shape {array.shape}")
     return array
+
+
+def shipped_folder(package: Path, name: str) -> Path:
+    """Return the folder ``data/NAME`` of a package; in a checkout, tracks are in the top ``maps``.
+
+    The top folder also holds the drawings and the page of the tracks; readers look for them there.
+    """
+    inside = package / "data" / name
+    return inside if inside.is_dir() else package.parent / name

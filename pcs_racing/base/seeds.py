@@ -72,3 +72,14 @@ def normal_noise(seed, car, count):
 def uniform_noise(seed, car, count):
     """Draw a multiple of 2**-53 in [0, 1), uniformly, as a pure function of the arguments."""
     return float(_drawn_bits(seed, car, count) >> np.uint64(11)) * 2.0**-53
+
+
+def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
+    """Return five numbers of 64 random bits for each key, shape (B, 5).
+
+    They are a hash of the key by splitmix64 (Steele et al. 2014) and not a stream: a game is the
+    same in a batch of any size.
+    """
+    # Every attempt has its own numbers; no other attempt reads them.
+    counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
+    return np.asarray(scramble(scramble(keys)[:, None] + counters * GOLDEN))

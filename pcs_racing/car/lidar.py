@@ -14,12 +14,17 @@ from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Checked, Settings
 from pcs_racing.car.lidar_errors import EDGE
-from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_into
+from pcs_racing.car.lidar_kernel import (
+    FIELD_OF_VIEW,
+    MAX_BEAMS,
+    MAX_RANGE,
+    WORK_SHAPE,
+    Beams,
+    scan_into,
+)
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle
 from pcs_racing.track.frenet import locate
 from pcs_racing.track.track import Track
-
-MAX_BEAMS = 100_000
 
 
 @compiled
@@ -67,10 +72,6 @@ def _track(name: str, value: Any) -> Track:
             f"{name} is a {type(value).__name__}; it must be a Track, as load_track returns it"
         )
     return value
-
-
-FIELD_OF_VIEW, MAX_RANGE = Interval(ge=1e-6, le=2.0 * np.pi), Interval(ge=1e-3, le=1e6)
-"""Limits for the options of a lidar."""
 
 
 @dataclass(frozen=True, eq=False)

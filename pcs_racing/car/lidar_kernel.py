@@ -11,6 +11,7 @@ beams without a listed segment, are settled by following them through the cells 
 from typing import NamedTuple
 
 import numpy as np
+from annotated_types import Interval
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
@@ -39,6 +40,12 @@ _RECTANGLE = 16
 
 # Shape of the working memory of `scan_into`: longer lists of segments are drawn in parts.
 WORK_SHAPE = (4, 512)
+
+
+MAX_BEAMS = 100_000
+
+FIELD_OF_VIEW, MAX_RANGE = Interval(ge=1e-6, le=2.0 * np.pi), Interval(ge=1e-3, le=1e6)
+"""Limits of the options of a lidar."""
 
 
 class Beams(NamedTuple):

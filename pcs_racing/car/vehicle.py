@@ -372,6 +372,11 @@ _pacejka = attrgetter(*(field.name for field in fields(VehicleParams)[B_F : E_R 
 _measured = attrgetter(*(field.name for field in fields(VehicleParams)[LIDAR_X : HEADING_BIAS + 1]))
 
 
+def half_sizes(vehicles: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return half length and half width, m, from cars' parameter rows, shape (..., 48)."""
+    return 0.5 * np.asarray(vehicles)[..., [LENGTH, WIDTH]]
+
+
 class Handling(NamedTuple):
     """Coefficients of the equations of motion, computed from a car's parameters.
 

@@ -1,7 +1,6 @@
 from . import drive as drive
 from . import duel as duel
 from .batch import Step as Step
-from .circuits import RandomCircuits as RandomCircuits
 from .drive import DriveEnv as DriveEnv
 from .drive import DriveHeadToHeadEnv as DriveHeadToHeadEnv
 from .drive import DriveHeadToHeadVectorEnv as DriveHeadToHeadVectorEnv
@@ -13,6 +12,7 @@ from .duel import SelfPlayVectorEnv as SelfPlayVectorEnv
 from .infos import Result as Result
 from .obstacles import Obstacles as Obstacles
 from .on_car import PolicyOnCar as PolicyOnCar
+from .random_circuits import RandomCircuits as RandomCircuits
 from .registration import GYMNASIUM_IDS as GYMNASIUM_IDS
 from .registration import PETTINGZOO_IDS as PETTINGZOO_IDS
 from .registration import register_environments as register_environments

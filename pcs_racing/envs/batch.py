@@ -25,6 +25,7 @@ from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import CAR_CRASH, LAPS, RaceState, empty_state
 from pcs_racing.track.frenet import X, Y
+from pcs_racing.track.moving import BOX, MOTION
 
 Rows = NDArray[np.int64]
 """Indices of episodes, or a number for each episode."""
@@ -165,6 +166,31 @@ def poses_option(
     return poses
 
 
+def obstacles_option(
+    options: Mapping[str, Any], episodes: int
+) -> Sequence[NDArray[np.float64]] | None:
+    """Read the option "obstacles" of a reset, for all episodes or for each.
+
+    It holds boxes (x, y, heading, length, width), with speed and sway if they move. A width of 0
+    means a circle (:data:`pcs_racing.track.moving.BOX`, ``MOTION``).
+    """
+    given = options.get("obstacles")
+    if given is None:
+        return None
+    from pcs_racing.track.obstacles import obstacle_rows
+
+    if isinstance(given, list | tuple) and len(given) == 0:  # no second axis
+        return [obstacle_rows([])] * episodes
+    few, all_ = len(BOX), len(BOX) + len(MOTION)
+    shapes = [(*lead, None, n) for n in (few, all_) for lead in ((), (episodes,))]
+    meaning = (
+        f"boxes ({', '.join(BOX)}), with {' and '.join(MOTION)} if they move, of shape (K, {few})"
+        f" or ({episodes}, K, {few}), {all_} with motion"
+    )
+    boxes = read_numbers(options, "obstacles", shapes, meaning)
+    return [obstacle_rows(one) for one in np.broadcast_to(boxes, (episodes, *boxes.shape[-2:]))]
+
+
 def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
     """Return races with the cars at given poses, shape (B, N, 4).
 
@@ -264,3 +290,33 @@ def generator_of(name: str, state: Any) -> np.random.Generator:
     except (TypeError, ValueError, KeyError, OverflowError, AttributeError) as error:
         raise InputError(f"{name}, a random generator, can't be restored: {error}") from None
     return generator
+
+
+# Weights of the opponents in a draw.
+
+WEIGHTS = 1e-12, 1e12
+"""Min and max weight of an opponent in a draw."""
+
+
+def weights_of(opponents: Sequence[Any]) -> NDArray[np.float64]:
+    """Return the weights of the opponents, shape (max(1, n),)."""
+    return np.array([opponent.weight for opponent in opponents] or [1.0])
+
+
+def check_weights(given: Any, like: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return new weights of the opponents, as many as in ``like``."""
+    weights = as_array(given)
+    low, high = WEIGHTS
+    fits = weights.shape == like.shape and weights.dtype.kind in "iuf"
+    if not fits or not ((weights >= low) & (weights <= high)).all():
+        raise InputError(
+            f"the weights of the opponents are {given!r:.80}; they must be {len(like)} numbers"
+            f" from {low:g} to {high:g}, one for each opponent"
+        )
+    return weights.astype(np.float64)
+
+
+def draw_opponent(weights: NDArray[np.float64], generator: np.random.Generator) -> int:
+    """Draw the index of an opponent, given the weights of all opponents."""
+    edges = np.cumsum(weights) / weights.sum()
+    return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)

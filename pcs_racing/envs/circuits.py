@@ -2,18 +2,19 @@
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.seeds import random_bits
 from pcs_racing.envs.batch import MAX_STEPS, check_within
-from pcs_racing.game.starting import random_bits
-from pcs_racing.race.random_circuits import CircuitBuilder
-from pcs_racing.race.random_circuits import RandomCircuits as RandomCircuits
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:
+    from pcs_racing.envs.random_circuits import CircuitBuilder
 
 RANDOM = "random"
 
@@ -28,24 +29,16 @@ class Circuits:
 
     def __init__(self, source: Any, episodes: int) -> None:
         listed = source if isinstance(source, list | tuple) else [source]
-        named = isinstance(source, str) and source == RANDOM
-        random = (
-            RandomCircuits() if named else source if isinstance(source, RandomCircuits) else None
-        )
-        if random is None and not (
-            listed and all(isinstance(one, str | PathLike | Track) for one in listed)
-        ):
-            raise InputError(
-                f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a"
-                f" list of these, {RANDOM!r} or RandomCircuits"
-            )
+        random = isinstance(source, str) and source == RANDOM
+        known = listed and all(isinstance(one, str | PathLike | Track) for one in listed)
+        #: Builder of random tracks; None for given tracks.
+        self._builder = None if known and not random else _builder(source, episodes)
+        self._listed: list[Track] = [] if self._builder else [as_track(one) for one in listed]
         #: shape (episodes,), int: Number of each episode's track: its index in the list, or the
         #: number of the random track.
         self.number = np.zeros(episodes, np.int64)
         self._keys = np.zeros(episodes, np.uint64)
         self._past = np.full(episodes, -1)  # episodes since the key was drawn
-        self._builder = None if random is None else CircuitBuilder(random, episodes)
-        self._listed: list[Track] = [] if random is not None else [as_track(one) for one in listed]
 
     @property
     def several(self) -> bool:
@@ -114,6 +107,19 @@ class Circuits:
         """Stop building tracks."""
         if self._builder is not None:
             self._builder.close()
+
+
+def _builder(source: Any, episodes: int) -> "CircuitBuilder":
+    """Return the builder of the tracks of an argument that names no track."""
+    from pcs_racing.envs.random_circuits import CircuitBuilder, RandomCircuits
+
+    settings = RandomCircuits() if isinstance(source, str) else source
+    if not isinstance(settings, RandomCircuits):
+        raise InputError(
+            f"track is {source!r:.200}; it must be a circuit's name, its folder, a Track, a list of"
+            f" these, {RANDOM!r} or RandomCircuits"
+        )
+    return CircuitBuilder(settings, episodes)
 
 
 class _RandomNames(dict[int, str]):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -14,6 +14,7 @@ from pcs_racing.base.checks import all_finite
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.numba_parts import compiled_for
+from pcs_racing.car.vehicle import half_sizes
 from pcs_racing.envs.batch import (
     FREE,
     BatchStep,
@@ -22,10 +23,14 @@ from pcs_racing.envs.batch import (
     check_batch_size,
     check_part,
     check_races,
+    check_weights,
     check_within,
+    draw_opponent,
+    obstacles_option,
     place_poses,
     poses_option,
     start_option,
+    weights_of,
 )
 from pcs_racing.envs.drive_kernel import (
     Inputs,
@@ -58,21 +63,8 @@ from pcs_racing.envs.infos import (
     race_infos,
     race_results,
 )
-from pcs_racing.envs.obstacles import obstacles_option
-from pcs_racing.envs.opponents import (
-    MovingOpponents,
-    Opponent,
-    check_weights,
-    draw_opponent,
-    read_opponents,
-    weights_of,
-)
 from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import EpisodeRandomization
-from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.config import load_game_config
-from pcs_racing.game.rules import RaceGame
-from pcs_racing.planners.planner import Planner
 from pcs_racing.race.conditions import RaceConditions, Share, runs_of
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.driving import (
@@ -84,10 +76,15 @@ from pcs_racing.race.driving import (
 )
 from pcs_racing.race.kernel import WORK_SIZE
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
-from pcs_racing.race.rendering import Renderer, half_sizes
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import LAPS, RaceState, take
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:  # so that a car without opponents loads none of them
+    from pcs_racing.envs.opponents import MovingOpponents, Opponent
+    from pcs_racing.game.rules import RaceGame
+    from pcs_racing.planners.planner import Planner
+    from pcs_racing.race.rendering import Renderer
 
 US_OF_A_THREAD = 250.0  # min work of a thread in a step, us; less is not worth a handover
 TICK_US, SCAN_US, BEAM_US = 0.5, 2.5, 0.005  # approximate times of a tick, a scan and a beam
@@ -104,9 +101,9 @@ class DriveRules:
     players: int  #: Number of agents in each race; they steer the first cars.
     cars: int  #: Number of cars in each race.
     #: Opponents of each car without an agent; one is drawn for each episode.
-    rivals: tuple[list[Opponent], ...]
-    planners: tuple[tuple[Planner, ...], ...]  #: Planner of each opponent in ``rivals``.
-    game: RaceGame | None  #: Game of the opponents that make moves; None if there are none.
+    rivals: "tuple[list[Opponent], ...]"
+    planners: "tuple[tuple[Planner, ...], ...]"  #: Planner of each opponent in ``rivals``.
+    game: "RaceGame | None"  #: Game of the opponents that make moves; None if there are none.
     setup: RaceSetup  #: Rules, planners and cars, on the first track.
     elements: list[Any]  #: Elements of an observation.
     sight: Sight  #: Observation of the players; its ``ahead`` depends on the track.
@@ -114,7 +111,7 @@ class DriveRules:
     terms: RewardTerms  #: Terms of the reward.
 
     @property
-    def opponents(self) -> list[Opponent]:
+    def opponents(self) -> "list[Opponent]":
         """Opponents of the only car without an agent; with several such cars none is drawn."""
         return self.rivals[0] if len(self.rivals) == 1 else []
 
@@ -144,14 +141,22 @@ def drive_rules(
     changes = {name: value for name, value in changes.items() if value is not None}
     config = load_race_config(options.rules, **changes)
 
-    def make_game() -> RaceGame:
+    def make_game() -> "RaceGame":
+        from pcs_racing.game.archive_files import load_archive
+        from pcs_racing.game.config import load_game_config
+        from pcs_racing.game.rules import RaceGame
+
         rules = load_game_config(options.rules)
         return RaceGame(
             track, load_archive(options.archive), rules, vehicles=randomization.cars[:2]
         )
 
-    like = {"environment": "drive", **drive_arguments(options, cars)}
-    rivals = tuple(read_opponents(one, cache(make_game), like) for one in given)
+    rivals: tuple[list[Opponent], ...] = ()
+    if given:
+        from pcs_racing.envs.opponents import read_opponents
+
+        like = {"environment": "drive", **drive_arguments(options, cars)}
+        rivals = tuple(read_opponents(one, cache(make_game), like) for one in given)
     moving = any(not one.policies for several in rivals for one in several)
     if (cars > 2 and moving) or (len(rivals) > 1 and any(len(several) > 1 for several in rivals)):
         raise InputError(
@@ -191,6 +196,13 @@ def drive_rules(
         limits=options.limits,
         terms=_reward_terms(options),
     )
+
+
+def _move_opponents(races: int, game: "RaceGame") -> "MovingOpponents":
+    """Return the opponents that make moves in so many races."""
+    from pcs_racing.envs.opponents import MovingOpponents
+
+    return MovingOpponents(races, game)
 
 
 def _reward_terms(options: DriveOptions) -> RewardTerms:
@@ -293,7 +305,7 @@ class DriveBatch:
         self._several = len({id(one) for own in self.rules.planners for one in own}) > len(
             self.rules.planners
         )
-        self._moving = None if self.rules.game is None else MovingOpponents(races, self.rules.game)
+        self._moving = None if self.rules.game is None else _move_opponents(races, self.rules.game)
         self._rows = np.arange(races)
 
     def _hire(self, threads: int | None) -> None:
@@ -622,7 +634,7 @@ class DriveBatch:
         )
         return info | self.randomization.info(race, car)
 
-    def draw(self, renderer: Renderer, environment: int) -> NDArray[np.uint8] | None:
+    def draw(self, renderer: "Renderer", environment: int) -> NDArray[np.uint8] | None:
         """Draw the current state of a race."""
         race = environment // self.players
         cars = self.state.cars[race]

@@ -15,7 +15,6 @@ from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_moving, scan_walls
-from pcs_racing.game.reward import step_reward
 from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to, laps_driven
@@ -95,8 +94,20 @@ class Limits(NamedTuple):
 class RewardTerms(NamedTuple):
     """Terms of the reward, and the end of a race that it depends on."""
 
-    weights: tuple[float, float, float]  #: As in :func:`pcs_racing.game.reward.step_reward`.
+    weights: tuple[float, float, float]  #: As in :func:`step_reward`.
     decided: bool  #: Flag: the end of the time decides a race, and terminates it.
+
+
+@inner_kernel
+def step_reward(own, opponent, fault, weights):
+    """Return the reward of one step of driving.
+
+    It is the progress, minus a share of the opponent's progress, minus a penalty for a crash by own
+    fault. The weights are the reward for a metre, the share of the opponent's progress, and the
+    penalty.
+    """
+    per_metre, rivalry, penalty = weights
+    return per_metre * (own - rivalry * opponent) - (penalty if fault == 1 else 0.0)
 
 
 class Orders(NamedTuple):

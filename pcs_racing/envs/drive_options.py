@@ -5,8 +5,9 @@ observations.
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -15,16 +16,17 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import ANYTHING, Checked, OneOf
-from pcs_racing.car.lidar import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Lidar
-from pcs_racing.car.lidar_kernel import Beams
+from pcs_racing.base.typing import ObservationElement as Element
+from pcs_racing.car.lidar_kernel import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Beams
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.drive_kernel import Limits, Sight
 from pcs_racing.envs.randomization import EpisodeArguments, EpisodeOptions
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.observation import ObservationElement as Element
 from pcs_racing.race.config import DT, MAX_LAPS, RaceConfig
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:
+    from pcs_racing.game.archive import PolicyArchive
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
@@ -48,17 +50,19 @@ KEPT = (
 """Arguments of an environment that define a model's observations and actions."""
 
 
-def _source(kind: type) -> Checked:
-    """A name, a path or a value of a class."""
+def _source(name: str, value: Any, kind: type) -> Any:
+    """Return a name, a path or a value of a class."""
+    if not isinstance(value, str | Path | kind):
+        raise ConfigError(f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}")
+    return value
 
-    def check(name: str, value: Any) -> Any:
-        if not isinstance(value, str | Path | kind):
-            raise ConfigError(
-                f"{name} is {value!r}; it must be a name, a path or a {kind.__name__}"
-            )
+
+def _archive(name: str, value: Any) -> Any:
+    if isinstance(value, str | Path):  # no other value needs the class
         return value
+    from pcs_racing.game.archive import PolicyArchive
 
-    return Checked(check)
+    return _source(name, value, PolicyArchive)
 
 
 def _time_step(name: str, value: Any) -> float:
@@ -106,7 +110,7 @@ class DriveArguments(EpisodeArguments, total=False):
     crash_penalty: float
     win_reward: float
     start_lines: int
-    archive: str | Path | PolicyArchive
+    archive: "str | Path | PolicyArchive"
 
 
 class HeadToHeadArguments(DriveArguments, total=False):
@@ -123,9 +127,9 @@ Rival = Annotated[
     " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
     ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list,'
     " in which entries may be (weight, opponent), one is drawn for each episode and drives it to"
-    " its end; planners may differ. A :class:`pcs_racing.envs.league.League` is such a list. With"
-    " None there is none: the agent is alone on the track, and the elements of the second car are"
-    " 0. With two agents or more it takes the last one's place.",
+    " its end; planners may differ. A :class:`pcs_racing_agents.learning.league.League` is such a"
+    " list. With None there is none: the agent is alone on the track, and the elements of the"
+    " second car are 0. With two agents or more it takes the last one's place.",
 ]
 TimeStep = Annotated[
     float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."
@@ -148,7 +152,7 @@ class DriveOptions(EpisodeOptions):
     ] = None
     rules: Annotated[
         str | Path | RaceConfig,
-        _source(RaceConfig),
+        Checked(partial(_source, kind=RaceConfig)),
         'Rules of the race: "paper", "contest", a YAML file or a configuration.',
     ] = "paper"
     duration: Annotated[
@@ -214,8 +218,8 @@ class DriveOptions(EpisodeOptions):
     ] = 0.0
     start_lines: Annotated[int, ANYTHING, "Number of start lines to draw from."] = 100
     archive: Annotated[
-        str | Path | PolicyArchive,
-        _source(PolicyArchive),
+        Any,
+        Checked(_archive),
         "Archive of opponents that move between policies.",
     ] = "default"
 
@@ -342,9 +346,7 @@ def drive_elements(options: DriveOptions, cars: int = 2) -> list[Element]:
             ),
             Element("opponent x", "m", -30.0, 30.0, "position in the own car's frame, forward"),
             Element("opponent y", "m", -30.0, 30.0, "position in the own car's frame, to the left"),
-            Element(
-                "opponent heading", "rad", -pi, pi, "opponent's heading minus own heading"
-            ),
+            Element("opponent heading", "rad", -pi, pi, "opponent's heading minus own heading"),
             Element(
                 "opponent vx",
                 "m/s",
@@ -410,6 +412,8 @@ def make_sight(options: DriveOptions, cars: int, players: int, track: Track) -> 
     nothing.flags.writeable = False  # as a lidar's are: both have the same compiled type then
     beams = Beams(0.0, 1.0, float(options.max_range), nothing, nothing)
     if options.beams > 0:
+        from pcs_racing.car.lidar import Lidar
+
         beams = Lidar(track, options.beams, options.fov, options.max_range).kernel
     return Sight(
         players=players,

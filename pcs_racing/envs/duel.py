@@ -20,7 +20,7 @@ from pcs_racing.envs.over_batch import OverBatch
 from pcs_racing.envs.single import ParallelBatchEnv, ScalarEnv
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.rendering import MODES
+from pcs_racing.race.state import MODES
 
 FILM = "rgb_array_list"  # render mode where `render` returns all frames since its last call
 FILM_RATE = 25  # frames of a film for each second of racing

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import ANYTHING
+from pcs_racing.base.typing import ObservationElement
+from pcs_racing.car.vehicle import half_sizes
 from pcs_racing.envs.batch import (
     FREE,
     BatchStep,
@@ -20,8 +22,12 @@ from pcs_racing.envs.batch import (
     Rows,
     check_batch_size,
     check_part,
+    check_weights,
     check_within,
+    draw_opponent,
+    obstacles_option,
     start_option,
+    weights_of,
 )
 from pcs_racing.envs.infos import (
     Result,
@@ -31,16 +37,12 @@ from pcs_racing.envs.infos import (
     race_results,
     rows_of,
 )
-from pcs_racing.envs.obstacles import obstacles_option
 from pcs_racing.envs.opponents import (
     Opponent,
     check_games,
-    check_weights,
-    draw_opponent,
     read_opponents,
     replies,
     shared_planner,
-    weights_of,
 )
 from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import (
@@ -53,14 +55,13 @@ from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.game.identity import game_identity
 from pcs_racing.game.moves import check_moves
-from pcs_racing.game.observation import ObservationElement
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.config import DT, RaceConfig
 from pcs_racing.race.driving import advance
-from pcs_racing.race.rendering import Renderer, half_sizes
+from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import RaceState, empty_state, take
 from pcs_racing.track.track import Track

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from pcs_racing.base.checks import is_whole
 from pcs_racing.base.elementary import lengths
 from pcs_racing.base.settings import OneOf, Settings, load_settings, number_range
-from pcs_racing.envs.batch import read_numbers
 from pcs_racing.track.frenet import LEFT, RIGHT
-from pcs_racing.track.moving import LANES, make_lanes
-from pcs_racing.track.obstacles import BOX, MOTION, moving_rows, obstacle_rows
+from pcs_racing.track.moving import BOX, LANES, MOTION, make_lanes
+from pcs_racing.track.obstacles import moving_rows
 from pcs_racing.track.track import Track
 
 MAX_COUNT = 20
@@ -29,7 +28,7 @@ ACROSS = 0.2  # m: max distance between two checked places of a moving obstacle 
 class _Placed(NamedTuple):
     """An obstacle with its place in Frenet coordinates."""
 
-    row: NDArray[np.float64]  #: Numbers of :data:`pcs_racing.track.obstacles.BOX` and ``MOTION``.
+    row: NDArray[np.float64]  #: Numbers of :data:`pcs_racing.track.moving.BOX` and ``MOTION``.
     s: float
     d: float
     reach: float  #: Half diagonal, m: at any heading, a box stays within it.
@@ -200,26 +199,3 @@ def load_obstacles(
     if is_whole(source):
         return Obstacles(count=source)  # type: ignore[arg-type]
     return load_settings("obstacles", Obstacles(), source)  # type: ignore[arg-type]
-
-
-def obstacles_option(
-    options: Mapping[str, Any], episodes: int
-) -> Sequence[NDArray[np.float64]] | None:
-    """Read the option "obstacles" of a reset, for all episodes or for each.
-
-    It holds boxes (x, y, heading, length, width), with speed and sway if they move. A width of 0
-    means a circle (:data:`pcs_racing.track.obstacles.BOX`, ``MOTION``).
-    """
-    given = options.get("obstacles")
-    if isinstance(given, list | tuple) and len(given) == 0:  # no second axis
-        return [obstacle_rows([])] * episodes
-    few, all_ = len(BOX), len(BOX) + len(MOTION)
-    shapes = [(*lead, None, n) for n in (few, all_) for lead in ((), (episodes,))]
-    meaning = (
-        f"boxes ({', '.join(BOX)}), with {' and '.join(MOTION)} if they move, of shape (K, {few})"
-        f" or ({episodes}, K, {few}), {all_} with motion"
-    )
-    boxes = read_numbers(options, "obstacles", shapes, meaning)
-    if boxes is None:
-        return None
-    return [obstacle_rows(one) for one in np.broadcast_to(boxes, (episodes, *boxes.shape[-2:]))]

@@ -7,18 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.checks import as_array, check_number
+from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError
-from pcs_racing.envs.batch import FREE, Rows, check_part, check_races, check_within
+from pcs_racing.envs.batch import FREE, WEIGHTS, Rows, check_part, check_races, check_within
 from pcs_racing.game.players import Competitor, ask_moves, check_competitor, competitor
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.state import GameState
 from pcs_racing.planners.planner import Planner, Policy, PolicySet
 from pcs_racing.race.config import CONTROL_EVERY
 from pcs_racing.race.state import RaceState, empty_state, take
-
-WEIGHTS = 1e-12, 1e12
-"""Min and max weight of an opponent in a draw."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,30 +84,6 @@ def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np
         raise InputError(
             f"{name}.race.tick holds {games.race.tick[between][0]}; a game stops at an even number"
         )
-
-
-def weights_of(opponents: Sequence[Opponent]) -> NDArray[np.float64]:
-    """Return the weights of the opponents, shape (max(1, n),)."""
-    return np.array([opponent.weight for opponent in opponents] or [1.0])
-
-
-def check_weights(given: Any, like: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return new weights of the opponents, as many as in ``like``."""
-    weights = as_array(given)
-    low, high = WEIGHTS
-    fits = weights.shape == like.shape and weights.dtype.kind in "iuf"
-    if not fits or not ((weights >= low) & (weights <= high)).all():
-        raise InputError(
-            f"the weights of the opponents are {given!r:.80}; they must be {len(like)} numbers"
-            f" from {low:g} to {high:g}, one for each opponent"
-        )
-    return weights.astype(np.float64)
-
-
-def draw_opponent(weights: NDArray[np.float64], generator: np.random.Generator) -> int:
-    """Draw the index of an opponent, given the weights of all opponents."""
-    edges = np.cumsum(weights) / weights.sum()
-    return min(int(np.searchsorted(edges, generator.random(), "right")), len(edges) - 1)
 
 
 def shared_planner(opponents: list[Opponent], game: RaceGame) -> Planner:

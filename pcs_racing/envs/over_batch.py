@@ -17,15 +17,15 @@ from pcs_racing.base.errors import (
     choices,
     unknown_argument,
 )
-from pcs_racing.envs.batch import BatchStep, Generators, Step, check_reward
-from pcs_racing.envs.opponents import check_weights
+from pcs_racing.envs.batch import BatchStep, Generators, Step, check_reward, check_weights
 from pcs_racing.envs.randomization import EpisodeOptions
-from pcs_racing.race.rendering import MODES, Renderer, views
+from pcs_racing.race.state import MODES, views
 from pcs_racing.track.track import Track
 
 if TYPE_CHECKING:  # so that an environment imports its own batch alone
     from pcs_racing.envs.drive_batch import DriveBatch
     from pcs_racing.envs.game_batch import GameBatch
+    from pcs_racing.race.rendering import Renderer
 
 Batch = Union["DriveBatch", "GameBatch"]
 """Batch below an environment."""
@@ -45,7 +45,7 @@ class OverBatch:
     render_mode: str | None
     _own: dict[str, Any]  # arguments of the constructor that are no part of the configuration
     _spec: EnvSpec | None = None
-    _renderer: Renderer | None = None
+    _renderer: "Renderer | None" = None
 
     def _configure(self, arguments: Mapping[str, Any], **own: Any) -> None:
         """Make the batch from the arguments of the configuration; ``own`` are all others."""
@@ -190,7 +190,7 @@ class OverBatch:
 
     # Frames
 
-    def _open_renderer(self) -> Renderer:
+    def _open_renderer(self) -> "Renderer":
         """Return the renderer of the frames; it is made for the first frame."""
         if self.render_mode is None:
             raise InputError(
@@ -198,6 +198,8 @@ class OverBatch:
             )
         self._check_started()
         if self._renderer is None:
+            from pcs_racing.race.rendering import Renderer
+
             (width, height), fps = self.options.render_size, float(self.metadata["render_fps"])
             mode = "human" if self.render_mode == "human" else "rgb_array"
             self._renderer = Renderer(

@@ -30,12 +30,11 @@ from pcs_racing.envs.draws import (
     with_values,
 )
 from pcs_racing.envs.infos import own_first
-from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.race.conditions import RaceConditions, vehicle_rows
 from pcs_racing.race.driving import AS_THE_SETUP
 from pcs_racing.race.races import RaceSetup, queue_size, start_races
 from pcs_racing.race.start_grid import Starts, places_of_grid
-from pcs_racing.track.obstacles import BOX, MOTION, obstacle_rows, with_obstacles
+from pcs_racing.track.moving import BOX, MOTION
 from pcs_racing.track.track import Track
 
 
@@ -43,6 +42,14 @@ def _vehicles(_: str, value: Any) -> Any:
     return (
         tuple(map(load_vehicle, value)) if isinstance(value, list | tuple) else load_vehicle(value)
     )
+
+
+def _obstacles(_: str, value: Any) -> Any:
+    if value is None:  # so that episodes without obstacles load none
+        return None
+    from pcs_racing.envs.obstacles import load_obstacles
+
+    return load_obstacles(value)
 
 
 def _function(name: str, value: Any) -> Any:
@@ -73,7 +80,7 @@ class EpisodeOptions(Settings):
         ANYTHING,
         "Name of a shipped circuit, a map folder, or a track. Of a list one is drawn for each"
         ' episode; with "random" each episode is driven on a newly generated circuit, or as'
-        " :class:`pcs_racing.race.random_circuits.RandomCircuits` says.",
+        " :class:`pcs_racing.envs.random_circuits.RandomCircuits` says.",
     ] = "Tarnfjord"
     vehicle: Annotated[
         Any,
@@ -91,8 +98,8 @@ class EpisodeOptions(Settings):
         ' ``{"mu": [0.7, 1.1], "each": {"steer_lag": [0.0, 0.1]}}``.',
     ] = None
     obstacles: Annotated[
-        Obstacles | None,
-        Checked(lambda _, value: load_obstacles(value)),
+        Any,
+        Checked(_obstacles),
         "Boxes and circles that stand or move on the track, drawn for each episode: how many, or"
         " their settings (:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file."
         " The lidar sees them, a car that touches one has crashed as into a wall, and the lattice"
@@ -133,6 +140,15 @@ class EpisodeOptions(Settings):
         return cls(**arguments)
 
 
+NO_BOXES = np.empty((0, len(BOX) + len(MOTION)))
+
+
+def _with_obstacles(track: Track, boxes: NDArray[np.float64]) -> Track:
+    from pcs_racing.track.obstacles import with_obstacles
+
+    return with_obstacles(track, boxes)
+
+
 class EpisodeRandomization:
     """Tracks, obstacles and cars of a batch of episodes, with their random draws."""
 
@@ -156,9 +172,9 @@ class EpisodeRandomization:
             for name in self.ranges.names
         }
         self.obstacles = options.obstacles
-        #: Obstacles of each episode, shape (K, 7) (:data:`pcs_racing.track.obstacles.BOX` and
+        #: Obstacles of each episode, shape (K, 7) (:data:`pcs_racing.track.moving.BOX` and
         #: ``MOTION``).
-        self.boxes = [obstacle_rows([])] * episodes
+        self.boxes = [NO_BOXES] * episodes
         self._tracks: list[Track | None] = [None] * episodes  # tracks with obstacles
         self._blocked = False  # True from the first obstacle on
 
@@ -218,7 +234,7 @@ class EpisodeRandomization:
         if given is None and self.obstacles is None and not self._blocked:
             return
         for i, row in enumerate(rows):
-            self._stand(row, obstacle_rows([]))  # remove the old obstacles
+            self._stand(row, NO_BOXES)  # remove the old obstacles
             if given is not None:
                 self._stand(row, given[i])
             elif self.obstacles is not None:
@@ -226,11 +242,11 @@ class EpisodeRandomization:
 
     def _stand(self, row: int, boxes: NDArray[np.float64]) -> None:
         """Put these obstacles, and no others, on an episode's track."""
-        self._tracks[row], self.boxes[row] = None, obstacle_rows([])
+        self._tracks[row], self.boxes[row] = None, NO_BOXES
         if len(boxes):
             self._blocked = True
             self._tracks[row], self.boxes[row] = (
-                with_obstacles(self.track(row), boxes),
+                _with_obstacles(self.track(row), boxes),
                 np.array(boxes),
             )
 
@@ -325,7 +341,7 @@ class EpisodeRandomization:
                 np.empty((len(own) if np.ndim(own) else 0, len(BOX) + len(MOTION))),
             )
         return [
-            with_obstacles(track, own) if len(own) else track
+            _with_obstacles(track, own) if len(own) else track
             for track, own in zip(tracks, boxes, strict=True)
         ]
 

@@ -24,6 +24,12 @@ GYMNASIUM_IDS = {
 }
 """Entry points of each environment and its vector environment, by id."""
 
+F1TENTH_IDS = {
+    "f110-v0": "pcs_racing.f1tenth.env:GenerationA",
+    "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB",
+}
+"""Entry points of the environments of the F1TENTH gym, by id."""
+
 ARGUMENTS: dict[str, dict[str, Any]] = {
     "pcs_racing/Avoidance-v0": {
         "opponent": None,
@@ -49,6 +55,13 @@ def register_environments() -> None:
                 entry_point=single,
                 vector_entry_point=vector,
                 kwargs=ARGUMENTS.get(name, {}),
+            )
+    for name, entry in F1TENTH_IDS.items():
+        if name not in gymnasium.registry:
+            # Without wrappers: programs use attributes of the environment, and generation A returns
+            # four values.
+            gymnasium.register(
+                name, entry_point=entry, disable_env_checker=True, order_enforce=False
             )
     if not hasattr(pettingzoo, "register"):  # releases before 1.27 have no registry
         return

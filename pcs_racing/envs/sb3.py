@@ -17,11 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.envs.batch import FREE, check_part
+from pcs_racing.envs.batch import FREE, check_part, check_weights
 from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import rows_of
-from pcs_racing.envs.opponents import check_weights
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.track.track import Track
 

@@ -9,14 +9,6 @@ old names in this module.
 from importlib import import_module
 from typing import Any
 
-import gymnasium
-
-IDS = {
-    "f110-v0": "pcs_racing.f1tenth.env:GenerationA",
-    "f1tenth-v0": "pcs_racing.f1tenth.env:GenerationB",
-}
-"""Entry points of the environments, by name in Gymnasium."""
-
 _PLACES = {
     "env": (
         "F110Env GenerationA GenerationB Integrator deep_update DynamicModel IntegratorType"
@@ -32,19 +24,6 @@ _PLACES = {
     "observations": "observation_factory",
 }
 NAMES = {name: module for module, names in _PLACES.items() for name in names.split()}
-
-
-def register_environments() -> None:
-    """Register both environments for ``gymnasium.make``; leave registered names unchanged.
-
-    There is no wrapper: programs use attributes of the environment, and generation A returns four
-    values.
-    """
-    for name, entry in IDS.items():
-        if name not in gymnasium.registry:
-            gymnasium.register(
-                name, entry_point=entry, disable_env_checker=True, order_enforce=False
-            )
 
 
 def __getattr__(name: str) -> Any:

@@ -14,8 +14,15 @@ from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.base.files import MAX_YAML, read_limited
 from pcs_racing.f1tenth.kernel import MapGrid
 from pcs_racing.track.loading import load_track, with_walls
-from pcs_racing.track.map_files import parse_grid, parse_ros_yaml, parse_yaml, turned
-from pcs_racing.track.maps import MAX_BYTES, find_map, find_shipped, list_tracks
+from pcs_racing.track.map_files import parse_grid, turned
+from pcs_racing.track.maps import (
+    MAX_BYTES,
+    find_map,
+    find_shipped,
+    list_tracks,
+    parse_ros_yaml,
+    parse_yaml,
+)
 from pcs_racing.track.track import Track
 
 FREE_ABOVE = 128  # grey level

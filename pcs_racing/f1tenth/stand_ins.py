@@ -137,7 +137,6 @@ def install() -> None:
     - Stable-Baselines3: it adapts environments of gym when it is imported
     - worker processes of the program: they are changed in the same way
     """
-    f1tenth.register_environments()
     for name, values in _contents().items():
         _add_module(name, values)
     sys.meta_path[:0] = [old_gym.Adapter(), _Refuser()]

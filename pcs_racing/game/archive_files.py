@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, shipped_folder
+from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.files import unpack_arrays
+from pcs_racing.base.files import shipped_folder, unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner
 

@@ -1,12 +1,11 @@
 """Observations of a game: name, unit, bounds, meaning and value of each number."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.typing import Floats, Indices
+from pcs_racing.base.typing import Floats, Indices, ObservationElement
 from pcs_racing.game.characteristics import Characteristic
 
 LOW, HIGH = -1.0, 2.0
@@ -14,16 +13,6 @@ LOW, HIGH = -1.0, 2.0
 LEAD_SCALE = 20.0
 """Lead that players observe as 1, m."""
 LEAD_BOUND = 5.0
-
-
-class ObservationElement(NamedTuple):
-    """One number of an observation, for spaces and documentation."""
-
-    name: str
-    unit: str
-    low: float  #: Min value, inclusive.
-    high: float  #: Max value, inclusive.
-    meaning: str
 
 
 def observation_elements(

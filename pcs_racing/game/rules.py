@@ -30,7 +30,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.typing import Floats, Indices
+from pcs_racing.base.seeds import random_bits
+from pcs_racing.base.typing import Floats, Indices, ObservationElement
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
@@ -39,7 +40,6 @@ from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move
 from pcs_racing.game.observation import (
     HIGH,
     LOW,
-    ObservationElement,
     encode_observation,
     observation_elements,
 )
@@ -49,7 +49,6 @@ from pcs_racing.game.starting import (
     check_policies,
     game_keys,
     planner_parameters,
-    random_bits,
 )
 from pcs_racing.game.state import GameState, put_games
 from pcs_racing.planners.planner import Planner, Policy

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import as_array, check_whole, check_whole_array
 from pcs_racing.base.errors import InputError
-from pcs_racing.base.seeds import GOLDEN, race_seeds, scramble
+from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
@@ -94,14 +94,3 @@ def planner_parameters(
         if driver is not None:
             theta[i, : len(driver.parameters)] = driver.parameters
     return np.array([driver is not None for driver in given], np.bool_).reshape(games), theta
-
-
-def random_bits(keys: NDArray[np.uint64], attempt: int) -> NDArray[np.uint64]:
-    """Return five numbers of 64 random bits for each key, shape (B, 5).
-
-    They are a hash of the key by splitmix64 (Steele et al. 2014) and not a stream: a game is the
-    same in a batch of any size.
-    """
-    # Every attempt has its own numbers; no other attempt reads them.
-    counters = np.arange(5, dtype=np.uint64) + np.uint64(5 * attempt + 1)
-    return np.asarray(scramble(scramble(keys)[:, None] + counters * GOLDEN))

@@ -48,7 +48,7 @@ from pcs_racing.planners.pursuit import BRAKING as MAX_BRAKING
 from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, offset
+from pcs_racing.track.frenet import LATERAL_OF_PROFILE, angle_between, offset
 
 ACROSS = 8
 DISTANCES = 2
@@ -76,7 +76,6 @@ TOUCH = 0.06  # m; a move that comes closer to a wall is rejected
 WALL_AIR = 0.3  # m to keep from a wall on the way, unless the race line itself comes closer
 WALL_COST = 300.0  # cost per missing m of air
 
-LATERAL_OF_PROFILE = 5.0  # m/s^2 of lateral acceleration in the race line's bends at speed scale 1
 GRIP = 5.3  # m/s^2 allowed to a move up to speed scale 1; above, times the scale squared
 STRAIN = 0.5  # cost per m/s^2 beyond the grip
 SPIN_BEYOND = 1.0  # m/s^2 beyond the grip; above it a move is rejected

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.calling import control_address, plan_address
-from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, hold_command, leave_path
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, held_command, leave_path
 
 
 @dataclass(frozen=True)
@@ -190,11 +190,6 @@ class Planner:
         if isinstance(parameters, Mapping):
             vector = self._vector(parameters)
         return Policy(self, vector, name or self.name)
-
-
-def held_command() -> tuple[Any, Any]:
-    """Return the addresses of plan and control for a car whose memory begins with its command."""
-    return plan_address(leave_path), control_address(hold_command)
 
 
 @dataclass(frozen=True, eq=False)

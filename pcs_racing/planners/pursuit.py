@@ -3,11 +3,14 @@
 They are parts of many planners.
 """
 
+from typing import Any
+
 import numpy as np
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent, sine_cosine
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.calling import control_address, plan_address
 
 COMMAND_SLOTS = 2  # size of the memory of :func:`hold_command`: steering angle and speed
 
@@ -142,3 +145,8 @@ def follow_path(track, theta, view, memory, scratch, path, command):
     speed, acceleration = calm_speed(v, speed)
     command[0] = pursuit_steering(view, goal_x, goal_y, kappa, acceleration)
     command[1] = speed
+
+
+def held_command() -> tuple[Any, Any]:
+    """Return the addresses of plan and control for a car whose memory begins with its command."""
+    return plan_address(leave_path), control_address(hold_command)

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from pcs_racing.base.artifacts import ArtifactFormat, shipped_folder
+from pcs_racing.base.artifacts import ArtifactFormat
+from pcs_racing.base.files import shipped_folder
 
 PLANNER_FORMAT = ArtifactFormat(
     "planner",

@@ -5,16 +5,19 @@ the track.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.car.vehicle import PARAMS_SIZE, VehicleParams
-from pcs_racing.planners.planner import Planner
 from pcs_racing.track.track import Track
 
-Share = list[tuple[Planner | None, NDArray[np.int64]]]
+if TYPE_CHECKING:
+    from pcs_racing.planners.planner import Planner
+
+Share: TypeAlias = "list[tuple[Planner | None, NDArray[np.int64]]]"
 """Planners of a car, each with the indices of its races; None for a steered car."""
 
 
@@ -51,7 +54,7 @@ class RaceConditions:
             )
         return self.vehicles
 
-    def shares(self, planners: Sequence[Planner | None], races: int) -> list[Share]:
+    def shares(self, planners: "Sequence[Planner | None]", races: int) -> list[Share]:
         """Return the planners of each car with their races; by default the setup's ``planners``."""
         if self.planners is None:
             return [[(planner, np.arange(races))] for planner in planners]

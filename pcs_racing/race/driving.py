@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.numba_parts import config as numba_config
 from pcs_racing.car.lanes import LANES
 from pcs_racing.car.vehicle import SPEED_DELAY, SPEED_NOISE, STEER_DELAY, VehicleParams
-from pcs_racing.planners.planner import Planner, Policy, held_command
-from pcs_racing.planners.pursuit import COMMAND_SLOTS
+from pcs_racing.planners.pursuit import COMMAND_SLOTS, held_command
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions, Share
 from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, RaceConfig
@@ -24,6 +23,9 @@ from pcs_racing.race.state import RaceState
 from pcs_racing.race.steering import disturbed_speed
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:
+    from pcs_racing.planners.planner import Planner, Policy
 
 
 class Field(Protocol):
@@ -38,7 +40,7 @@ class Field(Protocol):
         """Numbers that the compiled loop needs."""
 
     @property
-    def car_planners(self) -> tuple[Planner | None, ...]:
+    def car_planners(self) -> "tuple[Planner | None, ...]":
         """Planner of each car; None for a car that is steered from outside."""
 
     @property
@@ -51,7 +53,7 @@ class BareField(NamedTuple):
 
     track: Track
     settings: KernelSettings
-    car_planners: tuple[Planner | None, ...]
+    car_planners: "tuple[Planner | None, ...]"
     vehicles: tuple[VehicleParams, ...]
 
 
@@ -83,7 +85,7 @@ def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> Ker
     )
 
 
-def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]:
+def pad_parameters(policies: "Sequence[Policy]", size: int) -> NDArray[np.float64]:
     """Stack the parameter vectors of policies, padded with zeros, shape (len(policies), size)."""
     theta = np.zeros((len(policies), size))
     for i, policy in enumerate(policies):
@@ -91,12 +93,12 @@ def pad_parameters(policies: Sequence[Policy], size: int) -> NDArray[np.float64]
     return theta
 
 
-def largest_theta(planners: Sequence[Planner | None]) -> int:
+def largest_theta(planners: "Sequence[Planner | None]") -> int:
     """Return the maximum length of the planners' parameter vectors, at least 1."""
     return max([1, *(len(planner.parameters) for planner in planners if planner is not None)])
 
 
-def largest_scratch(planners: Sequence[Planner | None]) -> int:
+def largest_scratch(planners: "Sequence[Planner | None]") -> int:
     """Return the maximum size of the planners' scratch buffers, at least 1."""
     return max([1, *(planner.scratch_size for planner in planners if planner is not None)])
 
@@ -174,7 +176,7 @@ def advance(
         ticks -= due
 
 
-def _planners_of(shares: Sequence[Share]) -> list[Planner | None]:
+def _planners_of(shares: Sequence[Share]) -> "list[Planner | None]":
     return [planner for share in shares for planner, _ in share]
 
 

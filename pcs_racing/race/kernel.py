@@ -24,7 +24,6 @@ from pcs_racing.car.lanes import (
 )
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.calling import call_control, call_plan
-from pcs_racing.planners.lattice import LATERAL_OF_PROFILE
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.race import state as _state
 from pcs_racing.race.config import CONTROL_EVERY, DT, ITTC_EVERY, PLAN_EVERY
@@ -46,6 +45,7 @@ from pcs_racing.race.sensing import (
 from pcs_racing.race.steering import delayed, disturbed_speed, steering_sd
 from pcs_racing.track.frenet import (
     COS,
+    LATERAL_OF_PROFILE,
     SIN,
     SPEED,
     WALLS_BEGIN,

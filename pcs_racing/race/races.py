@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,19 +20,25 @@ from pcs_racing.car.vehicle import (
     VehicleParams,
     load_vehicles,
 )
-from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
-from pcs_racing.planners.racers import policy_racer
 from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import DT, PAPER, RaceConfig, load_race_config
 from pcs_racing.race.driving import advance, kernel_settings, largest_theta, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.sensing import history_size
-from pcs_racing.race.start_grid import Starts, place_on_grid, places_of_grid
-from pcs_racing.race.start_places import places_of, split_places
+from pcs_racing.race.start_grid import (
+    Starts,
+    place_on_grid,
+    places_of,
+    places_of_grid,
+    split_places,
+)
 from pcs_racing.race.state import MAX_CARS, NO_CRASH, RaceState, concatenate, empty_state, take
 from pcs_racing.track.track import Track
+
+if TYPE_CHECKING:
+    from pcs_racing.planners.planner import Planner, Policy
 
 TIE_WITHIN = 0.01  # m of lead
 
@@ -46,7 +52,7 @@ class RaceSetup:
 
     track: Track
     config: RaceConfig
-    planners: tuple[Planner, ...]  #: Planner of each car that is not steered, in order.
+    planners: "tuple[Planner, ...]"  #: Planner of each car that is not steered, in order.
     vehicles: tuple[VehicleParams, ...] = ()  #: Vehicle of each car; F1TENTH's if empty.
     #: Car with the max of each delay of the cars in races with their own cars
     #: (:class:`RaceConditions`).
@@ -56,7 +62,7 @@ class RaceSetup:
     steered: int = 0
     #: Planners of races with their own planners (:class:`RaceConditions`): the state of a race has
     #: room for their memory and parameters.
-    substitutes: tuple[Planner, ...] = ()
+    substitutes: "tuple[Planner, ...]" = ()
 
     def __post_init__(self) -> None:
         cars = self.steered + len(self.planners)
@@ -68,7 +74,7 @@ class RaceSetup:
         object.__setattr__(self, "vehicles", self.vehicles or (F1TENTH,) * cars)
 
     @property
-    def car_planners(self) -> tuple[Planner | None, ...]:
+    def car_planners(self) -> "tuple[Planner | None, ...]":
         """Planner of each car; None for a car that is steered from outside."""
         return (None,) * self.steered + self.planners
 
@@ -121,7 +127,7 @@ def start_lines(
     """Return the arc lengths (m) of ``config.start_lines`` valid start lines, in random order.
 
     Training games start from other places than test races
-    (:func:`pcs_racing.race.start_places.split_places`). Lines repeat if the track has fewer places.
+    (:func:`pcs_racing.race.start_grid.split_places`). Lines repeat if the track has fewer places.
     """
     rng = np.random.default_rng(seed)
     known = starts_for(track, config)
@@ -345,14 +351,15 @@ def run_races(
     threads : int, optional
         Number of threads that share the races; all cores by default. It does not change the result.
     """
-    counts = [len(one) for one in (egos, opponents) if _is_list(one)]
+    both = [_policies(one) for one in (egos, opponents)]
+    counts = [len(one) for one in both if isinstance(one, list)]
     if len(set(counts)) > 1:
         raise InputError(
             f"there are {counts[0]} egos but {counts[1]} opponents; give one opponent for each ego"
         )
     return run_field(
         track,
-        (egos, opponents),
+        both,
         rules,
         seed=seed,
         starts=starts,
@@ -379,13 +386,13 @@ def run_field(
     config = rules_on(track, rules)
     vehicles = load_vehicles(vehicle, len(drivers))
     policies = [_policies(one) for one in drivers]
-    given = [len(one) for one in policies if not isinstance(one, Policy)]
+    given = [len(one) for one in policies if isinstance(one, list)]
     races = given[0] if given else 1 if starts is None else len(starts)
     if any(number != races for number in given):
         raise InputError(
             f"cars have {given} drivers; give each car one driver, or one for each race"
         )
-    cars = [[one] * races if isinstance(one, Policy) else list(one) for one in policies]
+    cars = [one if isinstance(one, list) else [one] * races for one in policies]
     if starts is None:
         starts = draw_starts(track, config, races, seed, cars=len(cars))
     if len(starts) != races:
@@ -419,14 +426,11 @@ def run_field(
     return RaceResult(config, take(concatenate(joined), order), starts)
 
 
-def _is_list(given: Drivers) -> bool:
-    """Return whether drivers are a list of a racer for each race."""
-    return isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
-
-
-def _policies(given: Drivers) -> Policy | list[Policy]:
+def _policies(given: Drivers) -> "Policy | list[Policy]":
     """Return the policy of all races, or a list of one policy per race."""
-    if not _is_list(given):
+    from pcs_racing.planners.racers import policy_racer
+
+    if isinstance(given, str) or not isinstance(given, Sequence | np.ndarray):
         return policy_racer(given)
     # One policy for one object: races of the same planner run together.
     known = {id(one): policy_racer(one) for one in {id(one): one for one in given}.values()}

@@ -14,7 +14,6 @@ from PIL import Image, ImageDraw, ImageFont
 from pcs_racing.base.checks import check_choice, check_whole
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.packing import join_segments
-from pcs_racing.car.vehicle import LENGTH, WIDTH
 from pcs_racing.race.painting import (
     COLOURS,
     FINER,
@@ -28,20 +27,12 @@ from pcs_racing.race.painting import (
     paint_trails,
 )
 from pcs_racing.race.replay import Replay
-from pcs_racing.race.state import MAX_CARS
+from pcs_racing.race.state import MAX_CARS, MODES, views
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.moving import moving_outlines
 
 if TYPE_CHECKING:
     from pcs_racing.track.track import Track
-
-MODES = ("rgb_array", "human")
-
-
-def views(cars: int) -> tuple[str, ...]:
-    """Return the possible views of a race of ``cars`` cars."""
-    return ("track", "both", *(f"car_{car}" for car in range(max(2, cars))))
-
 
 _CLOSE = 9.0  # m across the smaller side of the frame in a view that follows a car
 _MIN_CLOSE = 32.0  # min pixels per metre in such a view
@@ -266,11 +257,6 @@ class Window:
         if self._surface is not None:
             self._pygame.display.quit()
             self._surface = None
-
-
-def half_sizes(vehicles: np.ndarray) -> np.ndarray:
-    """Return half length and half width, m, from cars' parameter rows, shape (..., 48)."""
-    return 0.5 * np.asarray(vehicles)[..., [LENGTH, WIDTH]]
 
 
 def _scene(

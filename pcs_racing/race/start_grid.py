@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
@@ -16,7 +17,13 @@ from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.track import Track
 
 ROW = 2.0  # m between rows of two cars
+PLACE_EVERY = 0.5  # m between tried start places
+BLOCK = 1.0  # m: length of the stretches that alternate between training and test
 CLEAR = 0.4  # m: min distance between the middle of a car and a wall, from the third car on
+
+
+Stretches = tuple[tuple[float, float], ...]
+"""First and last start place of each run of valid places, arc lengths, m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,3 +120,34 @@ def settle(
     for on, first, last in conditions.runs(track, state.races):
         part = RaceState._make(array[first:last] for array in state)
         place_cars(on.arrays, part, cars[first:last])
+
+
+def stretches_of(fit: NDArray[np.bool_]) -> Stretches:
+    """Return the first and the last place of every run of valid places."""
+    edges = np.diff(np.concatenate([[False], fit, [False]]).astype(np.int8))
+    firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+    return tuple(
+        (round(first * PLACE_EVERY, 3), round(last * PLACE_EVERY, 3))
+        for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True)
+    )
+
+
+def places_of(stretches: Stretches) -> Floats:
+    """Return all places of some stretches, m, ascending."""
+    return np.concatenate(
+        [np.arange(first, last + 0.5 * PLACE_EVERY, PLACE_EVERY) for first, last in stretches]
+    )
+
+
+def split_places(places: Floats, split: str) -> Floats:
+    """Return the places for training or for tests; every second block of 1 m is for training.
+
+    If less than a quarter of the places lie in blocks of one kind, every second place is for
+    training instead.
+    """
+    if split not in ("train", "test"):
+        raise InputError(f"split is {split!r}; it must be 'train' or 'test'")
+    training = (places / BLOCK).astype(np.int64) % 2 == 1
+    if min(np.count_nonzero(training), np.count_nonzero(~training)) < len(places) // 4:
+        training = np.arange(len(places)) % 2 == 1
+    return places[training if split == "train" else ~training]

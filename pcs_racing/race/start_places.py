@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats
@@ -25,14 +24,19 @@ from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import BareField, advance
 from pcs_racing.race.kernel import KernelSettings
-from pcs_racing.race.start_grid import Starts, place_on_grid
+from pcs_racing.race.start_grid import (
+    PLACE_EVERY,
+    Starts,
+    Stretches,
+    place_on_grid,
+    places_of,
+    stretches_of,
+)
 from pcs_racing.race.state import RaceState
 from pcs_racing.track.track import Track
 
-Stretches = tuple[tuple[float, float], ...]
 Places = dict[str, Stretches]
 
-PLACE_EVERY = 0.5  # m between tried places
 FIRST_SECONDS = 2.5  # s; a race that is over by then was decided by its start
 PACES = (
     (0.5, 0.5),
@@ -55,7 +59,6 @@ BALANCE_PLACES, BALANCE_PAIRS = 30, 8  # max places and pairs of paces for the g
 CRASH_PAIRS = 1500  # pairs of policies whose crashes are counted, in two races each
 MIN_PLACES = 8  # min number of places for a spacing
 NEIGHBOURS = 1  # places before and after a place that are averaged with it
-BLOCK = 1.0  # m: length of the stretches that alternate between training and test
 BATCH = 64  # places driven at once
 
 
@@ -255,34 +258,3 @@ def _left_share(left: float, right: float) -> float:
     if left * right >= 0.0:
         return 1.0 if abs(left) < abs(right) else 0.0 if abs(right) < abs(left) else 0.5
     return round(abs(right) / (abs(left) + abs(right)), 2)
-
-
-def stretches_of(fit: NDArray[np.bool_]) -> Stretches:
-    """Return the first and the last place of every run of valid places."""
-    edges = np.diff(np.concatenate([[False], fit, [False]]).astype(np.int8))
-    firsts, lasts = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-    return tuple(
-        (round(first * PLACE_EVERY, 3), round(last * PLACE_EVERY, 3))
-        for first, last in zip(firsts.tolist(), lasts.tolist(), strict=True)
-    )
-
-
-def places_of(stretches: Stretches) -> Floats:
-    """Return all places of some stretches, m, ascending."""
-    return np.concatenate(
-        [np.arange(first, last + 0.5 * PLACE_EVERY, PLACE_EVERY) for first, last in stretches]
-    )
-
-
-def split_places(places: Floats, split: str) -> Floats:
-    """Return the places for training or for tests; every second block of 1 m is for training.
-
-    If less than a quarter of the places lie in blocks of one kind, every second place is for
-    training instead.
-    """
-    if split not in ("train", "test"):
-        raise InputError(f"split is {split!r}; it must be 'train' or 'test'")
-    training = (places / BLOCK).astype(np.int64) % 2 == 1
-    if min(np.count_nonzero(training), np.count_nonzero(~training)) < len(places) // 4:
-        training = np.arange(len(places)) % 2 == 1
-    return places[training if split == "train" else ~training]

@@ -36,6 +36,14 @@ NO_CRASH, WALL_CRASH, CAR_CRASH = range(3)
 
 MAX_CARS = 8
 
+MODES = ("rgb_array", "human")
+"""Modes of pictures of a race: arrays, or a window."""
+
+
+def views(cars: int) -> tuple[str, ...]:
+    """Return the possible views of a race of ``cars`` cars."""
+    return ("track", "both", *(f"car_{car}" for car in range(max(2, cars))))
+
 
 class RaceState(NamedTuple):
     """State of a batch of B races of N cars at one moment: plain arrays, race axis first.

@@ -10,10 +10,16 @@ from typing import NamedTuple
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.typing import Floats
 
 # Columns of ``TrackArrays.line``.
 X, Y, COS, SIN, PSI, KAPPA, SPEED, RIGHT, LEFT = range(9)
 LINE_COLUMNS = ("x", "y", "cos", "sin", "psi", "kappa", "speed", "right", "left")
+
+LATERAL_OF_PROFILE = 5.0
+"""Max lateral acceleration of the race line's speeds, m/s^2."""
+TOGETHER = 16
+"""Divisor of the lengths of corner lists, for full processor vectors."""
 
 
 class TrackArrays(NamedTuple):
@@ -324,3 +330,19 @@ def wall_distance(track, x, y):
     u = (x - track.origin_x) / track.cell - 0.5
     v = (y - track.origin_y) / track.cell - 0.5
     return interpolate(track.distance, u, v)
+
+
+def corners_along(segments: Floats) -> Floats:
+    """Return the corners of segments, shape (K, 4), in order, with NaN between separate segments.
+
+    The shape is (C, 2); meeting segments share a corner. NaN at the end pads C to a multiple of
+    :data:`TOGETHER`.
+    """
+    if not len(segments):
+        return np.empty((0, 2))
+    meets = (segments[:-1, 2:] == segments[1:, :2]).all(axis=1)
+    ends = np.flatnonzero(~np.append(meets, False))
+    gaps = np.full((2 * len(ends), 2), np.nan)
+    gaps[::2] = segments[ends, 2:]
+    points = np.insert(segments[:, :2], np.repeat(ends + 1, 2), gaps, axis=0)
+    return np.concatenate([points, np.full((-len(points) % TOGETHER, 2), np.nan)])

@@ -211,3 +211,9 @@ def way_out(occupied, rows, cols):
         out[k, 0] = way[k] // width
         out[k, 1] = way[k] % width
     return out
+
+
+def at_cell(row: int, col: int, height: int, resolution: float, corner: np.ndarray) -> str:
+    """Return the place of a cell as text: in m, and as the pixel from the top left."""
+    x, y = corner + resolution * (np.array([col, row]) + 0.5)
+    return f"({x:.2f}, {y:.2f}) m, pixel ({col}, {height - 1 - row})"

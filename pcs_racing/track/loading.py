@@ -11,20 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcs_racing.base.elementary import arctangent2
-from pcs_racing.base.errors import InputError, MapError, UnknownNameError
-from pcs_racing.base.typing import Floats
-from pcs_racing.track.building.build import LINE_SPACING, check_centerline, check_line
-from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, wall_clearance
-from pcs_racing.track.building.curves import sample_closed
+from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.track.cache import TRACK, cache_key, load_cached, store
 from pcs_racing.track.frenet import TrackArrays
 from pcs_racing.track.grid import distance_to_walls
-from pcs_racing.track.maps import MapFiles, MapFolder, find_map, find_shipped, parse_map, read_bytes
-from pcs_racing.track.track import Track, build_track, calibration_from_values, calibration_values
-
-TOLERANCE = 0.02
-"""Max shortfall of a given race line's CLEARANCE, in m: about the size of a cell's corner."""
+from pcs_racing.track.maps import MapFiles, find_map, find_shipped, read_bytes
+from pcs_racing.track.track import Track, calibration_from_values, calibration_values
 
 _log = logging.getLogger("pcs_racing")
 
@@ -63,6 +55,8 @@ def with_walls(
     line = track.line[:, :2]
 
     def build() -> tuple[Track, str]:
+        from pcs_racing.track.building.tracks import build_track
+
         made = build_track(track.name, occupied, resolution, origin, track.centerline, line)
         return made, ""
 
@@ -91,7 +85,13 @@ def _resolve(name_or_path: str | os.PathLike[str]) -> Path:
 
 def _load(files: MapFiles, contents: dict[str, bytes], key: str) -> Track:
     """Return the track of a map's files, and report lines made from the picture."""
-    track, note = _cached(files.name, files.folder, key, lambda: _build(files, contents))
+
+    def build() -> tuple[Track, str]:
+        from pcs_racing.track.building.tracks import build_from_map
+
+        return build_from_map(files, contents)
+
+    track, note = _cached(files.name, files.folder, key, build)
     if note:
         _log.warning("track %s: %s", track.name, note)
     return track
@@ -106,81 +106,6 @@ def _cached(
         found = build()
         store(TRACK, key, _flatten(*found))
     return found
-
-
-def _build(files: MapFiles, contents: dict[str, bytes]) -> tuple[Track, str]:
-    """Build a track from its files; return it, and a note on lines made from the picture."""
-    content = parse_map(files, contents)
-    center, race, note = _lines(files, content)
-    calibration = content.info.get("calibration", {})
-    try:
-        track = build_track(
-            content.name,
-            content.occupied,
-            content.resolution,
-            content.origin,
-            center,
-            race,
-            calibration={
-                preset: calibration_from_values(values) for preset, values in calibration.items()
-            },
-            folder=content.folder,
-        )
-    except MapError as error:
-        raise MapError(f"{files.yaml}: {error}") from error
-    return track, note
-
-
-def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
-    """Return a map's centre and race line, built if missing or unsuitable, and a note on it."""
-    from pcs_racing.track.building.centerline import centerline_from_grid
-    from pcs_racing.track.building.raceline import minimum_curvature_raceline
-
-    grid = checked_grid(content.occupied, content.resolution, content.origin, str(files.yaml))
-    if not content.occupied.any():
-        raise MapError(
-            f"{files.yaml}: the picture has no wall, no cell darker than occupied_thresh"
-        )
-    center = given = None
-    reasons = []
-    if content.raceline is None:
-        reasons.append("it has no race line")
-    else:
-        given = check_line(content.raceline[:, 1:3], str(files.raceline))
-        points = sample_closed(given, LINE_SPACING).xy
-        air = float(wall_clearance(points, *grid, 1.0).min())
-        if air == 0.0:
-            raise MapError(
-                f"{files.raceline} leads through a wall or off the map: it must stay on the track"
-            )
-        if air < CLEARANCE - TOLERANCE:
-            reasons.append(
-                f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)"
-            )
-    race = None if reasons else given
-    if content.centerline is not None:
-        try:
-            center = check_centerline(content.centerline, str(files.centerline or files.waypoints))
-        except MapError:
-            if files.centerline is not None:  # may cross itself in the race stack
-                raise
-    if center is None:
-        reasons.append("it has no centre line")
-    note = " and ".join(reasons)
-    try:
-        if center is None:
-            heading = None if given is None else float(arctangent2(*(given[1] - given[0])[::-1]))
-            seed = None if given is None else given[0]
-            center = centerline_from_grid(*grid, seed_point=seed, direction=heading)
-        if race is None:
-            race = minimum_curvature_raceline(center, *grid)
-    except ModuleNotFoundError as error:
-        raise ModuleNotFoundError(
-            f"track {files.name} must be completed: {note}; {error}", name=error.name
-        ) from error
-    except MapError as error:
-        raise MapError(f"{files.yaml}: {error}") from error
-    return center, race, f"{note}; it was made from the picture" if note else ""
 
 
 def _flatten(track: Track, note: str) -> dict[str, Any]:

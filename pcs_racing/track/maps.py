@@ -1,4 +1,4 @@
-"""Map folders: readers and writers of the occupancy grid, lines and settings of a track.
+"""Map folders: their files, and the bytes in them; `map_files` parses and writes the files.
 
 A folder ``NAME`` holds
 
@@ -13,35 +13,18 @@ If no file has the name of the folder, the only ``*_map.yaml`` in it, or else th
 with an image, gives the name.
 """
 
-import io
+import math
 import os
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-import yaml
-from numpy.typing import NDArray
-from PIL import Image
-
-from pcs_racing.base.artifacts import shipped_folder
-from pcs_racing.base.checks import check_path
+from pcs_racing.base import files as _files
+from pcs_racing.base.checks import check_number, check_path
 from pcs_racing.base.errors import MapError, UnknownNameError, choices
-from pcs_racing.base.files import MAX_YAML, read_limited, write_together
-from pcs_racing.base.typing import Floats
-from pcs_racing.track.map_files import (
-    CENTERLINE_COLUMNS,
-    RACELINE_COLUMNS,
-    parse_csv,
-    parse_grid,
-    parse_info,
-    parse_ros_yaml,
-    parse_waypoints,
-    parse_yaml,
-    turned,
-    without_specks,
-)
+from pcs_racing.base.files import MAX_YAML, read_limited, shipped_folder
 
+ROS_KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh", "mode")
 MAX_BYTES = 256_000_000  # size of a picture
 MAX_LINE = 8_000_000  # bytes: size of a csv or json file
 WAYPOINTS = "global_waypoints.json"
@@ -59,20 +42,6 @@ class MapFiles(NamedTuple):
     raceline: Path | None
     info: Path | None
     waypoints: Path | None
-
-
-class MapFolder(NamedTuple):
-    """The content of a map folder, in the units of its files."""
-
-    name: str
-    folder: Path
-    occupied: NDArray[np.bool_]  #: shape (H, W): True in walls; row 0 is the bottom.
-    resolution: float  #: Side of a cell in m.
-    origin: tuple[float, float]  #: Lower left corner of cell [0, 0] in m.
-    centerline: Floats | None  #: shape (M, 4): x, y, width to the right, width to the left, in m.
-    #: shape (N, 7): s, x, y, psi, kappa, vx, ax in m, rad and s; the last row repeats the first.
-    raceline: Floats | None
-    info: dict[str, Any]  #: Content of ``NAME_track.yaml``, see `map_files.INFO_KEYS`.
 
 
 def list_tracks() -> list[str]:
@@ -119,120 +88,70 @@ def find_map(path: str | os.PathLike[str]) -> MapFiles:
     )
 
 
-def read_map(path: str | os.PathLike[str]) -> MapFolder:
-    """Read a map folder, given the folder or its map yaml file, and check every value.
-
-    `build_track` checks that lines and grid fit together; this function does not.
-    """
-    files = find_map(path)
-    return parse_map(files, read_bytes(files))
-
-
 def read_bytes(files: MapFiles) -> dict[str, bytes]:
     """Read the files of a map (with its picture), by path within the folder."""
     every = (files.yaml, files.centerline, files.raceline, files.info, files.waypoints)
     texts = [file for file in every if file is not None]
     limits = {".csv": MAX_LINE, ".json": MAX_LINE}
     contents = {
-        _label(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML))
+        label_of(files, file): read_inside(files.folder, file, limits.get(file.suffix, MAX_YAML))
         for file in texts
     }
-    picture = _picture(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
-    return contents | {_label(files, picture): read_inside(files.folder, picture, MAX_BYTES)}
+    picture = picture_of(files, parse_ros_yaml(files.yaml, contents[files.yaml.name]))
+    return contents | {label_of(files, picture): read_inside(files.folder, picture, MAX_BYTES)}
 
 
-def parse_map(files: MapFiles, contents: dict[str, bytes]) -> MapFolder:
-    """Parse the result of `read_bytes`; see `read_map`."""
-    ros = parse_ros_yaml(files.yaml, contents[files.yaml.name])
-    picture = _picture(files, ros)
-    centerline = raceline = None
-    if files.centerline is not None:
-        centerline = parse_csv(
-            files.centerline, contents[files.centerline.name], CENTERLINE_COLUMNS, ","
-        )
-    if files.raceline is not None:
-        raceline = parse_csv(files.raceline, contents[files.raceline.name], RACELINE_COLUMNS, ";")
-    if files.waypoints is not None and raceline is None:
-        given, raceline = parse_waypoints(files.waypoints, contents[files.waypoints.name])
-        centerline = given if centerline is None else centerline
-    occupied, origin = turned(parse_grid(picture, contents[_label(files, picture)], ros), ros)
-    return MapFolder(
-        name=files.name,
-        folder=files.folder,
-        occupied=without_specks(picture, occupied, ros["resolution"], origin),
-        resolution=ros["resolution"],
-        origin=origin,
-        centerline=centerline,
-        raceline=raceline,
-        info=parse_info(files.info, contents[files.info.name]) if files.info is not None else {},
-    )
+def parse_yaml(file: Path, data: bytes) -> dict[Any, Any]:
+    """Parse a yaml file with a mapping."""
+    values = _files.parse_yaml(file, data, MapError)
+    if not isinstance(values, dict):
+        raise MapError(f"{file} must hold keys and values, got {type(values).__name__}")
+    return values
 
 
-def write_map(content: MapFolder) -> Path:
-    """Write a map folder (new, empty, or with a map of the same name), and return it.
-
-    All files appear at once, or none.
-    """
-    name, folder = content.name, Path(check_path("the folder of a map", content.folder, MapError))
-    if (
-        not name.isprintable()
-        or name != name.strip(" .")
-        or not name
-        or set(name) & set('/\\:*?"<>|')
-    ):
+def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
+    """Parse a ROS map's yaml file, with defaults of ``nav2_map_server``; ignore other keys."""
+    values = parse_yaml(file, data)
+    missing = [key for key in ("image", "resolution", "origin") if key not in values]
+    if missing:
         raise MapError(
-            f"{name!r} can't name a map: letters, digits, '-', '_' and spaces between them can"
+            f"{file}: missing {', '.join(map(repr, missing))}; the keys of a ROS map are"
+            f" {', '.join(ROS_KEYS)}"
         )
-    same = not folder.exists() or (folder / f"{name}_map.yaml").is_file()
-    if not same and not (folder.is_dir() and next(folder.iterdir(), None) is None):
-        raise MapError(f"{folder} exists and holds no map called {name}: choose another folder")
-    try:
-        write_together(folder, _files(content))
-    except OSError as error:
-        raise MapError(f"can't write {folder}: {error.strerror or error}") from error
-    return folder
-
-
-def _files(content: MapFolder) -> dict[str, bytes]:
-    """Return the files' content; csv numbers have 9 decimals, other values are exact."""
-    name = content.name
-    picture = io.BytesIO()
-    grey = np.where(content.occupied[::-1], 0, 255).astype(np.uint8)
-    Image.fromarray(grey).convert("1").save(picture, format="PNG", optimize=True)
-    ros = {
-        "image": f"{name}_map.png",
-        "resolution": float(content.resolution),
-        "origin": [float(content.origin[0]), float(content.origin[1]), 0.0],
-        "negate": 0,
-        "occupied_thresh": 0.45,
-        "free_thresh": 0.196,
+    image, origin, negate = values["image"], values["origin"], values.get("negate", 0)
+    if not isinstance(image, str) or not image:
+        raise MapError(f"{file}: image must be a file name, got {image!r}")
+    if not isinstance(origin, list) or len(origin) != 3:
+        raise MapError(f"{file}: origin must be [x, y, yaw], got {origin!r}")
+    x, y, yaw = (_number(file, "origin", value, -1e6, 1e6) for value in origin)
+    quarters = round(yaw / (0.5 * math.pi))
+    if abs(yaw - 0.5 * math.pi * quarters) > 1e-5:
+        raise MapError(
+            f"{file}: origin has a yaw of {yaw:g} rad; turn the picture, so that it is 0 or a"
+            " quarter turn"
+        )
+    if values.get("mode", "trinary") not in ("trinary", "scale"):
+        raise MapError(f"{file}: mode must be trinary or scale, got {values['mode']!r}")
+    if negate not in (0, 1):
+        raise MapError(f"{file}: negate must be 0 or 1, got {negate!r}")
+    resolution = _number(file, "resolution", values["resolution"], 0.0, 1.0)
+    if resolution < 1e-3:
+        raise MapError(
+            f"{file}: resolution must be from 0.001 to 1 metres per cell, got {resolution}"
+        )
+    occupied = _number(file, "occupied_thresh", values.get("occupied_thresh", 0.65), 0.0, 1.0)
+    free = _number(file, "free_thresh", values.get("free_thresh", 0.25), 0.0, 1.0)
+    if free > occupied:
+        raise MapError(f"{file}: free_thresh {free} must not be above occupied_thresh {occupied}")
+    return {
+        "image": image,
+        "resolution": resolution,
+        "origin": (x, y),
+        "quarters": quarters,
+        "negate": bool(negate),
+        "occupied_thresh": occupied,
+        "free_thresh": free,
     }
-    files = {f"{name}_map.png": picture.getvalue(), f"{name}_map.yaml": _dump(ros)}
-    for kind, rows, columns, separator in (
-        ("centerline", content.centerline, CENTERLINE_COLUMNS, ","),
-        ("raceline", content.raceline, RACELINE_COLUMNS, ";"),
-    ):
-        if rows is not None:
-            text = io.StringIO()
-            np.savetxt(
-                text,
-                rows,
-                fmt="%.9f",
-                delimiter=f"{separator} ",
-                header=f"{separator} ".join(columns),
-            )
-            files[f"{name}_{kind}.csv"] = text.getvalue().encode()
-            # Written values must be readable: invalid values are refused here, not by readers.
-            parse_csv(Path(f"{name}_{kind}.csv"), files[f"{name}_{kind}.csv"], columns, separator)
-    if content.info:
-        files[f"{name}_track.yaml"] = _dump(content.info)
-        parse_info(Path(f"{name}_track.yaml"), files[f"{name}_track.yaml"])
-    parse_ros_yaml(Path(f"{name}_map.yaml"), files[f"{name}_map.yaml"])
-    return files
-
-
-def _dump(values: dict[str, Any]) -> bytes:
-    return yaml.safe_dump(values, sort_keys=False, allow_unicode=True).encode()
 
 
 def _map_yaml(folder: Path) -> Path:
@@ -264,7 +183,7 @@ def _map_yaml(folder: Path) -> Path:
     return maps[0]
 
 
-def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
+def picture_of(files: MapFiles, ros: dict[str, Any]) -> Path:
     """Return the path of the picture, which must be in the folder after links are resolved."""
     file = files.folder / ros["image"]
     try:
@@ -285,7 +204,8 @@ def _picture(files: MapFiles, ros: dict[str, Any]) -> Path:
     return file
 
 
-def _label(files: MapFiles, file: Path) -> str:
+def label_of(files: MapFiles, file: Path) -> str:
+    """Return the path of a file within the map's folder."""
     return os.path.relpath(file, files.folder)
 
 
@@ -296,3 +216,10 @@ def read_inside(folder: Path, file: Path, limit: int) -> bytes:
         if not file.resolve().is_relative_to(folder.resolve()):
             raise MapError(f"{file} is a link out of its folder; put the file itself there")
     return read_limited(file, limit, "the file of a map", MapError)
+
+
+def _number(file: Path, key: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, str):  # YAML 1.1 reads 5e-2 as text
+        with suppress(ValueError):
+            value = float(value)
+    return float(check_number(f"{file}: {key}", value, low, high, error=MapError))

@@ -9,6 +9,19 @@ from pcs_racing.base.compilation import compiled, inner_kernel
 from pcs_racing.base.elementary import arctangent2, sine_cosine, sines_cosines
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, TrackArrays, offset
 
+BOX = ("x", "y", "heading", "length", "width")
+"""Numbers of an obstacle: centre in m, direction of its length in rad, and sides in m.
+
+A width of 0 means a circle: the length is its diameter.
+"""
+
+MOTION = ("speed", "sway")
+"""Further numbers of a moving obstacle: speed along the race line in m/s, and amplitude of its
+motion across the line in m.
+
+It sways once in 4 s, first to the left, or to the right with a negative number.
+"""
+
 # Columns of ``TrackArrays.moving``: arc length at time 0 (m), speed along the race line (m/s),
 # heading relative to the line (rad), half length and half width (m; 0 for a circle, whose radius is
 # the half length). The offsets from the line (m) of the two lanes between which the obstacle sways

@@ -10,22 +10,9 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats
-from pcs_racing.track.building.walls import corners_along
-from pcs_racing.track.moving import make_lanes
+from pcs_racing.track.frenet import corners_along
+from pcs_racing.track.moving import BOX, MOTION, make_lanes
 from pcs_racing.track.track import Track
-
-BOX = ("x", "y", "heading", "length", "width")
-"""Numbers of an obstacle: centre in m, direction of its length in rad, and sides in m.
-
-A width of 0 means a circle: the length is its diameter.
-"""
-
-MOTION = ("speed", "sway")
-"""Further numbers of a moving obstacle: speed along the race line in m/s, and amplitude of its
-motion across the line in m.
-
-It sways once in 4 s, first to the left, or to the right with a negative number.
-"""
 
 MAX_BOXES = 100
 MIN_SIDE, MAX_SIDE = 0.05, 10.0  # m: limits of box sides and diameters

@@ -1,6 +1,5 @@
-"""The Track class with the immutable data of a track, and its builder from a grid and lines."""
+"""The Track class with the immutable data of a track."""
 
-import hashlib
 import json
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -10,17 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pcs_racing.base.compilation import compiled
-from pcs_racing.base.errors import MapError
 from pcs_racing.base.typing import Floats
 from pcs_racing.track import frenet
-from pcs_racing.track.building.build import build_arrays, check_centerline, check_line
-from pcs_racing.track.building.clearance import checked_grid
-from pcs_racing.track.building.islands import fill_islands
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, TrackArrays
-from pcs_racing.track.grid import distance_to_walls
-
-WIDTH_TOLERANCE = 0.4
-"""Max excess of a centre line's stated widths over the picture, m; real tracks reach 0.19."""
 
 
 @dataclass(frozen=True)
@@ -137,89 +128,6 @@ class Track:
                 ),
                 f"  speed range: {ranges or 'calibrated when a race preset first asks for it'}",
             ]
-        )
-
-
-def build_track(
-    name: str,
-    occupied: ArrayLike,
-    resolution: float,
-    origin: ArrayLike,
-    centerline: ArrayLike,
-    raceline_xy: ArrayLike,
-    *,
-    calibration: dict[str, Calibration] | None = None,
-    folder: Path | None = None,
-) -> Track:
-    """Build a track from a grid and its lines.
-
-    Parameters
-    ----------
-    occupied : array_like of bool, shape (H, W)
-        Occupancy grid, True in walls; row 0 is the bottom.
-    resolution : float
-        Side of a cell in m, in (0, 1].
-    origin : array_like, shape (2,)
-        Lower left corner of cell [0, 0] in m.
-    centerline : array_like, shape (M, 4)
-        x, y, width to the right, width to the left, in m.
-    raceline_xy : array_like, shape (K, 2)
-        Points of the closed race line in m, in driving order: the reference of all Frenet
-        coordinates.
-    calibration : dict of Calibration, optional
-        Speed range and start positions by race preset, as far as known.
-    folder : Path, optional
-        Map folder of the track.
-    """
-    label = f"track {name}"
-    grid, resolution, corner = checked_grid(occupied, resolution, origin, label)
-    center = check_centerline(centerline, f"{label}: the centre line")
-    race = check_line(raceline_xy, f"{label}: the race line")
-    arrays, drivable = build_arrays(grid, resolution, corner, race, center, label)
-    _check_centre(arrays, center, f"{label}: the centre line")
-    for preset, own in (calibration or {}).items():
-        last = max(stretches[-1][1] for stretches in own.start_places.values())
-        if last >= arrays.length:
-            raise MapError(
-                f"{label}: the calibration of {preset} has a start place at {last:g} m, but the"
-                f" race line is {arrays.length:.2f} m long; calibrate it again"
-            )
-    # Hash of the data that decide races, not of the files: the picture format does not matter.
-    digest = hashlib.sha256(np.packbits(drivable).tobytes())
-    for array in (np.array([*drivable.shape, resolution, *corner]), arrays.line, center):
-        digest.update(array.tobytes())
-    return Track(
-        name, arrays, _read_only(center), dict(calibration or {}), folder, digest.hexdigest()
-    )
-
-
-def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
-    """Check that a centre line lies on the track, and that its stated widths are about right."""
-    cols, rows = (
-        np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell)
-        .astype(np.int64)
-        .T
-    )
-    height, width = arrays.distance.shape
-    on = (rows >= 0) & (cols >= 0) & (rows < height) & (cols < width)
-    room = np.zeros(len(center))
-    room[on] = arrays.distance[rows[on], cols[on]]
-    stated = center[:, 2:].min(axis=1)
-    if (room < stated - WIDTH_TOLERANCE).any():  # obstacles do not narrow a centre line's track
-        filled = fill_islands(arrays.distance > 0.0, arrays.cell)[0]
-        room[on] = distance_to_walls(filled, arrays.cell)[rows[on], cols[on]]
-    if (room == 0.0).any():
-        x, y = center[np.argmin(room), :2]
-        raise MapError(
-            f"{label} leaves the track at ({x:.2f}, {y:.2f}): it must stay between the walls"
-        )
-    worst = int(np.argmax(stated - room))
-    if stated[worst] > room[worst] + WIDTH_TOLERANCE:
-        x, y, right, left = center[worst]
-        raise MapError(
-            f"{label} states {right:.2f} m to the right and {left:.2f} m to the left wall at"
-            f" ({x:.2f}, {y:.2f}), but in the picture a wall is {room[worst]:.2f} m away: line,"
-            " widths and picture must fit together"
         )
 
 

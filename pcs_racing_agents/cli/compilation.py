@@ -89,7 +89,7 @@ def _gym() -> None:
 
 def _circuits() -> None:
     """Compile the generation of a circuit, and the building of a track from its walls."""
-    from pcs_racing.race.random_circuits import RandomCircuits, random_circuit
+    from pcs_racing.envs.random_circuits import RandomCircuits, random_circuit
 
     # The libraries of the extra "mapping" may be missing.
     with suppress(ModuleNotFoundError):

@@ -7,7 +7,7 @@ import yaml
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import MAX_YAML, write_atomically
-from pcs_racing.race.calibration import calibrate
+from pcs_racing.race.calibrating import calibrate
 from pcs_racing.race.config import load_race_config
 from pcs_racing.race.frames import write_track_picture
 from pcs_racing.track.loading import load_track

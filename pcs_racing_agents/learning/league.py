@@ -32,9 +32,9 @@ from pcs_racing.base.checks import (
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import read_limited, write_together
+from pcs_racing.envs.batch import WEIGHTS
 from pcs_racing.envs.infos import Result
 from pcs_racing.envs.models import KEPT, model_policy
-from pcs_racing.envs.opponents import WEIGHTS
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing_agents.agents.sb3_files import (

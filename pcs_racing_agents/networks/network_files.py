@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.artifacts import ArtifactFormat, ManifestFormat, shipped_folder
+from pcs_racing.base.artifacts import ArtifactFormat, ManifestFormat
 from pcs_racing.base.checks import check_facts, check_names, check_text
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError, UnknownNameError
-from pcs_racing.base.files import write_together
+from pcs_racing.base.files import shipped_folder, write_together
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.moves import check_epsilon
 from pcs_racing_agents.base.fingerprint import fingerprint

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.typing import Floats
 from pcs_racing.game.observation import LEAD_SCALE
 from pcs_racing.game.players import Competitor, ConstantPlayer
 from pcs_racing.game.rules import RaceGame
@@ -20,8 +20,6 @@ from pcs_racing_agents.agents.blind import OpenLoopStrategy, WalkStrategy
 from pcs_racing_agents.agents.observing import earlier, lead, opponent
 from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.tournament import Pairing, RaceTable, repeat_race
-
-
 
 
 class ExplainedDecision(NamedTuple):

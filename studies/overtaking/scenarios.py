@@ -33,10 +33,11 @@ from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import BareField, advance, kernel_settings
 from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import empty_state
+from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT, SPEED, X, Y
 from pcs_racing.track.map_files import parse_csv
 from pcs_racing.track.maps import read_inside
-from pcs_racing.track.track import Track, build_track
+from pcs_racing.track.track import Track
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned
 from studies.overtaking.overtaken import overtaken

@@ -5,8 +5,13 @@ import sys
 import pytest
 from repository import REPOSITORY
 
+from pcs_racing import load_track
+
 # What a function imports when it needs it: optional libraries, and scipy, which takes a second.
 LATE = ("torch", "scipy", "matplotlib", "pygame", "stable_baselines3", "skimage", "clarabel", "cma")
+
+MAX_MODULES = 60
+"""Max modules of ``pcs_racing`` for one car alone on a known track."""
 
 
 @pytest.mark.parametrize(
@@ -29,6 +34,26 @@ print("of envs:", *(name for name in sys.modules if name.startswith("pcs_racing.
     assert not set(LATE) & set(done.stdout.split())
     if package == "pcs_racing":  # environments are imported when they are made
         assert done.stdout.endswith("of envs: pcs_racing.envs.registration\n")
+
+
+def test_one_car_alone_loads_what_it_drives():
+    """A track of the cache is not built; nobody else drives; no file of another changes imports."""
+    load_track("Tarnfjord")  # into the cache
+    code = """
+import sys
+import gymnasium
+hooks = list(sys.meta_path)
+import pcs_racing
+gymnasium.make("pcs_racing/Drive-v1", opponent=None)
+assert sys.meta_path == hooks
+print(*(name for name in sys.modules if name.partition(".")[0] == "pcs_racing"))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=REPOSITORY
+    )
+    loaded = done.stdout.split()
+    assert "pcs_racing.envs.drive" in loaded
+    assert len(loaded) <= MAX_MODULES, sorted(loaded)
 
 
 def test_imports_of_optional_libraries_are_late_and_every_public_name_is_there():

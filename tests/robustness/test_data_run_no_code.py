@@ -36,7 +36,7 @@ from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.field.lidar_ppo import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.track.maps import read_map
+from pcs_racing.track.map_files import read_map
 from pcs_racing_agents.agents import export_onnx, make
 from pcs_racing_agents.agents.sb3_files import read_zip
 from pcs_racing_agents.cli.main import main

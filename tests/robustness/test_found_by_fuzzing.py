@@ -37,8 +37,7 @@ from pcs_racing.game.players import competitor
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import write_gif
-from pcs_racing.track.map_files import parse_grid
-from pcs_racing.track.maps import read_map, write_map
+from pcs_racing.track.map_files import parse_grid, read_map, write_map
 from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job

@@ -3,14 +3,9 @@
 import numpy as np
 
 from pcs_racing.track.building.islands import fill_islands
+from pcs_racing.track.grid import at_cell
 
 GAPS = (1, 2, 3, 5, 8, 12, 18, 27, 40)  # half widths of gaps to search for, in cells
-
-
-def at_cell(row: int, col: int, height: int, resolution: float, corner: np.ndarray) -> str:
-    """Return the place of a cell as text: in m, and as the pixel from the top left."""
-    x, y = corner + resolution * (np.array([col, row]) + 0.5)
-    return f"({x:.2f}, {y:.2f}) m, pixel ({col}, {height - 1 - row})"
 
 
 def find_gap(

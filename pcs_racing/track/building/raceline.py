@@ -24,6 +24,7 @@ from pcs_racing.track.building.curves import (
     sample_closed,
     smooth,
 )
+from pcs_racing.track.frenet import LATERAL_OF_PROFILE
 from pcs_racing.track.grid import distance_to_walls
 
 SPACING = 0.2  # point spacing of the result, m
@@ -41,7 +42,6 @@ CHATTER = 0.1  # weight of the squared change of curvature along the line, m^2
 LENGTH_WEIGHT = 0.08
 
 # Limits of the speeds along a line:
-LATERAL = 5.0  # max lateral acceleration, m/s^2
 BRAKING = 4.5  # m/s^2
 ACCELERATION = 3.5  # m/s^2
 TOP_SPEED = 8.0  # m/s
@@ -259,11 +259,11 @@ def speed_profile(kappa: np.ndarray, ds: float) -> np.ndarray:
 
     The usual forward-backward sweep (e.g. Kapania, Subosits and Gerdes 2016, "A sequential two-step
     algorithm for fast generation of vehicle racing trajectories", without its coupling of lateral
-    and longitudinal grip): the cornering speed ``sqrt(LATERAL / |kappa|)`` (curvature in 1/m) is
-    lowered forwards to the motor's limit, and backwards to the brakes' limit.
+    and longitudinal grip): the cornering speed ``sqrt(LATERAL_OF_PROFILE / |kappa|)`` (curvature in
+    1/m) is lowered forwards to the motor's limit, and backwards to the brakes' limit.
     """
     # In squared speeds: constant acceleration is a straight line.
-    cap = np.minimum(LATERAL / np.maximum(np.abs(kappa), 1e-12), TOP_SPEED**2)
+    cap = np.minimum(LATERAL_OF_PROFILE / np.maximum(np.abs(kappa), 1e-12), TOP_SPEED**2)
     return np.sqrt(_sweep(cap, ds))
 
 

@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
+from pcs_racing.track.frenet import corners_along
 from pcs_racing.track.grid import cast
-
-TOGETHER = 16
-"""Divisor of the lengths of corner lists, for full processor vectors."""
 
 RAYS = 120  # rays from each viewpoint of a stretch, before refinement
 DEPTH = 6  # max number of halvings of the gaps between rays to non-neighbouring segments
@@ -337,19 +335,3 @@ def corner_lists(
     ]
     start = np.cumsum([0, *(len(points) for points in lists)]).astype(np.int32)
     return start, np.ascontiguousarray(np.concatenate(lists).T)
-
-
-def corners_along(segments: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the corners of segments, shape (K, 4), in order, with NaN between separate segments.
-
-    The shape is (C, 2); meeting segments share a corner. NaN at the end pads C to a multiple of
-    :data:`TOGETHER`.
-    """
-    if not len(segments):
-        return np.empty((0, 2))
-    meets = (segments[:-1, 2:] == segments[1:, :2]).all(axis=1)
-    ends = np.flatnonzero(~np.append(meets, False))
-    gaps = np.full((2 * len(ends), 2), np.nan)
-    gaps[::2] = segments[ends, 2:]
-    points = np.insert(segments[:, :2], np.repeat(ends + 1, 2), gaps, axis=0)
-    return np.concatenate([points, np.full((-len(points) % TOGETHER, 2), np.nan)])

@@ -22,9 +22,10 @@ from pcs_racing.track.building.curves import (
     smooth,
 )
 from pcs_racing.track.building.raceline import minimum_curvature_raceline, raceline_rows
+from pcs_racing.track.building.tracks import build_track
+from pcs_racing.track.map_files import MapFolder, read_map, write_map
 from pcs_racing.track.mapping.shapes import STYLES, rounded
-from pcs_racing.track.maps import MapFolder, read_map, write_map
-from pcs_racing.track.track import Track, build_track
+from pcs_racing.track.track import Track
 
 WALL = 0.1  # thickness of the drawn walls, m
 RADIUS_RATIO = 1.2  # min radius of the centre line in half widths: below 1 the inner wall folds

@@ -2,8 +2,9 @@ import pytest
 import yaml
 from refusal import refused
 
-from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat, shipped_folder
+from pcs_racing.base.artifacts import MANIFEST, ArtifactFormat, ManifestFormat
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.base.files import shipped_folder
 
 NOTE = ManifestFormat("note", ("text", "pages"), "write_note")
 

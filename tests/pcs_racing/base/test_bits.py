@@ -29,8 +29,9 @@ from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, draw_starts, pad_parameters, race_seeds, start_races
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.raceline import minimum_curvature_raceline
-from pcs_racing.track.maps import find_shipped, read_map
-from pcs_racing.track.track import build_track
+from pcs_racing.track.building.tracks import build_track
+from pcs_racing.track.map_files import read_map
+from pcs_racing.track.maps import find_shipped
 
 WITHOUT = {
     "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),

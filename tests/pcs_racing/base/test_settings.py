@@ -14,8 +14,8 @@ from pcs_racing.base.errors import ConfigError, InputError, UnknownNameError
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.obstacles import Obstacles
+from pcs_racing.envs.random_circuits import RandomCircuits
 from pcs_racing.race.config import RaceConfig
-from pcs_racing.race.random_circuits import RandomCircuits
 
 
 def even(name, value):

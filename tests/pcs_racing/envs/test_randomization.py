@@ -12,17 +12,17 @@ from refusal import refused
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.car.vehicle import MU, SPEED_DELAY, VehicleParams
+from pcs_racing.envs import random_circuits
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
+from pcs_racing.envs.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
 from pcs_racing.envs.randomization import (
     EpisodeOptions,
     EpisodeRandomization,
 )
-from pcs_racing.race import random_circuits
 from pcs_racing.race.config import PRESETS
-from pcs_racing.race.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
-from pcs_racing.track.obstacles import BOX, MOTION
+from pcs_racing.track.moving import BOX, MOTION
 
 RANGES = {
     "mu": [0.6, 1.2],

@@ -7,7 +7,7 @@ from refusal import refused
 from same_arrays import assert_same
 
 from pcs_racing import CONTEST, load_archive, load_race_config, load_track, make_game
-from pcs_racing.base.seeds import race_seeds
+from pcs_racing.base.seeds import race_seeds, random_bits
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
 from pcs_racing.game.config import GameConfig
@@ -18,7 +18,6 @@ from pcs_racing.game.observation import (
 )
 from pcs_racing.game.reward import reward
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.game.starting import random_bits
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE

@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing.race import calibration
-from pcs_racing.race.calibration import (
+from pcs_racing.race import calibrating
+from pcs_racing.race.calibrating import (
     FRICTION_SCALE,
     SCALES,
     CalibrationReport,
     calibrate,
-    calibration_of,
     hazard_scan,
-    starts_for,
 )
+from pcs_racing.race.calibration import calibration_of, starts_for
 from pcs_racing.race.config import CONTEST, PAPER, PRESETS
 from pcs_racing.race.driving import kernel_settings
 from pcs_racing.race.start_places import crashes_of_pairs
@@ -80,10 +79,10 @@ def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_sa
         fits.append(settings.speed_high)
         return known.start_spacing, known.start_places, known.left_share
 
-    monkeypatch.setattr("pcs_racing.race.calibration.fit_places", fit)
+    monkeypatch.setattr("pcs_racing.race.calibrating.fit_places", fit)
     for shares, lowered in ((iter([0.07]), 0.0), (iter([0.2, 0.1, 0.04]), 0.1), (repeat(0.3), 0.3)):
         monkeypatch.setattr(
-            "pcs_racing.race.calibration.crashes_of_pairs",
+            "pcs_racing.race.calibrating.crashes_of_pairs",
             lambda *arguments, shares=shares: next(shares),
         )
         fits.clear()
@@ -97,7 +96,7 @@ def test_without_noise_the_range_falls_until_pairs_crash_as_rarely_as_the_aim_sa
         )
         assert (said in capsys.readouterr().err) == (lowered == 0.3)
     # contest aims at a car alone
-    monkeypatch.setattr("pcs_racing.race.calibration.crashes_of_pairs", None)
+    monkeypatch.setattr("pcs_racing.race.calibrating.crashes_of_pairs", None)
     assert calibrate(track, CONTEST, cars=12).calibration.speed_range[1] <= FRICTION_SCALE
 
 
@@ -146,7 +145,7 @@ def test_a_circuit_without_a_calibration_is_calibrated_once_and_says_so(
     def forget():
         monkeypatch.setattr("pcs_racing.race.calibration._known", {})
 
-    monkeypatch.setattr("pcs_racing.race.calibration.calibrate", calibrated)
+    monkeypatch.setattr("pcs_racing.race.calibrating.calibrate", calibrated)
     forget()
     found = calibration_of(own, PAPER)
     assert found == report.calibration
@@ -184,7 +183,7 @@ def test_the_scale_of_a_hazard_lies_between_those_that_were_driven():
         ([0.0, 0.0, 0.4, 0.4], 0.1, 0.725),
         ([0.0, 0.0, 0.1, 0.2], 0.2, 0.9),
     ]:
-        assert calibration._crossing(scales, np.array(hazard), level) == pytest.approx(scale)
+        assert calibrating._crossing(scales, np.array(hazard), level) == pytest.approx(scale)
 
 
 def test_distances_across_the_track_are_tried_the_nearest_first():
@@ -193,7 +192,7 @@ def test_distances_across_the_track_are_tried_the_nearest_first():
         (replace(PAPER, start_spacing=0.45), [0.45, 0.55, 0.65, 0.75, 0.85]),
         (replace(CONTEST, start_spacing=0.25), [0.25, 0.35, 0.15, 0.45, 0.05, 0.55, 0.65]),
     ]:
-        assert calibration._spacings(rules) == expected
+        assert calibrating._spacings(rules) == expected
 
 
 def test_a_report_is_a_table():

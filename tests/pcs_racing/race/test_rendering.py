@@ -10,8 +10,8 @@ from refusal import refused
 
 from pcs_racing.race.frames import replay_frames, write_gif, write_track_picture
 from pcs_racing.race.painting import COLOURS
-from pcs_racing.race.rendering import Renderer, views
-from pcs_racing.race.state import MAX_CARS
+from pcs_racing.race.rendering import Renderer
+from pcs_racing.race.state import MAX_CARS, views
 
 BLUE, AMBER, RED = (27, 111, 216), (224, 135, 0), (209, 44, 76)
 

@@ -9,18 +9,11 @@ from refusal import refused
 
 from pcs_racing import CONTEST, PAPER, load_track, run_races
 from pcs_racing.base.errors import ConfigError
+from pcs_racing.envs.random_circuits import RandomCircuits, _calibration, random_circuit
 from pcs_racing.race import start_places
 from pcs_racing.race.driving import kernel_settings
-from pcs_racing.race.random_circuits import RandomCircuits, _calibration, random_circuit
-from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.start_places import (
-    BLOCK,
-    PLACE_EVERY,
-    drive_away,
-    fit_places,
-    places_of,
-    split_places,
-)
+from pcs_racing.race.start_grid import BLOCK, PLACE_EVERY, Starts, places_of, split_places
+from pcs_racing.race.start_places import drive_away, fit_places
 from pcs_racing.track.frenet import KAPPA
 from pcs_racing.track.maps import list_tracks
 

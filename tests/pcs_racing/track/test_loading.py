@@ -10,9 +10,10 @@ from refusal import refused
 from pcs_racing import load_track
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import loading
+from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
-from pcs_racing.track.maps import MapFolder, read_map, write_map
-from pcs_racing.track.track import Calibration, build_track
+from pcs_racing.track.map_files import MapFolder, read_map, write_map
+from pcs_racing.track.track import Calibration
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +68,8 @@ def test_the_cache_on_disk_gives_the_same_track(folder, cache, monkeypatch):
     one = load_track(folder)
     assert len(list(cache.iterdir())) == 1
     loading._loaded.clear()
-    monkeypatch.setattr(loading, "build_track", None)  # it must not be called
+    # It must not be called.
+    monkeypatch.setattr("pcs_racing.track.building.tracks.build_track", None)
     two = load_track(folder)
     assert two is not one
     for field in dataclasses.fields(one):

@@ -19,14 +19,8 @@ from refusal import refused
 from pcs_racing.base.errors import MapError, UnknownNameError
 from pcs_racing.track import maps
 from pcs_racing.track.building.centerline import centerline_from_grid
-from pcs_racing.track.maps import (
-    MapFolder,
-    find_map,
-    find_shipped,
-    list_tracks,
-    read_map,
-    write_map,
-)
+from pcs_racing.track.map_files import MapFolder, read_map, write_map
+from pcs_racing.track.maps import find_map, find_shipped, list_tracks
 
 
 def _map(folder, name="Ring"):

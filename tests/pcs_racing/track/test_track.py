@@ -7,8 +7,8 @@ import pytest
 from refusal import refused
 
 from pcs_racing.base.errors import MapError
+from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import COS, KAPPA, LEFT, PSI, RIGHT, SIN, SPEED
-from pcs_racing.track.track import build_track
 
 
 def test_the_oval_has_the_measures_of_a_stadium(oval):

@@ -11,8 +11,8 @@ from hypothesis.extra import numpy as hnp
 from numba import njit
 
 from pcs_racing.track import frenet
-from pcs_racing.track.building.walls import TOGETHER, corner_lists, simplify, trace_outlines
-from pcs_racing.track.frenet import LEFT, RIGHT
+from pcs_racing.track.building.walls import corner_lists, simplify, trace_outlines
+from pcs_racing.track.frenet import LEFT, RIGHT, TOGETHER
 from pcs_racing.track.obstacles import with_obstacles
 
 grids = hnp.arrays(np.bool_, st.tuples(st.integers(1, 12), st.integers(1, 12))).map(

@@ -13,8 +13,8 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import resample, signed_area
 from pcs_racing.track.building.raceline import raceline_rows
+from pcs_racing.track.map_files import read_map
 from pcs_racing.track.mapping.circuits import generate_circuit, generate_map, import_map
-from pcs_racing.track.maps import read_map
 
 SHIPPED = sorted(path for path in (REPOSITORY / "maps").iterdir() if path.is_dir())
 

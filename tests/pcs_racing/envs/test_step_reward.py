@@ -2,7 +2,7 @@
 
 import pytest
 
-from pcs_racing.game.reward import step_reward
+from pcs_racing.envs.drive_kernel import step_reward
 
 
 def test_a_step_pays_progress_less_the_opponents_share():

@@ -11,11 +11,12 @@ from annotated_types import Interval
 from pcs_racing.base.errors import ConfigError, MapError
 from pcs_racing.base.settings import OneOf, Settings
 from pcs_racing.race.config import PRESETS, RaceConfig
-from pcs_racing.race.start_places import PLACE_EVERY, stretches_of
+from pcs_racing.race.start_grid import PLACE_EVERY, stretches_of
+from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA
 from pcs_racing.track.mapping.circuits import generate_circuit
 from pcs_racing.track.mapping.shapes import STYLES
-from pcs_racing.track.track import Calibration, Track, build_track
+from pcs_racing.track.track import Calibration, Track
 
 SPEED_RANGES = {"paper": (0.66, 0.86), "contest": (0.65, 0.97), "roboracer": (0.65, 0.97)}
 """Speed scales of pace 0 and 1: below the scales of most shipped tracks, as a generated track gets
