@@ -22,6 +22,7 @@ from pcs_racing.base.settings import (
 )
 from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing_agents.base.configurations import shipped_configs
@@ -231,7 +232,7 @@ class SpreadConfig(ArchiveConfig):
     def __post_init__(self) -> None:
         super().__post_init__()
         for rival in self.rivals:
-            parse_policy(rival)
+            policy_racer(rival)
 
     def met(self, stage: int) -> tuple[int, tuple[str, ...]]:
         """Return no random opponents, and the rivals."""

@@ -17,7 +17,8 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
 from pcs_racing.planners.planner import Policy
-from pcs_racing.planners.registry import get_planner, parse_policy
+from pcs_racing.planners.racers import policy_racer
+from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
@@ -37,7 +38,7 @@ class Scenarios:
     characteristics: tuple[str, ...]
     segment_seconds: float  #: Length of the segments averaged in coordinates, s.
     opponents: Floats  #: shape (O, P): Parameters of the opponents.
-    #: Policies of other planners, numbered after the opponents; format of :func:`parse_policy`.
+    #: Policies of other planners, numbered after the opponents; texts for :func:`pcs_racing.racer`.
     rivals: tuple[str, ...]
     track: Indices  #: shape (R,): Index of the track of each race, ascending.
     start_s: Floats  #: shape (R,): Start line, m.
@@ -168,7 +169,7 @@ def _meetings(scenarios: Scenarios) -> Iterator[tuple[RaceSetup, Indices, Floats
     """
     own = get_planner(scenarios.planner)
     drawn = [Policy(own, theta, "opponent") for theta in scenarios.opponents]
-    opponents = [*drawn, *map(parse_policy, scenarios.rivals)]
+    opponents = [*drawn, *map(policy_racer, scenarios.rivals)]
     families = {policy.planner.name: policy.planner for policy in opponents}
     for index, source in enumerate(scenarios.tracks):
         for family in families.values():

@@ -28,6 +28,7 @@ from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text, plain_settings
 from pcs_racing.base.typing import Floats
 from pcs_racing.planners.planner import Planner, Policy
+from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.loading import load_track
@@ -100,7 +101,7 @@ class TuningConfig(Settings):
                 f" needs {MIN_PARAMETERS} parameters at least"
             )
         for policy in self.against:
-            parse_policy(policy)
+            policy_racer(policy)
         if self.start_policy.planner.name != self.planner:
             raise ConfigError(
                 f"start is {self.start!r}; it must be a policy of planner {self.planner!r}"

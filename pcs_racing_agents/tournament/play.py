@@ -194,7 +194,7 @@ def plan_tournament(
 ) -> TournamentPlan:
     """Check the arguments of a tournament, and draw its races; see :func:`play_tournament`.
 
-    ``code``: True to allow names of user code, as in :func:`pcs_racing_agents.agents.competitor`.
+    ``code``: True to allow names of user code, as in :func:`pcs_racing.racer`.
     """
     circuits = [tracks] if isinstance(tracks, Track) else list(tracks)
     _check_distinct("tracks", [track.name for track in circuits], 1)
