@@ -73,9 +73,7 @@ REFERENCE = {
     "pcs_racing_agents.networks": "Networks",
     "pcs_racing_agents.agents": "Agents",
     "pcs_racing_agents.tournament": "Tournaments",
-    "pcs_racing_agents.learning": "Robust answers and self-play",
-    "pcs_racing_agents.learning.ppo": "PPO baselines",
-    "pcs_racing_agents.learning.responses": "Responses learned from branched games",
+    "pcs_racing_agents.learning": "PPO, learned responses and self-play",
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.watch": "Explanations and the race viewer",
 }

@@ -63,9 +63,9 @@ def main() -> None:
         if model is None:
             model = PPO.load(file, envs) if file.exists() else make_model(envs, given.seed)
         model.set_env(envs)
-        callback = learning.LeagueCallback(league)
+        callback = learning.league_callback(league)
         model.learn(given.steps // given.rounds, callback, reset_num_timesteps=False)
-        league = callback.league.with_copy(model)
+        league = callback.league.with_copy(model, folder)
         learning.save_league(folder, league)
         save_model(file, model)
         won = [f"{test(model, races):.0%}" for races in tests.values()]
@@ -92,7 +92,7 @@ def make_model(envs: VecEnv, seed: int) -> PPO:
 
 def copies(league: learning.League) -> int:
     """Number of frozen copies of a league."""
-    return sum(member.model is not None for member in league.members)
+    return sum(member.is_copy for member in league.members)
 
 
 def test(model: PPO, races: DriveVectorEnv) -> float:

@@ -80,8 +80,8 @@ print("none was imported:", not MISSING & imported)
 # Who needs an extra, how it is asked for something, and the extra.
 NEEDS = {
     "Stable-Baselines3's environments": ("import pcs_racing.envs.sb3", "learning"),
-    "the command ppo": (
-        'main(["ppo", "--config", "duel-paper", "--out", "ppo"])',
+    "the command train ppo": (
+        'main(["train", "ppo", "--config", "duel-paper", "--out", "ppo"])',
         "learning",
     ),
     "training": (
@@ -178,7 +178,10 @@ def test_every_extra_folder_and_licence_that_is_named_exists():
     lists = re.findall(r"pcs-racing\[([a-z,]+)\]", text)
     named = {*",".join(lists).split(","), *re.findall(r'extra="([a-z]+)"', text)}
     assert len(named) >= 6
-    assert named <= set(PROJECT["project"]["optional-dependencies"])
+    extras = PROJECT["project"]["optional-dependencies"]
+    assert named <= set(extras)
+    shown = {re.match(r"[a-z0-9-]+", one)[0] for one in extras["learning"]}
+    assert {"tqdm", "rich", "tensorboard"} <= shown  # progress_bar=True and tensorboard_log
     included = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
     assert set(included) == {"maps"}
     for folder in included:

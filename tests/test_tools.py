@@ -13,11 +13,11 @@ colab, quick, survivors = load_tool("colab"), load_tool("quick"), load_tool("sur
 def test_a_change_is_tested_in_its_rooms_and_by_the_pages_that_name_it():
     changed = [
         "pcs_racing/car/lidar.py",
-        "pcs_racing_agents/learning/ppo/train.py",
+        "pcs_racing_agents/learning/ppo.py",
         "docs/view.md",
         "dev/tools/quick.py",
     ]
-    rooms = ["tests/pcs_racing/car", "tests/pcs_racing_agents/learning/ppo", "tests/test_docs.py"]
+    rooms = ["tests/pcs_racing/car", "tests/pcs_racing_agents/learning", "tests/test_docs.py"]
     assert quick.select(changed) == [*quick.ALWAYS, *rooms]
     assert quick.select(
         ["tests/test_floors.py", "tests/browser.py", "pcs_racing/__init__.py"]

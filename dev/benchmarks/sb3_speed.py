@@ -13,6 +13,7 @@ then.
 
 import argparse
 import time
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import gymnasium as gym
@@ -89,8 +90,9 @@ def league_speeds(steps: int) -> dict[str, float]:
     """Return the steps a second of the large batches against planners and frozen copies."""
     planners = make_league(PLANNERS)
     copied = planners
-    for _ in range(8):
-        copied = copied.with_copy(make_model(LARGE, TASK))
+    with TemporaryDirectory() as folder:
+        for _ in range(8):
+            copied = copied.with_copy(make_model(LARGE, TASK), folder)
     cases: dict[str, tuple[League, int | None]] = {
         "planners, one thread": (planners, 1),
         "planners, all threads": (planners, None),

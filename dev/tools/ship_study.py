@@ -5,7 +5,7 @@
 
 The last argument is a checkout; networks go to ``pcs_racing_agents/data/networks``, fits to
 ``pcs_racing_agents/data/fits``. ``--ppo FOLDER`` and ``--psro FOLDER`` add the result of
-``pcs-racing ppo`` and of ``pcs-racing learn psro`` to the study.
+``pcs-racing train ppo`` and of ``pcs-racing train psro`` to the study.
 """
 
 import argparse
@@ -63,8 +63,8 @@ def main() -> None:
     parser.add_argument("folder", type=Path, help="folder of the study")
     parser.add_argument("checkout", type=Path, help="folder that holds pcs_racing_agents")
     parser.add_argument("--archive", help="archive of the study, in place of the configuration's")
-    parser.add_argument("--ppo", type=Path, help="folder of 'pcs-racing ppo'")
-    parser.add_argument("--psro", type=Path, help="folder 'agent' of 'pcs-racing learn psro'")
+    parser.add_argument("--ppo", type=Path, help="folder 'agent' of 'pcs-racing train ppo'")
+    parser.add_argument("--psro", type=Path, help="folder 'agent' of 'pcs-racing train psro'")
     given = parser.parse_args()
     others = {kind: place for kind in ("ppo", "psro") if (place := getattr(given, kind))}
     changes = {} if given.archive is None else {"archive": given.archive}

@@ -15,9 +15,9 @@ from annotated_types import Interval, Len, MinLen
 import pcs_racing_agents
 from pcs_racing.base.settings import DIFFERENT, OneOf, Settings, options_of, split
 from pcs_racing.race.config import PRESETS, RaceConfig
-from pcs_racing_agents.learning.ppo.settings import DuelSettings
+from pcs_racing_agents.learning.ppo import PPOSettings
 from pcs_racing_agents.learning.psro import PSROSettings
-from pcs_racing_agents.learning.responses.learner import ResponseSettings
+from pcs_racing_agents.learning.responses import ResponseSettings
 from pcs_racing_agents.learning.self_play import SelfPlaySettings
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.policies.config import SELECTIONS
@@ -27,7 +27,7 @@ from pcs_racing_agents.tournament.protocol import ProtocolConfig
 TYPES = {bool: "boolean", float: "number", int: "integer", str: "string"}
 FOLDER = Path(pcs_racing_agents.__file__).parent / "data" / "schemas"
 KINDS: dict[str, type[Settings]] = {
-    "ppo": DuelSettings,
+    "ppo": PPOSettings,
     "protocol": ProtocolConfig,
     "psro": PSROSettings,
     "race": RaceConfig,

@@ -90,11 +90,13 @@ class ArtifactFormat(ManifestFormat):
     digest_key: str = "sha256"  #: Manifest field with the SHA-256 of the data; in ``keys``.
     max_bytes: int = 32_000_000  #: Maximum size of the data.
     shipped: Path = Path()  #: Folder of the shipped artifacts, with a folder for each name.
+    manifest_file: str = MANIFEST  #: Name of the manifest.
 
     def files(self, fields: Mapping[str, Any], data: bytes) -> dict[str, bytes]:
         """Return the files of a folder: data and manifest (``fields`` and the digest)."""
         digest = hashlib.sha256(data).hexdigest()
-        return {self.data_file: data, MANIFEST: self.text({**fields, self.digest_key: digest})}
+        manifest = self.text({**fields, self.digest_key: digest})
+        return {self.data_file: data, self.manifest_file: manifest}
 
     def save(self, folder: str | Path, fields: Mapping[str, Any], data: bytes) -> Path:
         """Write data and manifest into a folder, made if missing; return the folder."""
@@ -105,18 +107,19 @@ class ArtifactFormat(ManifestFormat):
     def load(self, folder: str | os.PathLike[str]) -> tuple[dict[str, Any], bytes]:
         """Return the fields of the manifest and the data, after a check of the data's digest."""
         folder = Path(folder)
-        fields = self.read(folder / MANIFEST)
+        manifest = folder / self.manifest_file
+        fields = self.read(manifest)
         file = folder / self.data_file
         data = self._content(file, self.max_bytes)
         if hashlib.sha256(data).hexdigest() != fields[self.digest_key]:
             raise InputError(
-                f"{file} is not the file that {folder / MANIFEST} describes: its digest differs"
+                f"{file} is not the file that {manifest} describes: its digest differs"
             )
         return fields, data
 
     def shipped_names(self) -> list[str]:
         """Return the names of the shipped artifacts, sorted."""
-        return sorted(path.parent.name for path in self.shipped.glob(f"*/{MANIFEST}"))
+        return sorted(path.parent.name for path in self.shipped.glob(f"*/{self.manifest_file}"))
 
     def find(self, source: str | os.PathLike[str]) -> Path:
         """Return the folder of a shipped artifact, given its name, or a given folder unchanged."""

@@ -8,6 +8,7 @@ rows, and a policy's decisions must not depend on the batch size.
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -78,6 +79,23 @@ class DenseLayers:
         """
         return flat_layers(zip(self.weights, self.biases, strict=True))
 
+    @cached_property
+    def _compiled(self) -> tuple[Floats, NDArray[np.int64]]:
+        return self.flat(), np.array(self.sizes)
+
+    def forward(self, inputs: Floats, *, tanh: bool = False, squash: bool = False) -> Floats:
+        """Return outputs, shape (..., A), of inputs, shape (..., D).
+
+        A tanh or a ReLU follows each layer but the last, and ``squash`` adds a tanh after the last.
+        The outputs of a row do not depend on the rest of the batch, not even in the last bit.
+        """
+        flat, sizes = self._compiled
+        rows = np.ascontiguousarray(inputs.reshape(-1, sizes[0]), np.float32)
+        out = np.empty((len(rows), sizes[-1]), np.float32)
+        scratch = np.empty((2, sizes.max()), np.float32)
+        dense_rows(rows, flat, sizes, tanh, squash, scratch, out)
+        return out.reshape(*inputs.shape[:-1], sizes[-1])
+
 
 def flat_layers(layers: Iterable[tuple[Floats, Floats]]) -> Floats:
     """Return the numbers of layers (weight, bias) of any shapes as one vector, in the order of
@@ -112,8 +130,7 @@ def dense_forward(flat, sizes, x, y, tanh):
     """Pass ``x[:sizes[0]]`` through all layers with numbers ``flat`` (:meth:`DenseLayers.flat`).
 
     ``x`` and ``y``, each of length ``max(sizes)``, are overwritten. The outputs are in ``y`` if the
-    number of layers is odd, else in ``x``. Either a tanh follows each layer, or a ReLU follows each
-    layer but the last.
+    number of layers is odd, else in ``x``. A tanh or a ReLU follows each layer but the last.
     """
     at = 0
     layers = len(sizes) - 1
@@ -139,33 +156,27 @@ def dense_forward(flat, sizes, x, y, tanh):
             for j in range(width):
                 y[j] += x[i] * flat[at + j]
             at += width
-        if tanh:
+        if layer < layers - 1:
             for j in range(width):
-                y[j] = hyperbolic_tangent(y[j])
-        elif layer < layers - 1:
-            for j in range(width):
-                y[j] = max(y[j], np.float32(0.0))
+                y[j] = hyperbolic_tangent(y[j]) if tanh else max(y[j], np.float32(0.0))
         # The outputs of this layer are the inputs of the next layer.
         x, y = y, x
 
 
 @kernel
-def dense_rows(rows, flat, sizes, scratch, out):
-    """Compute ``out = W_L relu(... relu(W_1 x + b_1) ...) + b_L`` for each row.
+def dense_rows(rows, flat, sizes, tanh, squash, scratch, out):
+    """Write the outputs of each row (R, D) into ``out`` (R, A); see :meth:`DenseLayers.forward`.
 
-    Return whether all inputs are finite. ``rows`` has shape (R, D), ``out`` (R, A) and ``scratch``
-    (2, ``max(sizes)``), all float32.
+    ``scratch`` has shape (2, ``max(sizes)``); all are float32.
     """
-    finite = True
     last = (len(sizes) - 1) % 2
     for r in range(len(rows)):
         for i in range(sizes[0]):
-            finite &= np.isfinite(rows[r, i])
             scratch[0, i] = rows[r, i]
-        dense_forward(flat, sizes, scratch[0], scratch[1], False)
+        dense_forward(flat, sizes, scratch[0], scratch[1], tanh)
         for j in range(out.shape[1]):
-            out[r, j] = scratch[last, j]
-    return finite
+            value = scratch[last, j]
+            out[r, j] = hyperbolic_tangent(value) if squash else value
 
 
 # Files
@@ -179,6 +190,18 @@ def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = N
     for i, (weight, bias) in enumerate(zip(layers.weights, layers.biases, strict=True)):
         tensors |= {f"layers.{i}.weight": weight, f"layers.{i}.bias": bias}
     return save_tensors({key: np.ascontiguousarray(value) for key, value in tensors.items()})
+
+
+def tensors_from_bytes(file: Path, content: bytes) -> dict[str, Floats]:
+    """Return the float32 tensors of a safetensors file by name; ``file`` is for messages."""
+    try:
+        tensors: dict[str, Floats] = load_tensors(content)
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file} is no safetensors file of numbers: {error}") from None
+    for key, tensor in tensors.items():
+        if tensor.dtype != np.float32:
+            raise InputError(f"{file}: {key} is of type {tensor.dtype}; it must be float32")
+    return tensors
 
 
 def layers_from_bytes(
@@ -197,10 +220,7 @@ def layers_from_bytes(
         raise InputError(
             f"{file.parent}: there are {len(hidden)} hidden layers; {MAX_LAYERS - 1} is the limit"
         )
-    try:
-        tensors = load_tensors(content)
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{file} is no safetensors file of numbers: {error}") from None
+    tensors = tensors_from_bytes(file, content)
     count = len(hidden) + 1
     odd = set(tensors) ^ {
         *others,
@@ -211,9 +231,6 @@ def layers_from_bytes(
         raise InputError(
             f"{file}: unknown or missing {names}; the manifest's hidden layers are {hidden}"
         )
-    for key, tensor in tensors.items():
-        if tensor.dtype != np.float32:
-            raise InputError(f"{file}: {key} is of type {tensor.dtype}; it must be float32")
     try:
         layers = DenseLayers(
             tuple(tensors[f"layers.{i}.weight"] for i in range(count)),

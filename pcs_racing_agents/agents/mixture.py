@@ -115,7 +115,7 @@ def from_network_set(
         Another set: the name of a shipped one or its folder.
     """
     if networks is None:
-        how = f"make networks with 'pcs-racing learn {kind}' and give them as networks=FOLDER"
+        how = f"make networks with 'pcs-racing train {kind}' and give them as networks=FOLDER"
         networks = shipped_name(spec, kind, list_network_sets(), f"agent {name!r}", how)
     loaded = load_network_set(networks)
     check_same_game(loaded.identity, spec.identity, f"agent {name!r}: network set {loaded.name!r}")

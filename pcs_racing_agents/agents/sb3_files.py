@@ -20,9 +20,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from pcs_racing.base.compilation import kernel
-from pcs_racing.base.dense import DenseLayers, dense_forward, weight_count
-from pcs_racing.base.elementary import hyperbolic_tangent
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
 from pcs_racing.envs.models import layers, model_policy, needs_like, origin_of
@@ -66,29 +64,6 @@ class PolicyTraits(NamedTuple):
     squash: bool  #: True for ``squash_output``.
 
 
-@kernel
-def _actor_rows(rows, flat, sizes, at, tanh, squash, scratch, out):
-    """Pass each row through the layers; the last layer begins at ``flat[at]``.
-
-    The result of a row depends on this row alone.
-    """
-    layers = len(sizes) - 1
-    for r in range(len(rows)):
-        for i in range(sizes[0]):
-            scratch[0, i] = rows[r, i]
-        x, y = scratch[0], scratch[1]
-        if tanh and layers > 1:
-            dense_forward(flat, sizes[:-1], x, y, True)
-            if layers % 2 == 0:
-                x, y = scratch[1], scratch[0]
-            dense_forward(flat[at:], sizes[-2:], x, y, False)
-        else:
-            dense_forward(flat, sizes, x, y, False)
-        for j in range(out.shape[1]):
-            value = scratch[layers % 2, j]
-            out[r, j] = hyperbolic_tangent(value) if squash else value
-
-
 class ObservationScale(NamedTuple):
     """Scale of observations by ``VecNormalize`` at the end of a training."""
 
@@ -120,16 +95,12 @@ class Sb3Policy:
         """SHA-256 of the layers and the scale."""
         about = f"{self.layers.sizes} {self.activation} {self.moves} {self.squash}".encode()
         scale = b"".join(np.asarray(values).tobytes() for values in self.scale or ())
-        return hashlib.sha256(about + self._flat.tobytes() + scale).hexdigest()
+        return hashlib.sha256(about + self.layers.flat().tobytes() + scale).hexdigest()
 
     @cached_property
     def observation_space(self) -> spaces.Box:
         """Space of the observations; their bounds are not known."""
         return spaces.Box(-np.inf, np.inf, (self.layers.sizes[0],))
-
-    @cached_property
-    def _flat(self) -> NDArray[np.float32]:
-        return self.layers.flat()
 
     def predict(
         self,
@@ -139,20 +110,14 @@ class Sb3Policy:
         deterministic: bool = True,
     ) -> tuple[NDArray[Any], None]:
         """Return the most probable action for each observation; ignore ``deterministic``."""
-        rows, sizes = np.asarray(observation, np.float32), np.array(self.layers.sizes)
-        if rows.shape[-1] != sizes[0]:
+        rows, size = np.asarray(observation, np.float32), self.layers.sizes[0]
+        if rows.shape[-1] != size:
             raise InputError(
-                f"policy {self.name!r} takes observations of {sizes[0]} numbers; here they have"
+                f"policy {self.name!r} takes observations of {size} numbers; here they have"
                 f" {rows.shape[-1]}"
             )
         rows = rows if self.scale is None else self.scale(rows)
-        flat_rows = np.ascontiguousarray(rows.reshape(-1, sizes[0]))
-        out = np.empty((len(flat_rows), sizes[-1]), np.float32)
-        scratch, last = np.empty((2, sizes.max()), np.float32), weight_count(self.layers.sizes[:-1])
-        _actor_rows(
-            flat_rows, self._flat, sizes, last, self.activation == "Tanh", self.squash, scratch, out
-        )
-        out = out.reshape(*rows.shape[:-1], -1)
+        out = self.layers.forward(rows, tanh=self.activation == "Tanh", squash=self.squash)
         return (np.argmax(out, axis=-1) if self.moves else out), None
 
 

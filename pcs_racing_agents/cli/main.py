@@ -55,15 +55,7 @@ FILES = {
     ),
     "train": (
         "train",
-        "train a network that predicts counterfactual regrets from observations",
-    ),
-    "learn": (
-        "learn",
-        "train an agent in branched races: a response to opponents, PSRO, or CFR in self-play",
-    ),
-    "ppo": (
-        "learn",
-        "train a baseline by PPO at the strategy or control level, or resume such a training",
+        "train the network of an agent: on game trees, by PPO, or in branched races",
     ),
     "study": (
         "study",
@@ -85,7 +77,7 @@ NAMING = {
     "tournament": {"--policies": "planner", "--agents": "agent"},
     "tune": {"": "planner", "--against": "planner"},
     "policies": {"": "planner"},
-    "learn": {"--pool": "agent"},
+    "train": {"--pool": "agent"},
 }
 """Kind of names after an option, by command; "" means the words before all options.
 

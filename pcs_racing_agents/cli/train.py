@@ -1,34 +1,104 @@
-"""``pcs-racing train``: train a network to predict counterfactual regrets from observations."""
+"""``pcs-racing train``: train the networks of agents."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError, require
+from pcs_racing.base.settings import plain_settings
+from pcs_racing.game.make import make_game
+from pcs_racing.game.players import competitor
+from pcs_racing.track.loading import load_track
+from pcs_racing_agents import learning
+from pcs_racing_agents.agents.agent import competitor_hash
+from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.configurations import shipped_configs
+from pcs_racing_agents.base.curves import curves_picture
 from pcs_racing_agents.base.folders import hold_folder
-from pcs_racing_agents.cli.commands import ConfigOptions, Option, command
-from pcs_racing_agents.cli.options import Workers, can_draw, output_folder
+from pcs_racing_agents.base.jobs import open_job
+from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.style import save_picture
+from pcs_racing_agents.base.tables import aligned, table_rows, write_csv
+from pcs_racing_agents.cli.commands import Command, ConfigOptions, Option, command
+from pcs_racing_agents.cli.options import (
+    AGENT_HELP,
+    DEFAULT_TRACK,
+    ArchiveName,
+    Circuits,
+    Rules,
+    Workers,
+    archive_for,
+    can_draw,
+    output_folder,
+)
+from pcs_racing_agents.learning.ppo import COLUMNS, PPOSettings
+from pcs_racing_agents.networks import (
+    NetworkSet,
+    RegretNetwork,
+    load_train_settings,
+    save_network,
+    save_network_set,
+)
+from pcs_racing_agents.networks.from_trees import train_regrets
+from pcs_racing_agents.networks.metrics import score_table
 from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.networks.training import epoch_curves, write_epochs
+from pcs_racing_agents.tournament.play import game_rules
+from pcs_racing_agents.tournament.race_files import write_results
+from pcs_racing_agents.trees import load_trees
+from pcs_racing_agents.trees.storage import stored_identity
+
+group = Command(
+    "train",
+    "Train the network of an agent: on game trees, by PPO, or in branched races.",
+    (
+        "pcs-racing train regret out/trees --out out/networks/regret",
+        "pcs-racing train ppo --config duel-paper --out out/ppo",
+    ),
+)
+
+POOL = ("never-switch", "random-moves")  # a policy that stays, and random moves
+Name = Annotated[str | None, Option("name of the network (default: the kind)")]
+Out = Annotated[
+    Path,
+    Option(
+        "folder of the work, with the result in its folder 'agent'; an interrupted run resumes"
+        " here",
+        "DIR",
+    ),
+]
+Pool = Annotated[Sequence[str], Option(f"opponents: {AGENT_HELP}", "AGENT")]
+
+
+def _config(kind: str) -> Option:
+    names = ", ".join(shipped_configs(kind))
+    return Option(f"settings: {names} or a YAML file", "NAME")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Games:
+    """The games in which an agent learns."""
+
+    track: Circuits = (DEFAULT_TRACK,)
+    archive: ArchiveName = None
+    rules: Rules
 
 
 @command(
-    "train",
-    "pcs-racing train out/trees --target regret --out out/networks/regret",
-    "pcs-racing train out/trees-a out/trees-b --config study --target advantage --out"
+    "train regret",
+    "pcs-racing train regret out/trees --out out/networks/regret",
+    "pcs-racing train regret out/trees-a out/trees-b --config study --target advantage --out"
     " out/networks/advantage",
 )
-def run(
+def run_regret(
     trees: Annotated[
         Sequence[Path], Option("folders of game trees, written by 'pcs-racing tree'", "DIR")
     ],
     *,
-    config: Annotated[
-        str | None,
-        Option(f"settings: {', '.join(shipped_configs('train'))} or a YAML file", "NAME"),
-    ] = None,
+    config: Annotated[str | None, _config("train")] = None,
     changes: Annotated[
         dict[str, Any], ConfigOptions(TrainSettings, "target", "epochs", "hidden", "seed")
     ],
@@ -36,18 +106,7 @@ def run(
     out: Annotated[Path, Option("folder for the network and its learning curves", "DIR")],
     workers: Workers,
 ) -> None:
-    """Train a network that predicts counterfactual regrets from observations."""
-    from pcs_racing_agents.base.curves import curves_picture
-    from pcs_racing_agents.base.progress import show_progress
-    from pcs_racing_agents.base.style import save_picture
-    from pcs_racing_agents.networks.from_trees import train_regrets
-    from pcs_racing_agents.networks.metrics import score_table
-    from pcs_racing_agents.networks.network_files import save_network
-    from pcs_racing_agents.networks.settings import load_train_settings
-    from pcs_racing_agents.networks.training import epoch_curves, write_epochs
-    from pcs_racing_agents.trees import load_trees
-    from pcs_racing_agents.trees.storage import stored_identity
-
+    """Train on game trees: regrets for 'cfr-argmax', or another target."""
     settings = load_train_settings(config, **changes)
     name = name or out.resolve().name
     stored = [load_trees(folder) for folder in trees]
@@ -72,12 +131,13 @@ def run(
         best = result.epochs[result.best]
         save_network(network, folder)
         write_epochs(result, folder / "learning_curves.csv")
-        if can_draw("the learning curves"):
-            title = f"{name}: {settings.target}"
-            figure = curves_picture(
-                epoch_curves(result), log=("loss",), mark=best.epoch, title=title
-            )
-            save_picture(figure, folder / "learning_curves.png")
+        _draw_curves(
+            folder / "learning_curves.png",
+            epoch_curves(result),
+            log=("loss",),
+            mark=best.epoch,
+            title=f"{name}: {settings.target}",
+        )
     print(
         f"{network}\n{network.training['rows']} rows from {network.training['tracks']}; epoch"
         f" {best.epoch} of {result.epochs[-1].epoch} kept, validation loss"
@@ -115,3 +175,167 @@ def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | floa
         "utility": rules["utility"],
         "step_seconds": rules["step_seconds"],
     }
+
+
+def _draw_curves(file: Path, panels: Mapping[str, Any], **options: Any) -> None:
+    if can_draw("the learning curve"):
+        save_picture(curves_picture(panels, **options), file)
+
+
+@command(
+    "train ppo",
+    "pcs-racing train ppo --config duel-paper --out out/ppo",
+    "pcs-racing train ppo --config duel-paper --seeds 0 1 2 --executor processes --out out/ppo-3",
+)
+def run_ppo(
+    *,
+    config: Annotated[str, _config("ppo")],
+    changes: Annotated[dict[str, Any], ConfigOptions(PPOSettings, "steps", "seeds")],
+    name: Annotated[
+        str | None,
+        Option("name of the network (default: name of the shipped network of the agent 'ppo')"),
+    ] = None,
+    out: Out,
+    workers: Workers,
+) -> None:
+    """Train 'ppo': PPO of Stable-Baselines3, in the games of a configuration."""
+    settings = learning.load_ppo_settings(config, **changes)
+    with workers.start() as executor:
+        trained = learning.train_ppo(
+            settings, out, name=name, executor=executor, progress=show_progress("steps")
+        )
+    _draw_curves(out / "curve.png", trained.panels, x_label="million moves", title="PPO")
+    table = "\n".join(aligned(table_rows(COLUMNS, trained.best)))
+    print(
+        f"{trained.seconds:.0f} s of training; best: seed {trained.best[0].seed},"
+        f" {trained.best[0].steps} moves\n\n{table}\n\nwritten: {out / 'agent'}; race it as"
+        f" ppo:network={out / 'agent'}"
+    )
+
+
+@command(
+    "train response",
+    "pcs-racing train response --pool never-switch lane-switcher --out out/response",
+)
+def run_response(
+    *,
+    games: Games,
+    pool: Pool = POOL,
+    config: Annotated[str, _config("response")] = "response",
+    name: Name = None,
+    out: Out,
+    workers: Workers,
+) -> None:
+    """Train 'response': a best response to a pool of opponents."""
+    settings = learning.load_response_settings(config, seed=games.rules.seed)
+    _learn("response", learning.learn_response, games, pool, settings, name, out, workers)
+
+
+@command(
+    "train psro",
+    "pcs-racing train psro --track Pipkin Saltmere --pool never-switch lane-switcher --out"
+    " out/psro",
+)
+def run_psro(
+    *,
+    games: Games,
+    pool: Pool = POOL,
+    config: Annotated[str, _config("psro")] = "default",
+    name: Name = None,
+    out: Out,
+    workers: Workers,
+) -> None:
+    """Train 'psro': a mixture of responses, by policy-space response oracles."""
+    settings = learning.load_psro_settings(config, seed=games.rules.seed)
+    _learn("psro", learning.learn_psro, games, pool, settings, name, out, workers)
+
+
+@command(
+    "train self-play",
+    "pcs-racing train self-play --track Brackwater --rules contest --out out/self-play",
+)
+def run_self_play(
+    *,
+    games: Games,
+    config: Annotated[str, _config("self-play")] = "default",
+    name: Name = None,
+    out: Out,
+    workers: Workers,
+) -> None:
+    """Train 'self-play': the average strategy of CFR against itself."""
+    settings = learning.load_self_play_settings(config, seed=games.rules.seed)
+    _learn("self-play", learning.learn_self_play, games, None, settings, name, out, workers)
+
+
+@command(
+    "train best-reply",
+    "pcs-racing train best-reply response --rules contest --out out/reply",
+)
+def run_best_reply(
+    agent: Annotated[str, Option(f"agent: {AGENT_HELP}", "AGENT")],
+    *,
+    games: Games,
+    config: Annotated[str, _config("response")] = "best-reply",
+    races: Annotated[int, Option("test races, on all circuits together")] = 4000,
+    name: Name = None,
+    out: Out,
+    workers: Workers,
+) -> None:
+    """Train an opponent of one agent, and print the loss of the agent."""
+    from pcs_racing_agents.learning.best_replies import REPLY_NOTE, check_races, loss_table
+
+    settings = learning.load_response_settings(config, seed=games.rules.seed)
+    check_races(races, len(games.track))
+
+    def learn(made: Any, agents: Any, *rest: Any, **run: Any) -> RegretNetwork:
+        reply = learning.best_reply(made, agents[0], *rest, races=races, **run)
+        table = loss_table(agent, reply)
+        budget = (
+            f"learner: {settings.starts} games branched at every step and on each circuit,"
+            f" {settings.rounds} rounds, {settings.members} networks"
+        )
+        print("\n".join([*aligned(table), "", REPLY_NOTE, budget]))
+        write_results(reply.races, out / "results.csv")
+        print(f"written: {write_csv(table, out / 'best_reply.csv')}")
+        return reply.network
+
+    _learn("best-reply", learn, games, [agent], settings, name, out, workers, races)
+
+
+def _learn(
+    kind: str,
+    learn: Callable[..., RegretNetwork | NetworkSet],
+    games: Games,
+    pool: Sequence[str] | None,
+    settings: Any,
+    name: str | None,
+    out: Path,
+    workers: Workers,
+    races: int | None = None,
+) -> None:
+    """Learn in branched races in the folder of a job, and save the result."""
+    config = game_rules(games.rules.config())
+    spec = make_game_spec(archive_for(games.archive, config.race), config)
+    made = [make_game(load_track(track), spec.archive, config) for track in games.track]
+    opponents = [competitor(text, spec, code=True, seed=games.rules.seed) for text in pool or ()]
+    identity: dict[str, Any] = {
+        "archive": spec.archive.content_hash,
+        "rules": repr(made[0].config),
+        "tracks": [game.track.content_hash for game in made],
+        "competitors": [competitor_hash(opponent) for opponent in opponents],
+        "name": name or kind,
+        "settings": plain_settings(settings),
+        "races": races,
+    }
+    folder = out / "agent"
+    with workers.start() as executor, open_job(out, kind, identity) as job:
+        played = (made, spec) if pool is None else (made, opponents, spec)
+        run: Any = {"executor": executor, "progress": show_progress("tasks")}
+        learned = learn(*played, settings, job, name=name or kind, **run)
+        if isinstance(learned, NetworkSet):
+            save_network_set(learned, folder)
+            agent = f"{kind}:networks={folder}"
+        else:
+            save_network(learned, folder)
+            agent = f"response:network={folder}"
+    print(f"{learned}\nwritten: {folder}; race it as {agent}")

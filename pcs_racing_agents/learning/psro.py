@@ -21,7 +21,7 @@ from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Job, Workers
-from pcs_racing_agents.learning.responses.learner import (
+from pcs_racing_agents.learning.responses import (
     ResponseSettings,
     learn_response,
     load_response_settings,

@@ -23,10 +23,8 @@ import numpy as np
 from annotated_types import Interval
 from numpy.typing import NDArray
 
-from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import OneOf
-from pcs_racing.game.identity import GameIdentity, game_identity
-from pcs_racing.game.players import random_moves
+from pcs_racing.game.players import ConstantPlayer, random_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
@@ -35,16 +33,15 @@ from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Job, Workers
-from pcs_racing_agents.learning.responses.branches import (
+from pcs_racing_agents.learning.branches import (
     GameBlock,
-    block_rows,
     branch_games,
+    branched_rows,
+    common_identity,
     game_blocks,
 )
-from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
-from pcs_racing_agents.learning.responses.learner import LearnerSettings
+from pcs_racing_agents.learning.responses import LearnerSettings, train_mean
 from pcs_racing_agents.networks import NetworkSet, RegretNetwork, Rows, join_rows
-from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
 WEIGHTS = ("linear", "uniform")
@@ -77,18 +74,11 @@ class SelfPlaySettings(LearnerSettings):
         "Weight of iteration t in the regrets and in the average strategy: t (linear), or 1"
         " (uniform).",
     ] = "linear"
-    members: Annotated[
-        int, Interval(ge=1, le=32), "Networks fitted in each iteration; their mean is used."
-    ] = 1
     seed: Annotated[int, Interval(ge=0, le=2**50), "Seed of the games and of the networks."] = 0
 
     def iteration_weight(self, iteration: int) -> float:
         """Return the weight of an iteration, counted from 1."""
         return float(iteration) if self.weights == "linear" else 1.0
-
-    def train_settings(self, iteration: int, member: int) -> TrainSettings:
-        """Return the settings of a network of an iteration, counted from 1."""
-        return self.fit_settings((self.seed * 64 + iteration) * 32 + member)
 
 
 def load_self_play_settings(
@@ -99,7 +89,8 @@ def load_self_play_settings(
 
 
 def learn_self_play(
-    samplers: "Sequence[RaceSampler]",
+    games: Sequence[RaceGame],
+    spec: GameSpec,
     settings: SelfPlaySettings,
     job: Job,
     *,
@@ -110,8 +101,10 @@ def learn_self_play(
 
     Parameters
     ----------
-    samplers : sequence of RaceSampler
-        A sampler for each track, all of one game; they share one network.
+    games : sequence of RaceGame
+        Games with equal archive and rules, one on each track; they share one network.
+    spec : GameSpec
+        Archive and rules, as known to agents.
     job : Job
         Job that stores rows and networks, so that a stopped run can be resumed.
 
@@ -122,47 +115,25 @@ def learn_self_play(
         the average strategy. The last network was fitted to the rows of all iterations: it
         predicts the mean counterfactual regrets.
     """
-    if len(samplers) == 0:
-        raise InputError("there is no game to learn; give at least one")
-    identity, steps = samplers[0].identity, samplers[0].steps
-    for i, sampler in enumerate(samplers):
-        if sampler.identity != identity or sampler.steps != steps:
-            raise InputError(
-                f"game {i} is another one than game 0; all must have one archive and one set of"
-                " rules"
-            )
+    identity = common_identity(games)
     rows: list[Rows] = []
     networks: list[RegretNetwork] = []
     for iteration in range(1, settings.iterations + 1):
         place = f"iteration-{iteration}"
         blocks = [
             block
-            for i in range(len(samplers))
-            for step in range(steps)
+            for i in range(len(games))
+            for step in range(games[0].config.moves)
             for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
         ]
-        work = partial(
-            _traverse, samplers, networks[-1] if networks else None, settings.exploration
-        )
-        results = job.run(place, work, blocks, **workers)
+        strategy = networks[-1] if networks else None
+        branch = partial(traverse, games, spec, settings.worth, strategy, settings.exploration)
         weight = settings.iteration_weight(iteration)
-        for arrays, block in zip(results, blocks, strict=True):
-            if len(arrays["game"]):  # some of its games were still running
-                i, step, _ = block.place
-                rows.append(
-                    block_rows(arrays, block, (iteration * 100 + step) * 1000 + i, step, weight)
-                )
-        members = [settings.train_settings(iteration, member) for member in range(settings.members)]
-        fitted = train_kept(
-            job,
-            f"{place}-networks",
-            join_rows(rows),
-            identity,
-            members,
-            place,
-            workers.get("executor"),
+        rows += branched_rows(job, place, branch, blocks, weight, **workers)
+        fit = settings.fit_settings((settings.seed * 64 + iteration) * 32)
+        networks.append(
+            train_mean(job, place, join_rows(rows), identity, [fit], place, workers.get("executor"))
         )
-        networks.append(merge_networks(fitted, place))
     # The network of iteration t is the strategy of iteration t + 1. The strategy of iteration 1
     # (random moves) is left out.
     weights = [settings.iteration_weight(iteration + 2) for iteration in range(settings.iterations)]
@@ -178,17 +149,52 @@ def learn_self_play(
     return NetworkSet(name, tuple(networks), np.array(weights), "regret-matching", facts)
 
 
-def _traverse(
-    samplers: "Sequence[RaceSampler]",
+def traverse(
+    games: Sequence[RaceGame],
+    spec: GameSpec,
+    payoff: str,
     network: RegretNetwork | None,
     exploration: float,
     block: GameBlock,
 ) -> Arrays:
+    """Return the advantages of all moves of car 0 at a step, if both cars play one strategy.
+
+    Car 0 reaches the step by uniformly random moves, as in external sampling (Lanctot et al.
+    2009). Its own reach probability is then the same in all iterations, and the advantages of
+    several iterations can be averaged without importance weights. Its start position (in front
+    or behind) is random, so the network learns for both cars.
+
+    Parameters
+    ----------
+    network : RegretNetwork or None
+        Advantages for the regret matching of both players; None for uniformly random moves.
+    exploration : float
+        Probability of a random move instead of a move by regret matching.
+
+    Returns
+    -------
+    dict of ndarray
+        ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move
+        minus the strategy's value; ``game`` (R,), the index in the block.
+    """
     i, step, _ = block.place
-    return samplers[i].traverse(network, exploration, step, block.keys)
-
-
-# Races
+    game = games[i]
+    # Draws are a function of seed and observation: each player has a seed of its own.
+    players: list[Agent | ConstantPlayer] = [random_moves(game, seed=seed) for seed in (2, 3)]
+    if network is not None:
+        strategy = ExploringStrategy(network, exploration, len(spec.moves))
+        players = [Agent("self-play", strategy, spec, seed) for seed in (0, 1)]
+    first, second = players
+    before, moves = random_moves(game, seed=2), len(game.move_names)
+    between = game_between(game, first, second)
+    branches = branch_games(between, second, block.keys, step, [before], first, payoff, moves)
+    chances = first.probabilities(branches.observations)[:, :moves]
+    baseline = (chances * branches.outcomes).sum(axis=1, keepdims=True)
+    return {
+        "observations": branches.observations,
+        "advantages": branches.outcomes - baseline,
+        "game": branches.game,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,68 +213,3 @@ class ExploringStrategy:
         mixed = (1.0 - self.exploration) * regret_matching(values) + self.exploration / offered
         probabilities[:, :offered] = mixed
         return probabilities
-
-
-@dataclass(frozen=True, eq=False)
-class RaceSampler:
-    """Sampler of games on one track; all moves of car 0 are tried, both cars use one network."""
-
-    game: RaceGame
-    spec: GameSpec  #: Archive and rules, as known to agents.
-    payoff: str = "win"  #: Payoff of a game: "win" or "utility".
-
-    @property
-    def identity(self) -> GameIdentity:
-        """Identity of the learned game; it is the same for all tracks."""
-        return game_identity(self.game)
-
-    @property
-    def steps(self) -> int:
-        """Number of moves of each car."""
-        return self.game.config.moves
-
-    def traverse(
-        self, network: RegretNetwork | None, exploration: float, step: int, keys: NDArray[np.uint64]
-    ) -> Arrays:
-        """Return the advantages of all moves of car 0 at a step, if both cars play one strategy.
-
-        Car 0 reaches the step by uniformly random moves, as in external sampling (Lanctot et al.
-        2009). Its own reach probability is then the same in all iterations, and the advantages of
-        several iterations can be averaged without importance weights. Its start position (in front
-        or behind) is random, so the network learns for both cars.
-
-        Parameters
-        ----------
-        network : RegretNetwork or None
-            Advantages for the regret matching of both players; None for uniformly random moves.
-        exploration : float
-            Probability of a random move instead of a move by regret matching.
-        keys : ndarray, shape (B,)
-            Keys of the games; all random draws depend only on them.
-
-        Returns
-        -------
-        dict of ndarray
-            ``observations`` (R, D) of the player; ``advantages`` (R, A), the value of each move
-            minus the strategy's value; ``game`` (R,), the index of the key.
-        """
-        random = random_moves(self.game, seed=2)
-        first, second = (self._player(network, exploration, seed) for seed in (0, 1))
-        game = game_between(self.game, first, second)
-        moves = len(self.identity.moves)
-        branches = branch_games(game, second, keys, step, [random], first, self.payoff, moves)
-        chances = first.probabilities(branches.observations)[:, :moves]
-        baseline = (chances * branches.outcomes).sum(axis=1, keepdims=True)
-        return {
-            "observations": branches.observations,
-            "advantages": branches.outcomes - baseline,
-            "game": branches.game,
-        }
-
-    def _player(self, network: RegretNetwork | None, exploration: float, seed: int) -> Any:
-        if network is None:
-            # Draws are a function of seed and observation: these seeds differ from the seeds of the
-            # regret-matching players.
-            return random_moves(self.game, seed=seed + 2)
-        strategy = ExploringStrategy(network, exploration, len(self.spec.moves))
-        return Agent("self-play", strategy, self.spec, seed)

@@ -38,7 +38,7 @@ class TrainedOnTrees(NamedTuple):
     result: TrainingResult
     #: Scores of choices on the rows of the held-out trees, or of the validation pairs without
     #: held-out trees.
-    rows: list[RowScore]
+    rows: RowScore
     #: :class:`TreeScore` of the network and other strategies on each held-out tree,
     #: shape (trees, 2); empty without held-out trees.
     scores: dict[str, NDArray[np.float64]]
@@ -110,7 +110,7 @@ def train_regrets(
         **dict(network.training),
         **(about or {}),
     }
-    summary["test_agreement"] = float(f"{scores[0].agreement:.4g}")
+    summary["test_agreement"] = float(f"{scores.agreement:.4g}")
     if test:
         trees = score_trees(
             {name: follow(network), **blind_plays(identity.moves)}, (tree_at(i) for i in test)

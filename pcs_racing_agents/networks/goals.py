@@ -58,27 +58,24 @@ def scale_rows(rows: Rows, clipped: bool, relative: bool) -> Scaling:
     share = rows.weights / rows.weights.sum()
     mean = share @ rows.observations.astype(np.float64)
     deviation = np.sqrt(share @ (rows.observations - mean) ** 2)
-    known = share[:, None] * rows.mask
+    # A target counts a share of its row.
+    each = np.tile(share[:, None] / rows.targets.shape[1], rows.targets.shape[1])
     depth, level = np.inf, None
     if relative:
-        lost_by_random_moves = np.sum(known * (_highest(rows) - rows.targets)) / known.sum()
+        lost_by_random_moves = np.sum(each * (_highest(rows) - rows.targets))
         depth = FLOOR * lost_by_random_moves or np.inf
     targets = _raised(rows, depth).astype(np.float64)
-    if clipped:
-        centre, values = np.zeros(targets.shape[1]), np.maximum(targets, 0.0)
-    else:
-        total = known.sum(axis=0)
-        centre = np.sum(known * targets, axis=0) / np.where(total > 0.0, total, 1.0)
-        values = np.where(rows.mask, targets - centre, 0.0)
-    means = values.sum(axis=1, keepdims=True) / rows.mask.sum(axis=1, keepdims=True)
+    centre = np.zeros(targets.shape[1]) if clipped else share @ targets
+    values = np.maximum(targets, 0.0) if clipped else targets - centre
+    means = values.mean(axis=1, keepdims=True)
     if relative:
-        values = np.where(rows.mask, values - means, 0.0)
-    size = np.sqrt(np.sum(known * values**2) / known.sum()) or 1.0
+        values = values - means
+    size = np.sqrt(np.sum(each * values**2)) or 1.0
     if relative:
         # The mean never counts more than the differences: means of advantages hold no information.
         level = float(size / max(np.sqrt(share @ means[:, 0] ** 2), size))
     # Depth below 0 of the targets in rows without a positive target.
-    hopeless = known * ~(targets > 0.0).any(axis=1, keepdims=True)
+    hopeless = each * ~(targets > 0.0).any(axis=1, keepdims=True)
     squares = np.sum(hopeless * (targets / size) ** 2)
     return Scaling(
         mean.astype(np.float32),
@@ -96,7 +93,7 @@ def row_goals(rows: Rows, by: Scaling, clipped: bool) -> Goals:
     """Return the scaled inputs and goals of rows."""
     inputs = (rows.observations - by.mean) / by.scale
     values = (_raised(rows, by.depth) - by.centre) / by.size
-    weights = (rows.mask / rows.mask.sum(axis=1, keepdims=True)).astype(np.float32)
+    weights = np.full(values.shape, 1.0 / values.shape[1], np.float32)
     if not clipped:
         return Goals(inputs, values, weights, np.zeros(values.shape, np.bool_))
     # In a row without a positive regret clipped values do not identify the best of the bad moves.
@@ -108,13 +105,9 @@ def row_goals(rows: Rows, by: Scaling, clipped: bool) -> Goals:
 
 
 def _highest(rows: Rows) -> Floats:
-    return np.where(rows.mask, rows.targets, -np.inf).max(axis=1, keepdims=True)
+    return rows.targets.max(axis=1, keepdims=True)
 
 
 def _raised(rows: Rows, depth: float) -> Floats:
     """Return targets, raised to at most ``depth`` below the highest target of their row."""
-    if np.isinf(depth):
-        return rows.targets
-    return np.where(
-        rows.mask, np.maximum(rows.targets, _highest(rows) - np.float32(depth)), np.float32(0.0)
-    )
+    return np.maximum(rows.targets, _highest(rows) - np.float32(depth))

@@ -5,7 +5,6 @@ counts.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -33,24 +32,17 @@ Play = Callable[[NDArray[np.float32]], NDArray[np.floating]]
 
 
 class RowScore(NamedTuple):
-    """Comparison of a network's choices with the targets of rows."""
+    """Comparison of a network's choices with the targets of rows, each with its weight."""
 
-    step: int  #: Number of moves made so far; -1 for all rows together, each with its weight.
     rows: int
-    agreement: float  #: Weighted share of rows whose chosen move has the highest target.
+    agreement: float  #: Share of rows whose chosen move has the highest target.
     #: Same share for random moves (above 1 / A where several moves are equally good).
     chance: float
     constant: float  #: Same share for the best constant move on these rows.
-    shortfall: float  #: Weighted mean of the highest target minus the target of the chosen move.
-
-    @property
-    def move(self) -> str:
-        """Number of the move, from 1, or "all"."""
-        return "all" if self.step < 0 else str(self.step + 1)
+    shortfall: float  #: Mean of the highest target minus the target of the chosen move.
 
 
 CHOICES = (
-    Column("move"),
     Column("rows"),
     Column("agreement", format=".1%"),
     Column("chance", "random", ".1%"),
@@ -70,30 +62,19 @@ class TreeScore(NamedTuple):
     lost_to_equilibrium: float
 
 
-def score_rows(network: RegretNetwork, rows: Rows) -> list[RowScore]:
-    """Compare choices with targets: first on all rows, then on the rows of each step."""
-    choice = network.choose(rows.observations, rows.mask)
-    best = best_moves(rows.targets, rows.mask)
-    shortfall = (
-        np.where(rows.mask, rows.targets, -np.inf).max(axis=1)
-        - rows.targets[np.arange(len(rows)), choice]
+def score_rows(network: RegretNetwork, rows: Rows) -> RowScore:
+    """Compare choices with targets."""
+    choice, best = network.choose(rows.observations), best_moves(rows.targets)
+    each = np.arange(len(rows))
+    shortfall = rows.targets.max(axis=1) - rows.targets[each, choice]
+    share = rows.weights / rows.weights.sum()
+    return RowScore(
+        rows=len(rows),
+        agreement=float(share @ best[each, choice]),
+        chance=float(share @ best.mean(axis=1)),
+        constant=float((share @ best).max()),
+        shortfall=float(share @ shortfall.astype(np.float64)),
     )
-    chance = np.sum(best & rows.mask, axis=1) / rows.mask.sum(axis=1)
-    result = []
-    for step in (-1, *np.unique(rows.step)):
-        included = (rows.step == step) | (step < 0)
-        share = rows.weights[included] / (rows.weights[included].sum() or 1.0)
-        result.append(
-            RowScore(
-                step=int(step),
-                rows=int(included.sum()),
-                agreement=float(share @ best[included, choice[included]]),
-                chance=float(share @ chance[included]),
-                constant=float((share @ best[included]).max()),
-                shortfall=float(share @ shortfall[included].astype(np.float64)),
-            )
-        )
-    return result
 
 
 def follow(network: RegretNetwork) -> Play:
@@ -117,11 +98,7 @@ def blind_plays(moves: Sequence[str]) -> dict[str, Play]:
     """Return the strategies of one constant move each and of random moves, by name."""
     odds = {f"always {move}": row for move, row in zip(moves, np.eye(len(moves)), strict=True)}
     odds["random moves"] = np.full(len(moves), 1.0 / len(moves))
-    return {name: partial(_same_odds, row) for name, row in odds.items()}
-
-
-def _same_odds(odds: NDArray[np.float64], observations: NDArray[np.float32]) -> NDArray[np.float64]:
-    return np.tile(odds, (len(observations), 1))
+    return {name: lambda seen, row=row: np.tile(row, (len(seen), 1)) for name, row in odds.items()}  # type: ignore[misc]
 
 
 def play_profile(play: Play, race_tree: "RaceTree") -> Profile:
@@ -189,9 +166,9 @@ def score_trees(
     return {name: np.array(rows, np.float64) for name, rows in scores.items()}
 
 
-def score_table(rows: Sequence[RowScore], trees: dict[str, NDArray[np.float64]]) -> str:
-    """Return scores as text: choices against targets by move, then strategies on the trees."""
-    lines = aligned(table_rows(CHOICES, rows), left=0)
+def score_table(rows: RowScore, trees: dict[str, NDArray[np.float64]]) -> str:
+    """Return scores as text: choices against targets, then strategies on the trees."""
+    lines = aligned(table_rows(CHOICES, [rows]), left=0)
     lines = ["choices on held-out rows:", *(f"  {line}" for line in lines)]
     if not trees:
         return "\n".join(lines)

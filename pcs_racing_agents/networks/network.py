@@ -7,13 +7,14 @@ It needs no torch, takes a few microseconds for a decision, and never changes.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_array, check_facts, check_flag, check_text
-from pcs_racing.base.dense import DenseLayers, dense_rows
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
 from pcs_racing.game.rules import RaceGame
@@ -74,14 +75,13 @@ class RegretNetwork:
             raise InputError(
                 f"{where}: scale is {self.scale.min():g} at its smallest; it must be above 0"
             )
-        # The scaling of the inputs becomes part of the first layer: one pass less for every
-        # decision.
+
+    @cached_property
+    def scaled_layers(self) -> DenseLayers:
+        """Layers with the scaling of the inputs in the first one: one pass less for a decision."""
         first = self.layers.weights[0].astype(np.float64) / self.scale
         bias = self.layers.biases[0] - (first * self.mean).sum(axis=1)
-        scaled = DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
-        assign("_sizes", np.array(sizes, np.int64))
-        assign("_flat", scaled.flat())
-        assign("_widest", max(sizes))
+        return DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
 
     def __repr__(self) -> str:
         """Show its sizes, target, archive and preset."""
@@ -123,36 +123,22 @@ class RegretNetwork:
     def unclipped(self, observations: ArrayLike) -> Floats:
         """Return the value of each move before any clipping, shape (..., A)."""
         x = np.asarray(observations, np.float32)
-        inputs, moves = len(self.identity.elements), len(self.identity.moves)
+        inputs = len(self.identity.elements)
         if x.ndim == 0 or x.shape[-1] != inputs:
             raise InputError(
                 f"observations have shape {x.shape}; network {self.name!r} needs (..., {inputs})"
             )
-        rows = np.ascontiguousarray(x.reshape(-1, inputs))
-        out = np.empty((len(rows), moves), np.float32)
-        scratch = np.empty((2, self._widest), np.float32)  # type: ignore[attr-defined]
-        if not dense_rows(rows, self._flat, self._sizes, scratch, out):  # type: ignore[attr-defined]
+        if not np.isfinite(x).all():
             raise InputError("observations hold NaN or infinity; they must be finite")
-        return out.reshape(*x.shape[:-1], moves)
+        return self.scaled_layers.forward(x)
 
-    def choose(self, observations: ArrayLike, mask: ArrayLike | None = None) -> NDArray[np.int64]:
+    def choose(self, observations: ArrayLike) -> NDArray[np.int64]:
         """Return the index of the move with the highest value, shape (...) (paper, Equation 9).
 
         If all values are clipped to 0, the choice of the paper is arbitrary; this function returns
         the move with the highest value before clipping. Of equal values the first is chosen.
-
-        Parameters
-        ----------
-        observations : array_like, shape (..., D)
-        mask : array_like of bool, shape (..., A), optional
-            Allowed moves, at least one in each row; all moves by default.
         """
-        values = self.unclipped(observations)  # clipping does not change a positive maximum
-        if mask is not None:
-            if not np.any(mask, axis=-1).all():
-                raise InputError("the mask allows no move in some row; it must allow one")
-            values = np.where(mask, values, -np.inf)
-        return np.argmax(values, axis=-1)
+        return np.argmax(self.unclipped(observations), axis=-1)
 
     def check_fits(self, game: RaceGame) -> None:
         """Check that a game has the observations and the moves of this network.

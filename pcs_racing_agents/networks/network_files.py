@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.artifacts import ArtifactFormat, ManifestFormat
-from pcs_racing.base.checks import check_facts, check_names, check_text
+from pcs_racing.base.artifacts import ArtifactFormat
+from pcs_racing.base.checks import check_array, check_facts, check_names, check_text
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
-from pcs_racing.base.errors import InputError, UnknownNameError
+from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import shipped_folder, write_together
 from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.moves import check_epsilon
@@ -61,8 +61,23 @@ def _content(network: RegretNetwork) -> tuple[dict[str, Any], bytes]:
         "preset": identity.preset,
         "training": dict(network.training),
     }
+    return fields, network_to_bytes(network)
+
+
+def network_to_bytes(network: RegretNetwork) -> bytes:
+    """Return layers and scaling of a network as the content of a safetensors file."""
     scaling = dict(zip(_SCALING, (network.mean, network.scale), strict=True))
-    return fields, layers_to_bytes(network.layers, scaling)
+    return layers_to_bytes(network.layers, scaling)
+
+
+def weights_from_bytes(file: Path, content: bytes, hidden: Any) -> dict[str, Any]:
+    """Return the fields of a network in the output of :func:`network_to_bytes`, by name.
+
+    ``hidden`` lists the widths of the hidden layers; ``file`` is for messages.
+    """
+    layers, scaling = layers_from_bytes(file, content, hidden, _SCALING)
+    mean, scale = (scaling[key] for key in _SCALING)
+    return {"layers": layers, "mean": mean, "scale": scale}
 
 
 def list_networks() -> list[str]:
@@ -77,7 +92,7 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
     folder = NETWORK_FORMAT.find(source)
     fields, content = NETWORK_FORMAT.load(folder)
     file = folder / NETWORK_FORMAT.data_file
-    layers, scaling = layers_from_bytes(file, content, fields["hidden"], _SCALING)
+    weights = weights_from_bytes(file, content, fields["hidden"])
     try:
         identity = GameIdentity(
             elements=check_names("elements", fields["elements"]),
@@ -92,9 +107,7 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
             identity=identity,
             target=fields["target"],
             clipped=fields["clipped"],
-            layers=layers,
-            mean=scaling["input.mean"],
-            scale=scaling["input.scale"],
+            **weights,
             training=fields["training"],
         )
     except InputError as error:
@@ -102,10 +115,12 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
 
 
 SET_FILE = "set.yaml"
-SET_FORMAT = ManifestFormat(
+SET_FORMAT = ArtifactFormat(
     "network set",
     ("name", "decision", "weights", "networks", "digests", "training"),
     "save_network_set",
+    shipped=NETWORK_FORMAT.shipped,
+    manifest_file=SET_FILE,
 )
 MAX_NETWORKS = 64
 """Maximum number of networks in a set."""
@@ -113,16 +128,10 @@ MAX_NETWORKS = 64
 
 def check_weights(name: str, values: ArrayLike, count: int) -> NDArray[np.float64]:
     """Return ``count`` frequencies, in any unit, as an array, or raise an error."""
-    weights = np.asarray(values, np.float64)
-    if (
-        weights.shape != (count,)
-        or not np.isfinite(weights).all()
-        or (weights < 0.0).any()
-        or not weights.any()
-    ):
+    weights = check_array(name, values, (count,))
+    if (weights < 0.0).any() or not weights.any():
         raise InputError(
-            f"{name} are {values!r:.80}; give {count} finite numbers of 0 or above, not all of"
-            " them 0"
+            f"{name} are {values!r:.80}; they must be 0 or above, and not all of them 0"
         )
     return weights
 
@@ -183,49 +192,22 @@ def save_network_set(networks: NetworkSet, folder: str | Path) -> Path:
 
 def list_network_sets() -> list[str]:
     """Return the names of the shipped sets, sorted."""
-    return sorted(path.parent.name for path in NETWORK_FORMAT.shipped.glob(f"*/{SET_FILE}"))
+    return SET_FORMAT.shipped_names()
 
 
 def load_network_set(source: str | os.PathLike[str] | NetworkSet) -> NetworkSet:
     """Return a set by shipped name or folder; a set is returned unchanged."""
     if isinstance(source, NetworkSet):
         return source
-    if not isinstance(source, str | os.PathLike):
-        raise InputError(f"network set {source!r} must be a name or a folder")
-    names = list_network_sets()
-    if source in names:
-        folder = NETWORK_FORMAT.shipped / str(source)
-    elif os.path.isdir(source):
-        folder = Path(source)
-    else:
-        raise UnknownNameError(
-            f"unknown network set {str(source)!r}: neither a folder nor one of those shipped "
-            f"({', '.join(names) or 'none'})"
-        )
+    folder = SET_FORMAT.find(source)
     file = folder / SET_FILE
     fields = SET_FORMAT.read(file)
-    for key, kind in (("weights", float), ("networks", str), ("digests", str)):
-        values = fields[key]
-        if (
-            not isinstance(values, list)
-            or len(values) != len(fields["networks"])
-            or not all(isinstance(value, kind) for value in values)
-        ):
-            raise InputError(
-                f"{file}: {key} is {values!r:.80}; it must be a list, a {kind.__name__} for each"
-                f" network in {fields['networks']!r:.80}"
-            )
-    if any(Path(name).name != name or name in (".", "..") for name in fields["networks"]):
-        raise InputError(
-            f"{file}: networks are {fields['networks']!r:.80}; they must be names of folders next"
-            " to it"
-        )
-    networks = tuple(load_network(folder / name) for name in fields["networks"])
-    for name, network, digest in zip(fields["networks"], networks, fields["digests"], strict=True):
-        if fingerprint(network.layers) != digest:
-            raise InputError(
-                f"{folder / name} is not the network that {file} describes: its digest differs"
-            )
+    names = check_names(f"{file}: networks", fields["networks"])
+    if any(Path(name).name != name or name in (".", "..") for name in names):
+        raise InputError(f"{file}: networks are {names!r:.80}; they must be folders next to it")
+    networks = tuple(load_network(folder / name) for name in names)
+    if fields["digests"] != [fingerprint(network.layers) for network in networks]:
+        raise InputError(f"the networks are not those that {file} describes: a digest differs")
     try:
         return NetworkSet(
             fields["name"], networks, fields["weights"], fields["decision"], fields["training"]

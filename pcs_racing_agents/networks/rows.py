@@ -20,15 +20,13 @@ class Rows:
     #: shape (R, D): Observations of the player
     #: (:attr:`pcs_racing.game.rules.RaceGame.observation_elements`).
     observations: NDArray[np.float32]
-    #: shape (R, A): Value of each move, never clipped; 0 where the mask is False.
+    #: shape (R, A): Value of each move, never clipped.
     targets: NDArray[np.float32]
     weights: NDArray[np.float64]  #: shape (R,): Weight of each row, 0 or more; not all 0.
     #: shape (R,): Starting pair of each row: all rows of a pair are used either for training or for
     #: validation.
     pair: NDArray[np.int64]
     step: NDArray[np.int64]  #: shape (R,): Number of moves made so far.
-    #: shape (R, A): True for known targets, at least one in every row; all True by default.
-    mask: NDArray[np.bool_] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         shape = np.shape(self.targets)
@@ -36,15 +34,12 @@ class Rows:
             raise InputError(
                 f"targets have shape {shape}; they must have (rows, moves), at least one of each"
             )
-        if self.mask is None:
-            object.__setattr__(self, "mask", np.ones(shape, np.bool_))
         for key, dtype, wanted in (
             ("observations", np.float32, (shape[0], *np.shape(self.observations)[1:2])),
             ("targets", np.float32, shape),
             ("weights", np.float64, shape[:1]),
             ("pair", np.int64, shape[:1]),
             ("step", np.int64, shape[:1]),
-            ("mask", np.bool_, shape),
         ):
             array = np.asarray(getattr(self, key))
             if array.shape != wanted or not np.can_cast(array.dtype, dtype, "same_kind"):
@@ -61,11 +56,6 @@ class Rows:
                 f"weights lie in {self.weights.min():g} to {self.weights.max():g}; some must be"
                 " above 0"
             )
-        known = self.mask.any(axis=1)
-        if not known.all():
-            raise InputError(f"row {np.argmin(known)} has no target; its mask must allow one")
-        if self.targets[~self.mask].any():
-            object.__setattr__(self, "targets", np.where(self.mask, self.targets, np.float32(0.0)))
 
     def __len__(self) -> int:
         return len(self.targets)

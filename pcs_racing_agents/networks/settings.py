@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 from annotated_types import Interval
 
-from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import Layers, OneOf, Settings
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.networks.targets import TARGETS
@@ -54,28 +53,14 @@ class TrainSettings(Settings):
         Interval(ge=1, le=100_000),
         "Epochs without a lower validation loss after which training stops.",
     ] = 20
-    validation_share: Annotated[
-        float,
-        Interval(ge=0.01, le=0.9),
-        "Share of the starting pairs used for early stopping.",
-    ] = 0.15
     test_share: Annotated[
         float,
-        Interval(ge=0.0, le=0.9),
+        Interval(ge=0.0, le=0.8),
         "Share of the starting pairs held out to evaluate the network.",
     ] = 0.15
     seed: Annotated[
         int, Interval(ge=0, le=2**63 - 1), "Seed of the initial weights and of all random draws."
     ] = 0
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.validation_share + self.test_share > 0.95:
-            raise ConfigError(
-                f"validation_share and test_share are {self.validation_share:g} and"
-                f" {self.test_share:g}; together they must leave 5 % of the starting pairs to learn"
-                " from"
-            )
 
 
 def load_train_settings(

@@ -7,8 +7,6 @@ assumption about the opponent and in their comparison of nodes:
   a node, so that nodes avoided by the opponent hardly count;
 - normalised regrets have the same size at every node;
 - equilibrium advantages come from the exact solution instead of CFR;
-- "static" values are values of best play against an opponent that ignores the race: it makes a
-  sequence of moves drawn uniformly in advance, with only the past observed;
 - "nash" is the equilibrium strategy itself instead of a value.
 """
 
@@ -24,10 +22,8 @@ from pcs_racing_agents.solvers import (
     CFRResult,
     ExactResult,
     GameTree,
-    best_response,
     cfr,
     solve_exact,
-    uniform_profile,
 )
 
 if TYPE_CHECKING:
@@ -60,9 +56,6 @@ TARGETS = {
     "advantage": Target(
         "gain or loss of a move against the equilibrium, if both follow it afterwards", ExactResult
     ),
-    "static-q": Target(
-        "utility of a move followed by best play, against a static opponent", ExactResult
-    ),
     "nash": Target(
         "probability of the move in an equilibrium, from which the agent draws",
         ExactResult,
@@ -79,13 +72,9 @@ def get_target(name: str) -> Target:
     return TARGETS[name]
 
 
-def best_moves(
-    targets: NDArray[np.floating], mask: NDArray[np.bool_] | None = None
-) -> NDArray[np.bool_]:
+def best_moves(targets: NDArray[np.floating]) -> NDArray[np.bool_]:
     """Return a mask of the highest targets of each row, shape (R, A), up to rounding."""
     values = np.asarray(targets, np.float64)
-    if mask is not None:
-        values = np.where(mask, values, -np.inf)
     highest = values.max(axis=-1, keepdims=True)
     return values >= highest - 1e-6 * np.maximum(np.abs(highest), 1.0)
 
@@ -97,13 +86,13 @@ def solve_for(tree: GameTree, target: str, *, iterations: int = 1000) -> Solutio
     return solve_exact(tree)
 
 
-def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[Floats, Floats]]:
+def node_targets(solution: Solution, target: str) -> list[tuple[Floats, Floats]]:
     """Return the targets of all infosets.
 
     Parameters
     ----------
     solution : CFRResult or ExactResult
-        Result of :func:`solve_for` for the tree and target.
+        Result of :func:`solve_for` for the target.
 
     Returns
     -------
@@ -121,12 +110,7 @@ def node_targets(tree: GameTree, solution: Solution, target: str) -> list[tuple[
                 solution.regrets, solution.opponent_reach, strict=True
             )
         ]
-    if target == "advantage":
-        return list(solution.advantages)
-    if target == "nash":
-        return list(solution.profile)
-    q = [best_response(tree, uniform_profile(tree), player).q for player in (0, 1)]
-    return list(zip(*q, strict=True))
+    return list(solution.advantages if target == "advantage" else solution.profile)
 
 
 def _normalised(regrets: Floats, reach: Floats) -> Floats:
@@ -171,9 +155,8 @@ def tree_rows(
     seed : int
         Seed of the draw of nodes.
     """
-    targets = node_targets(race_tree.game_tree(), solution, target)
-    payoffs = np.asarray(race_tree.payoffs, np.float64)
-    seeds = len(payoffs)
+    targets = node_targets(solution, target)
+    seeds = len(race_tree.payoffs)
     rng = np.random.default_rng(
         np.random.SeedSequence(seed, spawn_key=tuple(int(p) for p in race_tree.policies))
     )
@@ -188,18 +171,13 @@ def tree_rows(
         # Every node counts 1 or 1 / nodes; drawn nodes also carry the weight of omitted nodes.
         weight = (nodes if target == "regret" else 1.0) / len(sample) / seeds
         running = ~over[:, sample]
-        # If some seeds have crashed, differences between moves belong to the other seeds: a player
-        # with a decision knows that it has not crashed. The solution's values are means over all
-        # seeds: the payoffs of crashed seeds, equal for all moves, are subtracted (advantages do
-        # not include them), and the rest is spread over the other seeds.
-        ended_payoffs = np.where(over, payoffs.reshape(seeds, nodes, -1)[..., 0], 0.0).sum(axis=0)[
-            sample
-        ]
         for player, values in enumerate((first, second)):
             goals = values[sample]
-            if target in ("advantage", "static-q"):
-                offset = ended_payoffs[:, None] * (1 - 2 * player) if target == "static-q" else 0.0
-                goals = (goals * seeds - offset) / np.maximum(running.sum(axis=0), 1)[:, None]
+            if target == "advantage":
+                # The solution's values are means over all seeds. If some seeds have crashed,
+                # differences between moves belong to the other seeds: a player with a decision
+                # knows that it has not crashed.
+                goals = goals * seeds / np.maximum(running.sum(axis=0), 1)[:, None]
             at = np.nonzero(running & np.isfinite(goals).all(axis=1))
             count = len(at[0])
             blocks.append(

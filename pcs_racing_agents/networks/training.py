@@ -5,6 +5,10 @@ generators of the settings' seed, torch runs in one thread, and its own random s
 nor changed.
 """
 
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.dense import DenseLayers
-from pcs_racing.base.errors import InputError
+from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.base.curves import Curve
@@ -23,14 +27,32 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.rows import Rows, split_by_pair
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.targets import best_moves
-from pcs_racing_agents.networks.torch_layers import (
-    initial_layers,
-    layers_from_torch,
-    relu_forward,
-    torch_alone,
-)
 
 Floats = NDArray[np.float32]
+
+VALIDATION_SHARE = 0.15
+"""Share of the starting pairs used for early stopping."""
+
+
+_TURN = threading.RLock()
+
+
+@contextmanager
+def torch_alone() -> Iterator[Any]:
+    """Provide torch, limited to one thread, to one thread of this process at a time.
+
+    Several threads gain nothing for networks of this size, and would change the order of sums.
+    """
+    require("torch", extra="learning")
+    import torch
+
+    with _TURN:
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)
+        try:
+            yield torch
+        finally:
+            torch.set_num_threads(before)
 
 
 class Epoch(NamedTuple):
@@ -134,81 +156,88 @@ def train_layers(
 ) -> TrainingResult:
     """Train a network on rows of any game; see :func:`train_network`."""
     with torch_alone() as torch:
-        return _train(torch, rows, settings, clipped, relative, progress)
-
-
-def _train(
-    torch: Any,
-    rows: Rows,
-    settings: TrainSettings,
-    clipped: bool,
-    relative: bool,
-    progress: Progress | None,
-) -> TrainingResult:
-    held_out, pairs = split_by_pair(rows, settings.validation_share, settings.seed)
-    training, validation = rows.take(~held_out), rows.take(held_out)
-    # The scaling comes from the training rows alone, so that validation stays independent.
-    by = scale_rows(training, clipped, relative)
-    training_goals, validation_goals = (
-        Goals(*map(torch.from_numpy, row_goals(part, by, clipped)))
-        for part in (training, validation)
-    )
-    draws, start = (
-        np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,)))
-        for key in (1, 2)
-    )
-    sizes = [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]]
-    layers = initial_layers(sizes, start)
-    optimiser = torch.optim.AdamW(
-        layers, lr=settings.learning_rate, weight_decay=settings.weight_decay
-    )
-    odds = np.cumsum(training.weights) / training.weights.sum()
-    count = min(settings.rows_per_epoch, len(training))
-    with torch.no_grad():
-        scores = _score(layers, validation, validation_goals, by)
-    epochs, best, since = [Epoch(0, settings.learning_rate, float("nan"), *scores)], 0, 0
-    kept = layers_from_torch(layers)
-    for number in range(1, settings.epochs + 1):
-        # Inverse transform sampling, in proportion to the weights; rounding may leave the last sum
-        # below 1.
-        drawn = np.searchsorted(odds, draws.random(count), side="right")
-        drawn = torch.from_numpy(np.minimum(drawn, len(training) - 1))
-        total = 0.0
-        for batch in drawn.split(settings.batch_size):
-            losses = _losses(layers, Goals(*(part[batch] for part in training_goals)), by)
-            optimiser.zero_grad()
-            losses.mean().backward()
-            optimiser.step()
-            total += float(losses.detach().sum())
+        held_out, pairs = split_by_pair(rows, VALIDATION_SHARE, settings.seed)
+        training, validation = rows.take(~held_out), rows.take(held_out)
+        # The scaling comes from the training rows alone, so that validation stays independent.
+        by = scale_rows(training, clipped, relative)
+        training_goals, validation_goals = (
+            Goals(*map(torch.from_numpy, row_goals(part, by, clipped)))
+            for part in (training, validation)
+        )
+        draws, start = (
+            np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(key,)))
+            for key in (1, 2)
+        )
+        sizes = [rows.observations.shape[1], *settings.hidden, rows.targets.shape[1]]
+        model = _make_model(torch, sizes, start)
+        optimiser = torch.optim.AdamW(
+            model.parameters(), lr=settings.learning_rate, weight_decay=settings.weight_decay
+        )
+        odds = np.cumsum(training.weights) / training.weights.sum()
+        count = min(settings.rows_per_epoch, len(training))
         with torch.no_grad():
-            scores = _score(layers, validation, validation_goals, by)
-        rate = optimiser.param_groups[0]["lr"]
-        # The training loss is a mean over draws while the weights changed; only the validation loss
-        # is a loss of fixed weights.
-        epoch = Epoch(number, rate, total / count, *scores)
-        epochs.append(epoch)
-        if not np.isfinite(epoch.validation_loss):
-            raise InputError(
-                f"the loss is {epoch.validation_loss} after epoch {number}; take a"
-                f" learning_rate below {settings.learning_rate:g}"
-            )
-        since += 1
-        if epoch.validation_loss < epochs[best].validation_loss:
-            best, since, kept = number, 0, layers_from_torch(layers)
-        elif since % max(settings.patience // 4, 1) == 0:
-            optimiser.param_groups[0]["lr"] *= 0.5
-        stopped = since == settings.patience
-        if progress is not None:
-            total_epochs = number if stopped else settings.epochs
-            progress(number, total_epochs, f"validation loss {epoch.validation_loss:.4f}")
-        if stopped:
-            break
-    return TrainingResult(_in_units(kept, by), by.mean, by.scale, tuple(epochs), best, pairs)
+            scores = _score(model, validation, validation_goals, by)
+        epochs, best, since = [Epoch(0, settings.learning_rate, float("nan"), *scores)], 0, 0
+        kept = _layers_of(model)
+        for number in range(1, settings.epochs + 1):
+            # Inverse transform sampling, in proportion to the weights; rounding may leave the last
+            # sum below 1.
+            drawn = np.searchsorted(odds, draws.random(count), side="right")
+            drawn = torch.from_numpy(np.minimum(drawn, len(training) - 1))
+            total = 0.0
+            for batch in drawn.split(settings.batch_size):
+                losses = _losses(model, Goals(*(part[batch] for part in training_goals)), by)
+                optimiser.zero_grad()
+                losses.mean().backward()
+                optimiser.step()
+                total += float(losses.detach().sum())
+            with torch.no_grad():
+                scores = _score(model, validation, validation_goals, by)
+            rate = optimiser.param_groups[0]["lr"]
+            # The training loss is a mean over draws while the weights changed; only the validation
+            # loss is a loss of fixed weights.
+            epoch = Epoch(number, rate, total / count, *scores)
+            epochs.append(epoch)
+            if not np.isfinite(epoch.validation_loss):
+                raise InputError(
+                    f"the loss is {epoch.validation_loss} after epoch {number}; take a"
+                    f" learning_rate below {settings.learning_rate:g}"
+                )
+            since += 1
+            if epoch.validation_loss < epochs[best].validation_loss:
+                best, since, kept = number, 0, _layers_of(model)
+            elif since % max(settings.patience // 4, 1) == 0:
+                optimiser.param_groups[0]["lr"] *= 0.5
+            stopped = since == settings.patience
+            if progress is not None:
+                total_epochs = number if stopped else settings.epochs
+                progress(number, total_epochs, f"validation loss {epoch.validation_loss:.4f}")
+            if stopped:
+                break
+        return TrainingResult(_in_units(kept, by), by.mean, by.scale, tuple(epochs), best, pairs)
 
 
-def _losses(layers: list[Any], goals: Goals, by: Scaling) -> Any:
+def _make_model(torch: Any, sizes: Sequence[int], rng: np.random.Generator) -> Any:
+    """Return untrained layers with ReLUs between: weights as in He et al. 2015, biases 0."""
+    parts: list[Any] = []
+    for i, (below, above) in enumerate(pairwise(sizes)):
+        gain = 2.0 if i < len(sizes) - 2 else 1.0  # no ReLU follows the last layer
+        weight = rng.normal(0.0, np.sqrt(gain / below), (above, below)).astype(np.float32)
+        linear = torch.nn.utils.skip_init(torch.nn.Linear, below, above)
+        linear.weight.data, linear.bias.data = torch.from_numpy(weight), torch.zeros(above)
+        parts += [linear, torch.nn.ReLU()]
+    return torch.nn.Sequential(*parts[:-1])
+
+
+def _layers_of(model: Any) -> DenseLayers:
+    """Return a copy of the weights and biases of a model."""
+    arrays = [parameter.detach().numpy() for parameter in model.parameters()]
+    return DenseLayers(tuple(arrays[::2]), tuple(arrays[1::2]))
+
+
+def _losses(model: Any, goals: Goals, by: Scaling) -> Any:
     """Return the loss of each row, a tensor of shape (R,)."""
-    error = relu_forward(layers, goals.inputs) - goals.values
+    error = model(goals.inputs) - goals.values
     # Where the goal is a regret clipped to 0, any value below 0 is as good as 0.
     error = error.where(~goals.one_sided, error.clamp(min=0.0))
     if by.level is None:
@@ -219,12 +248,12 @@ def _losses(layers: list[Any], goals: Goals, by: Scaling) -> Any:
     return (goals.weights * difference * difference).sum(dim=1) + (by.level * mean[:, 0]) ** 2
 
 
-def _score(layers: list[Any], rows: Rows, goals: Goals, by: Scaling) -> tuple[float, float]:
+def _score(model: Any, rows: Rows, goals: Goals, by: Scaling) -> tuple[float, float]:
     """Return loss and agreement on rows."""
-    losses = _losses(layers, goals, by).numpy().astype(np.float64)
-    predicted = relu_forward(layers, goals.inputs).numpy() * by.size + by.centre
-    choice = np.argmax(np.where(rows.mask, predicted, -np.inf), axis=1)
-    agrees = best_moves(rows.targets, rows.mask)[np.arange(len(rows)), choice]
+    losses = _losses(model, goals, by).numpy().astype(np.float64)
+    predicted = model(goals.inputs).numpy() * by.size + by.centre
+    choice = np.argmax(predicted, axis=1)
+    agrees = best_moves(rows.targets)[np.arange(len(rows)), choice]
     share = rows.weights / rows.weights.sum()
     return float(share @ losses), float(share @ agrees)
 

@@ -14,7 +14,7 @@ from pcs_racing.game.archive_files import list_archives
 from pcs_racing.game.config import GameConfig, load_game_config
 from pcs_racing.race.config import PAPER
 from pcs_racing_agents.base.configurations import load_config
-from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.targets import get_target
 

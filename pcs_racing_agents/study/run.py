@@ -19,12 +19,8 @@ from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.fits import save_fit
 from pcs_racing_agents.base.folders import claim_folder, clear_half_written
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.learning.responses.learner import learn_response, load_response_settings
-from pcs_racing_agents.learning.self_play import (
-    RaceSampler,
-    learn_self_play,
-    load_self_play_settings,
-)
+from pcs_racing_agents.learning.responses import learn_response, load_response_settings
+from pcs_racing_agents.learning.self_play import learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks.network_files import save_network, save_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.diverse import select_diverse
@@ -132,13 +128,18 @@ def learn_sampled_regrets(study: Study) -> None:
         return
     settings = load_self_play_settings(study.config.learning.sampled_cfr)
     settings = replace(settings, seed=settings.seed + study.config.seed + SAMPLED_SEED)
-    samplers = [RaceSampler(game, study.spec, settings.worth) for game in study.games()]
     identity = {"archive": study.archive.content_hash, **plain_settings(settings)}
     name = "sampled-cfr"
     with open_job(study.folder / name, name, identity) as job:
         progress = study.progress(f"tasks ({name})")
         learned = learn_self_play(
-            samplers, settings, job, name=name, executor=study.executor, progress=progress
+            study.games(),
+            study.spec,
+            settings,
+            job,
+            name=name,
+            executor=study.executor,
+            progress=progress,
         )
     save_network_set(learned, study.network(name))
     # The last network predicts mean regrets over all iterations; the paper plays the argmax.

@@ -126,7 +126,7 @@ def value_unit(network: RegretNetwork, utility: str) -> tuple[float, str]:
     """
     if network.training.get("worth") == "win":
         return 1.0, "of a win"
-    if network.target in ("advantage", "static-q"):
+    if network.target == "advantage":
         # A race won instead of lost is a difference of 2 in this utility.
         return (0.5, "of a win") if utility == "win" else (1.0, "m of lead")
     return 1.0, ""

@@ -63,9 +63,7 @@ def game(oval, spec) -> RaceGame:
 def learner(tmp_path_factory) -> str:
     """Settings of a learner that learns next to nothing, as a file."""
     file = tmp_path_factory.mktemp("learner") / "tiny.yaml"
-    file.write_text(
-        "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n", encoding="utf-8"
-    )
+    file.write_text("starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\n", encoding="utf-8")
     return str(file)
 
 

@@ -32,9 +32,10 @@ def commands() -> dict[str, list[str]]:
             "16",
         ],
         "ppo": [
+            "train",
             "ppo",
             "--config",
-            str(SETTINGS / "ppo.yaml"),
+            str(SETTINGS / "ppo_duel.yaml"),
             "--seeds",
             "0",
             "1",

@@ -38,13 +38,12 @@ from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.map_files import read_map
 from pcs_racing_agents.agents import export_onnx, make
-from pcs_racing_agents.agents.sb3_files import read_zip
 from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
-from pcs_racing_agents.learning.league import League, Member, load_league, save_league
-from pcs_racing_agents.learning.ppo.settings import DuelSettings, load_ppo_settings
+from pcs_racing_agents.learning.league import load_league, make_league, save_league
+from pcs_racing_agents.learning.ppo import PPOSettings, load_ppo_settings
 from pcs_racing_agents.learning.psro import load_psro_settings
-from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.archive_run import stage_scenarios
@@ -191,10 +190,12 @@ def league(folder: Path) -> Path:
     """Save a league of a planner and the frozen copy of a model."""
     (folder / "origin.json").write_text(json.dumps(ORIGIN))
     read_model(folder / "origin.json")
-    weights, origin = read_zip(folder / "origin.zip")
-    arguments = {key: value for key, value in origin.items() if key != "environment"}
-    copy = Member("self-0001", model=weights, arguments=arguments)
-    return save_league(folder / "league", League((Member("lattice"), copy))) / LEAGUE_FILE
+    place = save_league(folder / "league", make_league(["lattice"]))
+    shutil.copy(folder / "origin.zip", place / "self-0001.zip")
+    members = yaml.safe_load((place / LEAGUE_FILE).read_text())
+    members["members"].append({**members["members"][0], "name": "self-0001"})
+    (place / LEAGUE_FILE).write_text(yaml.safe_dump(members))
+    return place / LEAGUE_FILE
 
 
 TREES = {
@@ -286,7 +287,7 @@ KINDS = {
         settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"
     ),
     "model": Kind(settings("origin.json", ORIGIN), read_model, "read_zip"),
-    "league": Kind(league, lambda file: load_league(file.parent).opponents(), "_read_copy"),
+    "league": Kind(league, lambda file: load_league(file.parent).opponents()),
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
         lambda file: [read_map(file.parent), load_map(file)],
@@ -305,7 +306,7 @@ KINDS = {
         load_randomization, {"mu": [0.7, 1.1], "each": {"m": {"normal": [3.7, 0.2]}}}
     ),
     "synthesis": config(load_archive_config, None, stage_scenarios),
-    "ppo": config(load_ppo_settings, DuelSettings()),
+    "ppo": config(load_ppo_settings, PPOSettings()),
     "response": config(load_response_settings),
     "psro": config(load_psro_settings),
     "self-play": config(load_self_play_settings),
@@ -428,7 +429,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/planners/racers.py": {"racer code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
-        "pcs_racing_agents/cli/learn.py": {"competitor True"},
+        "pcs_racing_agents/cli/train.py": {"competitor True"},
         "pcs_racing_agents/cli/race.py": {"policy_racer True"},
         "pcs_racing_agents/cli/tournament.py": {"plan_tournament True"},
         "pcs_racing_agents/study/results.py": {"competitor name in code"},
@@ -459,7 +460,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/agents/zoo.py:resolve_name",
         "pcs_racing_agents/cli/main.py:import_module",
         "pcs_racing_agents/base/executors.py:loads",  # what this process has packed
-        "pcs_racing_agents/learning/responses/kept_networks.py:json.loads",
+        "pcs_racing_agents/learning/responses.py:json.loads",
     }
 
 

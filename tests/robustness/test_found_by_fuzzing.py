@@ -42,7 +42,7 @@ from pcs_racing_agents.agents.fits import Fit, load_fit
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.options import output_folder
-from pcs_racing_agents.learning.ppo.settings import load_ppo_settings
+from pcs_racing_agents.learning.ppo import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
 from pcs_racing_agents.networks.settings import load_train_settings
 from pcs_racing_agents.policies.config import FrontConfig

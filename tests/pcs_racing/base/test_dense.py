@@ -12,7 +12,6 @@ from safetensors.numpy import save as save_tensors
 from pcs_racing.base.dense import (
     DenseLayers,
     dense_forward,
-    dense_rows,
     layers_from_bytes,
     layers_to_bytes,
 )
@@ -23,7 +22,8 @@ FILE = Path("net/weights.safetensors")
 def formula(own: DenseLayers, x: np.ndarray, tanh: bool) -> np.ndarray:
     for i, (weight, bias) in enumerate(zip(own.weights, own.biases, strict=True)):
         x = weight.astype(np.float64) @ x + bias
-        x = np.tanh(x) if tanh else np.maximum(x, 0.0) if i < len(own.weights) - 1 else x
+        if i < len(own.weights) - 1:
+            x = np.tanh(x) if tanh else np.maximum(x, 0.0)
     return x
 
 
@@ -36,28 +36,24 @@ def test_the_forward_pass_is_the_formula(sizes, tanh):
     dense_forward(own.flat().astype(np.float64), sizes, first, second, tanh)
     outputs = (second if len(sizes) % 2 == 0 else first)[: sizes[-1]]
     np.testing.assert_allclose(outputs, formula(own, x, tanh), atol=1e-12)
+    for squash in (False, True):
+        found = own.forward(x[None, None], tanh=tanh, squash=squash)
+        assert (found.shape, found.dtype) == ((1, 1, sizes[-1]), np.float32)
+        expected = np.tanh(outputs) if squash else outputs
+        np.testing.assert_allclose(found[0, 0], expected, atol=1e-5)
 
 
-@given(st.integers(1, 30), st.integers(0, 2**32 - 1))
+@given(st.integers(0, 30), st.integers(0, 2**32 - 1))
 def test_a_row_has_the_same_bits_in_a_batch_of_any_size(rows, seed):
     own = random_layers(7, 9, 4)
     x = np.random.default_rng(seed).normal(size=(rows, 7)).astype(np.float32)
-
-    def outputs(some: np.ndarray) -> np.ndarray:
-        out = np.empty((len(some), 4), np.float32)
-        assert dense_rows(some, own.flat(), np.array(own.sizes), np.empty((2, 9), np.float32), out)
-        return out
-
-    np.testing.assert_array_equal(
-        outputs(x), np.concatenate([outputs(x[i : i + 1]) for i in range(rows)])
-    )
+    alone = [own.forward(x[i : i + 1]) for i in range(rows)]
+    np.testing.assert_array_equal(own.forward(x), np.concatenate([*alone, np.empty((0, 4), "f")]))
 
 
-def test_infinite_inputs_are_noticed_and_impossible_layers_refused():
-    own, out = random_layers(3, 2), np.empty((1, 2), np.float32)
-    rows = np.array([[0.0, np.inf, 0.0]], np.float32)
-    assert not dense_rows(rows, own.flat(), np.array(own.sizes), np.empty((2, 3), np.float32), out)
-    for weights, biases, message in [
+@pytest.mark.parametrize(
+    ("weights", "biases", "message"),
+    [
         ((), (), "weights of 0 layers"),
         ([np.zeros((2, 3))], [], "1 layers and biases of 0"),
         ([np.zeros((2, 3)), np.zeros((2, 3))], [np.zeros(2)] * 2, r"layer 1 have shape \(2, 3\)"),
@@ -65,8 +61,10 @@ def test_infinite_inputs_are_noticed_and_impossible_layers_refused():
         ([np.zeros((0, 3))], [np.zeros(0)], r"layer 0 have shape \(0, 3\)"),
         ([np.full((2, 3), np.nan)], [np.zeros(2)], "weights of layer 0 hold NaN"),
         ([np.zeros((2000, 2001))], [np.zeros(2000)], "4004000 weights"),
-    ]:
-        refused(message, DenseLayers, weights, biases)
+    ],
+)
+def test_impossible_layers_are_refused(weights, biases, message):
+    refused(message, DenseLayers, weights, biases)
 
 
 def test_layers_are_a_value_that_reads_back_exactly():

@@ -47,6 +47,21 @@ def test_ppo_learns_without_a_warning_and_repeatably(kind, arguments):
     np.testing.assert_array_equal(learn(kind, **arguments), learn(kind, **arguments))
 
 
+@pytest.mark.parametrize(
+    ("libraries", "logged", "shown"),
+    [(("tqdm", "rich"), False, True), (("tensorboard",), True, False)],
+    ids=["progress bar", "curves"],
+)
+def test_the_extra_has_what_a_training_shows(tmp_path, libraries, logged, shown):
+    for library in libraries:
+        pytest.importorskip(library, reason=f"{library} is not installed")
+    log = tmp_path / "log" if logged else None
+    env = make_sb3_vec_env("duel", 2, **SHORT)
+    model = sb3.PPO("MlpPolicy", env, n_steps=2, batch_size=4, tensorboard_log=log)
+    model.learn(4, progress_bar=shown)
+    assert log is None or [*log.rglob("events.*")]
+
+
 def test_a_trained_model_can_be_the_opponent():
     model = sb3.PPO("MlpPolicy", make_sb3_vec_env("duel", 2, **SHORT), seed=0, device="cpu")
     env = DuelEnv(opponent=model, **SHORT)

@@ -147,7 +147,7 @@ def test_bad_mixtures_are_refused_and_without_networks_the_error_says_how_to_mak
     refused("different archives or rules", make_mixture, [stay, other], [1, 1])
     for name in ["psro", "self-play"]:
         refused(
-            f"'toy-paper-{name}'.*pcs-racing learn {name}",
+            f"'toy-paper-{name}'.*pcs-racing train {name}",
             build,
             name,
             spec,

@@ -134,7 +134,7 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     folder = tmp_path_factory.mktemp("settings")
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     few = ["--epochs", "3", "--hidden", "8", "--name", "small"]
-    return {**commands(), "train": ["train", str(folder / "trees"), *few]}
+    return {**commands(), "train": ["train", "regret", str(folder / "trees"), *few]}
 
 
 @pytest.mark.parametrize("what", ["tree", "train", "ppo"])

@@ -8,7 +8,7 @@ import pytest
 from pcs_racing_agents.base.executors import make_executor, tasks_in_flight
 from pcs_racing_agents.base.folders import JobError
 from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
-from pcs_racing_agents.networks.torch_layers import torch_alone
+from pcs_racing_agents.networks.training import torch_alone
 
 
 def double(task: int) -> dict[str, int]:

@@ -37,7 +37,7 @@ from pcs_racing_agents.policies.archive_run import SearchProgress
 
 SHORT = ["--duration", "4"]
 PAIR = ["--ego", "lattice:pace=0.8", "--opponent", "lattice:pace=0.2"]
-DRIVE = ["ppo", "--config", "drive", "--out", "x"]
+PPO = ["train", "ppo", "--config", "duel-paper", "--out", "x"]
 TREE = [
     "tree",
     "--archive",
@@ -295,12 +295,11 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         (["solve", "nowhere", "--tree", "1"], "--tree goes with --export"),
         (["view", "nowhere"], "there is no folder nowhere; give one of a tournament or a study"),
         (["race", "--opponent", *["lattice"] * 8], "names 8 policies; a race has at most 7"),
-        (["learn", "self-play", "--pool", "nash", "--out", "x"], "leave out --pool"),
-        (["learn", "psro", "--races", "10", "--out", "x"], "--races goes with best-reply"),
+        (["train", "psro", "--races", "10", "--out", "x"], "--races"),
         (["solve", "nowhere", "--export", "t.gbt"], "must end in .efg"),
-        (["ppo", "--config", "nonsense", "--out", "x"], "ppo settings 'nonsense' are unknown"),
-        ([*DRIVE, "--steps", "0"], "steps is 0"),
-        ([*DRIVE, "--seeds", "-1"], "seeds is (-1,)"),
+        ([*PPO, "--config", "nonsense"], "ppo settings 'nonsense' are unknown"),
+        ([*PPO, "--steps", "0"], "steps is 0"),
+        ([*PPO, "--seeds", "-1"], "seeds is (-1,)"),
         ([*TREE, "--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
         ([*TREE, "--rules", "nope"], "race settings 'nope' are unknown"),
     ],

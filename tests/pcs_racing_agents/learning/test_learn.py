@@ -1,4 +1,4 @@
-"""Agents that ``learn`` trains, in games of two moves: responses, response oracles, self-play."""
+"""Agents that ``train`` trains, in games of two moves: responses, response oracles, self-play."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
 @pytest.mark.parametrize(
     ("method", "settings"),
     [
-        ("response", "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\npatience: 4\n"),
+        ("response", "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\n"),
         ("psro", "rounds: 2\nraces: 4\nlearner: {learner}\n"),
         ("self-play", "iterations: 2\nstarts: 8\nhidden: [8]\nepochs: 2\n"),
     ],
@@ -49,7 +49,7 @@ def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(
     config = tmp_path / "settings.yaml"
     config.write_text(settings.format(learner=learner), encoding="utf-8")
     out = tmp_path / method
-    command = ["learn", method, *GAME, "--config", config, "--out", out]
+    command = ["train", method, *GAME, "--config", config, "--out", out]
     (last,) = [line for line in printed(*command).splitlines() if line.startswith("written: ")]
     agent = last.rpartition("race it as ")[2]
     printed("tournament", *GAME, "--agents", agent, "never-switch", "--races", 2)

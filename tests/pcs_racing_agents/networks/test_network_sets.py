@@ -42,14 +42,16 @@ def test_a_set_is_replaced_as_a_whole_and_another_network_in_it_is_refused(known
     assert len(load_network_set(save_network_set(one, tmp_path / "set")).networks) == 1
     folder = save_network_set(known, tmp_path / "set")
     save_network(untrained(spec, "advantage", 9), folder / "01")
-    refused("01", load_network_set, folder)
+    refused("a digest differs", load_network_set, folder)
 
 
 @pytest.mark.parametrize(
     ("change", "value"),
     [
-        ({"weights": [1.0]}, r"weights is \[1.0\]"),
+        ({"weights": [1.0]}, r"weights has shape \(1,\)"),
         ({"weights": ["a", "b"]}, "weights"),
+        ({"networks": 3}, "networks is 3"),
+        ({"digests": ["0"]}, "digest differs"),
         ({"networks": ["00", "../01"]}, "../01"),
         ({"decision": 3}, "3"),
         ({"training": []}, r"\[\]"),

@@ -66,11 +66,6 @@ def test_bad_observations_are_refused_and_of_others_the_highest_value_before_cli
     )
     np.testing.assert_array_equal(network(np.eye(3)), [[1.0, 3.0, 2.0, 0.0], [0.0] * 4, [0.0] * 4])
     np.testing.assert_array_equal(network.choose(np.eye(3)), [1, 2, 0])
-    allowed = np.array(
-        [[True, False, True, True], [True, True, False, False], [False, False, False, True]]
-    )
-    np.testing.assert_array_equal(network.choose(np.eye(3), allowed), [2, 0, 3])
-    refused("allows no move", network.choose, np.eye(3), np.zeros((3, 4), bool))
 
 
 def test_an_impossible_network_is_one_clear_error():

@@ -38,11 +38,11 @@ def names_in(folder) -> set[str]:
     return {file.name for file in folder.iterdir()}
 
 
-@pytest.mark.parametrize("target", ["regret", "static-q"])
+@pytest.mark.parametrize("target", ["regret", "advantage"])
 def test_the_command_writes_network_curves_and_scores(game, folder, tmp_path, printed, target):
     out = tmp_path / "net"
     options = ["--target", target, "--epochs", 4, "--hidden", 8, "--seed", 3]
-    text = printed("train", folder, *options, "--out", out)
+    text = printed("train", "regret", folder, *options, "--out", out)
     files = {"weights.safetensors", "manifest.yaml"}
     assert names_in(out) == files | {"learning_curves.csv", "learning_curves.png"}
     network = load_network(out)
@@ -64,18 +64,18 @@ def test_one_command_has_one_result_and_folders_must_be_of_one_game(
 ):
     options = ["--epochs", 2, "--name", "same", "--out"]
     for name in ("one", "two"):
-        printed("train", folder, *options, tmp_path / name)
+        printed("train", "regret", folder, *options, tmp_path / name)
     files = names_in(tmp_path / "one")
     curves = {"learning_curves.csv", "learning_curves.png"}
     assert files == {"weights.safetensors", "manifest.yaml"} | curves
     for name in files:
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
     build_trees(game, tmp_path / "more", pairs=3, seed=1)
-    printed("train", folder, tmp_path / "more", *options, tmp_path / "both")
+    printed("train", "regret", folder, tmp_path / "more", *options, tmp_path / "both")
     assert load_network(tmp_path / "both").training["trees"] == 11
     other = make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2)
     build_trees(other, tmp_path / "other", pairs=2)
-    code, _, err = run("train", folder, tmp_path / "other", "--out", tmp_path / "none")
+    code, _, err = run("train", "regret", folder, tmp_path / "other", "--out", tmp_path / "none")
     assert code == 2
     assert "hold trees of different games: epsilon is 0.2 in one and" in err
     assert not (tmp_path / "none").exists()
@@ -92,7 +92,8 @@ def test_one_command_has_one_result_and_folders_must_be_of_one_game(
 def test_bad_options_are_one_line(folder, tmp_path, told, given, arguments, message):
     (tmp_path / "nothing").mkdir()
     known = {"trees": folder, "nothing": tmp_path / "nothing"}
-    assert told("train", known[given], *arguments, "--out", tmp_path / "out").count(message) == 1
+    command = ["train", "regret", known[given], *arguments, "--out", tmp_path / "out"]
+    assert told(*command).count(message) == 1
     assert not (tmp_path / "out").exists()
 
 
@@ -123,9 +124,9 @@ def test_no_starting_pair_is_learned_from_and_judged_by():
 def test_without_held_out_trees_the_validation_rows_judge_and_too_few_pairs_are_refused():
     trained = train_toys(toy_trees(3), load_train_settings(QUICK, test_share=0.0))
     assert trained.scores == {}
-    assert trained.rows[0].rows == 20  # one tree
+    assert trained.rows.rows == 20  # one tree
     best = trained.result.epochs[trained.result.best]
-    assert trained.rows[0].agreement == pytest.approx(best.validation_agreement, abs=1e-6)
+    assert trained.rows.agreement == pytest.approx(best.validation_agreement, abs=1e-6)
     over = random_tree(policies=(9, 9), ended={0: np.ones((1, 1), bool), 1: np.ones((1, 9), bool)})
     trained = train_toys([over, *toy_trees(3), over], load_train_settings(QUICK, test_share=0.0))
     assert trained.network.training["rows"] == 60
@@ -153,7 +154,7 @@ def test_settings_come_from_yaml(tmp_path):
 def test_impossible_settings_are_one_clear_error(tmp_path):
     for text, message in [
         ("target: joy", "target is 'joy'"),
-        ("{validation_share: 0.5, test_share: 0.5}", "together"),
+        ("test_share: 0.9", "test_share is 0.9"),
         ("hidden: [1, 1, 1, 1, 1, 1, 1, 1, 1]", "at most 8"),
     ]:
         file = tmp_path / "mine.yaml"

@@ -26,13 +26,7 @@ def test_rows_are_compact_and_impossible_ones_one_clear_error():
         np.float32,
         np.float64,
     )
-    assert made.mask.all()
     assert len(made) == 12
-    mask = np.ones((12, 3), bool)
-    mask[:, 2] = False
-    masked = rows(mask=mask, targets=np.full((12, 3), 7.0))
-    # what is not known is no number
-    np.testing.assert_array_equal(masked.targets[0], [7.0, 7.0, 0.0])
     for changes, message in [
         ({"targets": np.zeros((0, 3))}, r"targets have shape \(0, 3\)"),
         ({"targets": np.zeros(12)}, r"targets have shape \(12,\)"),
@@ -46,8 +40,6 @@ def test_rows_are_compact_and_impossible_ones_one_clear_error():
         ({"weights": np.zeros(12)}, "some must be above 0"),
         ({"weights": np.linspace(-1.0, 1.0, 12)}, "weights lie in -1 to 1"),
         ({"pair": np.zeros(12)}, "type float64"),
-        ({"mask": np.ones((12, 3))}, "mask have shape"),
-        ({"mask": np.arange(36).reshape(12, 3) >= 6}, "row 0 has no target"),
     ]:
         refused(message, rows, **changes)
 
@@ -57,7 +49,7 @@ def test_rows_can_be_taken_joined_and_split_by_pair():
     part = made.take([3, 1])
     np.testing.assert_array_equal(part.targets, made.targets[[3, 1]])
     again = join_rows([made.take(np.arange(12) < 5), made.take(np.arange(12) >= 5)])
-    for key in ("observations", "targets", "weights", "pair", "step", "mask"):
+    for key in ("observations", "targets", "weights", "pair", "step"):
         np.testing.assert_array_equal(getattr(again, key), getattr(made, key))
     refused("no rows to join", join_rows, [])
     refused("one starting pair", split_by_pair, rows(pairs=1), 0.2, 0)

@@ -13,7 +13,7 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.tables import read_csv
-from pcs_racing_agents.learning.responses.learner import load_response_settings
+from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.study import StudyConfig, load_study_config, run, run_study
 from pcs_racing_agents.study.config import BASELINES, LearningConfig, TableConfig

@@ -222,7 +222,7 @@ def test_a_move_is_compared_with_staying_in_the_unit_of_values(race, move, value
 def test_the_training_of_a_network_decides_the_unit_of_its_values(spec):
     assert value_unit(network_of(spec, worth="win"), "lead") == (1.0, WIN)
     assert value_unit(network_of(spec), "win") == (0.5, WIN)
-    assert value_unit(network_of(spec, "static-q"), "lead") == (1.0, METRES)
+    assert value_unit(network_of(spec, "advantage"), "lead") == (1.0, METRES)
     assert value_unit(network_of(spec, "regret"), "win") == (1.0, "")
 
 

@@ -3,7 +3,7 @@ import pytest
 from random_layers import random_layers
 from refusal import refused
 
-from pcs_racing import InputError, make_game
+from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.identity import GameIdentity
@@ -11,14 +11,9 @@ from pcs_racing.game.players import always, never_switch, random_moves
 from pcs_racing_agents import make
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.learning.responses import (
-    ResponseSettings,
-    branch_games,
-    learn_response,
-    learner,
-    merge_networks,
-)
-from pcs_racing_agents.learning.responses.branches import block_rows, game_blocks, outcome
+from pcs_racing_agents.learning import responses
+from pcs_racing_agents.learning.branches import branch_games, branched_rows, game_blocks, outcome
+from pcs_racing_agents.learning.responses import ResponseSettings, learn_response, mean_network
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
 
@@ -93,31 +88,34 @@ def test_branches_do_not_depend_on_the_batch_and_a_fixed_policy_may_be_the_oppon
         np.testing.assert_array_equal(result.outcomes[:, move], outcome(game, state)[result.game])
 
 
-def test_blocks_divide_games_that_depend_on_their_place_and_number_alone():
-    blocks = game_blocks(3, (1, 2), 600)
-    assert [(one.place, one.first, one.last) for one in blocks] == [
-        ((1, 2), k, min(k + 256, 600)) for k in (0, 256, 512)
+def test_rows_of_blocks_depend_on_their_place_and_number_alone(tmp_path):
+    blocks = game_blocks(3, (1, 2, 5, 7), 600)
+    assert [(one.place, one.first, len(one.keys)) for one in blocks] == [
+        ((1, 2, 5, 7), k, min(256, 600 - k)) for k in (0, 256, 512)
     ]
     keys = np.concatenate([block.keys for block in blocks])
-    np.testing.assert_array_equal(keys, race_seeds(blocks[0].root, 600))
+    assert len(np.unique(keys)) == 600
+    np.testing.assert_array_equal(keys[:9], game_blocks(3, (1, 2, 5, 7), 9)[0].keys)
     others = (game_blocks(4, (1, 2), 1), game_blocks(3, (2, 1), 1), game_blocks(3, (1,), 1), blocks)
-    assert len({one[0].root for one in others}) == 4
-    arrays = {
-        "observations": np.ones((2, 3)),
-        "advantages": np.array([[0.5, 0.0]] * 2),
-        "game": np.array([4, 7]),
-    }
-    rows = block_rows(arrays, blocks[1], 12, 5, 0.25)
-    assert (rows.pair.tolist(), rows.step.tolist(), rows.weights.tolist()) == (
-        [12_000_260, 12_000_263],
-        [5] * 2,
-        [0.25] * 2,
-    )
-    assert (rows.targets.dtype, rows.targets.tolist()) == (
-        np.float32,
-        arrays["advantages"].tolist(),
-    )
-    assert block_rows(arrays, blocks[0], 0, 0).weights.tolist() == [1.0, 1.0]
+    assert len({one[0].keys[0] for one in others}) == 4
+
+    def branch(block):
+        running = np.array([4, 7]) if block.first else np.zeros(0, int)
+        return {
+            "observations": np.ones((len(running), 3)),
+            "advantages": np.tile([0.5, 0.0], (len(running), 1)),
+            "game": running,
+        }
+
+    with open_job(tmp_path / "job", "response", {}) as job:
+        first, second = branched_rows(job, "some", branch, blocks, 0.25)
+        (alone,) = branched_rows(job, "other", branch, game_blocks(3, (4, 5, 7), 300))
+    assert (first.pair - ((7 * 100 + 5) * 1000 + 52) * 10**6).tolist() == [260, 263]
+    assert (first.step.tolist(), first.weights.tolist()) == ([5] * 2, [0.25] * 2)
+    assert (first.targets.dtype, first.targets.tolist()) == (np.float32, [[0.5, 0.0]] * 2)
+    assert second.pair[0] - first.pair[0] == 256
+    assert alone.weights.tolist() == [1.0, 1.0]
+    assert alone.pair[0] // 10**6 == (7 * 100 + 5) * 1000 + 4
 
 
 def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(
@@ -150,14 +148,12 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(
         one = RegretNetwork(
             name, identity, "advantage", False, layers, np.zeros(size), np.ones(size), facts
         )
-        return [one] * len(members)
+        return mean_network([one] * len(members))
 
-    monkeypatch.setattr(learner, "branch_games", branch)
-    monkeypatch.setattr(learner, "train_kept", train)
+    monkeypatch.setattr(responses, "branch_games", branch)
+    monkeypatch.setattr(responses, "train_mean", train)
     games, pool, spec = lesson
-    settings = ResponseSettings(
-        starts=10, rounds=2, members=3, seed=5, worth="utility", epochs=7, patience=4
-    )
+    settings = ResponseSettings(starts=10, rounds=2, members=3, seed=5, worth="utility", epochs=7)
     with open_job(tmp_path / "job", "response", {}) as job:
         network = learn_response(
             games, pool, spec, settings, job, shares=[2, 1], name="mine", part="a-"
@@ -170,7 +166,7 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(
             expected.append((name, count, step, both[round_], after, "utility", 5))
         part, seeds, rows = fitted[k]
         assert (part, seeds) == (
-            f"a-round-{round_}-step-{step}-networks",
+            f"a-round-{round_}-step-{step}",
             [5 * 64 + i for i in range(3 if k == 3 else 2)],
         )
         assert (rows.weights == 1.0).all()
@@ -188,7 +184,7 @@ def test_a_response_is_learned_backwards_with_the_network_of_the_steps_behind(
     assert [int(one.sum()) for one in games_of] == [7, 3]
     assert set(last.step[games_of[0]].tolist()) == {0}
     fit = settings.fit_settings(9)
-    assert (fit.seed, fit.epochs, fit.patience, fit.batch_size) == (9, 7, 4, 512)
+    assert (fit.seed, fit.epochs, fit.patience, fit.batch_size) == (9, 7, 12, 512)
     assert (fit.learning_rate, fit.weight_decay, fit.rows_per_epoch) == (0.003, 0.001, 50_000)
 
 
@@ -204,9 +200,10 @@ def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
 def test_games_without_opponents_and_different_games_are_refused(game, spec, tmp_path):
     other = make_game("Tarnfjord", spec.archive, load_game_config(spec.config, moves=3))
     with open_job(tmp_path / "c", "response", {}) as job:
-        refused("one of each", learn_response, [game], [], spec, ResponseSettings(), job)
-        with pytest.raises(InputError, match="differs from the first in archive, moves or rules"):
-            learn_response([game, other], [never_switch(spec)], spec, ResponseSettings(), job)
+        refused("no opponent", learn_response, [game], [], spec, ResponseSettings(), job)
+        refused("no game", learn_response, [], [never_switch(spec)], spec, ResponseSettings(), job)
+        both = [game, other], [never_switch(spec)]
+        refused("differs from the first", learn_response, *both, spec, ResponseSettings(), job)
 
 
 def network(seed: int, hidden: tuple[int, ...] = (5, 4)) -> RegretNetwork:
@@ -217,15 +214,18 @@ def network(seed: int, hidden: tuple[int, ...] = (5, 4)) -> RegretNetwork:
     return RegretNetwork(f"net-{seed}", game, "advantage", False, layers, mean, scale)
 
 
-def test_the_merged_network_puts_out_the_mean_of_its_members():
-    for hidden in [(), (6,), (5, 4), (4, 3, 5)]:
-        members = [network(seed, hidden) for seed in range(3)]
-        x = np.random.default_rng(9).normal(size=(20, 3))
-        merged = merge_networks(members, "merged")
-        np.testing.assert_allclose(merged(x), np.mean([m(x) for m in members], axis=0), atol=2e-5)
-        assert (merged.name, merged.training) == ("merged", {"members": 3})
-    alone = network(0)
-    np.testing.assert_allclose(merge_networks([alone], "alone")(x), alone(x), atol=1e-6)
+@pytest.mark.parametrize("hidden", [(), (6,), (5, 4), (4, 3, 5)])
+@pytest.mark.parametrize("count", [1, 3])
+def test_the_mean_network_puts_out_the_mean_of_its_members(hidden, count):
+    members = [network(seed, hidden) for seed in range(count)]
+    x = np.random.default_rng(9).normal(size=(20, 3))
+    merged = mean_network(members)
+    np.testing.assert_allclose(merged(x), np.mean([m(x) for m in members], axis=0), atol=2e-5)
+    assert (merged.name, merged.training) == ("net-0", {"members": count})
+
+
+def test_networks_of_several_shapes_have_a_mean_too():
     members = [network(0, (5, 4)), network(1, (2, 7))]
+    x = np.random.default_rng(9).normal(size=(20, 3))
     mean = np.mean([member(x) for member in members], axis=0)
-    np.testing.assert_allclose(merge_networks(members, "merged")(x), mean, atol=2e-5)
+    np.testing.assert_allclose(mean_network(members)(x), mean, atol=2e-5)

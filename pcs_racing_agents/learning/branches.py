@@ -4,18 +4,21 @@ With common random numbers the noise of a difference between two moves is small:
 needed than with separate games for each move.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds, signed_seed
+from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.players import Competitor, ask_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.networks import Rows
 
 PAYOFFS = ("win", "utility")
@@ -28,41 +31,60 @@ BLOCK = 256
 class GameBlock(NamedTuple):
     """Branched games of one task, with all random draws."""
 
-    place: tuple[int, ...]  #: Indices of track, opponent, step and round of the games.
-    first: int  #: ``first``, ``last``: Half-open range of game numbers, without ``last``.
-    last: int
-    root: int  #: Seed of all games of the place.
-
-    @property
-    def keys(self) -> NDArray[np.uint64]:
-        """Keys of the games."""
-        return race_seeds(self.root, self.last)[self.first :]
+    place: tuple[int, ...]  #: Indices of track, opponent (if any), step and round of the games.
+    first: int  #: Number of the first game.
+    keys: NDArray[np.uint64]  #: Keys of the games.
 
 
 def game_blocks(seed: int, place: tuple[int, ...], count: int) -> list[GameBlock]:
     """Return ``count`` games in blocks; a game depends only on seed, place and its number."""
-    root = signed_seed(np.random.SeedSequence(seed, spawn_key=place))
-    return [
-        GameBlock(place, first, min(first + BLOCK, count), root) for first in range(0, count, BLOCK)
-    ]
+    keys = race_seeds(signed_seed(np.random.SeedSequence(seed, spawn_key=place)), count)
+    return [GameBlock(place, k, keys[k : k + BLOCK]) for k in range(0, count, BLOCK)]
 
 
-def block_rows(
-    arrays: Arrays, block: GameBlock, place: int, step: int, weight: float = 1.0
-) -> Rows:
-    """Return training rows of ``observations`` and ``advantages`` in the games ``game`` of a block.
+def branched_rows(
+    job: Job,
+    part: str,
+    branch: Callable[[GameBlock], Arrays],
+    blocks: Sequence[GameBlock],
+    weight: float = 1.0,
+    **workers: Unpack[Workers],
+) -> list[Rows]:
+    """Return the training rows of blocks of games, stored in a job.
 
-    ``place``: unique number of the place.
+    ``branch`` returns ``observations``, ``advantages`` and the index ``game`` in the block of the
+    games that were running at the step.
     """
-    count = len(arrays["game"])
-    return Rows(
-        observations=arrays["observations"],
-        targets=arrays["advantages"].astype(np.float32),
-        weights=np.full(count, weight),
-        # Unique number of each game: its row belongs to training or to validation.
-        pair=place * 1_000_000 + block.first + arrays["game"],
-        step=np.full(count, step),
-    )
+    rows = []
+    for arrays, block in zip(job.run(part, branch, blocks, **workers), blocks, strict=True):
+        count = len(arrays["game"])
+        if count:
+            track, *opponent, step, round_ = block.place
+            place = (round_ * 100 + step) * 1000 + (50 * track + opponent[0] if opponent else track)
+            rows.append(
+                Rows(
+                    observations=arrays["observations"],
+                    targets=arrays["advantages"].astype(np.float32),
+                    weights=np.full(count, weight),
+                    # A number of each game: its row belongs to training or to validation.
+                    pair=place * 1_000_000 + block.first + arrays["game"],
+                    step=np.full(count, step),
+                )
+            )
+    return rows
+
+
+def common_identity(games: Sequence[RaceGame]) -> GameIdentity:
+    """Return the identity of games that must have one archive and one set of rules."""
+    if len(games) == 0:
+        raise InputError("there is no game to learn; give at least one")
+    identity = game_identity(games[0])
+    for game in games:
+        if game_identity(game) != identity:
+            raise InputError(
+                f"the game on {game.track.name!r} differs from the first in archive, moves or rules"
+            )
+    return identity
 
 
 class Branches(NamedTuple):

@@ -7,7 +7,9 @@ the later moves. The induction ends at the first step. This is fitted Q-iteratio
 random numbers. Observations contain nothing about the track, so the network works on any track.
 """
 
+import json
 from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,67 +18,58 @@ from typing import Annotated, Any, Unpack
 import numpy as np
 from annotated_types import Interval
 
+from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Layers, OneOf, Settings
-from pcs_racing.game.identity import game_identity
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.players import Competitor, random_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.configurations import load_config
+from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Job, Workers
-from pcs_racing_agents.learning.responses.branches import (
+from pcs_racing_agents.base.tasks import in_other_processes
+from pcs_racing_agents.learning.branches import (
     PAYOFFS,
     GameBlock,
-    block_rows,
     branch_games,
+    branched_rows,
+    common_identity,
     game_blocks,
 )
-from pcs_racing_agents.learning.responses.kept_networks import merge_networks, train_kept
-from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows
-from pcs_racing_agents.networks.network_files import check_weights
+from pcs_racing_agents.networks import RegretNetwork, Rows, join_rows, train_network
+from pcs_racing_agents.networks.network_files import (
+    check_weights,
+    network_to_bytes,
+    weights_from_bytes,
+)
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.tournament.games import game_between
 
-ROWS_PER_EPOCH = 50_000
+FIT = TrainSettings(
+    learning_rate=3e-3, weight_decay=1e-3, batch_size=512, rows_per_epoch=50_000, patience=12
+)
+"""Training of a network on the rows of branched games."""
 
 
 @dataclass(frozen=True)
 class LearnerSettings(Settings):
-    """Settings of the payoff of branched games and of network training."""
+    """Settings of the payoff of branched games and of the networks."""
 
     # The name of this option is in the files of shipped networks.
     worth: Annotated[
         str, OneOf(PAYOFFS), "Payoff of a game: a race won, or the game's utility."
     ] = "win"
     hidden: Annotated[Layers, "Units of each hidden layer of a network."] = (64, 64)
-    learning_rate: Annotated[
-        float, Interval(ge=1e-8, le=10.0), "Initial learning rate of Adam."
-    ] = 3e-3
-    weight_decay: Annotated[float, Interval(ge=0.0, le=10.0), "Weight decay of AdamW."] = 1e-3
-    batch_size: Annotated[
-        int, Interval(ge=1, le=1_000_000), "Rows in the batch of a gradient step."
-    ] = 512
-    epochs: Annotated[int, Interval(ge=1, le=100_000), "Maximum number of epochs."] = 60
-    patience: Annotated[
-        int,
-        Interval(ge=1, le=100_000),
-        "Epochs without a lower validation loss after which training stops.",
-    ] = 12
+    epochs: Annotated[
+        int, Interval(ge=1, le=100_000), "Maximum number of epochs of a network's training."
+    ] = 60
 
     def fit_settings(self, seed: int) -> TrainSettings:
         """Return the settings of one network's training."""
-        return TrainSettings(
-            hidden=self.hidden,
-            learning_rate=self.learning_rate,
-            weight_decay=self.weight_decay,
-            batch_size=self.batch_size,
-            epochs=self.epochs,
-            patience=self.patience,
-            rows_per_epoch=ROWS_PER_EPOCH,
-            seed=seed,
-        )
+        return replace(FIT, hidden=self.hidden, epochs=self.epochs, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -99,10 +92,6 @@ class ResponseSettings(LearnerSettings):
         int, Interval(ge=1, le=32), "Networks of the ensemble; the response is their mean."
     ] = 4
     seed: Annotated[int, Interval(ge=0, le=2**57 - 1), "Seed of the games and of the networks."] = 0
-
-    def train_settings(self, member: int) -> TrainSettings:
-        """Return the training settings of a member of the ensemble."""
-        return self.fit_settings(self.seed * 64 + member)
 
 
 def load_response_settings(
@@ -142,64 +131,41 @@ def learn_response(
         Network that predicts advantages over the mean of all moves, in shares of races won (or in
         units of utility).
     """
-    if len(games) == 0 or len(pool) == 0:
-        raise InputError(
-            f"there are {len(games)} games and {len(pool)} opponents; give at least one of each"
-        )
+    if len(pool) == 0:
+        raise InputError("there is no opponent to learn against; give at least one")
+    identity = common_identity(games)
     starts = _starts(settings.starts, len(pool), shares)
-    identity = game_identity(games[0])
     at_random: Competitor = random_moves(games[0], seed=settings.seed)
     played = [[game_between(game, at_random, opponent) for opponent in pool] for game in games]
-    for game in games:
-        if game_identity(game) != identity:
-            raise InputError(
-                f"the game on {game.track.name!r} differs from the first in archive, moves or rules"
-            )
     rows: list[Rows] = []
     network: RegretNetwork | None = None
-
-    def fit(members: int, part_name: str) -> RegretNetwork:
-        member_settings = [settings.train_settings(i) for i in range(members)]
-        networks = train_kept(
-            job,
-            f"{part_name}-networks",
-            join_rows(rows),
-            identity,
-            member_settings,
-            name,
-            workers.get("executor"),
-        )
-        return merge_networks(networks, name)
-
     for round_ in range(settings.rounds):
         behaviours = [at_random] if network is None else [at_random, network_agent(network, spec)]
         for step in reversed(range(games[0].config.moves)):
             # In the first pass, branches of the last step have no later moves: the continuation is
             # irrelevant.
             continuation = at_random if network is None else network_agent(network, spec)
+            branch = partial(
+                _branch, played, pool, behaviours, continuation, settings.worth, len(identity.moves)
+            )
             blocks = [
                 block
                 for i in range(len(games))
                 for j, count in enumerate(starts)
                 for block in game_blocks(settings.seed, (i, j, step, round_), count)
             ]
-            work = partial(
-                _branch, played, pool, behaviours, continuation, settings.worth, len(identity.moves)
-            )
-            part_name = f"{part}round-{round_}-step-{step}"
-            branched = job.run(part_name, work, blocks, **workers)
-            for arrays, block in zip(branched, blocks, strict=True):
-                if len(arrays["game"]):  # some of its games were still running
-                    i, j, _, _ = block.place
-                    rows.append(
-                        block_rows(arrays, block, (round_ * 100 + step) * 1000 + i * 50 + j, step)
-                    )
+            place = f"{part}round-{round_}-step-{step}"
+            rows += branched_rows(job, place, branch, blocks, **workers)
             # Intermediate networks only continue branches; more members would change little.
             last = round_ == settings.rounds - 1 and step == 0
-            network = fit(settings.members if last else min(settings.members, 2), part_name)
+            members = range(settings.members if last else min(settings.members, 2))
+            fits = [settings.fit_settings(settings.seed * 64 + member) for member in members]
+            network = train_mean(
+                job, place, join_rows(rows), identity, fits, name, workers.get("executor")
+            )
     assert network is not None
     rest = {key: value for key, value in network.training.items() if key != "rows"}
-    summary = {"rows": sum(len(block) for block in rows), "worth": settings.worth, **rest}
+    summary = {"rows": sum(map(len, rows)), "worth": settings.worth, **rest}
     return replace(network, training=summary)
 
 
@@ -228,3 +194,69 @@ def _branch(
     # The mean over all moves is the value of the situation, irrelevant for the choice of a move.
     advantages = branches.outcomes - branches.outcomes.mean(axis=1, keepdims=True)
     return {"observations": branches.observations, "advantages": advantages, "game": branches.game}
+
+
+# Networks
+
+
+def train_mean(
+    job: Job,
+    part: str,
+    rows: Rows,
+    identity: GameIdentity,
+    settings: Sequence[TrainSettings],
+    name: str,
+    executor: Executor | None = None,
+) -> RegretNetwork:
+    """Train a network with each of several settings on the same rows, and return their mean.
+
+    The job stores the networks. ``executor`` trains them if its tasks run in other processes.
+    """
+    # Rows are large and common to all members: a task holds their digest, the function holds them.
+    digest = fingerprint(rows.observations, rows.targets, rows.weights, rows.pair)
+    tasks = [(digest, one) for one in settings]
+    learn = partial(_learn, rows, identity, name)
+    stored = job.run(f"{part}-networks", learn, tasks, executor=in_other_processes(executor))
+    networks = [
+        RegretNetwork(
+            name=name,
+            identity=identity,
+            target="advantage",
+            clipped=False,
+            **weights_from_bytes(Path(name), arrays["weights"].tobytes(), list(one.hidden)),
+            training=json.loads(str(arrays["training"])),  # losses may be NaN
+        )
+        for arrays, one in zip(stored, settings, strict=True)
+    ]
+    return mean_network(networks)
+
+
+def _learn(
+    rows: Rows, identity: GameIdentity, name: str, task: tuple[str, TrainSettings]
+) -> Arrays:
+    network, _ = train_network(rows, identity, task[1], name=name, target="advantage")
+    return {
+        "weights": np.frombuffer(network_to_bytes(network), np.uint8),
+        "training": np.array(json.dumps(dict(network.training))),
+    }
+
+
+def mean_network(networks: Sequence[RegretNetwork]) -> RegretNetwork:
+    """Return a wider network whose outputs are the mean outputs of networks of one shape."""
+    from scipy.linalg import block_diag
+
+    layers = [network.scaled_layers for network in networks]
+    weights = [
+        block_diag(*(one.weights[k] for one in layers)) for k in range(len(layers[0].weights))
+    ]
+    biases = [np.concatenate(parts) for parts in zip(*(one.biases for one in layers), strict=True)]
+    weights[0] = np.concatenate([one.weights[0] for one in layers])  # common inputs
+    mean = np.tile(np.eye(layers[0].sizes[-1]), len(layers)) / len(layers)
+    weights[-1], biases[-1] = mean @ weights[-1], mean @ biases[-1]
+    return replace(
+        networks[0],
+        layers=DenseLayers(tuple(weights), tuple(biases)),
+        mean=np.zeros_like(networks[0].mean),
+        scale=np.ones_like(networks[0].scale),
+        training={**networks[0].training, "members": len(networks)},
+    )

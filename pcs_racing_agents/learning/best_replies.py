@@ -6,8 +6,7 @@ lower bound of a perfect opponent's result: a loss is always reported with the l
 """
 
 import math
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import NamedTuple, Unpack
 
 import numpy as np
@@ -21,11 +20,9 @@ from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
-from pcs_racing_agents.base.tables import aligned, interval_text, write_csv
-from pcs_racing_agents.learning.responses.learner import ResponseSettings, learn_response
+from pcs_racing_agents.learning.responses import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairings
 
@@ -143,60 +140,25 @@ def _without_policies(
 REPLY_NOTE = """loss: half of the reply's wins minus the agent's wins, as a share of the races;
 0.1 means that the reply won 60 of 100 races. It is a lower bound: a learner with a larger budget
 may find a better reply. The interval is robust to clusters of start policies and start lines."""
-REPLY_HEAD = (
-    "agent",
-    "circuit",
-    "loss",
-    "95 % interval",
-    "races",
-    "reply won",
-    "agent won",
-    "own crashes",
+
+
+LOSS_COLUMNS = (
+    *("agent", "track", "loss", "low", "high", "se", "df", "races"),
+    *("reply_won", "agent_won", "agent_own_crash"),
 )
-COLUMNS = (
-    "agent",
-    "track",
-    "loss",
-    "low",
-    "high",
-    "se",
-    "df",
-    "races",
-    "reply_won",
-    "agent_won",
-    "agent_own_crash",
-)
+"""Columns of the table of losses: the loss with its 95 % interval, standard error and degrees of
+freedom, and shares of the races."""
 
 
-def reply_text(agent: str, reply: BestReply, settings: ResponseSettings) -> str:
-    """Return the table of an agent's loss, with the learner's budget."""
-    rows: list[tuple[str, ...]] = [REPLY_HEAD]
-    for track, loss, shares in _lines(reply):
-        numbers = (f"{loss.mean:+.3f}", interval_text(loss.low, loss.high), str(loss.units))
-        wins = (f"{share:.3f}" for share in shares[:2])
-        rows.append((agent, track, *numbers, *wins, f"{shares[2]:.1%}"))
-    budget = (
-        f"learner: {settings.starts} games branched at every step and on each circuit,"
-        f" {settings.rounds} rounds, {settings.members} networks"
-    )
-    return "\n".join([*aligned(rows), "", REPLY_NOTE, budget])
-
-
-def write_reply(agent: str, reply: BestReply, folder: Path) -> Path:
-    """Write ``best_reply.csv``, a line for each track and all tracks, and the ``results.csv``."""
-    lines: list[tuple[object, ...]] = [COLUMNS]
-    for track, loss, shares in _lines(reply):
-        numbers = [f"{value:.6g}" for value in (loss.mean, loss.low, loss.high, loss.se)]
-        wins = (f"{share:.6g}" for share in shares)
-        lines.append((agent, track, *numbers, loss.df, loss.units, *wins))
-    write_results(reply.races, folder / "results.csv")
-    return write_csv(lines, folder / "best_reply.csv")
-
-
-def _lines(reply: BestReply) -> Iterator[tuple[str, Estimate, list[float]]]:
-    """Yield track, loss, and the shares of response wins, agent wins and agent crashes."""
+def loss_table(agent: str, reply: BestReply) -> list[tuple[str, ...]]:
+    """Return the table of an agent's loss as texts: a line for each track, and for all tracks."""
     words, codes = reply.races.track
     parts = [(word, reply.races.take(codes == code)) for code, word in enumerate(words)]
+    rows: list[tuple[str, ...]] = [LOSS_COLUMNS]
     for track, races in parts if len(parts) == 1 else [*parts, ("all", reply.races)]:
+        loss = excess_estimate(races)
         shares = (races.winner == 0, races.winner == 1, races.fault[:, 1] > 0)
-        yield track, excess_estimate(races), [float(np.mean(share)) for share in shares]
+        numbers = (f"{value:.4f}" for value in (loss.mean, loss.low, loss.high, loss.se))
+        won = (f"{np.mean(share):.4f}" for share in shares)
+        rows.append((agent, track, *numbers, str(loss.df), str(loss.units), *won))
+    return rows

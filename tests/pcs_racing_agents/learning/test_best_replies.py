@@ -15,20 +15,19 @@ from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import clustered_mean
-from pcs_racing_agents.learning.responses import (
+from pcs_racing_agents.learning import responses
+from pcs_racing_agents.learning.best_replies import (
     BestReply,
     best_reply,
-    kept_networks,
-    load_response_settings,
-    reply_text,
-    write_reply,
+    excess_estimate,
+    loss_table,
 )
-from pcs_racing_agents.learning.responses.best_reply import excess_estimate
+from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
 
-SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30, patience=8)
+SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epochs=30)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
     def never(*arguments, **options):
         raise AssertionError("trained again")
 
-    monkeypatch.setattr(kept_networks, "train_network", never)
+    monkeypatch.setattr(responses, "train_network", never)
     assert reply_to(always(spec, "aggressiveness -"), games, spec, folder).loss == first.loss
 
 
@@ -94,13 +93,13 @@ def test_a_fixed_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path)
     assert not (tmp_path / "few" / "chunks").exists()
 
 
-def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
+def test_losses_are_listed_for_each_circuit_and_for_all():
     """Races of made-up ends: on s the reply wins 2 of 4 and the agent 1, on t the agent wins both
     and crashes once.
     """
     ends = [("s", "ego", "none"), ("s", "ego", "none"), ("s", "opponent", "ego")]
     ends += [("s", "none", "none"), ("t", "opponent", "both"), ("t", "opponent", "none")]
-    rows = [
+    rows_of = [
         RaceRow(
             ego="best-reply",
             opponent="a",
@@ -118,31 +117,25 @@ def test_losses_are_told_for_each_circuit_and_for_all(tmp_path):
         )
         for k, (track, winner, fault) in enumerate(ends)
     ]
-    table = race_table(rows)
+    table = race_table(rows_of)
     reply = BestReply(None, table, excess_estimate(table))
-    lines = reply_text("a", reply, SMALL).splitlines()
-    assert [line.split()[:3] for line in lines[1:4]] == [
-        ["a", "s", "+0.125"],
-        ["a", "t", "-0.500"],
-        ["a", "all", "-0.083"],
+    head, *lines = loss_table("a", reply)
+    rows = [dict(zip(head, line, strict=True)) for line in lines]
+    assert [(row["track"], row["loss"]) for row in rows] == [
+        ("s", "0.1250"),
+        ("t", "-0.5000"),
+        ("all", "-0.0833"),
     ]
-    assert [line.split()[-4:] for line in lines[1:4]] == [
-        ["4", "0.500", "0.250", "0.0%"],
-        ["2", "0.000", "1.000", "50.0%"],
-        ["6", "0.333", "0.500", "16.7%"],
+    shares = ("races", "reply_won", "agent_won", "agent_own_crash")
+    assert [[row[key] for key in shares] for row in rows] == [
+        ["4", "0.5000", "0.2500", "0.0000"],
+        ["2", "0.0000", "1.0000", "0.5000"],
+        ["6", "0.3333", "0.5000", "0.1667"],
     ]
-    assert lines[-1].startswith("learner: 192 games branched at every step and on each circuit, 1")
-    written = write_reply("a", reply, tmp_path).read_text().splitlines()
-    whole = dict(zip(*csv.reader([written[0], written[-1]]), strict=True))
-    assert (whole["agent"], whole["track"], whole["races"]) == ("a", "all", "6")
-    assert [float(whole[key]) for key in ("loss", "low", "high", "se")] == pytest.approx(
-        [reply.loss.mean, reply.loss.low, reply.loss.high, reply.loss.se], rel=1e-5
-    )
-    assert [float(whole[key]) for key in ("reply_won", "agent_won", "agent_own_crash")] == (
-        pytest.approx([2 / 6, 0.5, 1 / 6], rel=1e-5)
-    )
-    alone = BestReply(None, race_table(rows[:4]), None)
-    assert "all" not in reply_text("a", alone, SMALL)
+    found = [float(rows[-1][key]) for key in ("low", "high", "se")]
+    assert found == pytest.approx([reply.loss.low, reply.loss.high, reply.loss.se], abs=1e-4)
+    alone = BestReply(None, race_table(rows_of[:4]), None)
+    assert [line[1] for line in loss_table("a", alone)] == ["track", "s"]
 
 
 def test_an_excess_is_clustered_by_policies_and_lines_without_what_policies_bring(slow):
@@ -185,19 +178,18 @@ def test_the_command_prints_the_loss_and_writes_it(tmp_path, printed, told):
     config = tmp_path / "small.yaml"
     config.write_text("starts: 8\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 2\n")
     out = tmp_path / "reply"
-    command = ["learn", "best-reply", "--track", "Tarnfjord", "Pipkin", "--duration", 2.5]
-    command += ["--config", config, "--out", out, "--name", "mine"]
-    one = [*command, "--pool", "never-switch", "--races"]
+    command = ["train", "best-reply", "never-switch", "--track", "Tarnfjord", "Pipkin"]
+    command += ["--duration", 2.5, "--config", config, "--out", out, "--name", "mine"]
+    one = [*command, "--races"]
     text = printed(*one, 80)
     assert "learner: 8 games branched at every step" in text
     lines = (out / "best_reply.csv").read_text(encoding="utf-8").splitlines()
     rows = {row["track"]: row for row in csv.DictReader(lines)}
     assert list(rows) == ["Tarnfjord", "Pipkin", "all"]
     assert int(rows["all"]["races"]) == 80
-    assert f"{float(rows['all']['loss']):+.3f}" in text
+    assert rows["all"]["loss"] in text
     assert (out / "results.csv").is_file()
     assert text.endswith(f"race it as response:network={out / 'agent'}\n")
     assert load_network(out / "agent").name == "mine"
     assert "races" in told(*one, 81)  # another run
     assert "races is 79" in told(*one, 79)
-    assert "against one agent; --pool names 2" in told(*command)

@@ -1,1 +1,0 @@
-"""PPO baselines that move between policies, trained with Stable-Baselines3."""
