@@ -25,7 +25,7 @@ from pcs_racing_agents.tournament import (
 TRACKS = ["Tarnfjord", "Brackwater"]
 TRAIN_TRACKS = {"Tarnfjord"}
 # the paper's non-GT agent, random agent and held-out planner
-OPPONENTS = ["never-switch", "random-policy", "lane-switcher"]
+OPPONENTS = ["never-switch", "random-policy", "lane-switcher:any"]
 # cfr-argmax is the paper's game-theoretic agent
 AGENTS = ["never-switch", "best-fixed", "cfr-argmax", "response"]
 

@@ -116,6 +116,7 @@ EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
     "clients/openspiel_tree": ("pyspiel", "open_spiel"),
     "maskable_ppo": ("torch", '".[learning]" sb3-contrib'),
+    "ppo_against_cfr": ("stable_baselines3", "stable_baselines3"),
     "play_a_race": ("pygame", '".[window]"'),
     "train_ppo": ("torch", '".[learning,plots]"'),
 }

@@ -35,7 +35,7 @@ def run(
     ] = (),
     workers: Workers,
 ) -> None:
-    """Run a complete study: game trees, networks, agents, races, table and report."""
+    """Run a complete study: archive, game trees, networks, agents, races and report."""
     from pcs_racing_agents.study import load_study_config, run_study
 
     given: dict[str, Any] = {"seed": seed, "archive": archive}

@@ -239,7 +239,7 @@ def league_callback(league: League) -> Any:
             if self._ended and all(result == Result.CRASH for _, result in self._ended):
                 say_once(
                     "no race of the league counts: each ended in a crash, a no-contest under these"
-                    " rules; make the environment with race='contest'"
+                    " rules; make the environment with rules='contest'"
                 )
             if self._ended:
                 self.league = self.league.record(*zip(*self._ended, strict=True))

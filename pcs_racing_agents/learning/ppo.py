@@ -59,7 +59,7 @@ class PPOSettings(Settings):
     """Settings of training by PPO (Schulman et al. 2017); a step is a move."""
 
     archive: Annotated[Text, "Name or folder of the archive of policies."] = "default"
-    race: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
+    rules: Annotated[Text, 'Rules: "paper", "contest" or a YAML file.'] = "paper"
     tracks: Annotated[Names, "Circuits of the training."] = (
         "Tarnfjord",
         "Vellindra",
@@ -168,7 +168,7 @@ def train_ppo(
     """
     settings = load_ppo_settings(config, **changes)
     require("stable_baselines3", extra="learning")
-    archive, rules = load_archive(settings.archive), load_game_config(settings.race)
+    archive, rules = load_archive(settings.archive), load_game_config(settings.rules)
     games = [make_game(track, archive, rules) for track in settings.tracks]
     identity = {
         "settings": plain_settings(settings),
@@ -301,7 +301,7 @@ def _make_envs(settings: PPOSettings, games: Sequence[RaceGame], seed: int) -> A
             share,
             track=game.track,
             archive=game.archive,
-            race=game.config,
+            rules=game.config,
             opponent=opponent,
             autoreset_mode=AutoresetMode.SAME_STEP,
             threads=1,

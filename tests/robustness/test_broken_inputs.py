@@ -175,7 +175,6 @@ def test_something_else_in_the_place_of_a_file(kind):
 DATA = [
     ("archive", "archive.npz"),
     ("network", "weights.safetensors"),
-    ("driver", "weights.safetensors"),
     ("map", "Pipkin_map.png"),
     ("map", "Pipkin_centerline.csv"),
     ("map", "Pipkin_raceline.csv"),

@@ -27,6 +27,7 @@ from pcs_racing import (
     make_game,
     racer,
 )
+from pcs_racing.base.files import parse_yaml, read_limited
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.car.vehicle import F1TENTH, load_vehicle
 from pcs_racing.envs.draws import load_randomization
@@ -167,6 +168,12 @@ def study_folder(folder: Path) -> Path:
 ORIGIN = {"environment": "drive", "see_opponent": "always", "vehicle": [plain_settings(F1TENTH)]}
 
 
+def origin(folder: Path) -> Path:
+    """Write the environment of a model's training."""
+    (folder / "origin.yaml").write_text(json.dumps(ORIGIN))
+    return folder / "origin.yaml"
+
+
 def read_model(file: Path) -> object:
     """Return the policy of a zip whose spaces name the environment in a file."""
     torch = pytest.importorskip("torch")
@@ -177,7 +184,11 @@ def read_model(file: Path) -> object:
     }
     written = {
         "policy_class": {"__module__": "stable_baselines3.common.policies"},
-        "observation_space": {"pcs_racing": file.read_text()},
+        "observation_space": {
+            "pcs_racing": json.dumps(
+                parse_yaml(file, read_limited(file, 10**6, "an origin", InputError))
+            )
+        },
     }
     with zipfile.ZipFile(file.with_suffix(".zip"), "w") as made_file:
         made_file.writestr("data", json.dumps(written))
@@ -188,8 +199,7 @@ def read_model(file: Path) -> object:
 
 def league(folder: Path) -> Path:
     """Save a league of a planner and the frozen copy of a model."""
-    (folder / "origin.json").write_text(json.dumps(ORIGIN))
-    read_model(folder / "origin.json")
+    read_model(origin(folder))
     place = save_league(folder / "league", make_league(["lattice"]))
     shutil.copy(folder / "origin.zip", place / "self-0001.zip")
     members = yaml.safe_load((place / LEAGUE_FILE).read_text())
@@ -286,7 +296,7 @@ KINDS = {
     "trees": Kind(
         settings("job.yaml", TREES), lambda file: load_trees(file.parent), "_read_settings"
     ),
-    "model": Kind(settings("origin.json", ORIGIN), read_model, "read_zip"),
+    "model": Kind(origin, read_model, "read_zip"),
     "league": Kind(league, lambda file: load_league(file.parent).opponents()),
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
@@ -426,6 +436,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
     assert found == {
         "pcs_racing/planners/imported.py": {"own_file", "driver_classes"},  # the doors themselves
         "pcs_racing/planners/own_code.py": {"drivers_from", "run_file"},
+        "pcs_racing/planners/own_files.py": {"own_file"},
         "pcs_racing/planners/racers.py": {"racer code"},
         "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},

@@ -188,7 +188,7 @@ def test_a_contact_need_not_end_an_episode(oval, contact):
             ConfigError,
             "lists 2 cars; give one for all, or 4",
         ),
-        (DriveEnv, {"opponent": np.float32(2.0)}, InputError, "is not a competitor"),
+        (DriveEnv, {"opponent": np.float32(2.0)}, InputError, "can't race"),
         (DriveHeadToHeadEnv, {"opponents": "lattice"}, InputError, "opponents is 'lattice'"),
         (DriveHeadToHeadEnv, {"cars": 9}, InputError, "cars is 9"),
         (

@@ -113,7 +113,7 @@ def test_a_policy_as_text(example):
 
 def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(example):
     for text, message in [
-        ("", "planner '' is unknown"),
+        ("", "can't race"),
         (":brave", "planner '' is unknown"),
         ("exampel", "did you mean 'example'"),
         ("example:timid", "no variant 'timid'"),

@@ -295,7 +295,6 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         (["solve", "nowhere", "--tree", "1"], "--tree goes with --export"),
         (["view", "nowhere"], "there is no folder nowhere; give one of a tournament or a study"),
         (["race", "--opponent", *["lattice"] * 8], "names 8 policies; a race has at most 7"),
-        (["train", "psro", "--races", "10", "--out", "x"], "--races"),
         (["solve", "nowhere", "--export", "t.gbt"], "must end in .efg"),
         ([*PPO, "--config", "nonsense"], "ppo settings 'nonsense' are unknown"),
         ([*PPO, "--steps", "0"], "steps is 0"),
@@ -490,7 +489,7 @@ def test_own_code_is_named_alike_wherever_a_planner_or_an_agent_is(tmp_path, mon
         assert competitor(f"{place}:last", spec, code=True).model.name == "default"
         nobody = "has no class and no function 'Nobody'"
         refused(nobody, competitor, f"{place}:Nobody", spec, code=True)
-        refused("is an agent, which moves", policy_racer, f"{place}:First", code=True)
+        refused("is an agent, which moves", policy_racer, "own_racers:First", code=True)
 
 
 def test_own_code_races_in_other_processes_and_commands_find_it_again(
