@@ -152,6 +152,8 @@ def read_planner(request: Request) -> Policy | PolicySet | None:
     name, _, rest = split_name(request.text)
     if name not in planner_names():
         return None
+    if name.endswith(".py") and rest and rest.strip() not in get_planner(name).variants:
+        return None  # an agent or a function of the file
     if rest.strip() != ANY:
         return parse_policy(request.text)
     planner = get_planner(name)

@@ -185,7 +185,7 @@ def traverse(
         strategy = ExploringStrategy(network, exploration, len(spec.moves))
         players = [Agent("self-play", strategy, spec, seed) for seed in (0, 1)]
     first, second = players
-    before, moves = random_moves(game, seed=2), len(game.move_names)
+    before, moves = random_moves(game, seed=2), game.offered
     between = game_between(game, first, second)
     branches = branch_games(between, second, block.keys, step, [before], first, payoff, moves)
     chances = first.probabilities(branches.observations)[:, :moves]

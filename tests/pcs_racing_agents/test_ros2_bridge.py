@@ -204,9 +204,6 @@ def test_the_steering_angle_follows_the_command_to_stop(ros):
     ("parameters", "said"),
     [
         ({"policy": "line-ppo.onnx"}, "takes situation, moves, speeds, candidates"),
-            {"policy": "line-ppo.onnx"},
-            "takes situation, moves, speeds, candidates; the planner node runs",
-        ),
         ({"policy": "none.onnx"}, "there is no file none.onnx"),
         ({"policy": "lidar-ppo"}, "lidar-ppo needs scans: pcs-racing export"),
         ({"policy": "latice"}, "did you mean 'lattice'"),

@@ -344,6 +344,7 @@ NAMELESS = {
     "read_agent",  # a text, in which an option's value is no name of code
     "_parse_like",
     "read_origin",
+    "read_onnx",
 }
 """Functions that call a reader of files, and need no row."""
 
@@ -466,8 +467,8 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/track/track.py:json.loads",
         "pcs_racing_agents/agents/from_torch.py:module.eval",  # a switch of torch
         "pcs_racing/planners/own_code.py:importlib.import_module",
-        "pcs_racing/planners/racers.py:resolve_name",
         "pcs_racing/envs/origins.py:json.loads",
+        "pcs_racing_agents/agents/from_onnx.py:json.loads",
         "pcs_racing_agents/agents/zoo.py:resolve_name",
         "pcs_racing_agents/cli/main.py:import_module",
         "pcs_racing_agents/base/executors.py:loads",  # what this process has packed

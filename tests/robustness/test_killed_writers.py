@@ -13,8 +13,7 @@ import pytest
 from pcs_racing import load_archive, load_track
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.archive_files import save_archive
-from pcs_racing.track.map_files import read_map
-from pcs_racing.track.maps import write_map
+from pcs_racing.track.map_files import read_map, write_map
 from pcs_racing_agents.agents.sb3_files import Sb3Policy
 from pcs_racing_agents.learning.league import League, Member, load_league, save_league
 from pcs_racing_agents.networks import (

@@ -114,7 +114,7 @@ def test_a_policy_as_text(example):
 def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(example):
     for text, message in [
         ("", "can't race"),
-        (":brave", "planner '' is unknown"),
+        (":brave", "':brave' is no planner"),
         ("exampel", "did you mean 'example'"),
         ("example:timid", "no variant 'timid'"),
         ("example:", "no variant ''"),

@@ -208,7 +208,7 @@ def test_impossible_settings_are_named(text, message, tmp_path):
     [
         {"tracks": ("Nowhere",)},
         {"archive": "nothing"},
-        {"race": "sunday"},
+        {"rules": "sunday"},
         {"opponents": {"nobody": 1}},
     ],
     ids=str,
