@@ -7,15 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pytest
 
 from pcs_racing import load_archive, load_track
-from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.track.map_files import read_map, write_map
-from pcs_racing_agents.agents.sb3_files import Sb3Policy
-from pcs_racing_agents.learning.league import League, Member, load_league, save_league
 from pcs_racing_agents.networks import (
     load_network,
     load_network_set,
@@ -50,19 +46,6 @@ def network_sets():
     )
 
 
-def leagues():
-    def copy(value: float) -> Member:
-        layers = DenseLayers((np.full((2, 41), value, np.float32),), (np.zeros(2, np.float32),))
-        arguments = {"see_opponent": "always"}
-        return Member(
-            "self-0001",
-            model=Sb3Policy("self-0001", layers, "Tanh", moves=False),
-            arguments=arguments,
-        )
-
-    return League((Member("lattice"), copy(0.0))), League((Member("lattice"), copy(1.0)))
-
-
 def maps():
     former = read_map(load_track("Pipkin").folder)
     info = {**former.info, "description": "new"}
@@ -84,11 +67,6 @@ WRITERS = {
         lambda folder, archive: save_archive(archive, folder),
         lambda folder: (load_archive(folder).name, load_archive(folder).content_hash),
         lambda: (load_archive("default"), load_archive("contest")),
-    ),
-    "league": Writer(
-        save_league,
-        lambda folder: load_league(folder).members[1].model.layers.weights[0].sum(),
-        leagues,
     ),
     "map": Writer(
         lambda folder, content: write_map(content._replace(folder=folder)),

@@ -128,7 +128,7 @@ def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(examp
         ("example:pace=1,", "'' is not"),
         ("example:timid,pace=1", "no variant 'timid'"),
         ("example:pace=1,brave", "'brave' is not"),
-        (None, "policy None"),
+        (None, "can't race"),
     ]:
         refused(message, racer, text)
     for name in ["", "a:b", "a=b", "a b", "a,b", None]:
