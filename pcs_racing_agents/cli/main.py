@@ -10,15 +10,12 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.planners.shipped import SHIPPED as PLANNERS
-from pcs_racing.planners.shipped import split_name
 from pcs_racing.race.config import load_race_config
 from pcs_racing.track.maps import find_shipped
-from pcs_racing_agents.agents.shipped import SHIPPED as AGENTS
 from pcs_racing_agents.cli.commands import Parser, add_commands
 from pcs_racing_agents.cli.options import Terminated
 
@@ -71,17 +68,6 @@ FILES = {
     ),
 }
 """File in this folder and summary of each command, in help order: a call imports its file only."""
-
-NAMING = {
-    "race": {"--ego": "planner", "--opponent": "planner"},
-    "tournament": {"--policies": "planner", "--agents": "agent"},
-    "tune": {"": "planner", "--against": "planner"},
-    "policies": {"": "planner"},
-    "train": {"--pool": "agent"},
-}
-"""Kind of names after an option, by command; "" means the words before all options.
-
-Unknown names are reported before the import of the racing code, which takes a second."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -206,42 +192,14 @@ def check_command(word: str, commands: Sequence[str]) -> None:
 
 
 def check_names(words: Sequence[str]) -> None:
-    """Refuse unknown names of planners, agents, tracks and rules; ignore paths and code."""
-    kinds = {**NAMING.get(words[0], {}), "--track": "track", "--rules": "rules"}
+    """Refuse unknown names of tracks and rules before the import of the racing code."""
     option = ""
     for word in words[1:]:
         if word.startswith("--"):
             option, _, word = word.partition("=")
-        kind = kinds.get(option)
-        name, colon, rest = split_name(word)
-        if (
-            not word
-            or kind is None
-            or os.path.exists(word)
-            or os.sep in word
-            or (kind == "rules" and "." in word)
-        ):
+        if not word or os.path.exists(word) or os.sep in word:
             continue
-        if kind == "track":
+        if option == "--track":
             find_shipped(word)
-        elif kind == "rules":
+        elif option == "--rules" and "." not in word:
             load_race_config(word)
-        # A name with a colon may be user code: module:function.
-        elif not (
-            name.endswith((".py", ".zip"))
-            or (colon and rest.isidentifier())
-            or name.startswith("always-")
-        ):
-            _check_racer(kind, name.strip())
-
-
-def _check_racer(kind: str, name: str) -> None:
-    groups = ("pcs_racing.planners", "pcs_racing.agents")
-    known = {
-        *PLANNERS,
-        *AGENTS,
-        *(point.name for group in groups for point in entry_points(group=group)),
-    }
-    if name not in known:
-        shown = sorted(PLANNERS if kind == "planner" else {*AGENTS, "always-MOVE"})
-        raise UnknownNameError(f"{kind} {name!r} is unknown; {choices(name, shown)}")

@@ -431,7 +431,7 @@ def test_a_race_begins_without_what_other_commands_need():
     }
 
 
-UNKNOWN = "race --ego latice|tournament --agents a b|rcae|race --track Pipkn|race --rules cup"
+UNKNOWN = "rcae|race --track Pipkn|race --rules cup"
 
 
 def test_an_unknown_name_is_told_before_compiled_code_is_imported():
