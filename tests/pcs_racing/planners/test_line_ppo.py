@@ -146,7 +146,7 @@ def test_a_higher_pace_drives_faster():
     [
         ({"score.bias": np.zeros(2, np.float32)}, r"score.bias has shape \(2,\); .* has \(1,\)"),
         ({"other": np.zeros(2, np.float32)}, r"other has shape \(2,\); .* has None"),
-        ({"score.bias": np.zeros(1)}, "score.bias must be float32"),
+        ({"score.bias": np.zeros(1)}, "score.bias is of type float64; it must be float32"),
         ({"score.bias": np.full(1, np.nan, np.float32)}, "within 100"),
     ],
 )

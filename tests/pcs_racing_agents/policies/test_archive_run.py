@@ -319,7 +319,7 @@ def test_a_measurement_leaves_out_policies_that_score_too_little(monkeypatch, tm
         (TINY, {"rivals": ("lattice",)}, "unknown archive setting 'rivals'"),
         (SPREAD, {"opponents": 3}, "unknown archive setting 'opponents'"),
         (SPREAD, {"rivals": ()}, "rivals is"),
-        (SPREAD, {"rivals": ("nobody",)}, "planner 'nobody' is unknown"),
+        (SPREAD, {"rivals": ("nobody",)}, "'nobody' is no planner"),
         (SPREAD, {"max_policies": 2}, "max_policies is 2"),
     ],
 )

@@ -153,7 +153,7 @@ def test_a_policy_as_text_is_the_same_policy_to_four_digits():
         ({"start": "pure-pursuit:pace=7"}, "parameter 'pace' is 7; it must lie in"),
         ({"held_out": ("Pipkin",)}, "held_out names 'Pipkin', a circuit of the search"),
         ({"against": ()}, "against is"),
-        ({"against": ("nobody",)}, "planner 'nobody' is unknown"),
+        ({"against": ("nobody",)}, "'nobody' is no planner"),
         ({"step_size": float("nan")}, "step_size is nan"),
         ({"population": 3}, "population is 3"),
         ({"rules": "nothing.yaml"}, "race settings 'nothing.yaml' are unknown"),
