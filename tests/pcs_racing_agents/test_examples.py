@@ -60,8 +60,7 @@ def test_the_table_of_the_paper(tmp_path):
     size = ("--egos", 2, "--variants", 2, "--lines", 1, "--agents", "never-switch", "cfr-argmax")
     script = EXAMPLES / "paper_table.py"
     out = run_python(script, "--tracks", "Tarnfjord", *size, "--out", "made", folder=tmp_path)
-    assert "never-switch" in out
-    assert "paper: 0.515 ± 0.251 non-GT, 0.569 ± 0.213 GT, difference +0.054, p 0.0142" in out
+    assert re.search(r"^Tarnfjord \(train\) +never-switch +\d\.\d{3} ", out, re.MULTILINE)
     assert (tmp_path / "made" / "table.csv").read_text(encoding="utf-8").count("\n") == 1 + 3
     again = run_python(script, "--tracks", "Tarnfjord", *size, "--out", "made", folder=tmp_path)
     assert again == out  # from what was driven before
