@@ -1,4 +1,4 @@
-"""Run a tournament between agents: table, payoff matrix, ratings and equilibrium.
+"""Run a tournament between agents: scores with intervals, ratings and equilibrium.
 
     python examples/agent_tournament.py
     python examples/agent_tournament.py --track Saltmere --rules paper --agents never-switch ppo
@@ -10,20 +10,14 @@ folder.
 import argparse
 from pathlib import Path
 
-import numpy as np
-
 from pcs_racing import load_track
-from pcs_racing_agents import solvers
 from pcs_racing_agents.tournament import (
-    excess,
     make_executor,
     open_job,
     plan_tournament,
     play_plan,
-    rate,
     show_progress,
     tournament_settings,
-    tournament_text,
     write_results,
 )
 
@@ -77,31 +71,8 @@ def main() -> None:
         make_executor("threads") as executor,
     ):
         tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
-    print(tournament_text(tournament))
+    print(tournament)
     print("results:", write_results(tournament.races, arguments.out / "results.csv"))
-
-    # 3. Ratings, with intervals by resampling start lines.
-    rows = [row for row in tournament.races if row.winner or not row.crash]
-    result = [{"ego": 1, "opponent": -1, "": 0}[row.winner] for row in rows]
-    lines = [row.race // 2 for row in rows]
-    rng = np.random.default_rng(arguments.seed)
-    ratings = rate(
-        [row.ego for row in rows], [row.opponent for row in rows], result, unit=lines, rng=rng
-    )
-    print("\nrating (log-odds of winning) and 95 % interval")
-    for i in np.argsort(-ratings.strength):
-        print(
-            f"  {ratings.names[i]:24s} {ratings.strength[i]:+.2f}  [{ratings.low[i]:+.2f},"
-            f" {ratings.high[i]:+.2f}]"
-        )
-
-    # 4. An equilibrium of the game in which both sides choose an agent.
-    weights = solvers.solve_matrix_games(excess(tournament.summary.scores)).rows[0]
-    shares = zip(weights, plan.names, strict=True)
-    print(
-        "\nequilibrium: "
-        + ", ".join(f"{weight:.2f} {name}" for weight, name in shares if weight > 0.005)
-    )
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ import numpy as np
 
 from pcs_racing import load_track
 from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec, observing, register_agent
-from pcs_racing_agents.tournament import game_rules, play_tournament, show_progress, tournament_text
+from pcs_racing_agents.tournament import game_rules, play_tournament, show_progress
 
 
 # 1. A strategy: probabilities of the moves (B, M) for observations (B, D). A dataclass can be sent
@@ -88,7 +88,7 @@ def main() -> None:
         seed=arguments.seed,
         progress=show_progress(),
     )
-    print(tournament_text(tournament))
+    print(tournament)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from pcs_racing.planners import (
     to_cartesian,
 )
 from pcs_racing.planners import view as view_of  # indices of `view`
-from pcs_racing_agents.tournament import play_tournament, tournament_text
+from pcs_racing_agents.tournament import play_tournament
 
 # 1. The parameters, in the order of `theta`, with bounds and a default. Synthesis searches between
 # the bounds.
@@ -149,7 +149,7 @@ def main() -> None:
     tournament = play_tournament(
         track, entrants, config, races_per_pair=arguments.races, seed=arguments.seed
     )
-    print(f"\n{tournament_text(tournament)}")
+    print(f"\n{tournament}")
 
 
 if __name__ == "__main__":

@@ -15,9 +15,7 @@ from pcs_racing.planners import Policy, get_planner
 from pcs_racing_agents.tournament import (
     RaceRow,
     play_tournament,
-    record_row,
     show_progress,
-    tournament_text,
     write_results,
 )
 
@@ -47,11 +45,11 @@ def main() -> None:
         seed=arguments.seed,
         progress=show_progress(),
     )
-    print(tournament_text(tournament))
+    print(tournament)
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("\nresults:", write_results(tournament.races, arguments.out / "results.csv"))
-    replay = record_row(tournament, max(tournament.races, key=liveliness)).replay
+    replay = tournament.record(max(tournament.races, key=liveliness)).replay
     print(
         "replay: ",
         save_replay(replay, arguments.out / "replay.html"),

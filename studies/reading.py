@@ -20,7 +20,7 @@ from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Circuits, Rules, output_folder
 from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.play import game_rules
+from pcs_racing_agents.tournament.plan import game_rules
 
 Labels = NDArray[np.int64]
 HEAD = (

@@ -194,14 +194,19 @@ def networks(folders: list[Path]) -> Digests:
 def statistics(folders: list[Path]) -> Digests:
     """Ratings, a clustered mean, a t-test."""
     from pcs_racing_agents.base.statistics import clustered_mean, t_interval
+    from pcs_racing_agents.tournament.race_files import race_table
+    from pcs_racing_agents.tournament.races import RaceRow
     from pcs_racing_agents.tournament.ratings import rate
 
     rng = np.random.default_rng(0)
-    names = np.array([f"agent {k}" for k in range(8)])
     first = rng.integers(0, 8, 600)
     second = (first + rng.integers(1, 8, 600)) % 8
-    result = rng.integers(-1, 2, 600)
-    ratings = rate(names[first], names[second], result, rng=rng, replicates=100)
+    winners = np.array(["ego", "opponent", "none"])[rng.integers(0, 3, 600)]
+    races = race_table(
+        RaceRow(ego=f"agent {i}", opponent=f"agent {j}", winner=winner, start_s=float(k))
+        for k, (i, j, winner) in enumerate(zip(first, second, winners, strict=True))
+    )
+    ratings = rate(races, rng=rng, replicates=100)
     yield (
         "ratings",
         [np.asarray(value) for value in vars(ratings).values() if isinstance(value, np.ndarray)],

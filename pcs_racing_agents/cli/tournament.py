@@ -1,4 +1,4 @@
-"""``pcs-racing tournament``: races of competitors; table, results and payoff matrix."""
+"""``pcs-racing tournament``: races of competitors; table, results and picture."""
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -58,7 +58,7 @@ def run(
     out: Annotated[
         Path | None,
         Option(
-            "folder for results.csv and the payoff matrix; an interrupted run resumes here",
+            "folder for results.csv and scores.png; an interrupted run resumes here",
             "DIR",
         ),
     ] = None,
@@ -71,7 +71,6 @@ def run(
         play_plan,
         play_protocol,
         protocol_text,
-        tournament_text,
         write_results,
     )
 
@@ -104,16 +103,14 @@ def run(
         else:
             tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
             table = tournament.races
-            print(tournament_text(tournament))
+            print(tournament)
         if out is None:
             return
         print(f"results: {write_results(table, out / 'results.csv')}")
-        if fixed is None and can_draw("the payoff matrix"):
+        if fixed is None and can_draw("the scores"):
             from pcs_racing_agents.base.style import save_picture
-            from pcs_racing_agents.tournament.pictures import payoffs_picture
 
-            figure = payoffs_picture(plan.names, tournament.summary.scores)
-            print(f"picture: {save_picture(figure, out / 'payoffs.png')}")
+            print(f"picture: {save_picture(tournament.plot(), out / 'scores.png')}")
 
 
 def _job(

@@ -46,7 +46,7 @@ from pcs_racing_agents.networks.from_trees import train_regrets
 from pcs_racing_agents.networks.metrics import score_table
 from pcs_racing_agents.networks.settings import TrainSettings
 from pcs_racing_agents.networks.training import epoch_curves, write_epochs
-from pcs_racing_agents.tournament.play import game_rules
+from pcs_racing_agents.tournament.plan import game_rules
 from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.storage import stored_identity

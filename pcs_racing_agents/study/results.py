@@ -14,10 +14,12 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import GameConfig
-from pcs_racing.game.players import competitor
+from pcs_racing.game.players import Competitor, competitor
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
+from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.study.config import load_study_config
@@ -27,9 +29,9 @@ from pcs_racing_agents.tournament import (
     RaceRow,
     RaceTable,
     cross_pairing,
-    plan_tournament,
+    draw_schedule,
     read_results,
-    tournament_settings,
+    schedule_pairing,
 )
 from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder
 
@@ -142,23 +144,18 @@ def _tournament_pairing(
     seed, spec = int(settings["seed"]), make_game_spec(settings["archive"], rules)
     archive = spec.archive
     _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
-    place = {**settings.get("maps", {}), **moved}.get(row.track, row.track)
-    plan = plan_tournament(
-        _load_track(place),
-        {
-            name: competitor(name, spec, seed=seed, code=name in code)
-            for name in (row.ego, row.opponent)
-        },
-        rules,
-        archive=archive,
-        races_per_pair=int(settings["races_per_pair"]),
-        seed=seed,
-    )
-    now = tournament_settings(plan)
-    for noun in ("track", "agent"):
-        for name, current in now[f"{noun}s"].items():
-            _check_same(f"{noun} {name!r}", current, settings[f"{noun}s"][name])
-    return plan.pairings[0]
+    track = _load_track({**settings.get("maps", {}), **moved}.get(row.track, row.track))
+    _check_same(f"track {row.track!r}", track.content_hash, settings["tracks"][row.track])
+
+    def agent(name: str) -> Competitor:
+        car = competitor(name, spec, seed=seed, code=name in code)
+        _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
+        return car
+
+    races = int(settings["races_per_pair"])
+    schedule = draw_schedule(track, spec.config.race_rules, races, seed)
+    game = RaceGame(track, archive, spec.config)
+    return schedule_pairing(game, agent(row.ego), agent(row.opponent), schedule, seed)
 
 
 def _check_same(noun: str, current: str, recorded: str) -> None:

@@ -16,16 +16,13 @@ from pcs_racing_agents.tournament.pairings import (
     draw_schedule,
     schedule_pairing,
 )
-from pcs_racing_agents.tournament.play import (
-    Tournament,
+from pcs_racing_agents.tournament.plan import (
     TournamentPlan,
     game_rules,
     plan_tournament,
-    play_plan,
-    play_tournament,
-    record_row,
     tournament_settings,
 )
+from pcs_racing_agents.tournament.play import play_plan, play_tournament
 from pcs_racing_agents.tournament.protocol import (
     Protocol,
     ProtocolConfig,
@@ -40,9 +37,15 @@ from pcs_racing_agents.tournament.races import (
     closeness_text,
     concatenate_races,
 )
-from pcs_racing_agents.tournament.ratings import RoundRobin, excess, rate, round_robin
+from pcs_racing_agents.tournament.ratings import (
+    RoundRobin,
+    excess,
+    max_entropy_equilibrium,
+    rate,
+    round_robin,
+)
+from pcs_racing_agents.tournament.result import Standing, Tournament
 from pcs_racing_agents.tournament.runner import play_pairing, play_pairings, repeat_race
-from pcs_racing_agents.tournament.table import standings, tournament_text
 
 __all__ = [
     "Pairing",
@@ -51,6 +54,7 @@ __all__ = [
     "RaceRow",
     "RaceTable",
     "RoundRobin",
+    "Standing",
     "Tournament",
     "TournamentPlan",
     "TrainingRaces",
@@ -67,6 +71,7 @@ __all__ = [
     "holm",
     "load_protocol",
     "make_executor",
+    "max_entropy_equilibrium",
     "open_job",
     "plan_tournament",
     "play_pairing",
@@ -77,13 +82,10 @@ __all__ = [
     "protocol_text",
     "rate",
     "read_results",
-    "record_row",
     "repeat_race",
     "round_robin",
     "schedule_pairing",
     "show_progress",
-    "standings",
     "tournament_settings",
-    "tournament_text",
     "write_results",
 ]

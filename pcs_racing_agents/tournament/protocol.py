@@ -12,12 +12,10 @@ from typing import Annotated, Any, NamedTuple, Unpack
 
 import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text
 from pcs_racing.game.players import Competitor, competitor
-from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.racers import own_name
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.agent import competitor_hash
@@ -25,10 +23,8 @@ from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Run
-from pcs_racing_agents.base.statistics import clustered_mean, varied
-from pcs_racing_agents.base.tables import Column, aligned, interval_text, table_rows, with_interval
-from pcs_racing_agents.tournament.pairings import schedule_pairing
-from pcs_racing_agents.tournament.play import (
+from pcs_racing_agents.base.tables import Column, aligned, table_rows, with_interval
+from pcs_racing_agents.tournament.plan import (
     Entrant,
     TournamentPlan,
     game_rules,
@@ -37,6 +33,12 @@ from pcs_racing_agents.tournament.play import (
 )
 from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
 from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament.scores import (
+    SCORE_COLUMNS,
+    Score,
+    clustered_score,
+    score_races,
+)
 
 
 @dataclass(frozen=True)
@@ -93,13 +95,9 @@ class ProtocolScore(NamedTuple):
     """The score of an agent over the races of a protocol."""
 
     agent: str
-    races: int
-    score: float  #: Mean score: 1 for a win, 0.5 for a tie, else 0.
-    interval: str  #: 95 % interval, robust to clusters of start lines, policies and opponents.
+    score: Score
     train: float  #: ``train``, ``test``: Score on the training tracks, on the test tracks.
     test: float
-    own_crash: float  #: Share of the races that ended in a crash by the agent's own fault.
-    other_crash: float  #: Share that ended in another crash.
     gain: str  #: Score minus the score of the first agent on the same races, with its interval.
 
 
@@ -148,13 +146,7 @@ def play_protocol(protocol: Protocol, **run: Unpack[Run]) -> RaceTable:
 
     ``**run``: as for :func:`pcs_racing_agents.tournament.play_pairings`.
     """
-    plan = protocol.plan
-    pairings = [
-        schedule_pairing(game, agent, opponent, schedule, plan.seed)
-        for track, schedule in zip(plan.tracks, plan.schedules, strict=True)
-        for game in [RaceGame(track, plan.spec.archive, plan.spec.config)]
-        for agent, opponent in product(protocol.agents, protocol.opponents)
-    ]
+    pairings = protocol.plan.paired(tuple(product(protocol.agents, protocol.opponents)))
     return concatenate_races(play_pairings(pairings, name="protocol", **run))
 
 
@@ -164,32 +156,19 @@ def protocol_scores(protocol: Protocol, races: RaceTable) -> list[ProtocolScore]
     names = [own_name(agent) for agent in protocol.agents]
     own = {name: races.take(ego == name) for name in names}
     scores = [_score(protocol, name, own[name], own[names[0]]) for name in names]
-    return sorted(scores, key=lambda one: -one.score)
+    return sorted(scores, key=lambda one: -one.score.mean)
 
 
 def _score(protocol: Protocol, name: str, races: RaceTable, first: RaceTable) -> ProtocolScore:
     training = np.isin(np.array(races.track.words)[races.track.codes], protocol.config.train)
-    own_fault = races.fault[:, 0] > 0
-    mean, low, high = _mean(races.score, races)
+    gain = clustered_score(races, races.score - first.score)
     return ProtocolScore(
         name,
-        len(races),
-        mean,
-        interval_text(max(low, 0.0), min(high, 1.0)),
+        score_races(races),
         float(races.score[training].mean()),
         float(races.score[~training].mean()),
-        float((races.crashed & own_fault).mean()),
-        float((races.crashed & ~own_fault).mean()),
-        "" if races is first else with_interval(*_mean(races.score - first.score, races)),
+        "" if races is first else with_interval(*gain),
     )
-
-
-def _mean(values: NDArray[np.float64], races: RaceTable) -> tuple[float, float, float]:
-    """Return a mean over races with its interval."""
-    opponents = np.array(races.agents.words)[races.agents.codes[:, 1]]
-    variants = np.char.add(opponents, races.variants[:, 1].astype(str))
-    clusters = varied(races.places, races.variants[:, 0], variants)
-    return clustered_mean(values, *clusters)[:3]
 
 
 def protocol_text(protocol: Protocol, races: RaceTable) -> str:
@@ -197,13 +176,10 @@ def protocol_text(protocol: Protocol, races: RaceTable) -> str:
     config, first = protocol.config, own_name(protocol.agents[0])
     columns = (
         Column("agent"),
-        Column("score", format=".3f"),
-        Column("interval", "95 %"),
+        *SCORE_COLUMNS,
         Column("train", format=".3f"),
         Column("test", format=".3f"),
-        Column("own_crash", "crash: own", ".1%"),
-        Column("other_crash", "other's", ".1%"),
-        Column("races"),
+        Column("score.races", "races"),
         Column("gain", f"over {first}"),
     )
     head = (

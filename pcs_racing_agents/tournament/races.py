@@ -205,6 +205,25 @@ class RaceTable:
             numbers[track, ego, opponent, seed] = rows[k]
         return numbers
 
+    def seen_by(self, name: str) -> "RaceTable":
+        """Return the races of a competitor, with the competitor as ego in all of them."""
+        code = self.agents.words.index(name)
+        ahead, behind = (self.take(self.agents.codes[:, car] == code) for car in range(2))
+        turned = replace(
+            behind,
+            agents=behind.agents._replace(codes=behind.agents.codes[:, ::-1]),
+            side=1 - behind.side,
+            lead=-behind.lead,
+            winner=np.array([1, 0, -1], np.int8)[behind.winner],
+            moves=behind.moves._replace(codes=behind.moves.codes[:, ::-1]),
+            **{
+                column: getattr(behind, column)[:, ::-1]
+                for column in ("fault", "overtakes", "variants", "path", "best_laps")
+            },
+            observations=None,
+        )
+        return concatenate_races([ahead, turned])
+
     def with_seeds(self, seeds: Collection[int]) -> "RaceTable":
         """Return the races with these seeds."""
         wanted = np.array([int(word) in seeds for word in self.seed.words], bool)

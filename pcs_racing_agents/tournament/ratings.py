@@ -8,7 +8,8 @@ a winner) are left out, and counted. They do not lower a rating, only the score.
 
 In the meta-game of a round robin each player chooses an agent, and the score matrix gives the
 payoffs. A rating is one number and can't represent cycles (a beats b, b beats c, c beats a); the
-equilibrium of the meta-game can.
+equilibrium of the meta-game can. Of several equilibria it is the one of maximum entropy, which does
+not depend on the order of the agents (Nash averaging, Balduzzi et al. 2018).
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pcs_racing.base.checks import check_number, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats
-from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.races import RaceTable
 
 BATCH = 100  # number of bootstrap replicates fitted together
@@ -49,12 +50,8 @@ class Ratings:
 
 
 def rate(
-    first: Sequence[str],
-    second: Sequence[str],
-    result: ArrayLike,
+    races: RaceTable,
     *,
-    unpaid: ArrayLike | None = None,
-    unit: ArrayLike | None = None,
     rng: np.random.Generator | None = None,
     replicates: int = 500,
     prior_sd: float = 3.0,
@@ -62,17 +59,11 @@ def rate(
     """Fit the strengths of agents to their races.
 
     The fit is the posterior mode under a weak normal prior on each strength: without the prior an
-    agent without losses would have no finite rating. The intervals come from a bootstrap over
-    units: if all pairs raced from the same start lines, races from one line should have one unit.
+    agent without losses would have no finite rating. The intervals come from a bootstrap over the
+    start places, since all pairs race from the same ones.
 
     Parameters
     ----------
-    result : array_like, shape (R,)
-        1 for a win of the first agent, -1 for a win of the second agent, 0 for a tie.
-    unpaid : array_like of bool, shape (R,), optional
-        True for no-contests (crashes under the crash rule ``nobody``); their ``result`` is ignored.
-    unit : array_like, shape (R,), optional
-        Labels of the bootstrap units; by default each race is a unit.
     rng : numpy.random.Generator, optional
         Generator of the bootstrap; None for no intervals.
     replicates : int
@@ -81,37 +72,26 @@ def rate(
         Standard deviation of the prior on the log-odds scale. 3 is weak: after 73 wins in 100 races
         between two agents it moves their strengths from 0.497 to 0.496.
     """
-    if not 1e-6 <= prior_sd <= 1e6:
-        raise InputError(f"prior_sd is {prior_sd!r}; it must be a number from 1e-6 to 1e6")
-    if rng is not None and not replicates >= 100:
-        raise InputError(f"replicates is {replicates!r}; an interval needs at least 100")
-    races = len(first)
-    if races == 0:
+    check_number("prior_sd", prior_sd, 1e-6, 1e6)
+    check_whole("replicates", replicates, 100)
+    if not len(races):
         raise InputError("there are no races; ratings need at least one")
-    outcome = np.asarray(result, np.float64)
-    uncounted = np.zeros(races, bool) if unpaid is None else np.asarray(unpaid, bool)
-    units = np.arange(races) if unit is None else np.asarray(unit)
-    for name, column in (
-        ("second", np.asarray(second)),
-        ("result", outcome),
-        ("unpaid", uncounted),
-        ("unit", units),
-    ):
-        if column.shape != (races,):
-            raise InputError(
-                f"{name} has shape {column.shape}; it must hold one value for each of {races} races"
-            )
-    # numpy sorts the names, so that ratings do not depend on the order of races.
-    names, pairs = np.unique(
-        np.array([list(first), list(second)], dtype=np.str_), return_inverse=True
-    )
-    number = len(names)
-    first_agent, second_agent = pairs.reshape(2, -1)
-    _check_races(names, first_agent, second_agent, outcome, uncounted)
-    counted = np.flatnonzero(~uncounted)
-    winner = np.where(outcome > 0.0, first_agent, second_agent)[counted]
-    loser = np.where(outcome > 0.0, second_agent, first_agent)[counted]
-    tied = outcome[counted] == 0.0
+    # Sorted names, so that ratings do not depend on the order of races.
+    names, places = np.unique(np.array(races.agents.words), return_inverse=True)
+    number, agents = len(names), places[races.agents.codes]
+    if (agents[:, 0] == agents[:, 1]).any():
+        name = names[agents[np.argmax(agents[:, 0] == agents[:, 1]), 0]]
+        raise InputError(f"{name!s} races itself; that says nothing about its strength")
+    # A no-contest is no tie: it says nothing about strengths.
+    left_out = races.crashed & (races.winner < 0)
+    counted = np.flatnonzero(~left_out)
+    if not len(counted):
+        raise InputError(
+            f"all of {len(races)} races are no-contests; ratings need at least one other race"
+        )
+    winner = np.take_along_axis(agents, np.maximum(races.winner, 0)[:, None], axis=1)[counted, 0]
+    loser = agents.sum(axis=1)[counted] - winner
+    tied = races.winner[counted] < 0
     # Index of a race in the table of wins (N x N), followed by the table of ties (N x N).
     cell = winner * number + loser + tied * number**2
     # Only meetings matter here, not results: the prior makes a rating without losses finite, but
@@ -127,20 +107,17 @@ def rate(
     strength, tie = fit(np.ones((1, len(cell))))
     low = high = np.full(number, np.nan)
     if rng is not None:
-        replicated = np.concatenate(
-            [fit(weights)[0] for weights in _bootstrap(units[counted], replicates, rng)]
-        )
+        draws = _bootstrap(races.places[counted], replicates, rng)
+        replicated = np.concatenate([fit(weights)[0] for weights in draws])
         low, high = np.quantile(replicated, [0.025, 0.975], axis=0)
-    both = np.concatenate([first_agent, second_agent])
-    out = np.concatenate([uncounted, uncounted])
     return Ratings(
         names=tuple(str(name) for name in names),
         strength=strength[0],
         low=low,
         high=high,
         tie=float(tie[0]),
-        races=np.bincount(both[~out], minlength=number),
-        left_out=np.bincount(both[out], minlength=number),
+        races=np.bincount(agents[counted].ravel(), minlength=number),
+        left_out=np.bincount(agents[left_out].ravel(), minlength=number),
     )
 
 
@@ -235,26 +212,6 @@ def _log_posterior(
     return log.sum(axis=(1, 2)) - 0.5 * precision * (x**2).sum(axis=1)
 
 
-def _check_races(
-    names: NDArray[np.str_],
-    first_agent: NDArray[np.intp],
-    second_agent: NDArray[np.intp],
-    outcome: Floats,
-    uncounted: NDArray[np.bool_],
-) -> None:
-    if (first_agent == second_agent).any():
-        name = names[first_agent[np.argmax(first_agent == second_agent)]]
-        raise InputError(f"{name!s} races itself; that says nothing about its strength")
-    wrong = ~uncounted & ~np.isin(outcome, (-1.0, 0.0, 1.0))
-    if wrong.any():
-        at = int(np.argmax(wrong))
-        raise InputError(f"result[{at}] is {outcome[at]:g}; it must be 1, 0 or -1")
-    if uncounted.all():
-        raise InputError(
-            f"all of {len(uncounted)} races are no-contests; ratings need at least one other race"
-        )
-
-
 def _check_connected(
     names: NDArray[np.str_], winner: NDArray[np.intp], loser: NDArray[np.intp]
 ) -> None:
@@ -283,6 +240,29 @@ def excess(scores: ArrayLike) -> Floats:
     return 0.5 * (matrix - matrix.T)
 
 
+def max_entropy_equilibrium(payoffs: ArrayLike) -> Floats:
+    """Return the equilibrium of maximum entropy of a symmetric zero-sum game, shape (N,).
+
+    ``payoffs`` (array_like, shape (N, N)): payoff of the row against the column; antisymmetric.
+    """
+    from scipy.optimize import minimize  # local: the imports take 0.3 s
+    from scipy.special import logsumexp, softmax
+
+    matrix = np.asarray(payoffs, np.float64)
+    matrix = matrix / max(np.abs(matrix).max(), 1e-12)
+
+    # The dual problem: a price for each opponent that the mixture does not beat or tie.
+    def dual(prices: Floats) -> tuple[float, Floats]:
+        gains = matrix @ prices
+        return float(logsumexp(gains)), matrix.T @ softmax(gains)
+
+    count = len(matrix)
+    options = {"maxiter": 100_000, "maxfun": 100_000, "ftol": 0.0, "gtol": 1e-12}
+    start, bounds = np.zeros(count), [(0.0, None)] * count
+    found = minimize(dual, start, jac=True, bounds=bounds, method="L-BFGS-B", options=options)
+    return np.asarray(softmax(matrix @ found.x))
+
+
 MIN_LINES = 5
 """Minimum number of start lines for a bootstrap interval."""
 
@@ -296,7 +276,7 @@ class RoundRobin:
     #: counting half; NaN for pairs without races.
     scores: Floats
     ratings: Ratings | None  #: Ratings of the agents; None if they can't be estimated.
-    #: shape (N,): Probabilities of the agents in an equilibrium of the meta-game; None unless all
+    #: shape (N,): Probabilities of the agents in the equilibrium of the meta-game; None unless all
     #: pairs met.
     equilibrium: Floats | None
 
@@ -314,26 +294,21 @@ def round_robin(names: Sequence[str], races: RaceTable, *, seed: int = 0) -> Rou
     ``races``: races with the same start lines for all pairs. A crash without a winner is no tie.
     """
     first, second = agents_of(names, races).T
-    # A winner of -1 (a tie or a no-contest) indexes the last element.
-    won = np.array([1.0, -1.0, 0.0])[races.winner]
     # No-contests count in a score (as lost for both), but contain no information for ratings.
-    unpaid = races.crashed & (won == 0.0)
-    total, count = np.zeros((len(names),) * 2), np.zeros((len(names),) * 2)
-    paid = np.where(unpaid, 0.0, 0.5)
-    np.add.at(total, (first, second), paid * (1.0 + won))
-    np.add.at(total, (second, first), paid * (1.0 - won))
-    np.add.at(count, (first, second), 1.0)
-    np.add.at(count, (second, first), 1.0)
+    won = races.score
+    lost = np.where(races.crashed & (races.winner < 0), 0.0, 1.0 - won)
+    total, count = np.zeros((2, len(names), len(names)))
+    for ego, opponent, score in ((first, second, won), (second, first, lost)):
+        np.add.at(total, (ego, opponent), score)
+        np.add.at(count, (ego, opponent), 1.0)
     scores = np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0.0)
     # A game with a missing payoff has no equilibrium; a mean as a substitute would invent a result.
     met = bool((count[~np.eye(len(names), dtype=bool)] > 0.0).all())
     return RoundRobin(
         names=tuple(names),
         scores=scores,
-        ratings=_ratings(
-            np.array(names)[first], np.array(names)[second], won, unpaid, races.places, seed
-        ),
-        equilibrium=solve_matrix_games(excess(scores)).rows[0] if met else None,
+        ratings=_ratings(races, seed),
+        equilibrium=max_entropy_equilibrium(excess(scores)) if met else None,
     )
 
 
@@ -347,23 +322,16 @@ def agents_of(names: Sequence[str], races: RaceTable) -> NDArray[np.intp]:
     return index[races.agents.codes]
 
 
-def _ratings(
-    ego: NDArray[np.str_],
-    opponent: NDArray[np.str_],
-    won: Floats,
-    unpaid: NDArray[np.bool_],
-    line: NDArray[np.intp],
-    seed: int,
-) -> Ratings | None:
-    """Fit the ratings, with intervals if there are enough start lines."""
+def _ratings(races: RaceTable, seed: int) -> Ratings | None:
+    """Fit the ratings, with intervals if there are enough start lines; None without a winner."""
+    if (races.winner < 0).all():
+        return None
     # A bootstrap over few lines draws almost the same lines again: its interval is too short.
-    several = len(np.unique(line[~unpaid])) >= MIN_LINES
-    rng = (
-        np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,)))
-        if several
-        else None
-    )
+    places = races.places[~races.crashed | (races.winner >= 0)]
+    rng = None
+    if len(np.unique(places)) >= MIN_LINES:
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(6_000_000,)))
     try:
-        return rate(ego.tolist(), opponent.tolist(), won, unpaid=unpaid, unit=line, rng=rng)
-    except InputError:  # no race counts, or groups of agents never met
+        return rate(races, rng=rng)
+    except InputError:  # groups of agents never met
         return None

@@ -15,7 +15,7 @@ from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.policies.tuning import TUNING_TRACKS
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.play import game_rules
+from pcs_racing_agents.tournament.plan import game_rules
 from pcs_racing_agents.tournament.races import RaceTable
 from studies.circuits import real_circuits
 from studies.field.entrants import SEED, Entrant, Size

@@ -15,7 +15,7 @@ from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.play import game_rules
+from pcs_racing_agents.tournament.plan import game_rules
 from studies.circuits import real_circuits
 
 CONTROL = ("line-ppo", "lidar-ppo")

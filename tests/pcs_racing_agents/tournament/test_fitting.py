@@ -12,7 +12,7 @@ from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import fitting as fits
 from pcs_racing_agents.tournament.pairings import draw_schedule
-from pcs_racing_agents.tournament.play import game_rules
+from pcs_racing_agents.tournament.plan import game_rules
 
 
 @pytest.fixture(scope="module")

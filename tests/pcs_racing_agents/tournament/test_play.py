@@ -13,7 +13,6 @@ from pcs_racing_agents.tournament import (
     play_tournament,
     tournament_settings,
 )
-from pcs_racing_agents.tournament.play import record_row
 
 CONTEST = load_race_config("contest", duration=6.0)
 POLICIES = [racer(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
@@ -74,14 +73,12 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
         assert (row.crash != "none") == (row.duration < 6.0) == (row.fault != "none")
     for played in (tournament, mixed):
         for row in list(played.races)[3:30:9]:
-            recording = record_row(played, row, candidates=False)
+            recording = played.record(row, candidates=False)
             assert recording.replay.lead[-1] == row.lead
             assert recording.replay.car_names == (row.ego, row.opponent)
             assert recording.replay.candidates is None
-    assert record_row(tournament, tournament.races[0]).replay.candidates is not None
-    refused(
-        "was not raced here", record_row, tournament, tournament.races[0]._replace(track="Monza")
-    )
+    assert tournament.record(tournament.races[0]).replay.candidates is not None
+    refused("was not raced here", tournament.record, tournament.races[0]._replace(track="Monza"))
 
 
 def test_races_by_laps_end_before_their_last_steps_and_have_best_laps(oval, archive):
@@ -91,7 +88,7 @@ def test_races_by_laps_end_before_their_last_steps_and_have_best_laps(oval, arch
         laps = {"ego": row.ego_best_lap, "opponent": row.opponent_best_lap}
         assert 0.0 <= row.duration - laps[row.winner] < 0.02
         assert len(row.ego_path) < 7
-        replay = record_row(played, row, candidates=False).replay
+        replay = played.record(row, candidates=False).replay
         assert replay.lead[-1] == row.lead
         assert [event.kind for event in replay.events].count("lap") >= 1
 

@@ -59,7 +59,8 @@ def test_every_agent_drives_the_same_races_against_every_opponent(races):
 def test_scores_are_means_over_the_races_and_gains_are_over_the_first_agent(protocol, races):
     rows = list(races)
     scores = protocol_scores(protocol, races)
-    assert [one.score for one in scores] == sorted((one.score for one in scores), reverse=True)
+    means = [one.score.mean for one in scores]
+    assert means == sorted(means, reverse=True)
     won = {"ego": 1.0, "opponent": 0.0}
 
     def mean(name, *tracks):
@@ -73,12 +74,12 @@ def test_scores_are_means_over_the_races_and_gains_are_over_the_first_agent(prot
 
     for one in scores:
         own = [row for row in rows if row.ego == one.agent]
-        assert one.score == pytest.approx(mean(one.agent, "Pipkin", "Larkmoor"))
+        assert one.score.mean == pytest.approx(mean(one.agent, "Pipkin", "Larkmoor"))
         assert one.train == pytest.approx(mean(one.agent, "Pipkin"))
         assert one.test == pytest.approx(mean(one.agent, "Larkmoor"))
         crashed = np.mean([row.crash != "none" for row in own])
-        assert one.own_crash + one.other_crash == pytest.approx(crashed)
-        gain = one.score - mean(AGENTS[0], "Pipkin", "Larkmoor")
+        assert one.score.own_crash + one.score.other_crash == pytest.approx(crashed)
+        gain = one.score.mean - mean(AGENTS[0], "Pipkin", "Larkmoor")
         assert one.gain.partition(" ")[0] == ("" if one.agent == AGENTS[0] else f"{gain:+.3f}")
 
 

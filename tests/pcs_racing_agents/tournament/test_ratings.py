@@ -8,6 +8,8 @@ import pytest
 from refusal import refused
 from scipy.optimize import minimize
 
+from pcs_racing_agents.tournament.race_files import race_table
+from pcs_racing_agents.tournament.races import RaceRow, RaceTable
 from pcs_racing_agents.tournament.ratings import rate
 
 NAMES = ("a", "b", "c", "d", "e")
@@ -23,6 +25,25 @@ def chances(strength, tie, i, j):
     return parts / parts.sum()
 
 
+def raced(first, second, result, unpaid=None, line=None) -> RaceTable:
+    """Return races: 1 is a win of the first agent, -1 of the second, 0 a tie."""
+    winners = {1: "ego", 0: "none", -1: "opponent"}
+    count = len(first)
+    crashed, starts = unpaid or [False] * count, range(count) if line is None else line
+    return race_table(
+        RaceRow(
+            ego=str(ego),
+            opponent=str(opponent),
+            winner="none" if crash else winners[int(won)],
+            crash="car" if crash else "none",
+            start_s=float(start),
+        )
+        for ego, opponent, won, crash, start in zip(
+            first, second, result, crashed, starts, strict=True
+        )
+    )
+
+
 def simulate(rng, races, tie=TIE, strength=STRENGTH):
     """All pairs race; returns first, second and result."""
     first, second, result = [], [], []
@@ -34,18 +55,18 @@ def simulate(rng, races, tie=TIE, strength=STRENGTH):
 
 
 def test_strengths_and_ties_come_back_within_their_intervals():
-    ratings = rate(*simulate(np.random.default_rng(0), 4000))
+    ratings = rate(raced(*simulate(np.random.default_rng(0), 2000)))
     assert ratings.names == NAMES
-    assert ratings.strength == pytest.approx(STRENGTH, abs=0.06)
-    assert ratings.tie == pytest.approx(TIE, abs=0.03)
+    assert ratings.strength == pytest.approx(STRENGTH, abs=0.08)
+    assert ratings.tie == pytest.approx(TIE, abs=0.05)
     assert ratings.strength.sum() == pytest.approx(0.0, abs=1e-9)
-    assert ratings.elo[0, 0] - ratings.elo[0, 1] == pytest.approx(0.6 * 400 / np.log(10), abs=12)
+    assert ratings.elo[0, 0] - ratings.elo[0, 1] == pytest.approx(0.6 * 400 / np.log(10), abs=20)
     assert np.isnan(ratings.low).all()
-    assert ratings.races.tolist() == [16_000] * 5
+    assert ratings.races.tolist() == [8000] * 5
     rng = np.random.default_rng(3)
     covered = []
     for _ in range(60):
-        ratings = rate(*simulate(rng, 40), rng=rng, replicates=100)
+        ratings = rate(raced(*simulate(rng, 40)), rng=rng, replicates=100)
         covered.append((ratings.low <= STRENGTH) & (ratings.high >= STRENGTH))
         assert (ratings.low < ratings.strength).all()
     assert 0.88 <= np.mean(covered) <= 0.99
@@ -72,7 +93,7 @@ def test_nothing_leads_uphill_from_the_fit_and_another_optimiser_finds_nothing_b
         )
         return 0.5 * (x**2).sum() / 3.0**2 - log
 
-    ratings = rate(first, second, result)
+    ratings = rate(raced(first, second, result))
     fit = np.append(ratings.strength, np.log(ratings.tie) if tie else 0.0)
     # A step along the imaginary axis takes no difference of nearly equal numbers: these derivatives
     # are exact.
@@ -97,7 +118,7 @@ def test_the_fit_is_that_of_evalica():
     ]
     reference = evalica.newman(first, second, winners, tolerance=1e-12, limit=1000)
     logs = np.log(reference.scores[list(NAMES)].to_numpy())
-    ours = rate(first, second, result, prior_sd=1e4)
+    ours = rate(raced(first, second, result), prior_sd=1e4)
     assert ours.strength == pytest.approx(logs - logs.mean(), abs=1e-6)
     assert ours.tie == pytest.approx(2.0 * reference.v, abs=1e-6)
 
@@ -109,72 +130,68 @@ def test_intervals_repeat_and_know_of_shared_races():
     copies = np.repeat(np.arange(len(first)), 50)
     many = [np.array(first)[copies], np.array(second)[copies], result[copies]]
     line = np.tile(np.arange(10), len(first) // 10)[copies]
-    units = (line, line, None)
+    races, apart = raced(*many, line=line), raced(*many)
     alone, again, naive = (
-        rate(*many, unit=unit, rng=np.random.default_rng(5), replicates=200) for unit in units
+        rate(one, rng=np.random.default_rng(5), replicates=200) for one in (races, races, apart)
     )
     assert (alone.low == again.low).all()
     # Of two lines each replicate has one twice or both once: a fit of each is in the interval's
     # ends.
-    halves = rate(
-        ["a"] * 6,
-        ["b"] * 6,
-        [1, 1, 1, -1, -1, 1],
-        unit=[1, 1, 1, 2, 2, 2],
-        rng=np.random.default_rng(0),
-    )
-    ends = [rate(["a"] * 6, ["b"] * 6, half * 2).strength[0] for half in ([-1, -1, 1], [1, 1, 1])]
+    two = raced(["a"] * 6, ["b"] * 6, [1, 1, 1, -1, -1, 1], line=[1, 1, 1, 2, 2, 2])
+    halves = rate(two, rng=np.random.default_rng(0))
+    ends = [
+        rate(raced(["a"] * 6, ["b"] * 6, half * 2)).strength[0] for half in ([-1, -1, 1], [1, 1, 1])
+    ]
     assert (halves.low[0], halves.high[0]) == pytest.approx(ends)
     assert ((naive.high - naive.low) < 0.35 * (alone.high - alone.low)).all()
 
 
 def test_an_agent_that_wins_everything_has_a_finite_rating():
     first, second = ["a"] * 20 + ["b"] * 20, ["b"] * 20 + ["c"] * 20
-    ratings = rate(
-        first, second, [1] * 20 + [1, -1] * 10, rng=np.random.default_rng(0), replicates=100
-    )
+    races = raced(first, second, [1] * 20 + [1, -1] * 10)
+    ratings = rate(races, rng=np.random.default_rng(0), replicates=100)
     assert ratings.strength[0] > 2.0
     assert np.isfinite([ratings.low, ratings.high]).all()
     assert ratings.strength[1] == pytest.approx(ratings.strength[2], abs=1.0)
     assert ratings.tie == 0.0
     # With 1,000 wins and a wide prior the slope of the log posterior is still zero at the answer.
-    one = rate(["a"] * 1000, ["b"] * 1000, [1] * 1000, prior_sd=1000.0).strength
+    one = rate(raced(["a"] * 1000, ["b"] * 1000, [1] * 1000), prior_sd=1000.0).strength
     assert 1000 / (1 + np.exp(np.ptp(one))) == pytest.approx(one[0] / 1e6, rel=1e-6)
 
 
 def test_races_that_paid_nobody_and_who_is_named_first_do_not_matter():
     first, second, result = simulate(np.random.default_rng(6), 30)
-    crashed = [*first, "a", "a"], [*second, "e", "b"], np.append(result, [-1, np.nan])
-    nobody = np.append(np.zeros(len(first), bool), [True, True])
-    ratings = rate(*crashed, unpaid=nobody)
-    assert (ratings.strength == rate(first, second, result).strength).all()
+    crashed = [*first, "a", "a"], [*second, "e", "b"], [*result, 0, 0]
+    ratings = rate(raced(*crashed, unpaid=[*[False] * len(first), True, True]))
+    assert (ratings.strength == rate(raced(first, second, result)).strength).all()
     assert ratings.left_out.tolist() == [2, 1, 0, 0, 1]
     assert ratings.races.tolist() == [120] * 5
     first, second, result = simulate(np.random.default_rng(7), 20)
-    assert rate(second, first, -result).strength == pytest.approx(
-        rate(first, second, result).strength, abs=1e-9
+    assert rate(raced(second, first, -result)).strength == pytest.approx(
+        rate(raced(first, second, result)).strength, abs=1e-9
     )
 
 
-def test_bad_input():
-    assert [rate(["a"], ["b"], [0], prior_sd=end).strength.tolist() for end in (1e-6, 1e6)] == [
-        [0.0, 0.0]
-    ] * 2
-    for call, message in [
-        (lambda: rate(["a"], ["a"], [1]), "a races itself"),
-        (lambda: rate(["a"], ["b"], [2]), r"result\[0\] is 2"),
-        (lambda: rate(["a"], ["b"], [np.nan]), r"result\[0\] is nan"),
-        (lambda: rate(["a"], ["b"], [1, 1]), r"result has shape \(2,\)"),
-        (lambda: rate(["a", "b"], ["b"], [1, 1]), "second has shape"),
-        (lambda: rate([], [], []), "there are no races"),
-        (lambda: rate(["a"], ["b"], [1], unpaid=[True]), "all of 1 races"),
-        (lambda: rate(["a", "b"], ["c", "d"], [1, 0]), "b never met a"),
-        (lambda: rate(["a"], ["b"], [1], prior_sd=9e-7), "prior_sd is 9e-07"),
-        (lambda: rate(["a"], ["b"], [1], prior_sd=1.1e6), "prior_sd is 1100000"),
-        (lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0)), "the same unit"),
-        (
-            lambda: rate(["a"], ["b"], [1], rng=np.random.default_rng(0), replicates=5),
-            "replicates is 5",
-        ),
-    ]:
-        refused(message, call)
+@pytest.mark.parametrize("sd", [1e-6, 1e6])
+def test_the_prior_may_be_narrow_or_wide(sd):
+    assert rate(raced(["a"], ["b"], [0]), prior_sd=sd).strength.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("races", "options", "message"),
+    [
+        ((["a"], ["a"], [1]), {}, "a races itself"),
+        ((["a"], ["b"], [1], [True]), {}, "all of 1 races"),
+        ((["a", "b"], ["c", "d"], [1, 0]), {}, "b never met a"),
+        ((["a"], ["b"], [1]), {"prior_sd": 9e-7}, "prior_sd is 9e-07"),
+        ((["a"], ["b"], [1]), {"prior_sd": 1.1e6}, "prior_sd is 1100000"),
+        ((["a"], ["b"], [1]), {"rng": np.random.default_rng(0)}, "the same unit"),
+        ((["a"], ["b"], [1]), {"replicates": 5}, "replicates is 5"),
+    ],
+)
+def test_bad_input(races, options, message):
+    refused(message, rate, raced(*races), **options)
+
+
+def test_no_races_are_refused():
+    refused("there are no races", rate, raced(["a"], ["b"], [1]).take([]))

@@ -6,7 +6,12 @@ from refusal import refused
 
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import RaceRow
-from pcs_racing_agents.tournament.ratings import excess, rate, round_robin
+from pcs_racing_agents.tournament.ratings import (
+    excess,
+    max_entropy_equilibrium,
+    rate,
+    round_robin,
+)
 
 NAMES = ("paper", "rock", "scissors")
 
@@ -48,10 +53,27 @@ def test_scores_count_ties_half_and_ratings_see_no_cycle(cycle):
     assert excess(result.scores)[0, 1] == pytest.approx(0.375)
     rating, low, high = result.rating("rock")
     assert low <= rating <= high  # the three come up together in every draw
-    won = np.array([{"ego": 1.0, "opponent": -1.0, "none": 0.0}[row.winner] for row in cycle])
-    names = ([row.ego for row in cycle], [row.opponent for row in cycle])
-    expected = rate(*names, won, unpaid=cycle.crashed)
-    assert result.ratings.strength == pytest.approx(expected.strength)
+    assert result.ratings.strength == pytest.approx(rate(cycle).strength)
+
+
+@pytest.mark.parametrize(
+    ("scores", "expected"),
+    [
+        ([[0, 0.5], [0.5, 0]], [0.5, 0.5]),
+        ([[0, 0.55], [0.45, 0]], [1.0, 0.0]),
+        # The first two tie and beat the third.
+        ([[0, 0.5, 0.7], [0.5, 0, 0.6], [0.3, 0.4, 0]], [0.5, 0.5, 0.0]),
+        ([[0, 1, 0], [0, 0, 1], [1, 0, 0]], [1 / 3] * 3),
+        # A cycle in which one win counts twice.
+        ([[0, 1, 0.25], [0, 0, 0.75], [0.75, 0.25, 0]], [0.25, 0.25, 0.5]),
+    ],
+)
+def test_agents_that_tie_share_the_equilibrium_in_any_order(scores, expected):
+    for order in (np.arange(len(scores)), np.arange(len(scores))[::-1]):
+        payoffs = excess(np.array(scores)[np.ix_(order, order)])
+        found = max_entropy_equilibrium(payoffs)
+        assert found == pytest.approx(np.array(expected)[order], abs=1e-6)
+        assert (found @ payoffs).min() > -1e-7
 
 
 def test_a_pair_without_races_leaves_its_results_unknown():
@@ -59,9 +81,10 @@ def test_a_pair_without_races_leaves_its_results_unknown():
     assert result.equilibrium is None
     assert np.isnan(result.scores[2]).all()
     assert np.isnan(result.rating("c")[0])
-    nothing = round_robin(("a", "b"), table(["a"], ["b"], ["none"], [True], [1]))
-    assert nothing.ratings is None
-    assert np.isnan(nothing.rating("a")).all()
+    for crashed in (True, False):
+        undecided = round_robin(("a", "b"), table(["a"], ["b"], ["none"], [crashed], [1]))
+        assert undecided.ratings is None
+        assert np.isnan(undecided.rating("a")).all()
     refused("'d' .* a, b", round_robin, ("a", "b"), table(["a"], ["d"], ["ego"], [False], [1]))
 
 

@@ -13,7 +13,6 @@ from replay_pages import unpack
 
 from pcs_racing.race.replay import page_values
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.tournament.play import record_row
 from pcs_racing_agents.tournament.race_files import race_table, read_results
 from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.race_replays import RaceRepeater, space_values
@@ -29,7 +28,7 @@ def repeater(tournament_folder):
 def test_a_race_is_a_replay_with_less_in_it(repeater, tournament_folder):
     _, tournament = tournament_folder
     race = repeater.drive(1)
-    recording = record_row(tournament, tournament.races[1], candidates=False)
+    recording = tournament.record(tournament.races[1], candidates=False)
     whole = page_values(recording.replay)
     assert whole.keys() - race.keys() == {"walls", "line", "ittc"}
     assert repeater.circuits["Pipkin"] == {part: whole[part] for part in ("walls", "line")}
@@ -72,7 +71,7 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
     for number in (1, 9):
         race, row = repeater.drive(number), tournament.races[number]
         blocks = (
-            record_row(tournament, row, candidates=False)
+            tournament.record(row, candidates=False)
             .played.observations[0, :, :-1]
             .reshape(2, -1, 6)
         )
