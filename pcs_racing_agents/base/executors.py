@@ -1,12 +1,10 @@
 """Executors for the tasks of a long job: threads, processes, or workers of a dask cluster."""
 
-import logging
 import os
-import platform
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import (
     BrokenExecutor,
     CancelledError,
@@ -16,17 +14,16 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager, suppress
 from functools import lru_cache, partial
-from importlib.metadata import PackageNotFoundError, version
 from multiprocessing import connection, get_context, parent_process
+from operator import call
 from pathlib import Path
 from pickle import dumps, loads
-from typing import Any
+from typing import Any, cast
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.planners.own_files import files_run, run_file
 from pcs_racing.race.driving import default_threads
-from pcs_racing_agents.base.folders import JobError, package_version
 
 EXECUTORS = ("threads", "processes")
 
@@ -35,9 +32,10 @@ ANSWER_SECONDS = 5.0
 WORKER_SECONDS = 60.0
 """Time limit for a scheduler's first worker, s."""
 
-_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+LIBRARIES = ("pcs-racing", "numpy", "numba", "llvmlite", "torch", "stable-baselines3")
+"""Libraries that must be the same on all workers."""
 
-_log = logging.getLogger("pcs_racing_agents")
+_ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
@@ -77,10 +75,8 @@ def make_executor(
             yield executor
 
 
-def tasks_in_flight(executor: Executor | None) -> int:
+def tasks_in_flight(executor: Executor) -> int:
     """Return the number of tasks to submit before the first wait: enough to keep workers busy."""
-    if executor is None:
-        return 1
     client = _dask_client(executor)  # its number of workers changes
     # Two tasks per worker: while one task runs the next is on its way, and few arrays wait in
     # memory.
@@ -112,55 +108,26 @@ def sent_once(function: Callable[..., Any], executor: Executor) -> Iterator[Call
     this machine read it from a temporary file. A dask cluster passes it from worker to worker, and
     makes it again if the worker that had it is gone.
     """
-    client = _dask_client(executor)
-    submit: Callable[..., Any] = executor.submit
-    if client is None and not isinstance(executor, ProcessPoolExecutor):
-        yield partial(submit, call_task, function)
-        return
-    packed = dumps(function)
+    client, submit = _dask_client(executor), cast(Callable[..., Any], executor.submit)
     if client is not None:
         import dask
 
         # large, but only once
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "4GB"}):
-            sent = client.submit(loads, packed, pure=False)
-        yield partial(submit, _call, sent)
-        return
-    # A file instead of an argument: a ProcessPoolExecutor pickles its arguments again for every
-    # task.
-    with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
-        file = Path(folder) / "function"
-        file.write_bytes(packed)
-        yield partial(submit, _call_packed, str(file))
-
-
-def call_task(function: Callable[..., Any], argument: Any) -> Any:
-    """Call the function of a task; ``SystemExit`` is an error of this task, not the end of the
-    process.
-    """
-    try:
-        return function(argument)
-    except SystemExit as error:
-        raise JobError(
-            f"a task ended with SystemExit({error.code!r}); it must return its result"
-        ) from error
-
-
-def _call(function: Callable[..., Any], argument: Any) -> Any:
-    """Call a task in another process; errors that don't unpickle would look like dead workers."""
-    try:
-        return call_task(function, argument)
-    except Exception as error:
-        try:
-            loads(dumps(error))
-        except Exception:
-            kind = type(error)
-            raise RuntimeError(f"{kind.__module__}.{kind.__qualname__}: {error}") from error
-        raise
+            sent = client.submit(loads, dumps(function), pure=False)
+        yield partial(submit, call, sent)
+    elif isinstance(executor, ProcessPoolExecutor):
+        # A file instead of an argument: the executor pickles its arguments again for every task.
+        with tempfile.TemporaryDirectory(prefix="pcs-racing-") as folder:
+            file = Path(folder) / "function"
+            file.write_bytes(dumps(function))
+            yield partial(submit, _call_packed, str(file))
+    else:
+        yield partial(submit, function)
 
 
 def _call_packed(file: str, argument: Any) -> Any:
-    return _call(_unpacked(file), argument)
+    return _unpacked(file)(argument)
 
 
 # Room for the functions of a few tracks with alternating tasks.
@@ -221,41 +188,23 @@ def _cluster(scheduler: str) -> Iterator[Executor]:
                 f"the dask scheduler at {scheduler} has no workers; start some: dask worker"
                 f" {scheduler} --nthreads 1"
             ) from None
-        _check_workers(client.run(worker_identity))
+        _check_workers(cast(Any, client.get_versions(packages=LIBRARIES)))
         client.run(_run_files, files_run())
         yield client.get_executor(pure=False)
 
 
-def worker_identity() -> dict[str, str]:
-    """Return the versions of installed libraries and the processor: equal values, equal bytes."""
-    from llvmlite import binding
+def _check_workers(found: Mapping[str, Any]) -> None:
+    """Refuse workers with other versions than this process: they would give other bytes.
 
-    found = {
-        "pcs-racing": package_version(),
-        "Python": ".".join(platform.python_version_tuple()[:2]),
-        "processor": os.environ.get("NUMBA_CPU_NAME") or binding.get_host_cpu_name(),
-    }
-    for name in ("numpy", "numba", "llvmlite", "torch", "stable-baselines3"):
-        # A task that needs a missing library fails with its own error.
-        with suppress(PackageNotFoundError):
-            found[name] = version(name)
-    return found
-
-
-def _check_workers(identities: dict[str, dict[str, str]]) -> None:
-    """Refuse workers with other versions than this process; warn of another processor."""
-    own = worker_identity()
-    for address, other in identities.items():
-        for key in (key for key, value in other.items() if own.get(key, value) != value):
-            if key != "processor":
+    ``found``: result of ``Client.get_versions``.
+    """
+    own = found["client"]["packages"]
+    for address, worker in found["workers"].items():
+        for name in ("python", *LIBRARIES):
+            versions = (worker["packages"][name], own[name])
+            # A task that needs a missing library fails with its own error.
+            if None not in versions and versions[0] != versions[1]:
                 raise InputError(
-                    f"the worker at {address} has {key} {other[key]}, not {own[key]}; install the"
-                    " same there"
+                    f"the worker at {address} has {name} {versions[0]}, not {versions[1]}; install"
+                    " the same there"
                 )
-            _log.warning(
-                "the worker at %s has a processor of another kind (%s, here %s): what is trained or"
-                " searched there may differ in the last bit from what one machine makes",
-                address,
-                other[key],
-                own[key],
-            )

@@ -24,9 +24,9 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk, write_chunk
 from pcs_racing_agents.base.fingerprint import fingerprint
-from pcs_racing_agents.base.folders import GO_ON, JobError, claim_folder, package_version
+from pcs_racing_agents.base.folders import claim_folder, package_version
 from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.base.tasks import Task, numbered_tasks, run_tasks
+from pcs_racing_agents.base.tasks import run_tasks
 
 A = TypeVar("A")
 
@@ -78,28 +78,10 @@ class Job:
             Whether to return the results. False returns an empty list, and memory does not grow
             with the tasks.
         """
-        marks = self._marks(name, arguments)
-        results: list[Arrays] = [{}] * len(arguments) if keep else []
-        missing = []
-        for index, mark in enumerate(marks):
-            stored = self._stored(name, index, mark)
-            if stored is None:
-                missing.append(Task(index, function, arguments[index]))
-            elif keep:
-                results[index] = stored
-        done = len(arguments) - len(missing)
-        if progress is not None:
-            progress(done, len(arguments), name)
-        for index, value in run_tasks(missing, executor, name):
-            arrays = self._keep(name, index, value, marks[index])
-            if keep:
-                results[index] = arrays
-            done += 1
-            if progress is not None:
-                progress(done, len(arguments), name)
-        return results
+        run: Run = {"job": self, "executor": executor, "progress": progress}
+        return run_with_or_without(name, function, arguments, keep=keep, **run)
 
-    def _marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
+    def marks(self, name: str, arguments: Sequence[Any]) -> list[str]:
         """Return the digests of all inputs of the tasks."""
         if not re.fullmatch(r"[a-z0-9_-]{1,80}", name):
             raise InputError(
@@ -109,18 +91,16 @@ class Job:
         identity = fingerprint(self.kind, self.settings, package_version(), name)
         return [fingerprint(identity, index, argument) for index, argument in enumerate(arguments)]
 
-    def _keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
+    def keep(self, name: str, index: int, value: Any, mark: str) -> Arrays:
         """Write the result of a task to its chunk."""
         arrays = _plain_arrays(value, f"task {index} of {name}")
         path = self.file(name, index)
-        try:
-            path.parent.mkdir(exist_ok=True)
-            write_chunk(path, arrays, mark)
-        except OSError as error:
-            raise JobError(f"can't write {path}: {error.strerror}; {GO_ON}") from None
+        path.parent.mkdir(exist_ok=True)
+        write_chunk(path, arrays, mark)
         return arrays
 
-    def _stored(self, name: str, index: int, mark: str) -> Arrays | None:
+    def stored(self, name: str, index: int, mark: str) -> Arrays | None:
+        """Return the stored result of a task; None if it is missing or damaged."""
         path = self.file(name, index)
         if not path.exists():
             return None
@@ -148,18 +128,34 @@ def run_with_or_without(
     name: str,
     function: Callable[[A], Mapping[str, Any]],
     arguments: Sequence[A],
+    *,
+    keep: bool = True,
     **run: Unpack[Run],
 ) -> list[Any]:
     """Return the results of all tasks in order, as :meth:`Job.run`; save them if there is a job."""
-    job, executor, progress = run.get("job"), run.get("executor"), run.get("progress")
-    if job is not None:
-        return job.run(name, function, arguments, executor=executor, progress=progress)
-    results: dict[int, Any] = {}
-    for index, result in run_tasks(numbered_tasks(function, arguments), executor, name):
-        results[index] = result
+    job, progress, total = run.get("job"), run.get("progress"), len(arguments)
+    marks = [""] * total if job is None else job.marks(name, arguments)
+    results: list[Any] = [{}] * total if keep else []
+    missing = []
+    for index, mark in enumerate(marks):
+        stored = None if job is None else job.stored(name, index, mark)
+        if stored is None:
+            missing.append(index)
+        elif keep:
+            results[index] = stored
+    done = total - len(missing)
+    if progress is not None and done:
+        progress(done, total, name)
+    tasks = run_tasks(function, (arguments[i] for i in missing), run.get("executor"), name)
+    for number, value in tasks:
+        index = missing[number]
+        result = value if job is None else job.keep(name, index, value, marks[index])
+        if keep:
+            results[index] = result
+        done += 1
         if progress is not None:
-            progress(len(results), len(arguments), name)
-    return [results[index] for index in range(len(arguments))]
+            progress(done, total, name)
+    return results
 
 
 def run_races(

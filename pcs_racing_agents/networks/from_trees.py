@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.base.tasks import in_other_processes, numbered_tasks, run_task, run_tasks
+from pcs_racing_agents.base.tasks import in_other_processes, run_tasks
 from pcs_racing_agents.networks.metrics import (
     RowScore,
     TreeScore,
@@ -77,8 +77,9 @@ def train_regrets(
     numbers, target = pair_number(pairs), get_target(settings.target)
     held_out = _hold_out(numbers, settings)
     rows: dict[int, Rows] = {}
-    tasks = numbered_tasks(partial(_solve, settings), (tree_at(i) for i in range(len(held_out))))
-    for done, (i, block) in enumerate(run_tasks(tasks, executor, "solving trees"), start=1):
+    trees_in_turn = (tree_at(i) for i in range(len(held_out)))
+    solved = run_tasks(partial(_solve, settings), trees_in_turn, executor, "solving trees")
+    for done, (i, block) in enumerate(solved, start=1):
         if block is not None:
             rows[i] = block
         if solving is not None:
@@ -96,7 +97,7 @@ def train_regrets(
         relative=target.relative,
         progress=learning if elsewhere is None else None,
     )
-    network, result = run_task(learn, settings, elsewhere, "learning")
+    ((_, (network, result)),) = run_tasks(learn, [settings], elsewhere, "learning")
     # Without held-out trees the pairs of early stopping are used; their scores are slightly biased.
     test_rows = (
         join_rows([rows[i] for i in test])

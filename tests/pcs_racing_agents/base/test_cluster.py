@@ -18,12 +18,7 @@ from refusal import refused
 from warm_start import kill, start_python
 
 from pcs_racing_agents.base import executors
-from pcs_racing_agents.base.executors import (
-    make_executor,
-    sent_once,
-    tasks_in_flight,
-    worker_identity,
-)
+from pcs_racing_agents.base.executors import make_executor, sent_once, tasks_in_flight
 from pcs_racing_agents.base.folders import JobError
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main
@@ -286,15 +281,13 @@ def test_a_wrong_address_is_one_clear_error(address, monkeypatch):
     gc.collect()  # a failed client closes itself, not within the start of another client
 
 
-def test_workers_of_other_versions_torches_and_processors_are_told(caplog, cluster, monkeypatch):
-    own = worker_identity()
-    monkeypatch.setattr(executors, "worker_identity", lambda: {**own, "torch": "9.9"})
-    executors._check_workers({"tcp://there:1": {"numpy": own["numpy"]}})  # a race needs no torch
-    theirs = {"tcp://there:1": {"torch": "0.1"}}
-    refused(r"tcp://there:1 has torch 0\.1, not 9\.9", executors._check_workers, theirs)
-    executors._check_workers({"tcp://there:1": {"processor": "z80"}})
-    assert "the worker at tcp://there:1 has a processor of another kind (z80, here " in caplog.text
-    monkeypatch.undo()
-    monkeypatch.setattr(executors, "package_version", lambda: "99.0")
-    other = make_executor(scheduler=cluster.address)
-    refused(rf"tcp://127\S+ has pcs-racing {own['pcs-racing']}, not 99\.0", other.__enter__)
+def test_workers_with_other_libraries_are_refused(cluster, monkeypatch):
+    found = Client.current().get_versions(packages=executors.LIBRARIES)
+    executors._check_workers(found)
+    theirs = next(iter(found["workers"].values()))["packages"]
+    theirs["torch"] = None  # a race needs no torch
+    executors._check_workers(found)
+    theirs["numpy"] = "0.1"
+    refused(
+        r"tcp://127\S+ has numpy 0\.1, not \d.*install the same", executors._check_workers, found
+    )

@@ -181,6 +181,4 @@ def test_the_second_of_two_in_one_folder_is_refused(long_commands, tmp_path, wha
         assert main([*long_commands[what], "--out", str(tmp_path / "out")]) == 2
         assert [file.name for file in place.iterdir()] == [".lock"]
     error = capsys.readouterr().err.splitlines()[-1]
-    assert error.endswith(
-        f"in use by process {os.getpid()}; wait until it ends, or choose another folder"
-    )
+    assert error.endswith("in use by another process; wait until it ends, or choose another folder")
