@@ -1,6 +1,7 @@
 """``pcs-racing view``: what it writes, serves, explains and refuses."""
 
 import json
+import re
 import shutil
 import socket
 import threading
@@ -36,16 +37,11 @@ def test_the_page_lies_beside_the_results(folder, capsys, monkeypatch):
     assert opened == [page.as_uri()]
     content = page.read_text()
     assert content.count('<script type="application/json" id="race-') == 2
-    assert '"title":"mine"' in content.replace('": ', '":')
-    assert '"front"' in content  # the contest's cars start one behind the other
     assert "http://" not in content.replace("http://www.w3.org/2000/svg", "")
     assert "https://" not in content
     assert main(["view", str(folder), "--index", "3", "17", "--no-open"]) == 0
     assert opened == [page.as_uri()]
-    content = page.read_text()
-    assert content.count('<script type="application/json" id="race-') == 2
-    assert 'id="race-3"' in content
-    assert 'id="race-17"' in content
+    assert re.findall('id="race-([0-9]+)"', page.read_text()) == ["3", "17"]
 
 
 def test_what_is_asked_for_stands_first_and_then_what_the_rule_selects(tournament_folder):
@@ -66,14 +62,6 @@ def test_a_browser_is_opened_where_there_is_a_screen(monkeypatch):
         monkeypatch.setattr(view.os, "environ", {variable: "x"})
         view.open_page(f"{platform} {variable}")
     assert asked == ["linux DISPLAY", "win32 HOME"]
-
-
-def test_a_study_is_viewed_too(study_folder, tmp_path, printed):
-    folder = shutil.copytree(study_folder[0], tmp_path / "study")
-    assert "40 races, 2 of them to be watched" in printed(
-        "view", folder, "--index", 0, 12, "--no-open"
-    )
-    assert (folder / "view.html").is_file()
 
 
 @pytest.mark.parametrize(
@@ -179,10 +167,12 @@ def test_a_picture_that_is_left_out_is_told(folder, run, tmp_path, monkeypatch):
     assert not (tmp_path / "race.svg").exists()
 
 
-def test_races_of_a_study_are_found_again(study_folder, printed):
+def test_races_of_a_study_are_found_again(study_folder, printed, tmp_path):
     """Another race than the one of the results is an error."""
     place, pairings = study_folder
     races = len(pairings[1])
+    page = ("view", place, "--index", 0, 12, "--no-open", "--out", tmp_path / "view.html")
+    assert "40 races, 2 of them to be watched" in printed(*page)
     text = printed("view", place, "--explain", races + 3)
     assert text.startswith("always-aggressiveness+ (car 0) against lane-switcher:any on Pipkin")
     printed("view", place, "--explain", 2 * races + 2)

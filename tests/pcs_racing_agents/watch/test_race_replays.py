@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from refusal import refused
 from replay_pages import unpack
 
 from pcs_racing.race.replay import page_values
 from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.tournament.race_files import race_table, read_results
+from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.tournament.races import Categorical
 from pcs_racing_agents.watch.race_replays import RaceRepeater, space_values
 from pcs_racing_agents.watch.results_folder import ResultsFolder
@@ -96,19 +95,6 @@ def test_a_race_is_small_and_races_of_a_pair_come_together(repeater):
     assert sorted(order) == [0, 1, 7, 12, 13]
     assert abs(order.index(0) - order.index(1)) == 1
     assert abs(order.index(12) - order.index(13)) == 1
-
-
-def test_a_race_that_is_another_one_is_refused(tournament_folder):
-    for change, value in [
-        ({"lead": 12.0}, r"race 3 .*12\.0000 m"),
-        ({"race": 2}, r"race 3 came out otherwise"),
-        ({"race": 6}, "there is no race 6 in this pairing; there are races 0 to 5"),
-    ]:
-        results = open_results(tournament_folder[0])
-        rows = list(results.races)
-        rows[3] = rows[3]._replace(**change)
-        refused(value, RaceRepeater(replace(results, races=race_table(rows))).drive, 3)
-        refused("race 18", RaceRepeater(results).drive, 18)
 
 
 def test_packing_loses_nothing_that_is_shown_and_tells_what_is_not_known(tournament_folder):
