@@ -68,7 +68,7 @@ def main() -> None:
     # 2. The races. The folder saves them, and refuses races of other settings.
     with (
         open_job(arguments.out, "tournament", tournament_settings(plan)) as job,
-        make_executor("threads") as executor,
+        make_executor() as executor,
     ):
         tournament = play_plan(plan, job=job, executor=executor, progress=show_progress())
     print(tournament)

@@ -1,6 +1,7 @@
 """Learning curves as a picture."""
 
 from collections.abc import Collection, Mapping, Sequence
+from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,21 +36,18 @@ def curves_picture(
     """
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-    # This avoids a nearly empty row of panels.
-    columns = 3 if len(panels) in (5, 6, 9) else min(4, len(panels))
+    columns = min(3, len(panels))
     rows = -(-len(panels) // columns)
     figure = new_figure(2.9 * columns + 0.4, 2.3 * rows + 0.3)
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes, (name, curves) in zip(grid.ravel(), panels.items(), strict=False):
-        for i, curve in enumerate(curves):
+        for curve, colour in zip(curves, cycle(COLOURS), strict=False):
             shown = np.isfinite(curve.y) & ((curve.y > 0.0) | (name not in log))
-            colour = COLOURS[i % len(COLOURS)]
-            axes.plot(curve.x[shown], curve.y[shown], color=colour, lw=1.4, label=curve.label)
+            x, y = curve.x[shown], curve.y[shown]
+            axes.plot(x, y, color=colour, lw=1.4, label=curve.label)
             if curve.error is not None:
-                low, high = curve.y - curve.error, curve.y + curve.error
-                axes.fill_between(
-                    curve.x[shown], low[shown], high[shown], color=colour, alpha=0.2, lw=0
-                )
+                error = curve.error[shown]
+                axes.fill_between(x, y - error, y + error, color=colour, alpha=0.2, lw=0)
         if name in log:
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -62,10 +60,7 @@ def curves_picture(
         axes.legend(fontsize=8)
     for axes in grid.ravel()[len(panels) :]:
         axes.set_visible(False)
-    for axes in grid[-1]:
-        axes.set_xlabel(x_label)
-    for axes in grid[:, 0]:
-        axes.set_ylabel(y_label)
-    if title:
-        figure.suptitle(title, fontsize=10, x=0.01, ha="left")
+    figure.supxlabel(x_label, fontsize=9, color=SOFT)
+    figure.supylabel(y_label, fontsize=9, color=SOFT)
+    figure.suptitle(title, fontsize=10, x=0.01, ha="left")
     return figure

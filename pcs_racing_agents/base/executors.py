@@ -25,8 +25,6 @@ from pcs_racing.base.errors import InputError, require
 from pcs_racing.planners.own_files import files_run, run_file
 from pcs_racing.race.driving import default_threads
 
-EXECUTORS = ("threads", "processes")
-
 ANSWER_SECONDS = 5.0
 """Time limit for a scheduler's response, s."""
 WORKER_SECONDS = 60.0
@@ -39,39 +37,29 @@ _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @contextmanager
-def make_executor(
-    kind: str = "threads", workers: int | None = None, scheduler: str | None = None
-) -> Iterator[Executor]:
-    """Provide an executor for the duration of a ``with`` block.
+def make_executor(workers: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+    """Provide an executor for the duration of a ``with`` block; by default threads on all cores.
 
     Parameters
     ----------
-    kind : {"threads", "processes"}
-        Threads of this process, or processes of this machine. Processes are spawned, so a script
-        needs ``if __name__ == "__main__":``.
     workers : int, optional
-        Number of threads or processes; by default the number of cores that this process may use.
+        Number of processes of this machine, which run the tasks in place of threads. They are
+        spawned, so a script needs ``if __name__ == "__main__":``.
     scheduler : str, optional
-        Address of a running dask scheduler, like ``tcp://host:8786``: its workers run the tasks,
-        instead of threads or processes.
+        Address of a running dask scheduler, like ``tcp://host:8786``; its workers run the tasks.
     """
-    if kind not in EXECUTORS:
-        raise InputError(f"executor is {kind!r}; it must be one of {', '.join(EXECUTORS)}")
-    if workers is not None:
-        check_whole("workers", workers, 1, 10_000)
-    count = workers or default_threads()
     if scheduler is not None:
         with _cluster(scheduler) as executor:
             yield executor
-    elif kind == "threads":
-        with ThreadPoolExecutor(count, "pcs-racing") as executor:
-            yield executor
-    else:
-        spawn = get_context("spawn")
+    elif workers is not None:
+        count, spawn = int(check_whole("workers", workers, 1, 10_000)), get_context("spawn")
         with (
             _one_thread_each(),
             ProcessPoolExecutor(count, spawn, _prepare, (files_run(),)) as executor,
         ):
+            yield executor
+    else:
+        with ThreadPoolExecutor(default_threads(), "pcs-racing") as executor:
             yield executor
 
 

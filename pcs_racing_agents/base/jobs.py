@@ -5,7 +5,7 @@ finished task, and a lock excludes a second process. A run that opens the folder
 settings resumes the work after Ctrl-C, a crash or ``kill -9``. The results are the same to the
 byte, whichever run computed them:
 
-    with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor("threads") as executor:
+    with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor() as executor:
         results = job.run("tree", build, tasks, executor=executor, progress=show_progress("trees"))
 """
 

@@ -62,15 +62,9 @@ class Rules:
 class Workers:
     """Parallel work."""
 
-    executor: Annotated[
-        str,
-        Option(
-            "threads of this process, or processes of this machine",
-            choices=("threads", "processes"),
-        ),
-    ] = "threads"
     workers: Annotated[
-        int | None, Option("number of threads or processes (default: number of cores)")
+        int | None,
+        Option("number of processes (default: threads of one process, on all cores)"),
     ] = None
     scheduler: Annotated[
         str | None,
@@ -85,7 +79,7 @@ class Workers:
         # Imported late: the command `race`, without workers, reads this file, too.
         from pcs_racing_agents.base.executors import make_executor
 
-        return make_executor(self.executor, self.workers, self.scheduler)
+        return make_executor(self.workers, self.scheduler)
 
 
 def archive_for(archive: str | None, rules: RaceConfig) -> str:

@@ -185,7 +185,7 @@ def _draw_curves(file: Path, panels: Mapping[str, Any], **options: Any) -> None:
 @command(
     "train ppo",
     "pcs-racing train ppo --config duel-paper --out out/ppo",
-    "pcs-racing train ppo --config duel-paper --seeds 0 1 2 --executor processes --out out/ppo-3",
+    "pcs-racing train ppo --config duel-paper --seeds 0 1 2 --workers 3 --out out/ppo-3",
 )
 def run_ppo(
     *,

@@ -1,6 +1,6 @@
 import threading
 from collections.abc import Iterator
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -28,18 +28,15 @@ from pcs_racing_agents.watch.view_server import make_server
 @pytest.fixture(scope="session")
 def processes() -> Iterator[Executor]:
     """Two processes for all tests: new ones would import and load everything again."""
-    with make_executor("processes", 2) as executor:
+    with make_executor(2) as executor:
         yield executor
 
 
 @pytest.fixture
-def executor(kind, request) -> Iterator[Executor | None]:
-    """An executor of the kind that a test is about, with two workers."""
-    if kind == "processes":
-        yield request.getfixturevalue("processes")
-    else:
-        with make_executor(kind, 2) as own:
-            yield own
+def threads() -> Iterator[Executor]:
+    """Two threads, which share what they import and load."""
+    with ThreadPoolExecutor(2) as executor:
+        yield executor
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import CancelledError, Executor
+from concurrent.futures import CancelledError, Executor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -137,7 +137,7 @@ def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_p
     if what != "tree":
         pytest.importorskip("stable_baselines3")
     command = long_commands[what]
-    assert main([*command, "--out", str(tmp_path / "here"), "--executor", "threads"]) == 0
+    assert main([*command, "--out", str(tmp_path / "here")]) == 0
     there = ["--out", str(tmp_path / "there"), "--scheduler", cluster.address]
     assert main([*command, *there]) == 0
     here, there = files(tmp_path / "here"), files(tmp_path / "there")
@@ -248,7 +248,7 @@ def test_a_task_that_kills_its_workers_and_a_scheduler_without_any_are_told_in_a
     with (
         open_job(tmp_path, "k", {}) as job,
         pytest.raises(JobError, match=r"^deadly .*worker died.*out_of_memory-12"),
-        make_executor("threads", 1) as executor,
+        ThreadPoolExecutor(1) as executor,
     ):
         job.run("deadly", out_of_memory, range(2), executor=executor)
     monkeypatch.setattr(executors, "WORKER_SECONDS", 0.5)

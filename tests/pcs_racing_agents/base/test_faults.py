@@ -116,8 +116,6 @@ def test_killed_at_random_moments_and_damaged_the_results_are_the_same(
 def test_sigterm_ends_a_command_and_its_workers_as_ctrl_c_does(long_commands, tmp_path):
     command = [
         *long_commands["tree"],
-        "--executor",
-        "processes",
         "--workers",
         "1",
         "--out",

@@ -2,6 +2,7 @@ import os
 import signal
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -59,8 +60,8 @@ def test_results_come_in_the_order_of_the_tasks_and_progress_counts_what_was_the
 
 
 @pytest.mark.parametrize("kind", ["threads", "processes"])
-def test_files_are_the_same_whatever_the_executor(tmp_path, kind, executor):
-    tasks = list(range(9))
+def test_files_are_the_same_whatever_the_executor(tmp_path, kind, request):
+    tasks, executor = list(range(9)), request.getfixturevalue(kind)
     with open_job(tmp_path / "a", "squares", SETTINGS) as job:
         expected = job.run("square", square, tasks)
     with open_job(tmp_path / "b", "squares", SETTINGS) as job:
@@ -149,7 +150,7 @@ def test_a_killed_worker_is_told_in_a_line_and_loses_nothing_that_is_done(tmp_pa
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
         pytest.raises(JobError, match=r"^square .*worker died"),
-        make_executor("processes", 1) as executor,
+        make_executor(1) as executor,
     ):
         job.run("square", kill_yourself, range(8), executor=executor)
     done = sorted(file.name for file in (tmp_path / "chunks").iterdir())
@@ -170,7 +171,7 @@ from pcs_racing_agents.base.executors import make_executor
 from tests.pcs_racing_agents.base.test_jobs import leaves_a_mark
 
 if __name__ == "__main__":
-    with open_job(sys.argv[1], "squares", {}) as job, make_executor("processes", 1) as executor:
+    with open_job(sys.argv[1], "squares", {}) as job, make_executor(1) as executor:
         job.run("square", leaves_a_mark, range(1000), executor=executor, keep=False)
 """
 
@@ -212,7 +213,7 @@ def test_an_interruption_drops_what_has_not_begun(tmp_path):
     with (
         open_job(tmp_path, "squares", SETTINGS) as job,
         pytest.raises(KeyboardInterrupt),
-        make_executor("threads", 2) as executor,
+        ThreadPoolExecutor(2) as executor,
     ):
         job.run("square", count, range(500), executor=executor, progress=interrupted)
     assert 3 <= len(asked) <= 3 + 16  # so many tasks wait for a worker at most
@@ -281,14 +282,10 @@ def test_folders_of_other_things_or_manifests_are_refused(tmp_path):
 def test_impossible_executors_are_refused_and_processes_keep_linear_algebra_to_one_thread(
     tmp_path, monkeypatch
 ):
-    for arguments, message in [
-        (("fibres",), "executor is 'fibres'"),
-        (("threads", 0), "workers is 0"),
-        (("threads", True), "workers is True"),
-    ]:
-        refused(message, make_executor(*arguments).__enter__)
+    for workers in (0, True, "two"):
+        refused(f"workers is {workers!r}", make_executor(workers).__enter__)
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
-    with open_job(tmp_path, "k", {}) as job, make_executor("processes", 1) as executor:
+    with open_job(tmp_path, "k", {}) as job, make_executor(1) as executor:
         assert job.run("threads", blas_threads, [0], executor=executor)[0]["threads"] == "1"
     assert "OPENBLAS_NUM_THREADS" not in os.environ
 

@@ -14,12 +14,12 @@ def double(task: int) -> dict[str, int]:
 
 
 def test_results_come_with_their_keys_and_only_threads_are_here():
-    with make_executor("threads", 2) as threads:
+    with ThreadPoolExecutor(2) as threads:
         for executor in (None, threads):
             found = dict(run_tasks(double, range(20), executor))
             assert found == {i: {"value": 2 * i} for i in range(20)}
             assert in_other_processes(executor) is None
-    with make_executor("processes", 1) as processes:
+    with make_executor(1) as processes:
         assert in_other_processes(processes) is processes
 
 
@@ -32,7 +32,7 @@ def test_tasks_are_made_when_they_are_asked_for():
             made.append(i)
             yield i
 
-    with make_executor("threads", 2) as executor:
+    with ThreadPoolExecutor(2) as executor:
         for done, _ in enumerate(run_tasks(double, arguments(), executor), start=1):
             assert len(made) <= done + tasks_in_flight(executor)
     assert len(made) == 100

@@ -498,7 +498,7 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own_racers.py").write_text(OWN)
     cars = ["own_racers.py:Straight", "own_racers.py:First", "own_racers.py"]
-    races = ["--races", 2, "--executor", "processes", "--workers", 1, "--out", "out"]
+    races = ["--races", 2, "--workers", 1, "--out", "out"]
     view = ["view", "out", "--no-open", "--agents", *cars]
     explain = [*view, "--explain"]
     for line in (

@@ -1,6 +1,7 @@
 """Loss to a learned best reply, in short games in which a good reply is known: to go faster."""
 
 import csv
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,6 @@ from pcs_racing.game.config import load_game_config
 from pcs_racing.game.players import always, never_switch
 from pcs_racing_agents import make
 from pcs_racing_agents.agents.game_spec import make_game_spec
-from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.learning import responses
@@ -70,7 +70,7 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
     folder, first = slow
     for file in sorted((folder / "chunks").glob("*.npz"))[::2]:
         file.unlink()
-    with make_executor("threads", 2) as executor:
+    with ThreadPoolExecutor(2) as executor:
         again = reply_to(always(spec, "aggressiveness -"), games, spec, folder, executor)
     assert again.loss == first.loss
     for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):

@@ -56,7 +56,7 @@ def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(
     learned = files(out)
     for file in sorted((out / "chunks").glob("*.npz"))[::2]:
         file.unlink()
-    printed(*command, "--executor", "threads", "--workers", 2)
+    printed(*command)
     assert files(out) == learned
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.testing import check_archive
-from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies.archive_report import front_picture
 from pcs_racing_agents.policies.archive_run import FrontRun, SpreadRun, stage_scenarios, synthesize
 from pcs_racing_agents.policies.config import FrontConfig, SpreadConfig, load_archive_config
@@ -238,7 +238,7 @@ def test_fixed_parameters_keep_their_values_of_the_start(tmp_path):
 
 
 def test_the_executor_has_no_influence(made, spread, tmp_path):
-    with make_executor("threads", 2) as executor:
+    with ThreadPoolExecutor(2) as executor:
         for config, folder in ((TINY, made[1]), (SPREAD, spread[1])):
             synthesize(config, tmp_path / config.name, executor=executor)
             assert files(tmp_path / config.name) == files(folder)
@@ -340,7 +340,7 @@ def test_a_file_selects_the_kind_of_its_archive(tmp_path):
 def test_the_command(tmp_path, run, told):
     given = ["--config", SETTINGS / "synthesis.yaml", "--track", "Pipkin", "--generations", 0]
     arguments = ["synthesize", *given, "--population", 4, "--out", tmp_path / "a"]
-    code, out, err = run(*arguments, "--name", "small", "--executor", "threads")
+    code, out, err = run(*arguments, "--name", "small")
     assert code == 0
     assert "<PolicyArchive 'small'" in out
     assert f"archive: {tmp_path / 'a'}" in out

@@ -1,6 +1,7 @@
 """Tuning of a planner by races: a search, a choice and a check, as a resumable run."""
 
 import csv
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -14,7 +15,6 @@ from pcs_racing.base.seeds import signed_seed
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.policies import TuningConfig, tune
 from pcs_racing_agents.policies import tuning as module
 from pcs_racing_agents.policies.tuning import fitness, policy_text
@@ -110,7 +110,7 @@ def test_a_stopped_run_goes_on_with_the_same_result_on_any_workers(tuned, tmp_pa
         if (stage, done) == ("search", 3):
             raise KeyboardInterrupt
 
-    with make_executor("threads", 2) as executor:
+    with ThreadPoolExecutor(2) as executor:
         with pytest.raises(KeyboardInterrupt):
             tune(TINY, tmp_path / "a", executor=executor, callback=stop)
         tune(TINY, tmp_path / "a", executor=executor)

@@ -1,5 +1,6 @@
 """A whole study, from trees to the report, in a game of two moves of two seconds."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -11,7 +12,6 @@ from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing_agents.agents.fits import load_fit, save_fit
-from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.networks import load_network
@@ -89,7 +89,7 @@ def test_the_agents_learned_by_playing_the_game_that_is_studied(finished):
 
 def test_another_executor_and_a_stop_change_no_byte(finished, tmp_path):
     other = tmp_path / "other"
-    with make_executor("threads", 2) as executor:
+    with ThreadPoolExecutor(2) as executor:
         run_study(finished.config, other, executor=executor, quiet=True)
         for file in sorted(other.rglob("*.npz"))[::3]:
             file.unlink()  # as if the run had been killed before they were there

@@ -1,3 +1,4 @@
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -7,7 +8,6 @@ from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import match_units
 from pcs_racing_agents.tournament import (
@@ -108,7 +108,7 @@ def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(
     for _ in range(2):
         with (
             open_job(tmp_path / "job", "races", {}) as job,
-            make_executor("threads", 2) as executor,
+            ThreadPoolExecutor(2) as executor,
         ):
             told = {"progress": lambda done, total, _: counts.append((done, total))}
             races = play_pairings(pairings, job=job, executor=executor, **told)
