@@ -144,7 +144,7 @@ def run_with_or_without(
         elif keep:
             results[index] = stored
     done = total - len(missing)
-    if progress is not None and done:
+    if progress is not None and job is not None:
         progress(done, total, name)
     tasks = run_tasks(function, (arguments[i] for i in missing), run.get("executor"), name)
     for number, value in tasks:

@@ -66,6 +66,7 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     assert main(["tree", *TREES, "--pairs", "4", "--out", str(folder / "trees")]) == 0
     train = [
         "train",
+        "regret",
         str(folder / "trees"),
         "--config",
         "quick",
