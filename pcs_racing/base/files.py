@@ -14,7 +14,6 @@ import shutil
 import stat
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -76,25 +75,16 @@ def write_together(folder: Path, files: Mapping[str, bytes]) -> None:
     ``.next`` in place of the files above it. At last they are moved there, by this call or, if it
     was killed, by the next one.
     """
-    there = folder.is_dir()
-    temporary = (folder / NEXT if there else folder).with_name(
-        f".{folder.name[:100]}.{secrets.token_hex(4)}"
-    )
+    target = folder / NEXT if folder.is_dir() else folder
+    temporary = target.with_name(f".{target.name[:100]}.{secrets.token_hex(4)}")
     try:
         temporary.parent.mkdir(parents=True, exist_ok=True)
         temporary.mkdir()
         for name, data in files.items():
             (temporary / name).parent.mkdir(exist_ok=True)
             (temporary / name).write_bytes(data)
-        while temporary.is_dir():
-            _move_next(folder)
-            try:
-                temporary.rename(folder / NEXT if there else folder)
-            except OSError:
-                # Another process may have written into the same folder in between.
-                if folder.is_dir() == there and not (folder / NEXT).is_dir():
-                    raise
-                there = folder.is_dir()
+        _move_next(folder)
+        temporary.rename(target)
         _move_next(folder)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(folder)) from None
@@ -109,9 +99,7 @@ def _move_next(folder: Path) -> None:
         if file.is_dir():
             place.mkdir(exist_ok=True)
         else:
-            # Another process may move the same files.
-            with suppress(FileNotFoundError):
-                file.replace(place)
+            file.replace(place)
     shutil.rmtree(folder / NEXT, ignore_errors=True)
 
 

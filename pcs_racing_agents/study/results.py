@@ -46,11 +46,6 @@ def open_results(
     """
     path = Path(folder)
     kind, settings = _read_manifest(path)
-    if kind not in ("tournament", "study"):
-        raise InputError(
-            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing"
-            " study' wrote with --out"
-        )
     file = path / "results.csv"
     if not file.exists():
         raise InputError(f"there is no {file}; it is written when all races are driven")
@@ -64,13 +59,34 @@ def open_results(
                     f" {', '.join(sorted(known))}"
                 )
     make: Callable[[RaceRow], Pairing]
-    if kind == "study":
-        study = _study(path, settings)
-        rules, make = study.config.game, partial(study_pairing, study, races, moved=moved)
-    else:
-        rules = _game_config(path, settings)
-        make = partial(_tournament_pairing, settings, rules, code, moved)
+    try:
+        if kind == "study":
+            study = Study(load_study_config(**settings), path, quiet=True)
+            rules, make = study.config.game, partial(study_pairing, study, races, moved=moved)
+        else:
+            # Without the move "stay": every tournament adds it.
+            game = {**settings["game"], "race": RaceConfig(**settings["game"]["race"])}
+            rules = GameConfig(**{**game, "stay": None})
+            make = partial(_tournament_pairing, settings, rules, code, moved)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path / MANIFEST} is damaged: {error}") from None
     return ResultsFolder(path, file, races, rules.race.start, make)
+
+
+def _read_manifest(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the kind and the settings of a folder of results."""
+    file = folder / MANIFEST
+    try:
+        manifest = read_job(file) if file.is_file() else {"kind": None, "settings": {}}
+        kind, settings = manifest["kind"], dict(manifest["settings"])
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file} is damaged: {error}") from None
+    if kind not in ("tournament", "study"):
+        raise InputError(
+            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing"
+            " study' wrote with --out"
+        )
+    return kind, settings
 
 
 def study_pairing(
@@ -98,36 +114,6 @@ def _load_track(place: str) -> Track:
         return load_track(place)
     except InputError as error:
         raise InputError(f"{error}; if the map was moved, --track names its folder") from None
-
-
-def _read_manifest(folder: Path) -> tuple[str, dict[str, Any]]:
-    """Return the kind and the settings of a job's folder; empty without a manifest."""
-    file = folder / MANIFEST
-    try:
-        manifest = read_job(file)
-    except FileNotFoundError:
-        return "", {}
-    except (OSError, InputError) as error:
-        raise InputError(f"{file} is damaged: {error}") from None
-    if not isinstance(manifest, dict) or not isinstance(manifest.get("settings"), dict):
-        raise InputError(f"{file} is no manifest of a job")
-    return str(manifest.get("kind")), manifest["settings"]
-
-
-def _study(folder: Path, settings: Mapping[str, Any]) -> Study:
-    try:
-        return Study(load_study_config(**settings), folder, quiet=True)
-    except (TypeError, InputError) as error:
-        raise InputError(f"{folder / MANIFEST}: {error}") from None
-
-
-def _game_config(folder: Path, settings: Mapping[str, Any]) -> GameConfig:
-    """Return the rules in a manifest, without the move "stay": every tournament adds it."""
-    try:
-        game = dict(settings["game"])
-        return GameConfig(**{**game, "race": RaceConfig(**game["race"]), "stay": None})
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{folder / MANIFEST} is damaged: {error!r}") from None
 
 
 def _tournament_pairing(
