@@ -119,7 +119,8 @@ def vehicles(folders: list[Path]) -> Digests:
 def lidar(folders: list[Path]) -> Digests:
     """Scans with an opponent, with noise, and times to collision."""
     from pcs_racing import load_track
-    from pcs_racing.car.ittc import minimum_ittc
+    from pcs_racing.car.collision import Rectangle
+    from pcs_racing.car.ittc import Motion, minimum_ittc
     from pcs_racing.car.lidar import Lidar
 
     track = load_track("Quillburg")
@@ -130,11 +131,16 @@ def lidar(folders: list[Path]) -> Digests:
     yield "scans with noise", noisy.scan(places, rng=np.random.default_rng(0))
     times = [
         minimum_ittc(
-            track.arrays, x, y, 4.0, 1.0, s, ox, oy, opsi, 0.29, 0.155, 2.0, 0.5, True, 10.0
+            track.arrays,
+            Motion(x, y, 4.0, 1.0),
+            s,
+            Rectangle(*other, 0.29, 0.155),
+            2.0,
+            0.5,
+            True,
+            10.0,
         )
-        for (x, y, _), (ox, oy, opsi), s in zip(
-            places, others, np.linspace(0.0, 110.0, 200), strict=True
-        )
+        for (x, y, _), other, s in zip(places, others, np.linspace(0.0, 110.0, 200), strict=True)
     ]
     yield "times to collision", np.array(times)
 

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from pcs_racing.base.compilation import compiled
-from pcs_racing.car.collision import car_hits_wall
-from pcs_racing.car.ittc import minimum_ittc
-from pcs_racing.car.lidar import WORK_SHAPE, Lidar, scan_into
+from pcs_racing.car.collision import Rectangle, car_hits_wall
+from pcs_racing.car.ittc import Motion, minimum_ittc
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.car.lidar_kernel import WORK_SHAPE, Pose, scan_into
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 
@@ -40,22 +41,8 @@ PLACES = {
 def scans(track, beams, rows, has_opponent, work, out):  # type: ignore[no-untyped-def]
     for k in range(rows.shape[0]):
         x, y, psi, s, ox, oy, opsi = rows[k, :7]
-        scan_into(
-            track,
-            beams,
-            x,
-            y,
-            psi,
-            s,
-            has_opponent,
-            ox,
-            oy,
-            opsi,
-            HALF_LENGTH,
-            HALF_WIDTH,
-            work,
-            out,
-        )
+        other = Rectangle(ox, oy, opsi, HALF_LENGTH, HALF_WIDTH)
+        scan_into(track, beams, Pose(x, y, psi), s, has_opponent, other, work, out)
 
 
 @compiled
@@ -65,9 +52,8 @@ def ittcs(track, rows):  # type: ignore[no-untyped-def]
         x, y, psi, s, ox, oy, opsi, v = rows[k]
         c, sn = v * np.cos(psi), v * np.sin(psi)
         oc, osn = 5.0 * np.cos(opsi), 5.0 * np.sin(opsi)
-        total += minimum_ittc(
-            track, x, y, c, sn, s, ox, oy, opsi, HALF_LENGTH, HALF_WIDTH, oc, osn, True, 10.0
-        )
+        other = Rectangle(ox, oy, opsi, HALF_LENGTH, HALF_WIDTH)
+        total += minimum_ittc(track, Motion(x, y, c, sn), s, other, oc, osn, True, 10.0)
     return total
 
 

@@ -55,7 +55,8 @@ from run_folder import RunFolder, read_arguments
 from torch import Tensor, nn
 
 from pcs_racing import InputError, load_track, racer
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     LATTICE_SIZE,

@@ -22,7 +22,9 @@ from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.draws import Randomization, draw_vehicles
 from pcs_racing.envs.random_circuits import RandomCircuits, random_circuit
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SIGHT, SPEEDS
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
+from pcs_racing.planners.candidates import SIGHT
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line_ppo import (
     ASSERTIVENESS,
     CONTEXT,

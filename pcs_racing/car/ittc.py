@@ -8,6 +8,8 @@ wall or the opponent. A point hidden by a nearer object of the same velocity lie
 beam, so that no point needs a test of visibility.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
@@ -139,24 +141,33 @@ def rectangle_ittc(x, y, psi, half_length, half_width, vx, vy, best):
     return segment_ittc(x - lx - wx, y - ly - wy, x + lx - wx, y + ly - wy, vx, vy, speed, best)
 
 
+class Motion(NamedTuple):
+    """Motion of a lidar."""
+
+    x: float  #: Position, m.
+    y: float
+    vx: float  #: Velocity in the frame of the map, m/s.
+    vy: float
+
+
 @kernel
-def minimum_ittc(
-    track, x, y, vx, vy, s, ox, oy, opsi, half_length, half_width, ovx, ovy, use_opponent, horizon
-):
+def minimum_ittc(track, lidar, s, opponent, ovx, ovy, use_opponent, horizon):
     """Return the minimum instantaneous time to collision of a lidar with the walls and, optionally,
     the opponent.
 
     Walls hidden by the opponent count too. Rotation of either car is ignored: the direction of a
     beam is taken as constant.
 
-    (x, y), (vx, vy) and s are the lidar's position (m), velocity in the frame of the map (m/s) and
-    arc length (m); (ox, oy, opsi) and (ovx, ovy) are the pose (m and rad) of the opponent's centre
-    and its velocity (m/s). The result is at most ``horizon`` (s).
+    The lidar is at arc length ``s`` (m). The opponent is a rectangle
+    (:class:`pcs_racing.car.collision.Rectangle`) with the velocity (ovx, ovy), m/s. The result is
+    at most ``horizon`` (s).
     """
+    x, y, vx, vy = lidar
     stretch = int(wrap_s(track, s) / track.seen_stretch) % track.seen_middle.shape[0]
     best = walls_ittc(WallArrays(*track[WALLS_BEGIN:WALLS_END]), stretch, x, y, vx, vy, horizon)
     if use_opponent:
+        ox, oy, psi, half_length, half_width = opponent
         best = rectangle_ittc(
-            ox - x, oy - y, opsi, half_length, half_width, vx - ovx, vy - ovy, best
+            ox - x, oy - y, psi, half_length, half_width, vx - ovx, vy - ovy, best
         )
     return best

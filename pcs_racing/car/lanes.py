@@ -13,6 +13,7 @@ from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
     Actuators,
     Handling,
+    State,
     actuators,
     handling,
     runge_kutta,
@@ -109,25 +110,25 @@ def step_lanes(lanes, cars, dt):
                 part[_HANDLING + 12 * LANES + i],
                 part[_HANDLING + 13 * LANES + i],
             )
-            x = part[LANES * _vehicle.X + i]
-            y = part[LANES * _vehicle.Y + i]
-            delta = part[LANES * _vehicle.DELTA + i]
-            v = part[LANES * _vehicle.V + i]
-            psi = part[LANES * _vehicle.PSI + i]
-            psi_dot = part[LANES * _vehicle.PSI_DOT + i]
-            beta = part[LANES * _vehicle.BETA + i]
+            state = State(
+                part[LANES * _vehicle.X + i],
+                part[LANES * _vehicle.Y + i],
+                part[LANES * _vehicle.DELTA + i],
+                part[LANES * _vehicle.V + i],
+                part[LANES * _vehicle.PSI + i],
+                part[LANES * _vehicle.PSI_DOT + i],
+                part[LANES * _vehicle.BETA + i],
+            )
             moves = Actuators(part[_SHARE + i], part[_GAIN + i])
             rate, acceleration = target_inputs(
-                delta, v, part[_STEER + i], part[_SPEED + i], car, moves, dt
+                state.delta, state.v, part[_STEER + i], part[_SPEED + i], car, moves, dt
             )
             # No branch here: a branch would prevent vectorisation of the loop.
-            x, y, delta, v, psi, psi_dot, beta = runge_kutta(
-                x, y, delta, v, psi, psi_dot, beta, rate, acceleration, car, LINEAR, dt, False
-            )
-            part[LANES * _vehicle.X + i] = x
-            part[LANES * _vehicle.Y + i] = y
-            part[LANES * _vehicle.DELTA + i] = delta
-            part[LANES * _vehicle.V + i] = v
-            part[LANES * _vehicle.PSI + i] = psi
-            part[LANES * _vehicle.PSI_DOT + i] = psi_dot
-            part[LANES * _vehicle.BETA + i] = beta
+            state = runge_kutta(state, rate, acceleration, car, LINEAR, dt, False)
+            part[LANES * _vehicle.X + i] = state.x
+            part[LANES * _vehicle.Y + i] = state.y
+            part[LANES * _vehicle.DELTA + i] = state.delta
+            part[LANES * _vehicle.V + i] = state.v
+            part[LANES * _vehicle.PSI + i] = state.psi
+            part[LANES * _vehicle.PSI_DOT + i] = state.psi_dot
+            part[LANES * _vehicle.BETA + i] = state.beta

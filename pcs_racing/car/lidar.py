@@ -13,6 +13,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sines_cosines
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.settings import Checked, Settings
+from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.lidar_errors import EDGE
 from pcs_racing.car.lidar_kernel import (
     FIELD_OF_VIEW,
@@ -20,6 +21,7 @@ from pcs_racing.car.lidar_kernel import (
     MAX_RANGE,
     WORK_SHAPE,
     Beams,
+    Pose,
     scan_into,
 )
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle
@@ -34,22 +36,8 @@ def _scan_all(track, beams, poses, has_opponent, opponents, half_length, half_wi
         x, y, psi = poses[k]
         ox, oy, opsi = opponents[k]
         s, _ = locate(track, x, y)
-        scan_into(
-            track,
-            beams,
-            x,
-            y,
-            psi,
-            s,
-            has_opponent,
-            ox,
-            oy,
-            opsi,
-            half_length,
-            half_width,
-            work,
-            out[k],
-        )
+        opponent = Rectangle(ox, oy, opsi, half_length, half_width)
+        scan_into(track, beams, Pose(x, y, psi), s, has_opponent, opponent, work, out[k])
 
 
 def _poses(value: ArrayLike, name: str) -> NDArray[np.float64]:

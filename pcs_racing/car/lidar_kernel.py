@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
-from pcs_racing.car.collision import inside_wall
+from pcs_racing.car.collision import Rectangle, inside_wall
 from pcs_racing.track.frenet import wrap_s
 from pcs_racing.track.grid import cast
 from pcs_racing.track.moving import HALF_LENGTH, HALF_WIDTH, pose_at
@@ -58,6 +58,23 @@ class Beams(NamedTuple):
     sin: NDArray[np.float64]  #: shape (beams,): Sines of the beams' angles.
 
 
+class Pose(NamedTuple):
+    """Pose of a lidar."""
+
+    x: float  #: m.
+    y: float  #: m.
+    psi: float  #: Heading, rad.
+
+
+class Frame(NamedTuple):
+    """Frame of a lidar."""
+
+    x: float  #: m.
+    y: float  #: m.
+    cos: float  #: Cosine of the heading.
+    sin: float  #: Sine of the heading.
+
+
 @inner_kernel(forceinline=True)
 def _angle(x, y):
     """Return the direction of (x, y) in rad to 2e-8 (Abramowitz and Stegun 1964, 4.4.49).
@@ -88,12 +105,13 @@ def _faces_lidar(ax, ay, bx, by):
 
 
 @inner_kernel
-def _find_angles(beams, x, y, cos, sin, px, py, angles):
+def _find_angles(beams, frame, px, py, angles):
     """Write the angle of each corner, counted counter-clockwise from the first beam, rad in [0, 2
     pi].
 
     Vectorisable, like `_choose`: no branch, no lookup.
     """
+    x, y, cos, sin = frame
     zero = beams.first
     for k in range(np.uint64(px.shape[0])):
         ax = px[k] - x
@@ -115,12 +133,13 @@ def _span(beams, begin, end):
 
 
 @inner_kernel
-def _choose(beams, x, y, px, py, angles, last, chosen):
+def _choose(beams, frame, px, py, angles, last, chosen):
     """Mark, by its first corner, each segment that faces the lidar and is met by a beam.
 
     Half of all segments face away or fall between two beams, unpredictably. A pair of corners with
     a NaN is no segment.
     """
+    x, y, _, _ = frame
     for k in range(np.uint64(chosen.shape[0])):
         after = k + np.uint64(1)
         faces = _faces_lidar(px[k] - x, py[k] - y, px[after] - x, py[after] - y)
@@ -140,18 +159,19 @@ def _fill(cos, sin, p, q, first, last, out):
 
 
 @inner_kernel
-def _draw(beams, x, y, cos, sin, px, py, work, out):
+def _draw(beams, frame, px, py, work, out):
     """Draw the segments between successive corners into a buffer of inverse ranges.
 
     A beam in the direction (c, s) of the car's frame meets a segment at the inverse range ``p c + q
     s``.
     """
+    x, y, cos, sin = frame
     count = px.shape[0] - 1
     last = out.shape[0] - 1.0
     turn = 2.0 * np.pi / beams.step
     angles, chosen = work[0], work[1]
-    _find_angles(beams, x, y, cos, sin, px, py, angles[: count + 1])
-    _choose(beams, x, y, px, py, angles, last, chosen[:count])
+    _find_angles(beams, frame, px, py, angles[: count + 1])
+    _choose(beams, frame, px, py, angles, last, chosen[:count])
     # Move the chosen segments to the front without a branch: write every index, but advance the
     # position only for chosen segments.
     kept = 0
@@ -183,38 +203,41 @@ def _draw(beams, x, y, cos, sin, px, py, work, out):
 
 
 @inner_kernel
-def _draw_list(corners, beams, x, y, cos, sin, first, end, work, out):
+def _draw_list(corners, beams, frame, first, end, work, out):
     """Draw a list of corners, in parts that fit into the working memory."""
     for begin in range(first, end - 1, work.shape[1] - 1):
         stop = min(begin + work.shape[1], end)
-        _draw(beams, x, y, cos, sin, corners[0, begin:stop], corners[1, begin:stop], work, out)
+        _draw(beams, frame, corners[0, begin:stop], corners[1, begin:stop], work, out)
 
 
 @inner_kernel
-def _draw_walls(track, beams, x, y, cos, sin, s, work, out):
+def _draw_walls(track, beams, frame, s, work, out):
     """Draw the walls and obstacles visible from arc length s into a buffer of inverse ranges."""
     corners, start = track.corners, track.corners_start
     lists = track.seen_middle.shape[0]
     stretch = int(wrap_s(track, s) / track.seen_stretch) % lists
-    _draw_list(corners, beams, x, y, cos, sin, start[stretch], start[stretch + 1], work, out)
-    _draw_list(corners, beams, x, y, cos, sin, start[lists], corners.shape[1], work, out)
+    _draw_list(corners, beams, frame, start[stretch], start[stretch + 1], work, out)
+    _draw_list(corners, beams, frame, start[lists], corners.shape[1], work, out)
 
 
 @inner_kernel
-def draw_rectangle(beams, x, y, psi, half_length, half_width, cos, sin, work, out):
-    """Draw a rectangle, centred at (x, y) from the lidar, into a buffer of inverse ranges."""
-    s, c = sine_cosine(psi)
+def draw_rectangle(beams, body, cos, sin, work, out):
+    """Draw a rectangle, centred from the lidar, into a buffer of inverse ranges.
+
+    ``cos`` and ``sin`` belong to the lidar's heading.
+    """
+    s, c = sine_cosine(body.psi)
     px, py = work[2, :_RECTANGLE], work[3, :_RECTANGLE]
     px[:] = np.nan
     for k in range(5):
-        u = half_length if k % 4 in (0, 3) else -half_length
-        v = half_width if k % 4 in (0, 1) else -half_width
+        u = body.half_length if k % 4 in (0, 3) else -body.half_length
+        v = body.half_width if k % 4 in (0, 1) else -body.half_width
         # In both directions: near sides run clockwise around a lidar outside, all sides run
         # counter-clockwise around a lidar inside.
         for at in (k, 10 - k):
-            px[at] = x + u * c - v * s
-            py[at] = y + u * s + v * c
-    _draw(beams, 0.0, 0.0, cos, sin, px, py, work, out)
+            px[at] = body.x + u * c - v * s
+            py[at] = body.y + u * s + v * c
+    _draw(beams, Frame(0.0, 0.0, cos, sin), px, py, work, out)
 
 
 @inner_kernel
@@ -225,12 +248,13 @@ def _draw_circle(beams, x, y, radius, cos, sin, work, out):
         s, c = sine_cosine(-2.0 * np.pi * k / (_RECTANGLE - 1))
         px[k] = x + radius * c
         py[k] = y + radius * s
-    _draw(beams, 0.0, 0.0, cos, sin, px, py, work, out)
+    _draw(beams, Frame(0.0, 0.0, cos, sin), px, py, work, out)
 
 
 @inner_kernel
-def _follow(track, beams, x, y, cos, sin, k, reach):
+def _follow(track, beams, frame, k, reach):
     """Follow beam k through the cells of the grid; return its range in m, at most ``reach``."""
+    x, y, cos, sin = frame
     c = cos * beams.cos[k] - sin * beams.sin[k]
     s = sin * beams.cos[k] + cos * beams.sin[k]
     u = (x - track.origin_x) / track.cell
@@ -270,7 +294,7 @@ def _smooth(out, first, last):
 
 
 @inner_kernel
-def _settle_jump(track, beams, x, y, cos, sin, k, out):
+def _settle_jump(track, beams, frame, k, out):
     """Follow the beams on both sides of the jump behind beam k; return the last settled beam.
 
     A beam that passes the nearer object agrees: its range beyond that object was not in doubt.
@@ -282,11 +306,11 @@ def _settle_jump(track, beams, x, y, cos, sin, k, out):
         j = k if step < 0 else k + 1
         while 0 <= j <= last:
             drawn = 1.0 / out[j]
-            true = _follow(track, beams, x, y, cos, sin, j, passed)
+            true = _follow(track, beams, frame, j, passed)
             if true >= passed:
                 if drawn >= passed:
                     break
-                true = _follow(track, beams, x, y, cos, sin, j, beams.max_range)
+                true = _follow(track, beams, frame, j, beams.max_range)
             out[j] = 1.0 / true
             if abs(true - drawn) <= AGREEMENT:
                 break
@@ -295,7 +319,7 @@ def _settle_jump(track, beams, x, y, cos, sin, k, out):
 
 
 @inner_kernel
-def _settle_edges(track, beams, x, y, cos, sin, out):
+def _settle_edges(track, beams, frame, out):
     """Follow the beams on both sides of every jump, outwards from it, until the grid agrees with
     the buffer.
     """
@@ -307,76 +331,76 @@ def _settle_edges(track, beams, x, y, cos, sin, out):
             k = stop
         while k < stop:
             if _jumps(out, k) and _stands_out(out, k):
-                k = _settle_jump(track, beams, x, y, cos, sin, k, out)
+                k = _settle_jump(track, beams, frame, k, out)
             k += 1
 
 
 @kernel
-def scan_walls(track, beams, x, y, psi, s, work, out):
+def scan_walls(track, beams, pose, s, work, out):
     """Begin a scan: write the inverse ranges of the walls, 1/m; return False for a lidar in a wall.
 
     `scan_car` adds cars; inverting the buffer then gives the ranges. In a wall all ranges are 0
     already.
     """
-    if inside_wall(track, x, y):
+    if inside_wall(track, pose.x, pose.y):
         out[:] = 0.0
         return False
     # The buffer holds inverse ranges until the end; 0 marks a beam without a segment.
     out[:] = 0.0
-    sin, cos = sine_cosine(psi)
-    _draw_walls(track, beams, x, y, cos, sin, s, work, out)
+    sin, cos = sine_cosine(pose.psi)
+    frame = Frame(pose.x, pose.y, cos, sin)
+    _draw_walls(track, beams, frame, s, work, out)
     empty = 0
     for k in range(out.shape[0]):
         empty += out[k] <= 0.0
     if empty > 0:
         for k in range(out.shape[0]):
             if out[k] <= 0.0:
-                out[k] = 1.0 / _follow(track, beams, x, y, cos, sin, k, beams.max_range)
+                out[k] = 1.0 / _follow(track, beams, frame, k, beams.max_range)
     # Before the edges: a jump to a range beyond the maximum does not count.
     least = 1.0 / beams.max_range
     for k in range(out.shape[0]):
         out[k] = out[k] if out[k] > least else least
-    _settle_edges(track, beams, x, y, cos, sin, out)
+    _settle_edges(track, beams, frame, out)
     return True
 
 
 @kernel
-def scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out):
-    """Add a car's rectangle at (ox, oy, opsi), in m and rad, to the inverse ranges of a scan."""
+def scan_car(beams, pose, body, work, out):
+    """Add a car's rectangle to the inverse ranges of a scan."""
     # Cars come last: their edges are exact and need not be settled on the grid.
-    dx, dy, reach = ox - x, oy - y, beams.max_range + half_length + half_width
+    dx, dy = body.x - pose.x, body.y - pose.y
+    reach = beams.max_range + body.half_length + body.half_width
     if dx * dx + dy * dy < reach * reach:
-        sin, cos = sine_cosine(psi)
-        draw_rectangle(beams, dx, dy, opsi, half_length, half_width, cos, sin, work, out)
+        sin, cos = sine_cosine(pose.psi)
+        seen = Rectangle(dx, dy, body.psi, body.half_length, body.half_width)
+        draw_rectangle(beams, seen, cos, sin, work, out)
 
 
 @kernel
-def scan_moving(track, beams, x, y, psi, time, work, out):
+def scan_moving(track, beams, pose, time, work, out):
     """Add the moving obstacles at a time (s) to the inverse ranges of a scan."""
     moving = track.moving
     for k in range(moving.shape[0]):
         ox, oy, opsi = pose_at(moving, track.line, track.ds, track.length, k, time)
         half_length, half_width = moving[k, HALF_LENGTH], moving[k, HALF_WIDTH]
         if half_width > 0.0:
-            scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
+            scan_car(beams, pose, Rectangle(ox, oy, opsi, half_length, half_width), work, out)
         else:
-            sin, cos = sine_cosine(psi)
-            _draw_circle(beams, ox - x, oy - y, half_length, cos, sin, work, out)
+            sin, cos = sine_cosine(pose.psi)
+            _draw_circle(beams, ox - pose.x, oy - pose.y, half_length, cos, sin, work, out)
 
 
 @kernel
-def scan_into(
-    track, beams, x, y, psi, s, has_opponent, ox, oy, opsi, half_length, half_width, work, out
-):
+def scan_into(track, beams, pose, s, has_opponent, opponent, work, out):
     """Write one scan without allocation into ``out``, shape (beams,): ranges in [0, max_range], m.
 
     A lidar inside a wall or off the map reads 0 everywhere. The working memory, one for each
     thread, may have any shape (4, n) with n >= 16, such as ``np.empty(WORK_SHAPE)``. The lidar is
-    at (x, y, psi) and arc length ``s``; the opponent's rectangle is around (ox, oy, opsi), in m and
-    rad.
+    at arc length ``s`` (m); the opponent is a rectangle.
     """
-    if scan_walls(track, beams, x, y, psi, s, work, out):
+    if scan_walls(track, beams, pose, s, work, out):
         if has_opponent:
-            scan_car(beams, x, y, psi, ox, oy, opsi, half_length, half_width, work, out)
+            scan_car(beams, pose, opponent, work, out)
         for k in range(out.shape[0]):
             out[k] = 1.0 / out[k]

@@ -75,8 +75,9 @@ def substeps_of(tyres, v, dt):
 
 
 @inner_kernel
-def sliding_derivative(delta, v, psi, psi_dot, beta, rate, a, lf, lr, tyres):
+def sliding_derivative(state, rate, a, lf, lr, tyres):
     """Return the right-hand side of the model with Pacejka tyres, at speeds above 0."""
+    _, _, delta, v, psi, psi_dot, beta = state
     sin_beta, cos_beta = sine_cosine(beta)
     # A car that slides backwards steers the other way, and its brakes slow it down, too.
     way = 1.0 if cos_beta >= 0.0 else -1.0

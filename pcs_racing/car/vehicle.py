@@ -492,34 +492,48 @@ def _limited_acceleration(v, a, car):
     return min(max(a, least), most if v < car.v_max else 0.0)
 
 
+class State(NamedTuple):
+    """State of a vehicle, or its derivative, in the units of the module."""
+
+    x: float
+    y: float
+    delta: float
+    v: float
+    psi: float
+    psi_dot: float
+    beta: float
+
+
 @inner_kernel
-def _kinematic_derivative(delta, v, psi, beta, rate, a, lr, wheelbase):
+def _kinematic_derivative(state, rate, a, lr, wheelbase):
     """Return the right-hand side of the model at low speed, with tyres rolling without slip."""
-    sin_delta, cos_delta = sine_cosine(delta)
+    v = state.v
+    sin_delta, cos_delta = sine_cosine(state.delta)
     tan_delta = sin_delta / cos_delta
     slip = arctangent(tan_delta * lr / wheelbase)
     slip_dot = lr * rate / (wheelbase * cos_delta**2 * (1.0 + (tan_delta * lr / wheelbase) ** 2))
     _, cos_slip = sine_cosine(slip)
     yaw = v * cos_slip * tan_delta / wheelbase
-    sin_beta, cos_beta = sine_cosine(beta)
+    sin_beta, cos_beta = sine_cosine(state.beta)
     yaw_dot = (
         a * cos_beta * tan_delta
         - v * sin_beta * slip_dot * tan_delta
         + v * cos_beta * rate / cos_delta**2
     ) / wheelbase
-    sine, cosine = sine_cosine(psi + slip)
+    sine, cosine = sine_cosine(state.psi + slip)
     return v * cosine, v * sine, rate, a, yaw, yaw_dot, slip_dot
 
 
 @inner_kernel(forceinline=True)
-def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, tyres, alone):
-    """Return the right-hand side of the model for (x, y, delta, v, psi, psi_dot, beta)."""
+def derivative(state, rate, acceleration, car, tyres, alone):
+    """Return the right-hand side of the model, the derivative of a :class:`State`."""
+    delta, v, psi_dot, beta = state.delta, state.v, state.psi_dot, state.beta
     rate = _limited_rate(delta, rate, car)
     a = _limited_acceleration(v, acceleration, car)
     if alone and v < KINEMATIC_BELOW:
-        return _kinematic_derivative(delta, v, psi, beta, rate, a, car.lr, car.lf + car.lr)
+        return State(*_kinematic_derivative(state, rate, a, car.lr, car.lf + car.lr))
     if alone and tyres.pacejka != 0.0:
-        return sliding_derivative(delta, v, psi, psi_dot, beta, rate, a, car.lf, car.lr, tyres)
+        return State(*sliding_derivative(state, rate, a, car.lf, car.lr, tyres))
     # Braking (a < 0) puts load on the front axle and takes it from the rear.
     front = car.front - car.front_shift * a
     rear = car.rear + car.rear_shift * a
@@ -535,71 +549,55 @@ def derivative(delta, v, psi, psi_dot, beta, rate, acceleration, car, tyres, alo
     beta_dot = (
         car.slip_gain * per_v * (front * delta - (rear + front) * beta + turn * turned) - psi_dot
     )
-    sine, cosine = sine_cosine(psi + beta)
-    return v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot
+    sine, cosine = sine_cosine(state.psi + beta)
+    return State(v * cosine, v * sine, rate, a, psi_dot, yaw_dot, beta_dot)
+
+
+@inner_kernel(forceinline=True)
+def _moved(state, change, dt):
+    """Return a state after ``dt`` s with a constant derivative."""
+    return State(
+        state.x + dt * change.x,
+        state.y + dt * change.y,
+        state.delta + dt * change.delta,
+        state.v + dt * change.v,
+        state.psi + dt * change.psi,
+        state.psi_dot + dt * change.psi_dot,
+        state.beta + dt * change.beta,
+    )
 
 
 @kernel(forceinline=True)
-def runge_kutta(x, y, delta, v, psi, r, beta, rate, acceleration, car, tyres, dt, alone):
-    """Return a car's state after a classic Runge-Kutta step of ``dt`` s with constant inputs.
+def runge_kutta(state, rate, acceleration, car, tyres, dt, alone):
+    """Return a car's :class:`State` after a classic Runge-Kutta step of ``dt`` s.
 
-    Steering rate (rad/s) and longitudinal acceleration (m/s^2) are limited inside the derivative,
-    in all four stages. ``alone``: the speed may be below ``KINEMATIC_BELOW`` in a stage, and the
-    tyres may be Pacejka's. Without ``alone`` there is no branch, so that loops over many cars use
-    vector instructions.
+    Steering rate (rad/s) and longitudinal acceleration (m/s^2) are constant, and limited inside the
+    derivative, in all four stages. ``alone``: the speed may be below ``KINEMATIC_BELOW`` in a
+    stage, and the tyres may be Pacejka's. Without ``alone`` there is no branch, so that loops over
+    many cars use vector instructions.
     """
-    h = 0.5 * dt
-    a0, a1, a2, a3, a4, a5, a6 = derivative(
-        delta, v, psi, r, beta, rate, acceleration, car, tyres, alone
-    )
-    b0, b1, b2, b3, b4, b5, b6 = derivative(
-        delta + h * a2,
-        v + h * a3,
-        psi + h * a4,
-        r + h * a5,
-        beta + h * a6,
-        rate,
-        acceleration,
-        car,
-        tyres,
-        alone,
-    )
-    c0, c1, c2, c3, c4, c5, c6 = derivative(
-        delta + h * b2,
-        v + h * b3,
-        psi + h * b4,
-        r + h * b5,
-        beta + h * b6,
-        rate,
-        acceleration,
-        car,
-        tyres,
-        alone,
-    )
-    d0, d1, d2, d3, d4, d5, d6 = derivative(
-        delta + dt * c2,
-        v + dt * c3,
-        psi + dt * c4,
-        r + dt * c5,
-        beta + dt * c6,
-        rate,
-        acceleration,
-        car,
-        tyres,
-        alone,
-    )
+    a = derivative(state, rate, acceleration, car, tyres, alone)
+    b = derivative(_moved(state, a, 0.5 * dt), rate, acceleration, car, tyres, alone)
+    c = derivative(_moved(state, b, 0.5 * dt), rate, acceleration, car, tyres, alone)
+    d = derivative(_moved(state, c, dt), rate, acceleration, car, tyres, alone)
     w = dt / 6.0
-    psi += w * (a4 + 2.0 * b4 + 2.0 * c4 + d4)
-    return (
-        x + w * (a0 + 2.0 * b0 + 2.0 * c0 + d0),
-        y + w * (a1 + 2.0 * b1 + 2.0 * c1 + d1),
-        delta + w * (a2 + 2.0 * b2 + 2.0 * c2 + d2),
-        v + w * (a3 + 2.0 * b3 + 2.0 * c3 + d3),
+    psi = state.psi + w * (a.psi + 2.0 * b.psi + 2.0 * c.psi + d.psi)
+    return State(
+        state.x + w * (a.x + 2.0 * b.x + 2.0 * c.x + d.x),
+        state.y + w * (a.y + 2.0 * b.y + 2.0 * c.y + d.y),
+        state.delta + w * (a.delta + 2.0 * b.delta + 2.0 * c.delta + d.delta),
+        state.v + w * (a.v + 2.0 * b.v + 2.0 * c.v + d.v),
         # Into [0, 2 pi): sines are exact for moderate angles only.
         psi - 2.0 * np.pi * np.floor(psi * (0.5 / np.pi)),
-        r + w * (a5 + 2.0 * b5 + 2.0 * c5 + d5),
-        beta + w * (a6 + 2.0 * b6 + 2.0 * c6 + d6),
+        state.psi_dot + w * (a.psi_dot + 2.0 * b.psi_dot + 2.0 * c.psi_dot + d.psi_dot),
+        state.beta + w * (a.beta + 2.0 * b.beta + 2.0 * c.beta + d.beta),
     )
+
+
+@inner_kernel(forceinline=True)
+def state_of(row):
+    """Return the :class:`State` of a row of numbers."""
+    return State(row[X], row[Y], row[DELTA], row[V], row[PSI], row[PSI_DOT], row[BETA])
 
 
 @kernel
@@ -612,23 +610,9 @@ def step(state, rate, acceleration, p, dt):
     if tyres.pacejka != 0.0:
         count = substeps_of(tyres, max(state[V], KINEMATIC_BELOW), dt)
     for _ in range(count):
-        state[X], state[Y], state[DELTA], state[V], state[PSI], state[PSI_DOT], state[BETA] = (
-            runge_kutta(
-                state[X],
-                state[Y],
-                state[DELTA],
-                state[V],
-                state[PSI],
-                state[PSI_DOT],
-                state[BETA],
-                rate,
-                acceleration,
-                car,
-                tyres,
-                dt / count,
-                True,
-            )
-        )
+        after = runge_kutta(state_of(state), rate, acceleration, car, tyres, dt / count, True)
+        for k in range(STATE_SIZE):
+            state[k] = after[k]
     if tyres.pacejka != 0.0 and state[V] < KINEMATIC_BELOW:
         _roll(state, car)
 

@@ -13,8 +13,16 @@ from numpy.typing import NDArray
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.car import vehicle as _vehicle
+from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
-from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, scan_car, scan_moving, scan_walls
+from pcs_racing.car.lidar_kernel import (
+    WORK_SHAPE,
+    Beams,
+    Pose,
+    scan_car,
+    scan_moving,
+    scan_walls,
+)
 from pcs_racing.race.config import CONTROL_EVERY, DT
 from pcs_racing.race.kernel import KernelSettings, advance_races
 from pcs_racing.race.positions import gap_to, laps_driven
@@ -261,24 +269,19 @@ def _scan(inputs, races, race, car, buffers, out):
         state.frenet[race, car, 0],
     )
     x, y, s = lidar_place(track, x, y, psi, s, own[_vehicle.LIDAR_X], own[_vehicle.LIDAR_Y])
-    psi += own[_vehicle.LIDAR_YAW]
-    if scan_walls(track, sight.beams, x, y, psi, s, work, out):
+    pose = Pose(x, y, psi + own[_vehicle.LIDAR_YAW])
+    if scan_walls(track, sight.beams, pose, s, work, out):
         for other in range(cars.shape[1]):
             if other != car:
-                scan_car(
-                    sight.beams,
-                    x,
-                    y,
-                    psi,
+                body = Rectangle(
                     cars[race, other, _vehicle.X],
                     cars[race, other, _vehicle.Y],
                     cars[race, other, _vehicle.PSI],
                     0.5 * vehicles[race, other, _vehicle.LENGTH],
                     0.5 * vehicles[race, other, _vehicle.WIDTH],
-                    work,
-                    out,
                 )
-        scan_moving(track, sight.beams, x, y, psi, state.tick[race] * DT, work, out)
+                scan_car(sight.beams, pose, body, work, out)
+        scan_moving(track, sight.beams, pose, state.tick[race] * DT, work, out)
         for i in range(out.shape[0]):
             out[i] = 1.0 / out[i]
     errors = own[_vehicle.LIDAR_FOV : _vehicle.LIDAR_STEP + 1]

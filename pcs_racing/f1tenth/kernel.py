@@ -12,7 +12,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
 from pcs_racing.car.collision import Rectangle, contact_fault, inside_wall, rectangles_overlap
-from pcs_racing.car.lidar_kernel import Beams, draw_rectangle, scan_into
+from pcs_racing.car.lidar_kernel import Beams, Pose, draw_rectangle, scan_into
 from pcs_racing.car.tyres import LINEAR
 from pcs_racing.car.vehicle import (
     BETA,
@@ -28,6 +28,7 @@ from pcs_racing.car.vehicle import (
     Y,
     derivative,
     handling_within,
+    state_of,
 )
 from pcs_racing.track.frenet import TrackArrays, locate
 from pcs_racing.track.grid import cast
@@ -135,18 +136,9 @@ def write_rates(state, rate, acceleration, p, car, model, out):
     least = p[SV_MIN] if delta > p[S_MIN] else 0.0
     rate = min(max(rate, least), p[SV_MAX] if delta < p[S_MAX] else 0.0)
     if model == ST or (model == OLD_ST and abs(v) >= 0.5):
-        out[0], out[1], out[2], out[3], out[4], out[5], out[6] = derivative(
-            delta,
-            v,
-            psi,
-            state[PSI_DOT],
-            state[BETA],
-            rate,
-            acceleration,
-            car,
-            LINEAR,
-            model == ST,
-        )
+        found = derivative(state_of(state), rate, acceleration, car, LINEAR, model == ST)
+        for k in range(len(found)):
+            out[k] = found[k]
         return
     least = -car.a_max if v > car.v_min else 0.0
     most = car.a_max * (car.v_switch / v if v > car.v_switch else 1.0) if v < car.v_max else 0.0
@@ -256,7 +248,8 @@ def scan_map(grid, track, on_circuit, beams, x, y, psi, work, out):
     reach = beams.max_range
     if on_circuit and not inside_wall(track, x, y):
         s, _ = locate(track, x, y)
-        scan_into(track, beams, x, y, psi, s, False, 0.0, 0.0, 0.0, 0.1, 0.1, work, out)
+        nobody = Rectangle(0.0, 0.0, 0.0, 0.1, 0.1)
+        scan_into(track, beams, Pose(x, y, psi), s, False, nobody, work, out)
         return
     sine, cosine = sine_cosine(psi)
     rows, columns = grid.free.shape
@@ -365,18 +358,9 @@ def _measure(world, cars, i, noise, inverse, work, scan):
     for j in range(cars.shape[0]):
         if j != i:
             other = _body(cars, world.params, j)
-            draw_rectangle(
-                world.beams,
-                other.x - x,
-                other.y - y,
-                other.psi,
-                other.half_length,
-                other.half_width,
-                cosine,
-                sine,
-                work,
-                inverse,
-            )
+            length, width = other.half_length, other.half_width
+            seen = Rectangle(other.x - x, other.y - y, other.psi, length, width)
+            draw_rectangle(world.beams, seen, cosine, sine, work, inverse)
     for k in range(np.uint64(scan.shape[0])):
         scan[k] += noise[k]
         scan[k] = 1.0 / inverse[k] if inverse[k] * scan[k] > 1.0 else scan[k]

@@ -21,17 +21,17 @@ Races against moving cars need some differences from the original:
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import (
+from pcs_racing.planners.line import (
     FOLLOW_GAIN,
     IN_THE_WAY,
     WALL_MARGIN,
     gap_ahead,
     gives_way,
     line_index,
+    sharpest_bend,
     side_air,
     within_walls,
 )
-from pcs_racing.planners.line_following import sharpest_bend
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import calm_speed, pursuit_arc
 from pcs_racing.planners.view import PATH_POINTS

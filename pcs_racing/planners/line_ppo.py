@@ -1,6 +1,6 @@
 """Lattice planner whose candidate is chosen by a network: ``line-ppo``, trained by PPO.
 
-The planner lays the 64 candidates of :mod:`pcs_racing.planners.lattice` and weighs them with fixed
+The planner lays 64 candidates (:mod:`pcs_racing.planners.candidates`) and weighs them with fixed
 weights. Candidates within :data:`WINDOW` of the min cost stay. So a candidate that meets a wall or
 the opponent is rejected, as in the lattice. If all of them meet the opponent, all stay. Of the
 candidates that stay, the candidate with the max score wins:
@@ -36,9 +36,24 @@ from pcs_racing.base.compilation import identified, inner_kernel, kernel
 from pcs_racing.base.dense import tensors_from_bytes
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
-from pcs_racing.planners import lattice as _lattice
+from pcs_racing.planners import candidate_rows as rows
+from pcs_racing.planners import candidates as _candidates
+from pcs_racing.planners import choice_rows as choice
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SCRATCH, SIGHT, SPEEDS
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
+from pcs_racing.planners.candidates import SIGHT
+from pcs_racing.planners.choice_rows import (
+    BENDS,
+    CONTEXT,
+    FEATURES,
+    INNER,
+    MOVE,
+    PAIR,
+    SPEED,
+    UNITS,
+)
+from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.line import sample_at
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing.track import frenet as _frenet
@@ -49,14 +64,6 @@ WINDOW = 200.0  # cost above the min cost, from which on a candidate is rejected
 EASED = 4.0  # cost of ten times the overlap with the opponent, above the window
 SHARPNESS, SOFT = 5.0, 0.01
 UNASKED = 1.0  # cost of an attack that the lattice would not lay, above the profile's cost
-
-OWN = 30  # features of the situation before the track ahead
-BENDS = 8  # places ahead, with the curvature of the race line
-WIDTHS = 4  # places ahead, with the width of the track
-CONTEXT = OWN + BENDS + 2 * WIDTHS  # features of the situation
-MOVE, SPEED, PAIR = 14, 8, 7  # features of a move, of a speed and of a candidate
-FEATURES = MOVE + SPEED + PAIR
-INNER, UNITS = 48, 32  # units of the context's layer, and of the candidates' layer
 
 PARAMETERS = (
     Parameter(
@@ -124,33 +131,18 @@ MAX_WEIGHT = 100.0
 
 # Memory after the lattice's: opponent's speed at the last plan and 1 s after the time of this plan,
 # 0 if the opponent was out of sight; and its usual speed, as a share of the profile's above 1.
-_M_SPEED, _M_TIME, _M_USUAL = (_lattice.MEMORY + k for k in range(3))
-MEMORY = _lattice.MEMORY + 3
+_M_SPEED, _M_TIME, _M_USUAL = (_candidates.MEMORY + k for k in range(3))
+MEMORY = _candidates.MEMORY + 3
 RECENT = 0.05  # weight of the last plan in the usual speed
 
-# Scratch after the lattice's: nearness and added cost of each candidate by the opponent; features
-# of the situation, the moves, the speeds and the candidates; layers of the network; lattice's
-# parameters for the style.
-_NEARNESS = SCRATCH
-_MET = _NEARNESS + CANDIDATES
-_CONTEXT = _MET + CANDIDATES
-_MOVE = _CONTEXT + CONTEXT
-_SPEED = _MOVE + MOVE * GOALS
-_PAIR = _SPEED + SPEED * SPEEDS
-_INNER = _PAIR + PAIR * CANDIDATES
-_HIDDEN = _INNER + INNER
-_LINEAR = _HIDDEN + UNITS
-_OF_MOVES = _LINEAR + FEATURES
-_OF_SPEEDS = _OF_MOVES + (UNITS + 1) * GOALS
-_SCORES = _OF_SPEEDS + (UNITS + 1) * SPEEDS
-_STYLED = _SCORES + UNITS
-TOTAL = _STYLED + len(LATTICE.parameters)
-FIRST = _CONTEXT  # place of the features of the situation, before all others
+TOTAL = choice.STYLED + len(LATTICE.parameters)
+"""Size of the scratch."""
+FIRST = choice.SITUATION  # place of the features of the situation, before all others
 
 # Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
-_MOVES_END = _lattice._KAPPA
-_PROFILES_END = _MOVES_END + _lattice._NOW_S - _lattice._SQUARE
-LAID = _PROFILES_END + SCRATCH - _lattice._OPP_S
+_MOVES_END = rows.KAPPA
+_PROFILES_END = _MOVES_END + rows.NOW_S - rows.SQUARE
+LAID = _PROFILES_END + SCRATCH - rows.OPP_S
 
 
 @inner_kernel(forceinline=True)
@@ -175,16 +167,16 @@ def _shape(lattice, style, theta):
     """Write the lattice's parameters for a style."""
     _copy(lattice, theta)
     wide, narrow = SIDE_MARGINS
-    theta[_lattice.SIDE_MARGIN] = wide + (narrow - wide) * style[ASSERTIVENESS]
-    theta[_lattice.PACE] = style[PACE]
-    theta[_lattice.PACE_BEHIND] = style[PACE_BEHIND]
+    theta[_candidates.SIDE_MARGIN] = wide + (narrow - wide) * style[ASSERTIVENESS]
+    theta[_candidates.PACE] = style[PACE]
+    theta[_candidates.PACE_BEHIND] = style[PACE_BEHIND]
     return theta
 
 
 @inner_kernel(forceinline=True)
 def _free(now):
     """Return the situation with an attack laid at any time."""
-    return _lattice.Situation(*now[:-1], True)  # type: ignore[call-arg]
+    return _candidates.Situation(*now[:-1], True)  # type: ignore[call-arg]
 
 
 @inner_kernel(forceinline=True)
@@ -197,28 +189,28 @@ def _eased(met):
 
 
 @inner_kernel(forceinline=True)
-def _meet_all(theta, now, start, scratch):
+def _meet_all(theta, laid, scratch):
     """Add the opponent's costs to the candidates near the min cost; return the min cost."""
-    margin = theta[_lattice.SIDE_MARGIN]
+    now, margin = laid.now, theta[_candidates.SIDE_MARGIN]
     side_reach = now.body + (margin if now.gives_way else 0.5 * margin)
-    w_near = _lattice._power_of_ten(theta[_lattice.PROXIMITY]) / 6.0
-    first = np.int64(np.argmin(scratch[_lattice._MIN_COST : _lattice._COSTS]))
+    w_near = _candidates.power_of_ten(theta[_candidates.PROXIMITY]) / 6.0
+    first = np.int64(np.argmin(scratch[rows.MIN_COST : rows.COSTS]))
     best = 1e30
     for k in range(-1, CANDIDATES):
         c = np.int64(first if k < 0 else k)
         if k == first:
             continue
-        cost = scratch[_lattice._MIN_COST + c]
+        cost = scratch[rows.MIN_COST + c]
         met, nearness = 0.0, 0.0
         if now.meets and cost < best + WINDOW:
             most = best + WINDOW - cost if best < WINDOW else 1e30
-            met, nearness = _lattice._meet_opponent(
-                scratch, now, start, c // GOALS, c % GOALS, side_reach, w_near, most
+            met, nearness = _candidates.meet_opponent(
+                scratch, now, laid.start, c // GOALS, c % GOALS, side_reach, w_near, most
             )
             met = _eased(met)
-        scratch[_MET + c] = met
-        scratch[_NEARNESS + c] = nearness
-        scratch[_lattice._COSTS + c] = cost + met
+        scratch[choice.MET + c] = met
+        scratch[choice.NEARNESS + c] = nearness
+        scratch[rows.COSTS + c] = cost + met
         best = min(best, cost + met)
     return best
 
@@ -235,7 +227,7 @@ def _speeds_up(view, memory):
 @inner_kernel(forceinline=True)
 def _above_profile(track, view):
     """Return the opponent's speed as a share of the profile's above 1, within .5."""
-    there = _lattice._sample_at(track.line, 1.0 / track.ds, view[_view.OPP_S])
+    there = sample_at(track.line, 1.0 / track.ds, view[_view.OPP_S])
     profile = max(view[_view.SPEED_HIGH] * track.line[there, _frenet.SPEED], 0.5)
     return _bounded(view[_view.OPP_V] / profile - 1.0, 0.5)
 
@@ -251,95 +243,103 @@ def _notice(track, view, now, memory):
 
 
 @inner_kernel(forceinline=True)
-def _describe_situation(track, style, view, memory, now, start, attacks, out):
-    """Write the features of the situation, all of order one, into ``out``, shape (CONTEXT,)."""
+def _flag(true):
+    return 1.0 if true else 0.0
+
+
+@inner_kernel(forceinline=True)
+def _describe_situation(track, style, view, memory, laid, attacks, out):
+    """Write the features of the situation."""
+    now, start = laid.now, laid.start
     line, per_ds, v = track.line, 1.0 / track.ds, now.v
     near = max(1.0 - abs(now.gap) / SIGHT, 0.0)
-    there = _lattice._sample_at(line, per_ds, view[_view.OPP_S])
-    out[0] = v / 8.0
-    out[1] = now.d
-    out[2] = 3.0 * now.slope
-    out[3] = view[_view.OWN_PSI_DOT] / 5.0
-    out[4] = 5.0 * view[_view.OWN_BETA]
-    out[5] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
-    out[6] = start.d
-    out[7] = 3.0 * start.slope
-    out[8] = 3.0 * (now.scale - 1.2)
-    out[9] = near
-    out[10] = near * _bounded(now.gap / 2.0, 2.0)
-    out[11] = near * (now.opponent_d - now.d)
-    out[12] = near * now.opponent_d
-    out[13] = near * _bounded(view[_view.OPP_D_DOT], 2.0)
-    out[14] = near * (now.opponent_v - v) / 3.0
-    out[15] = near * 2.0 * _above_profile(track, view)
-    out[16] = near * 2.0 * line[there, _frenet.KAPPA]
-    out[17] = 1.0 if now.meets else 0.0
-    out[18] = near if now.gives_way else -near
-    out[19] = 1.0 if now.follows else 0.0
-    out[20] = 1.0 if now.beside else 0.0
-    out[21] = 1.0 if attacks else 0.0
-    out[22] = _bounded(view[_view.GAP] / 10.0, 1.0)
-    out[23] = max(1.0 - abs(now.gap) / 3.0, 0.0)
-    out[24] = near * _bounded(_speeds_up(view, memory) / 5.0, 2.0)
-    out[25] = 4.0 * memory[_M_USUAL]
-    out[26] = 2.0 * style[RISK] - 1.0
-    out[27] = 2.0 * style[ASSERTIVENESS] - 1.0
-    out[28] = 2.0 * (style[PACE] - 1.0)
-    out[29] = 4.0 * style[PACE_BEHIND]
+    there = sample_at(line, per_ds, view[_view.OPP_S])
+    out[choice.OWN_V] = v / 8.0
+    out[choice.OWN_D] = now.d
+    out[choice.OWN_SLOPE] = 3.0 * now.slope
+    out[choice.OWN_YAW_RATE] = view[_view.OWN_PSI_DOT] / 5.0
+    out[choice.OWN_BETA] = 5.0 * view[_view.OWN_BETA]
+    out[choice.OWN_DELTA] = view[_view.OWN_DELTA] / view[_view.STEER_MAX]
+    out[choice.START_D] = start.d
+    out[choice.START_SLOPE] = 3.0 * start.slope
+    out[choice.OWN_SCALE] = 3.0 * (now.scale - 1.2)
+    out[choice.NEAR] = near
+    out[choice.NEAR_GAP] = near * _bounded(now.gap / 2.0, 2.0)
+    out[choice.NEAR_SIDE] = near * (now.opponent_d - now.d)
+    out[choice.NEAR_D] = near * now.opponent_d
+    out[choice.NEAR_D_DOT] = near * _bounded(view[_view.OPP_D_DOT], 2.0)
+    out[choice.NEAR_V] = near * (now.opponent_v - v) / 3.0
+    out[choice.NEAR_PROFILE] = near * 2.0 * _above_profile(track, view)
+    out[choice.NEAR_BEND] = near * 2.0 * line[there, _frenet.KAPPA]
+    out[choice.MEETS] = _flag(now.meets)
+    out[choice.RIGHT_OF_WAY] = near if now.gives_way else -near
+    out[choice.FOLLOWS] = _flag(now.follows)
+    out[choice.BESIDE] = _flag(now.beside)
+    out[choice.ATTACKS] = _flag(attacks)
+    out[choice.LEAD] = _bounded(view[_view.GAP] / 10.0, 1.0)
+    out[choice.VERY_NEAR] = max(1.0 - abs(now.gap) / 3.0, 0.0)
+    out[choice.NEAR_ACCELERATION] = near * _bounded(_speeds_up(view, memory) / 5.0, 2.0)
+    out[choice.USUAL] = 4.0 * memory[_M_USUAL]
+    out[choice.RISK] = 2.0 * style[RISK] - 1.0
+    out[choice.ASSERTIVENESS] = 2.0 * style[ASSERTIVENESS] - 1.0
+    out[choice.PACE] = 2.0 * (style[PACE] - 1.0)
+    out[choice.PACE_BEHIND] = 4.0 * style[PACE_BEHIND]
     step = 0.8 + 0.2 * v
     for j in range(BENDS):
-        i = _lattice._sample_at(line, per_ds, now.s + j * step)
-        out[OWN + j] = 2.0 * line[i, _frenet.KAPPA]
+        i = sample_at(line, per_ds, now.s + j * step)
+        out[choice.BEND + j] = 2.0 * line[i, _frenet.KAPPA]
         if j % 2 == 0:
-            out[OWN + BENDS + j // 2] = min(line[i, _frenet.LEFT], 2.0)
-            out[OWN + BENDS + WIDTHS + j // 2] = min(line[i, _frenet.RIGHT], 2.0)
+            out[choice.WIDTH_LEFT + j // 2] = min(line[i, _frenet.LEFT], 2.0)
+            out[choice.WIDTH_RIGHT + j // 2] = min(line[i, _frenet.RIGHT], 2.0)
 
 
 @inner_kernel(forceinline=True)
 def _describe_candidates(theta, view, now, best, scratch):
-    """Write the features of the moves, the speeds and the candidates, a row for each feature."""
-    moves, speeds, pairs = _MOVE, _SPEED, _PAIR
+    """Write the features of the moves, the speeds and the candidates."""
     near = max(1.0 - abs(now.gap) / SIGHT, 0.0)
-    defend = _lattice._defence(theta, view, now) / _lattice._power_of_ten(theta[_lattice.BLOCKING])
+    blocking = _candidates.power_of_ten(theta[_candidates.BLOCKING])
+    defend = _candidates.defence(theta, view, now) / blocking
     for g in range(GOALS):
-        goal = scratch[_lattice._GOAL_D + g]
-        scratch[moves + g] = 2.5 / scratch[_lattice._LENGTH + g]
-        scratch[moves + GOALS + g] = min(scratch[_lattice._MAX_KAPPA + g], 3.0)
-        scratch[moves + 2 * GOALS + g] = 2.0 * min(scratch[_lattice._MEAN_KAPPA + g], 2.0)
-        scratch[moves + 3 * GOALS + g] = min(scratch[_lattice._CHANGE + g], 3.0)
-        scratch[moves + 4 * GOALS + g] = 0.5 * scratch[_lattice._AWAY + g]
-        scratch[moves + 5 * GOALS + g] = 3.0 * scratch[_lattice._WALL_COST + g]
-        scratch[moves + 6 * GOALS + g] = min(defend * scratch[_lattice._ABREAST + g], 3.0)
-        scratch[moves + 7 * GOALS + g] = 3.0 * scratch[_lattice._CLOSE + g]
-        scratch[moves + 8 * GOALS + g] = goal
-        scratch[moves + 9 * GOALS + g] = goal - now.d
-        scratch[moves + 10 * GOALS + g] = near * (goal - now.opponent_d)
-        scratch[moves + 11 * GOALS + g] = near * abs(goal - now.opponent_d)
-        scratch[moves + 12 * GOALS + g] = 2.0 * _bounded(scratch[_lattice._MIN_AIR + g], 1.0)
-        scratch[moves + 13 * GOALS + g] = 5.0 * (
-            scratch[_lattice._SLOWED + g] / scratch[_lattice._STRETCH + g] - 1.0
-        )
+        goal = scratch[rows.GOAL_D + g]
+        scratch[choice.MOVE_LENGTH + g] = 2.5 / scratch[rows.LENGTH + g]
+        scratch[choice.MOVE_MAX_KAPPA + g] = min(scratch[rows.MAX_KAPPA + g], 3.0)
+        scratch[choice.MOVE_MEAN_KAPPA + g] = 2.0 * min(scratch[rows.MEAN_KAPPA + g], 2.0)
+        scratch[choice.MOVE_CHANGE + g] = min(scratch[rows.CHANGE + g], 3.0)
+        scratch[choice.MOVE_AWAY + g] = 0.5 * scratch[rows.AWAY + g]
+        scratch[choice.MOVE_WALLS + g] = 3.0 * scratch[rows.WALL_COST + g]
+        scratch[choice.MOVE_ABREAST + g] = min(defend * scratch[rows.ABREAST + g], 3.0)
+        scratch[choice.MOVE_CLOSE + g] = 3.0 * scratch[rows.CLOSE + g]
+        scratch[choice.MOVE_GOAL + g] = goal
+        scratch[choice.MOVE_SIDEWAYS + g] = goal - now.d
+        scratch[choice.MOVE_SIDE + g] = near * (goal - now.opponent_d)
+        scratch[choice.MOVE_DISTANCE + g] = near * abs(goal - now.opponent_d)
+        scratch[choice.MOVE_AIR + g] = 2.0 * _bounded(scratch[rows.MIN_AIR + g], 1.0)
+        gained = scratch[rows.SLOWED + g] / scratch[rows.STRETCH + g] - 1.0
+        scratch[choice.MOVE_GAIN + g] = 5.0 * gained
+    fastest, profile = scratch[rows.DRIVEN], scratch[rows.DRIVEN + 1]
     for f in range(SPEEDS):
-        driven = scratch[_lattice._DRIVEN + f]
-        scratch[speeds + f] = (scratch[_lattice._OWN_V + 4 * SPEEDS + f] - now.v) / 3.0
-        scratch[speeds + SPEEDS + f] = scratch[_lattice._BRAKED + f] / 3.0
-        scratch[speeds + 2 * SPEEDS + f] = min(scratch[_lattice._DRIVEN] / driven - 1.0, 2.0)
-        scratch[speeds + 3 * SPEEDS + f] = (driven - scratch[_lattice._DRIVEN + 1]) / 4.0
+        driven = scratch[rows.DRIVEN + f]
+        gained = scratch[rows.OWN_V + 4 * SPEEDS + f] - now.v
+        scratch[choice.SPEED_GAIN + f] = gained / 3.0
+        scratch[choice.SPEED_BRAKED + f] = scratch[rows.BRAKED + f] / 3.0
+        scratch[choice.SPEED_BEHIND + f] = min(fastest / driven - 1.0, 2.0)
+        scratch[choice.SPEED_AHEAD + f] = (driven - profile) / 4.0
         for k in range(SPEEDS):
-            scratch[speeds + (4 + k) * SPEEDS + f] = 1.0 if k == f else 0.0
+            scratch[choice.SPEED_IS + k * SPEEDS + f] = _flag(k == f)
     for f in range(SPEEDS):
-        fast = 0.1 * scratch[_lattice._FAST + f]
+        fast = 0.1 * scratch[rows.FAST + f]
         for g in range(GOALS):
             c = f * GOALS + g
-            aside = scratch[_lattice._ASIDE + c]
-            above = scratch[_lattice._COSTS + c] - best
-            scratch[pairs + c] = min(2.5 * fast * scratch[_lattice._KAPPA_RATE + g], 3.0)
-            scratch[pairs + CANDIDATES + c] = min(aside / 10.0, 3.0)
-            scratch[pairs + 2 * CANDIDATES + c] = min(max(aside - now.grip, 0.0), 3.0)
-            scratch[pairs + 3 * CANDIDATES + c] = scratch[_lattice._BEHIND + c] / 5.0
-            scratch[pairs + 4 * CANDIDATES + c] = min(scratch[_NEARNESS + c], 4.0)
-            scratch[pairs + 5 * CANDIDATES + c] = _root(min(scratch[_MET + c], WINDOW))
-            scratch[pairs + 6 * CANDIDATES + c] = _root(above) if above <= WINDOW else -1.0
+            aside = scratch[rows.ASIDE + c]
+            above = scratch[rows.COSTS + c] - best
+            rate = 2.5 * fast * scratch[rows.KAPPA_RATE + g]
+            scratch[choice.PAIR_KAPPA_RATE + c] = min(rate, 3.0)
+            scratch[choice.PAIR_ASIDE + c] = min(aside / 10.0, 3.0)
+            scratch[choice.PAIR_STRAIN + c] = min(max(aside - now.grip, 0.0), 3.0)
+            scratch[choice.PAIR_BEHIND + c] = scratch[rows.BEHIND + c] / 5.0
+            scratch[choice.PAIR_NEARNESS + c] = min(scratch[choice.NEARNESS + c], 4.0)
+            scratch[choice.PAIR_MET + c] = _root(min(scratch[choice.MET + c], WINDOW))
+            scratch[choice.PAIR_ABOVE + c] = _root(above) if above <= WINDOW else -1.0
 
 
 @inner_kernel
@@ -349,32 +349,31 @@ def describe(track, lattice, style, view, memory, scratch):
     ``lattice`` holds parameters of the lattice. The last feature of a candidate is -1 if the
     candidate is rejected.
     """
-    theta = scratch[_STYLED:TOTAL]
+    theta = scratch[choice.STYLED : TOTAL]
     _shape(lattice, style, theta)
-    now = _lattice._situation(track, theta, view, memory)
+    now = _candidates.situation(track, theta, view, memory)
     attacks = now.attacks
-    now = _free(now)
-    start, _ = _lattice._lay_candidates(track, theta, view, memory, now, scratch)
+    laid = _candidates.lay_candidates(track, theta, view, memory, _free(now), scratch)
     if not attacks:
-        costs = scratch[_lattice._MIN_COST : _lattice._COSTS]
+        costs = scratch[rows.MIN_COST : rows.COSTS]
         for g in range(GOALS):
             costs[g] = costs[GOALS + g] + UNASKED
-    best = _meet_all(theta, now, start, scratch)
-    out = scratch[_CONTEXT : _CONTEXT + CONTEXT]
-    _describe_situation(track, style, view, memory, now, start, attacks, out)
-    _describe_candidates(theta, view, now, best, scratch)
+    best = _meet_all(theta, laid, scratch)
+    _describe_situation(track, style, view, memory, laid, attacks, scratch)
+    _describe_candidates(theta, view, laid.now, best, scratch)
 
 
 @inner_kernel
 def take(track, lattice, style, view, memory, scratch, chosen, path):
     """Write the path of a candidate, after `describe` with the same scratch."""
-    theta = scratch[_STYLED:TOTAL]
+    theta = scratch[choice.STYLED : TOTAL]
     _shape(lattice, style, theta)
-    now = _lattice._situation(track, theta, view, memory)
+    now = _candidates.situation(track, theta, view, memory)
     attacks = now.attacks
     now = _free(now)
-    way = _lattice._way_back(now, _lattice._plan_by_now(memory, now, track.length))
-    _lattice._take(track, view, memory, now, way, attacks, scratch, chosen, path)
+    start = _candidates.plan_by_now(memory, now, track.length)
+    laid = _candidates.Laid(now, start, _candidates.way_back(now, start))
+    _candidates.take(track, view, memory, laid, attacks, scratch, chosen, path)
     _notice(track, view, now, memory)
 
 
@@ -382,16 +381,16 @@ def take(track, lattice, style, view, memory, scratch, chosen, path):
 def put_away(scratch, laid):
     """Copy all that `take` needs from a scratch into ``laid``, shape (LAID,)."""
     _copy(scratch, laid[:_MOVES_END])
-    _copy(scratch[_lattice._SQUARE :], laid[_MOVES_END:_PROFILES_END])
-    _copy(scratch[_lattice._OPP_S :], laid[_PROFILES_END:LAID])
+    _copy(scratch[rows.SQUARE :], laid[_MOVES_END:_PROFILES_END])
+    _copy(scratch[rows.OPP_S :], laid[_PROFILES_END:LAID])
 
 
 @inner_kernel
 def put_back(laid, scratch):
     """Copy ``laid`` of `put_away` back into a scratch."""
     _copy(laid, scratch[:_MOVES_END])
-    _copy(laid[_MOVES_END:], scratch[_lattice._SQUARE : _lattice._NOW_S])
-    _copy(laid[_PROFILES_END:], scratch[_lattice._OPP_S : SCRATCH])
+    _copy(laid[_MOVES_END:], scratch[rows.SQUARE : rows.NOW_S])
+    _copy(laid[_PROFILES_END:], scratch[rows.OPP_S : SCRATCH])
 
 
 @inner_kernel(forceinline=True)
@@ -429,9 +428,9 @@ def _part(flat, features, step, linear, weights, part):
 @inner_kernel
 def choose(flat, scratch):
     """Return the candidate with the max score; ``flat`` holds the network's numbers."""
-    inner, hidden = scratch[_INNER:_HIDDEN], scratch[_HIDDEN:_LINEAR]
-    linear, units = scratch[_LINEAR:_OF_MOVES], scratch[_SCORES:_STYLED]
-    _dense(flat, AT.context, scratch[_CONTEXT:_MOVE], inner)
+    inner, hidden = scratch[choice.INNER_AT : choice.HIDDEN], scratch[choice.HIDDEN : choice.LINEAR]
+    linear, units = scratch[choice.LINEAR : choice.OF_MOVES], scratch[choice.SCORES : choice.STYLED]
+    _dense(flat, AT.context, scratch[choice.SITUATION : choice.MOVES], inner)
     for k in range(INNER):
         inner[k] = hyperbolic_tangent(inner[k])
     _dense(flat, AT.situation, inner, hidden)
@@ -439,21 +438,30 @@ def choose(flat, scratch):
     _add(1.0, flat[AT.candidate : AT.candidate + UNITS], hidden)
     weights, width = flat[AT.candidate + UNITS : AT.score], UNITS + 1
     for g in range(GOALS):
-        part = scratch[_OF_MOVES + g * width : _OF_MOVES + (g + 1) * width]
-        _part(flat, scratch[_MOVE + g : _SPEED], GOALS, linear[:MOVE], weights, part)
+        part = scratch[choice.OF_MOVES + g * width : choice.OF_MOVES + (g + 1) * width]
+        _part(
+            flat, scratch[choice.MOVES + g : choice.SPEEDS_AT], GOALS, linear[:MOVE], weights, part
+        )
     weights = weights[UNITS * MOVE :]
     for f in range(SPEEDS):
-        part = scratch[_OF_SPEEDS + f * width : _OF_SPEEDS + (f + 1) * width]
-        _part(flat, scratch[_SPEED + f : _PAIR], SPEEDS, linear[MOVE : MOVE + SPEED], weights, part)
+        part = scratch[choice.OF_SPEEDS + f * width : choice.OF_SPEEDS + (f + 1) * width]
+        _part(
+            flat,
+            scratch[choice.SPEEDS_AT + f : choice.PAIRS],
+            SPEEDS,
+            linear[MOVE : MOVE + SPEED],
+            weights,
+            part,
+        )
     weights, out = weights[UNITS * SPEED :], flat[AT.score + 1 : AT.end]
     chosen, best = 0, -1e30
     for c in range(CANDIDATES):
-        pair = scratch[_PAIR + c : _INNER]
+        pair = scratch[choice.PAIRS + c : choice.INNER_AT]
         above = pair[(PAIR - 1) * CANDIDATES]
         if above < 0.0:
             continue
-        move = scratch[_OF_MOVES + (c % GOALS) * width :]
-        speed = scratch[_OF_SPEEDS + (c // GOALS) * width :]
+        move = scratch[choice.OF_MOVES + (c % GOALS) * width :]
+        speed = scratch[choice.OF_SPEEDS + (c // GOALS) * width :]
         score = move[UNITS] + speed[UNITS] - SHARPNESS * above
         for u in range(UNITS):
             units[u] = hidden[u] + move[u] + speed[u]

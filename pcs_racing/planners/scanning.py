@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import compiled, kernel
 from pcs_racing.base.elementary import sine_cosine, tangent
-from pcs_racing.car.lidar import WORK_SHAPE, Beams, scan_into
+from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
-from pcs_racing.car.lidar_kernel import scan_moving
+from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, Pose, scan_into, scan_moving
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.pursuit import follow_path, steady_course
 from pcs_racing.planners.view import PATH_POINTS
@@ -63,15 +63,20 @@ def scan_beams(track, beams, view, turn, work, ranges):
         view[_view.TRUE_S],
     )
     x, y, s = lidar_place(track, x, y, psi, s, view[_view.LIDAR_X], view[_view.LIDAR_Y])
-    other = view[_view.TRUE_OPP_X], view[_view.TRUE_OPP_Y], view[_view.TRUE_OPP_PSI]
-    half_length, half_width = 0.5 * view[_view.TRUE_OPP_LENGTH], 0.5 * view[_view.TRUE_OPP_WIDTH]
-    heading = psi + view[_view.LIDAR_YAW] + turn
+    other = Rectangle(
+        view[_view.TRUE_OPP_X],
+        view[_view.TRUE_OPP_Y],
+        view[_view.TRUE_OPP_PSI],
+        0.5 * view[_view.TRUE_OPP_LENGTH],
+        0.5 * view[_view.TRUE_OPP_WIDTH],
+    )
+    pose = Pose(x, y, psi + view[_view.LIDAR_YAW] + turn)
     lanes = work.reshape(WORK_SHAPE)
-    scan_into(track, beams, x, y, heading, s, True, *other, half_length, half_width, lanes, ranges)
+    scan_into(track, beams, pose, s, True, other, lanes, ranges)
     if track.moving.shape[0] > 0:
         for k in range(ranges.shape[0]):
             ranges[k] = 1.0 / ranges[k]
-        scan_moving(track, beams, x, y, heading, view[_view.TIME], lanes, ranges)
+        scan_moving(track, beams, pose, view[_view.TIME], lanes, ranges)
         for k in range(ranges.shape[0]):
             ranges[k] = 1.0 / ranges[k]
     key = np.uint64(view[_view.SCAN_KEY] * 2.0**53)

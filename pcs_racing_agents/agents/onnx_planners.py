@@ -6,8 +6,8 @@ import numpy as np
 
 from pcs_racing.car.tyres import GRAVITY
 from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.field import lidar_ppo
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     LATTICE_SIZE,

@@ -25,14 +25,16 @@ References
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential, tangent
-from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.track import frenet as _frenet
@@ -161,113 +163,97 @@ def _row(table, s):
     return 4 * min(max(int((s + BACK) / SPACE), 0), PLACES - 1)
 
 
+class _State(NamedTuple):
+    """A car in the game."""
+
+    s: float  #: Arc length from the own car on, m.
+    v: float  #: Speed, m/s.
+    d: float  #: Distance from the race line, m.
+    rate: float  #: Change of this distance, m/s.
+
+
+class _Choice(NamedTuple):
+    """A car with one of its samples."""
+
+    five: NDArray[np.float64]  #: Parameters of the sample.
+    decay: float  #: Share of a deviation that a step leaves.
+    home: float  #: Distance from the race line that the car prefers, m.
+    top: float  #: Factor of the speed profile.
+
+
+class _Limits(NamedTuple):
+    """Numbers of the game that hold for both cars."""
+
+    dt: float  #: Length of a step, s.
+    grip: float  #: Max lateral acceleration, m/s^2.
+    long: float  #: Distance along the track below which the cars are level, m.
+    wide: float  #: Distance across below which a car follows, m.
+
+
+class _Begin(NamedTuple):
+    """Begin of the game."""
+
+    own: _State
+    opponent: _State
+    scale: float  #: Factor of the own speed profile.
+    opp_scale: float  #: Factor of the opponent's speed profile.
+
+
 @inner_kernel(forceinline=True)
-def _step(
-    theta,
-    table,
-    dt,
-    five,
-    decay,
-    home,
-    top,
-    grip,
-    long,
-    wide,
-    s,
-    v,
-    d,
-    rate,
-    other_s,
-    other_v,
-    other_d,
-):
-    """Advance a car by ``dt``; return arc length, speed, distance from the line, its rate, cost."""
-    here, time, gap = table[_row(table, s) :], five[_T], other_s - s
-    soon = table[_row(table, s + 2.0 * v * time) :]  # the spring lags
-    place = home
-    if gap < -long:
-        place += five[_BLOCK] * _near(gap, BEHIND) * (other_d - home)
+def _step(theta, table, limits, choice, car, other):
+    """Return a car after a step, and the cost of the step."""
+    five, dt = choice.five, limits.dt
+    here, time, gap = table[_row(table, car.s) :], five[_T], other.s - car.s
+    soon = table[_row(table, car.s + 2.0 * car.v * time) :]  # the spring lags
+    place = choice.home
+    if gap < -limits.long:
+        place += five[_BLOCK] * _near(gap, BEHIND) * (other.d - choice.home)
     elif five[_SHIFT] != 0.0:
-        place += _near(gap, five[_RANGE]) * (other_d + five[_SHIFT] - home)
+        place += _near(gap, five[_RANGE]) * (other.d + five[_SHIFT] - choice.home)
     place = min(max(place, here[_RIGHT], soon[_RIGHT]), here[_LEFT], soon[_LEFT])
     # The exact step of a critically damped spring.
-    stray = d - place
-    pull = rate + stray / time
-    d = place + (stray + pull * dt) * decay
-    rate = (rate - pull * dt / time) * decay
+    stray = car.d - place
+    pull = car.rate + stray / time
+    d = place + (stray + pull * dt) * choice.decay
+    rate = (car.rate - pull * dt / time) * choice.decay
     stretch = max(1.0 - here[_KAPPA] * d, 0.25)
     wanted = min(
-        five[_F] * top * here[_SPEED], np.sqrt(grip * stretch / max(abs(here[_KAPPA]), 1e-6))
+        five[_F] * choice.top * here[_SPEED],
+        np.sqrt(limits.grip * stretch / max(abs(here[_KAPPA]), 1e-6)),
     )
-    if gap > 0.0 and abs(other_d - d) < wide:
-        wanted = min(wanted, max(other_v + theta[_P] * (gap - theta[_GAP]), 0.0))
-    v = max(min(wanted, v + dt * MAX_ACCELERATION), v - dt * MAX_BRAKING, 0.0)
+    if gap > 0.0 and abs(other.d - d) < limits.wide:
+        wanted = min(wanted, max(other.v + theta[_P] * (gap - theta[_GAP]), 0.0))
+    v = max(min(wanted, car.v + dt * MAX_ACCELERATION), car.v - dt * MAX_BRAKING, 0.0)
     off = d < here[_RIGHT] - 0.05 or d > here[_LEFT] + 0.05
-    cost = theta[SIDE] * abs(d - home) / STEPS + (WALL / STEPS if off else 0.0)
-    return s + dt * v / stretch, v, d, rate, cost
+    cost = theta[SIDE] * abs(d - choice.home) / STEPS + (WALL / STEPS if off else 0.0)
+    return _State(car.s + dt * v / stretch, v, d, rate), cost
 
 
 @inner_kernel
-def _play(theta, view, dt, at, d, rate, opp_d, scale, opp_scale, i, j, scratch):
+def _play(theta, view, dt, begin, i, j, scratch):
     """Simulate both cars with one sample each; write the own plan, return both payoffs (m)."""
+    car, opp, scale = begin.own, begin.opponent, begin.scale
     grip = within_grip(view, 1.3 * _line.GRIP * max(scale * scale, 1.0))
     table = scratch[_TABLE:_LANE]
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
-    near = wide + 0.1
-    own, opp = scratch[i * NUMBERS :], scratch[(SAMPLES + j) * NUMBERS :]
-    own_decay, opp_decay = exponential(-dt / own[_T]), exponential(-dt / opp[_T])
-    s, v, home = 0.0, view[_view.OWN_V], opp_d
-    opp_s, opp_v, opp_rate = at, view[_view.OPP_V], view[_view.OPP_D_DOT]
+    limits = _Limits(dt, grip, long, wide + 0.1)
+    own_five, opp_five = scratch[i * NUMBERS :], scratch[(SAMPLES + j) * NUMBERS :]
+    own = _Choice(own_five, exponential(-dt / own_five[_T]), 0.0, scale)
+    other = _Choice(opp_five, exponential(-dt / opp_five[_T]), opp.d, begin.opp_scale)
     value, opp_value = 0.0, 0.0
     for k in range(STEPS):
-        was_s, was_v, was_d = s, v, d
-        s, v, d, rate, cost = _step(
-            theta,
-            table,
-            dt,
-            own,
-            own_decay,
-            0.0,
-            scale,
-            grip,
-            long,
-            near,
-            s,
-            v,
-            d,
-            rate,
-            opp_s,
-            opp_v,
-            opp_d,
-        )
-        opp_s, opp_v, opp_d, opp_rate, opp_cost = _step(
-            theta,
-            table,
-            dt,
-            opp,
-            opp_decay,
-            home,
-            opp_scale,
-            grip,
-            long,
-            near,
-            opp_s,
-            opp_v,
-            opp_d,
-            opp_rate,
-            was_s,
-            was_v,
-            was_d,
-        )
+        was = car
+        car, cost = _step(theta, table, limits, own, car, opp)
+        opp, opp_cost = _step(theta, table, limits, other, opp, was)
         value, opp_value = value - cost, opp_value - opp_cost
-        scratch[_PLAN + k], scratch[_PLAN + STEPS + k] = s, d
+        scratch[_PLAN + k], scratch[_PLAN + STEPS + k] = car.s, car.d
         # Missing clearance costs while the cars are level; in the first 0.5 s only an overlap does.
-        if abs(opp_s - s) < long:
-            lack = max(wide + (theta[OPPONENT_AIR] if k > 1 else 0.0) - abs(opp_d - d), 0.0)
+        if abs(opp.s - car.s) < long:
+            lack = max(wide + (theta[OPPONENT_AIR] if k > 1 else 0.0) - abs(opp.d - car.d), 0.0)
             cost = COLLISION * lack / wide * (1.5 - k / STEPS)
             value, opp_value = value - cost, opp_value - cost
-    gained, lost = s, opp_s - at
+    gained, lost = car.s, opp.s - begin.opponent.s
     return value + gained - theta[RIVALRY] * lost, opp_value + lost - theta[RIVALRY] * gained
 
 
@@ -334,14 +320,20 @@ def plan(track, theta, view, memory, scratch, path):
     _lay_table(track, view, keep, scratch[_TABLE:_LANE])
     _draw(theta, clear, True, scratch)
     _draw(theta, clear, gap < 0.0, scratch[SAMPLES * NUMBERS :])
+    begin = _Begin(
+        _State(0.0, view[_view.OWN_V], d, rate),
+        _State(gap, view[_view.OPP_V], opp_d, view[_view.OPP_D_DOT]),
+        scale,
+        opp_scale,
+    )
     own, opponent = scratch[_VALUES : _VALUES + _PAIRS], scratch[_VALUES + _PAIRS : _MEANS]
     for i in range(SAMPLES):
         for j in range(SAMPLES):
             own[i * SAMPLES + j], opponent[i * SAMPLES + j] = _play(
-                theta, view, STEP, gap, d, rate, opp_d, scale, opp_scale, i, j, scratch
+                theta, view, STEP, begin, i, j, scratch
             )
     i, j = best_of_potential(own, opponent, scratch[_MEANS:_TABLE], int(memory[_CHOSEN]) - 1)
-    _play(theta, view, FINE, gap, d, rate, opp_d, scale, opp_scale, i, j, scratch)
+    _play(theta, view, FINE, begin, i, j, scratch)
     memory[_CHOSEN] = i + 1.0
     along, factor = scratch[_PLAN : _PLAN + STEPS], scratch[i * NUMBERS + _F]
     _line.lay_lane(view, d, along, scratch[_PLAN + STEPS : _VALUES], lane)

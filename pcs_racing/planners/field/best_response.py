@@ -24,13 +24,16 @@ References
    self-driving cars in multivehicle competitive scenarios", IEEE Transactions on Robotics, 2021.
 """
 
+from typing import NamedTuple
+
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
-from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.track import frenet as _frenet
 
@@ -91,15 +94,35 @@ _LANE = _SIDE_OF + STEPS
 SCRATCH = _LANE + _line.LANE_SIZE
 
 
+class _Car(NamedTuple):
+    """A car at the begin of a plan."""
+
+    s: float  #: Arc length from the own car on, m.
+    v: float  #: Speed, m/s.
+    d: float  #: Distance from the race line, m.
+    rate: float  #: Change of this distance, m/s.
+    scale: float  #: Factor of the speed profile.
+
+
+class _Plans(NamedTuple):
+    """A plan, and all that it responds to."""
+
+    plan: NDArray[np.float64]  #: Plan to write or replace.
+    other: NDArray[np.float64]  #: Plan of the other car.
+    pull: NDArray[np.float64]  #: Multipliers that draw the plan towards the other car, 1/m.
+    reach: float  #: Distance along the track below which the cars are level, m.
+    clear: float  #: Distance across to keep, m.
+
+
 @inner_kernel
-def _go(track, s_from, at, v, scale, plan, other, blocked, keep_back):
+def _go(track, s_from, car, plan, other, blocked, keep_back):
     """Write the arc lengths of a plan: as fast as the profile allows, and behind a blocking car.
 
     Returns the last arc length.
     """
-    s = at
+    s, v = car.s, car.v
     for k in range(STEPS):
-        profile = scale * track.line[line_index(track, s_from + s), _frenet.SPEED]
+        profile = car.scale * track.line[line_index(track, s_from + s), _frenet.SPEED]
         slowest = max(v - STEP * MAX_BRAKING, 0.0)
         v = max(min(v + STEP * MAX_ACCELERATION, profile), slowest)
         if blocked:
@@ -135,13 +158,14 @@ def _solve(main, following, after, right):
 
 
 @inner_kernel
-def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
+def _across(theta, car, side, plans, scratch):
     """Write distances from the line and multipliers of a plan.
 
-    The plan passes the other car on ``side`` (0: no pass). ``pull`` (1/m) are the opponent's
-    multipliers, which draw the plan towards the opponent. Returns the max missing clearance to the
+    The plan passes the other car on ``side`` (0: no pass). Returns the max missing clearance to the
     other car or a wall, m.
     """
+    d, reach, clear = car.d, plans.reach, plans.clear
+    plan, other = plans.plan, plans.other
     main, following, after = scratch[_MAIN:_NEXT], scratch[_NEXT:_AFTER], scratch[_AFTER:_SIDE_OF]
     out = plan[STEPS : 2 * STEPS]
     multiplier = plan[2 * STEPS : 3 * STEPS]
@@ -149,7 +173,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
     out[:], multiplier[:] = d, 0.0
     missing = 0.0
     for turn in range(PASSES):
-        previous = d - STEP * rate
+        previous = d - STEP * car.rate
         for k in range(STEPS):
             was = out[k]
             # Squares of d[k] - 2 d[k - 1] + d[k - 2], with the two positions before the plan given.
@@ -173,7 +197,7 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
             if turn > 0 and was != inside:
                 main[k] += 2.0 * STEEP
                 right += 2.0 * STEEP * inside
-            right += pull[k] * min(max(other[STEPS + k] - was, -0.5), 0.5)
+            right += plans.pull[k] * min(max(other[STEPS + k] - was, -0.5), 0.5)
             multiplier[k] = right
         for k in range(STEPS):
             out[k] = multiplier[k]
@@ -192,17 +216,17 @@ def _across(theta, d, rate, side, reach, clear, pull, plan, other, scratch):
 
 
 @inner_kernel
-def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, other, scratch):
+def _reply(track, theta, view, car, last, plans, scratch):
     """Replace a plan by the best response to the other plan; return its passing side."""
+    plan, other, pull, reach, clear = plans
     s0 = view[_view.OWN_S]
     trial = scratch[_TRIAL : _TRIAL + _PLAN]
-    reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.3
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     nothing = scratch[_SIDE_OF : _SIDE_OF + STEPS]
     chosen, best = 0.0, -np.inf
     for way in (1.0, -1.0, 0.0):
         side, blocked = way, way == 0.0
-        end = _go(track, s0, at, v, scale, trial, other, blocked, theta[FOLLOW])
+        end = _go(track, s0, car, trial, other, blocked, theta[FOLLOW])
         meets = False
         for k in range(STEPS):
             sample = track.line[line_index(track, s0 + trial[k])]
@@ -212,7 +236,8 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
             meets = meets or abs(trial[k] - other[k]) < reach
         if blocked and not meets:
             pull = nothing
-        missing = _across(theta, d, rate, side, reach, clear, pull, trial, other, scratch)
+        tried = _Plans(trial, other, pull, reach, clear)
+        missing = _across(theta, car, side, tried, scratch)
         aside = 0.0
         for k in range(STEPS):
             aside += abs(trial[STEPS + k]) / STEPS
@@ -226,7 +251,7 @@ def _reply(track, theta, view, at, v, d, rate, scale, clear, last, pull, plan, o
             value -= IMPOSSIBLE
         if not meets and not blocked:
             # No car is met: the line is free.
-            _across(theta, d, rate, 0.0, reach, clear, pull, trial, other, scratch)
+            _across(theta, car, 0.0, tried, scratch)
             side, value = 0.0, IMPOSSIBLE
         if value > best:
             best, chosen = value, side
@@ -251,56 +276,30 @@ def plan(track, theta, view, memory, scratch, path):
             view[_view.OWN_D],
             tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0)),
         )
-    rate = view[_view.OWN_V] * slope
-    clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     far = not -SIGHT < gap < SIGHT
     opp_scale = view[_view.OPP_V] / track.line[line_index(track, s0 + gap), _frenet.SPEED]
     # The opponent's first plan keeps its position across the track.
-    _go(track, s0, gap, view[_view.OPP_V], opp_scale, opponent, own, False, 0.0)
+    opp_v = view[_view.OPP_V]
+    car = _Car(0.0, view[_view.OWN_V], d0, view[_view.OWN_V] * slope, scale)
+    other = _Car(gap, opp_v, view[_view.OPP_D], view[_view.OPP_D_DOT], opp_scale)
+    _go(track, s0, other, opponent, own, False, 0.0)
     for k in range(STEPS):
         opponent[k] += 1e6 if far else 0.0
         opponent[STEPS + k] = view[_view.OPP_D]
         opponent[2 * STEPS + k] = own[2 * STEPS + k] = scratch[_SIDE_OF + k] = 0.0
-    pull = opponent[2 * STEPS :]
+    pull, none = opponent[2 * STEPS :], scratch[_SIDE_OF : _SIDE_OF + STEPS]
+    reach = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.3
+    clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
+    own_plans = _Plans(own, opponent, pull, reach, clear)
+    other_plans = _Plans(opponent, own, none, reach, clear)
     side = memory[_PASSED]
     for turn in range(int(theta[ROUNDS])):
         if turn > 0 and not far:
-            none = scratch[_SIDE_OF : _SIDE_OF + STEPS]
-            _reply(
-                track,
-                theta,
-                view,
-                gap,
-                view[_view.OPP_V],
-                view[_view.OPP_D],
-                view[_view.OPP_D_DOT],
-                opp_scale,
-                clear,
-                0.0,
-                none,
-                opponent,
-                own,
-                scratch,
-            )
+            _reply(track, theta, view, other, 0.0, other_plans, scratch)
             for k in range(STEPS):
                 # Only a car behind is blocked.
                 pull[k] = theta[SENSITIVITY] * pull[k] if gap < 0.0 else 0.0
-        side = _reply(
-            track,
-            theta,
-            view,
-            0.0,
-            view[_view.OWN_V],
-            d0,
-            rate,
-            scale,
-            clear,
-            memory[_PASSED],
-            pull,
-            own,
-            opponent,
-            scratch,
-        )
+        side = _reply(track, theta, view, car, memory[_PASSED], own_plans, scratch)
     memory[_PASSED] = side
     _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
     _line.keep_lane(view, lane, memory)

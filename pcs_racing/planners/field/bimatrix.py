@@ -18,12 +18,14 @@ References
    Transactions on Control Systems Technology 28(3), 2020, arXiv:1712.03913.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.track import frenet as _frenet
@@ -67,24 +69,39 @@ _LANE = _OPP + MOVES * MOVES
 SCRATCH = _LANE + _line.LANE_SIZE
 
 
+class _Car(NamedTuple):
+    """A car at the begin of its trajectories."""
+
+    number: int  #: 0 for the own car, 1 for the opponent.
+    begin: float  #: Arc length from the own car on, m.
+    v: float  #: Speed, m/s.
+    d: float  #: Distance from the race line, m.
+    home: float  #: Preferred distance from the race line, m.
+    slope: float  #: Change of the distance along the line.
+    scale: float  #: Factor of the speed profile.
+    follow: float  #: Max speed of the moves that follow, m/s.
+
+
 @inner_kernel
-def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, follow, scratch):
-    """Write the trajectories of a car ``begin`` m ahead of the own car; it prefers ``home`` (m)."""
-    s0, reach = view[_view.OWN_S], max(3.0, 1.2 * v)
+def _trajectories(track, theta, view, car, scratch):
+    """Write the trajectories of a car."""
+    s0, reach = view[_view.OWN_S], max(3.0, 1.2 * car.v)
+    begin, d, home, scale = car.begin, car.d, car.home, car.scale
     grip = within_grip(view, GRIP * max(scale * scale, 1.0))
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     for move in range(MOVES):
-        first, speed, aside, fits = (car * MOVES + move) * STEPS, v, 0.0, True
+        first, speed, aside, fits = (car.number * MOVES + move) * STEPS, car.v, 0.0, True
         end = home + (move % PLACES - PLACES // 2) * PLACE_STEP
         along, sample = begin, track.line[line_index(track, s0 + begin)]
         for k in range(STEPS):
-            wanted = min(scale * sample[_frenet.SPEED], follow if move >= PLACES else np.inf)
+            wanted = min(scale * sample[_frenet.SPEED], car.follow if move >= PLACES else np.inf)
             speed = max(
                 min(wanted, speed + STEP * MAX_ACCELERATION), speed - STEP * MAX_BRAKING, 0.0
             )
             along += STEP * speed
             u = min((along - begin) / reach, 1.0)
-            across = end + (1.0 - u) * (1.0 - u) * ((1.0 + 2.0 * u) * (d - end) + u * reach * slope)
+            q = 1.0 - u
+            across = end + q * q * ((1.0 + 2.0 * u) * (d - end) + u * reach * car.slope)
             bend = (6.0 - 12.0 * u) * (end - d) / (reach * reach) if u < 1.0 else 0.0
             sample = track.line[line_index(track, s0 + along)]
             off = abs(across) > _line.ON_LINE
@@ -94,7 +111,7 @@ def _trajectories(track, theta, view, car, begin, v, d, home, slope, scale, foll
             scratch[_S + first + k], scratch[_D + first + k] = along, across
             aside += abs(across - home) / STEPS
         value = along - begin - theta[SIDE] * aside - (0.0 if fits else IMPOSSIBLE)
-        scratch[_VALUE + car * MOVES + move] = value
+        scratch[_VALUE + car.number * MOVES + move] = value
 
 
 @inner_kernel
@@ -164,14 +181,12 @@ def plan(track, theta, view, memory, scratch, path):
     follow = _line.trailing_speed(theta, view, gap) if gap > 0.0 else PART * view[_view.OWN_V]
     opp_scale = opp_v / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
     opp_slope = view[_view.OPP_D_DOT] / max(opp_v, 1.0)
-    _trajectories(
-        track, theta, view, 0, 0.0, view[_view.OWN_V], d, 0.0, slope, scale, follow, scratch
-    )
+    own = _Car(0, 0.0, view[_view.OWN_V], d, 0.0, slope, scale, follow)
+    _trajectories(track, theta, view, own, scratch)
     behind = view[_view.OWN_V] if gap < 0.0 else PART * opp_v
     opp_d = view[_view.OPP_D]
-    _trajectories(
-        track, theta, view, 1, gap, opp_v, opp_d, opp_d, opp_slope, opp_scale, behind, scratch
-    )
+    opponent = _Car(1, gap, opp_v, opp_d, opp_d, opp_slope, opp_scale, behind)
+    _trajectories(track, theta, view, opponent, scratch)
     leads = gap < 0.0
     _payoffs(theta, view, leads, memory[_CHOSEN], scratch)
     move = solve(scratch[_OWN:_OPP], scratch[_OPP:_LANE], leads)

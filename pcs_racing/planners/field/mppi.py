@@ -18,15 +18,17 @@ References
    2017.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.seeds import GOLDEN, scramble, scramble_one
-from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.planners.view import PATH_POINTS
@@ -154,9 +156,29 @@ def _advance(s, d, e, v, kappa, a, line_kappa):
     return s + along, d + STEP * v * sine, min(max(turned, -1.0), 1.0), max(v + STEP * a, 0.1)
 
 
+class _Limits(NamedTuple):
+    """Numbers that hold for all steps of a plan."""
+
+    sd_kappa: float  #: Standard deviation of the curvatures, 1/m.
+    grip: float  #: Free lateral acceleration, m/s^2.
+    scale: float  #: Factor of the speed profile.
+
+
+class _Step(NamedTuple):
+    """A step of the plan."""
+
+    k: int  #: Number of the step.
+    opp_s: float  #: Opponent's arc length from the car on, m.
+    opp_d: float  #: Opponent's distance from the race line, m.
+    kappa: float  #: Curvature of the plan relative to the race line, 1/m.
+    a: float  #: Acceleration of the plan, m/s^2.
+
+
 @inner_kernel
-def _drive_copies(theta, view, sd_kappa, grip, scale, k, opp_s, opp_d, kappa0, a0, scratch):
+def _drive_copies(theta, view, limits, step, scratch):
     """Drive all copies by one step of the plan, and add its cost (code for vectorisation)."""
+    sd_kappa, grip, scale = limits
+    k, opp_s, opp_d, kappa0, a0 = step
     kappas, accelerations = (
         NOISE[_place(view[0], k // HELD, 0) :],
         NOISE[_place(view[0], k // HELD, 1) :],
@@ -269,9 +291,8 @@ def plan(track, theta, view, memory, scratch, path):
         # A car that is entirely behind is responsible for itself.
         seen = -1e3 if behind else opp_s
         kappa, a = memory[_KAPPAS + k], memory[_ACCELERATIONS + k]
-        _drive_copies(
-            theta, view, sd_kappa, grip, scale, k, seen, view[_view.OPP_D], kappa, a, scratch
-        )
+        step = _Step(k, seen, view[_view.OPP_D], kappa, a)
+        _drive_copies(theta, view, _Limits(sd_kappa, grip, scale), step, scratch)
     _average(theta, view[_view.TIME], sd_kappa, memory, scratch)
     along, across, speeds = (
         scratch[_ALONG:_ACROSS],

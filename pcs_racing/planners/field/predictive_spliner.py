@@ -17,13 +17,15 @@ References
    opponent trajectory prediction", IEEE Robotics and Automation Letters, 2025, arXiv:2410.04868.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
-from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.track import frenet as _frenet
@@ -112,8 +114,17 @@ def remember(memory, at, d, share):
     memory[_LAST] = at + 1.0
 
 
+class Process(NamedTuple):
+    """A process along the bins, with variance 1."""
+
+    keep: float  #: Correlation of two neighbouring bins.
+    noise: float  #: Variance of an observation.
+    now: float  #: Present value of the opponent, known without noise.
+    prior: float  #: Mean.
+
+
 @inner_kernel
-def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):
+def smooth_ahead(memory, first, values, process, mean, work):
     """Write posterior means of a process with exponential kernel.
 
     The means are in `AHEAD` bins from the opponent's bin on.
@@ -124,13 +135,9 @@ def smooth_ahead(memory, first, values, keep, noise, now, prior, mean, work):
         Observations, from index ``values`` on.
     first : int
         The opponent's bin.
-    keep : float
-        Correlation of two neighbouring bins.
-    noise : float
-        Variance of an observation; the variance of the process is 1.
-    now, prior : float
-        The opponent's present value, known without noise, and the mean of the process.
+    process : Process
     """
+    keep, noise, now, prior = process
     inner = (1.0 + keep * keep) / (1.0 - keep * keep)
     side = -keep / (1.0 - keep * keep)
     # The first bin is given; the precision matrix of the others is tridiagonal.
@@ -187,26 +194,37 @@ def _ramp(u):
     return u * u * (3.0 - 2.0 * u)
 
 
+class _Evasion(NamedTuple):
+    """An evasion of the opponent, ``gap`` m ahead."""
+
+    gap: float
+    per_bin: float  #: Bins per metre.
+    side: float  #: 1 to the left, -1 to the right.
+    begins: float  #: Begin and end of the region of collision, m from the car.
+    ends: float
+
+
 @inner_kernel(forceinline=True)
-def _evasion(theta, offsets, per_bin, gap, side, begins, ends, x):
-    """Return the offset of an evasion to one side from the race line, ``x`` m ahead of the car."""
-    share = _ramp((x - begins) / theta[RAMP] + 1.0) * (1.0 - _ramp((x - ends) / theta[RAMP]))
-    return share * (_ahead(offsets, per_bin, x - gap) + side * theta[EVASION])
+def _evasion(theta, offsets, way, x):
+    """Return the offset of an evasion from the race line, ``x`` m ahead of the car."""
+    begun = _ramp((x - way.begins) / theta[RAMP] + 1.0)
+    share = begun * (1.0 - _ramp((x - way.ends) / theta[RAMP]))
+    return share * (_ahead(offsets, way.per_bin, x - way.gap) + way.side * theta[EVASION])
 
 
 @inner_kernel
-def _least_room(track, theta, view, gap, per_bin, offsets, side, begins, ends):
+def _least_room(track, theta, view, offsets, way):
     """Return the min room (m) of an evasion to the walls, over its whole length."""
     keep = theta[BOUND] + 0.5 * view[_view.OWN_WIDTH]
     least = np.inf
-    x = max(begins - theta[RAMP], 0.0)
-    while x <= ends + theta[RAMP]:
+    x = max(way.begins - theta[RAMP], 0.0)
+    while x <= way.ends + theta[RAMP]:
         sample = track.line[line_index(track, view[_view.OWN_S] + x)]
-        d = _evasion(theta, offsets, per_bin, gap, side, begins, ends, x)
+        d = _evasion(theta, offsets, way, x)
         if abs(d) > _line.ON_LINE:
             least = min(
                 least,
-                (sample[_frenet.LEFT] - d if side > 0.0 else sample[_frenet.RIGHT] + d) - keep,
+                (sample[_frenet.LEFT] - d if way.side > 0.0 else sample[_frenet.RIGHT] + d) - keep,
             )
         x += 0.8
     return least
@@ -229,11 +247,15 @@ def plan(track, theta, view, memory, scratch, path):
     cap = np.inf
     if -theta[END] < gap < SIGHT and (gap > 0.0 or memory_side != 0.0):
         keep = exponential(-1.0 / (per_bin * theta[LENGTH_SCALE]))
-        smooth_ahead(memory, first, _D, keep, theta[NOISE], view[_view.OPP_D], 0.0, offsets, work)
-        smooth_ahead(memory, first, _V, keep, theta[NOISE], share, share, shares, work)
+        noise = theta[NOISE]
+        sideways = Process(keep, noise, view[_view.OPP_D], 0.0)
+        smooth_ahead(memory, first, _D, sideways, offsets, work)
+        smooth_ahead(memory, first, _V, Process(keep, noise, share, share), shares, work)
         begins, ends = _region(track, theta, view, scale, gap, per_bin, shares)
-        left = _least_room(track, theta, view, gap, per_bin, offsets, 1.0, begins, ends)
-        right = _least_room(track, theta, view, gap, per_bin, offsets, -1.0, begins, ends)
+        way = _Evasion(gap, per_bin, 1.0, begins, ends)
+        left = _least_room(track, theta, view, offsets, way)
+        way = _Evasion(gap, per_bin, -1.0, begins, ends)
+        right = _least_room(track, theta, view, offsets, way)
         side = memory_side if memory_side != 0.0 else (1.0 if left > right else -1.0)
         passes = ends > 0.0 and (left if side > 0.0 else right) > 0.0
         # Without room or time for a pass the car trails, but it aborts a pass only with room to
@@ -245,10 +267,9 @@ def plan(track, theta, view, memory, scratch, path):
         if passes or committed:
             memory[_SIDE] = side
             ends = ends if ends > 0.0 else NEVER
+            way = _Evasion(gap, per_bin, side, begins, ends)
             for j in range(_line.LANE_POINTS):
-                lane[j] = _evasion(
-                    theta, offsets, per_bin, gap, side, begins, ends, j * _line.lane_step(view)
-                )
+                lane[j] = _evasion(theta, offsets, way, j * _line.lane_step(view))
             if not passes and gap > 0.0:
                 cap = _line.trailing_speed(theta, view, gap)
             _line.hold_off(track, view, theta[BOUND] + 0.5 * view[_view.OWN_WIDTH], lane)

@@ -17,10 +17,20 @@ import numpy as np
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
+from pcs_racing.planners.line import (
+    FOLLOW_GAIN,
+    IN_THE_WAY,
+    WALL_MARGIN,
+    gap_ahead,
+    gives_way,
+    line_index,
+    side_air,
+    within_walls,
+)
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, shorter_way, to_cartesian, wrap_s
+from pcs_racing.track.frenet import angle_between, to_cartesian
 
 PARAMETERS = (
     Parameter(
@@ -43,49 +53,6 @@ PARAMETERS = (
     ),
 )
 PACE, LOOKAHEAD, LOOKAHEAD_TIME, FOLLOW_DISTANCE = range(len(PARAMETERS))
-
-FOLLOW_GAIN = 1.2  # closing speed per metre beyond the follow distance, 1/s
-IN_THE_WAY = 0.1  # clearance below which the opponent is followed, m
-WALL_MARGIN = 0.38  # distance of the car's middle to the wall next to an opponent, m
-
-
-@compiled(forceinline=True)
-def line_index(track, s):
-    """Return the index of the last line sample at or before an arc length (any real number)."""
-    return int(wrap_s(track, s) / track.ds) % track.line.shape[0]
-
-
-@compiled(forceinline=True)
-def gap_ahead(track, view):
-    """Return the distance to the opponent ahead, modulo laps, in [-length / 2, length / 2), m."""
-    return shorter_way(track.length, view[_view.GAP])
-
-
-@compiled(forceinline=True)
-def side_air(view):
-    """Return the lateral clearance of both cars, m; negative if one would hit the other's rear."""
-    return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (
-        view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]
-    )
-
-
-@compiled(forceinline=True)
-def gives_way(view, gap):
-    """Return whether the car gives way to the opponent.
-
-    It does if the opponent is alongside and nearer to the race line: then the line belongs to the
-    opponent.
-    """
-    bodies = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH])
-    alongside = -bodies < gap < 1.5 * bodies and side_air(view) > 0.0
-    return alongside and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
-
-
-@compiled(forceinline=True)
-def within_walls(track, s, d, keep):
-    """Return the offset (m) nearest to ``d`` that leaves ``keep`` to walls where the line does."""
-    line = track.line[line_index(track, s)]
-    return min(max(d, min(keep - line[_frenet.RIGHT], 0.0)), max(line[_frenet.LEFT] - keep, 0.0))
 
 
 @compiled

@@ -19,9 +19,9 @@ import numpy as np
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent
-from pcs_racing.planners import line_following as _line
+from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import gap_ahead, line_index
+from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.pursuit import calm_speed
 from pcs_racing.planners.view import PATH_POINTS

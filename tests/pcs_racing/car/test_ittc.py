@@ -7,7 +7,8 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from pcs_racing.car.ittc import minimum_ittc, segment_ittc
+from pcs_racing.car.collision import Rectangle
+from pcs_racing.car.ittc import Motion, minimum_ittc, segment_ittc
 
 HALF = (0.29, 0.155)
 HORIZON = 10.0
@@ -64,9 +65,8 @@ def situations(track, count, seed):
 
 def measure(track, row, use_opponent=True, horizon=HORIZON):
     x, y, vx, vy, s, ox, oy, opsi, ovx, ovy = row
-    return minimum_ittc(
-        track.arrays, x, y, vx, vy, s, ox, oy, opsi, *HALF, ovx, ovy, use_opponent, horizon
-    )
+    lidar, other = Motion(x, y, vx, vy), Rectangle(ox, oy, opsi, *HALF)
+    return minimum_ittc(track.arrays, lidar, s, other, ovx, ovy, use_opponent, horizon)
 
 
 def test_agrees_with_a_dense_scan_of_walls_and_opponent(oval):

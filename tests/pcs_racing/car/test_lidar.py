@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing.car.lidar import Lidar, scan_into
+from pcs_racing.car.collision import Rectangle
+from pcs_racing.car.lidar import Lidar
+from pcs_racing.car.lidar_kernel import Pose, scan_into
 from pcs_racing.track.grid import cast
 from pcs_racing.track.loading import load_track
 
@@ -148,8 +150,8 @@ def test_many_poses_are_scanned_as_one_by_one_in_any_thread_and_in_little_memory
     out = np.empty(1080, dtype=np.float32)
     for pose, other in zip(poses_on(oval, 10), poses_on(oval, 10, seed=1), strict=True):
         s = oval.to_frenet(pose[:2])[0]
-        size = (0.5 * LENGTH, 0.5 * WIDTH)
-        scan_into(oval.arrays, lidar.kernel, *pose, s, True, *other, *size, np.empty((4, 16)), out)
+        body = Rectangle(*other, 0.5 * LENGTH, 0.5 * WIDTH)
+        scan_into(oval.arrays, lidar.kernel, Pose(*pose), s, True, body, np.empty((4, 16)), out)
         error = np.abs(out - lidar.scan(pose, other))
         assert np.median(error) < 1e-5
         assert (error > 1e-3).sum() <= 2

@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from pcs_racing import InputError, load_track, racer, run_races
-from pcs_racing.planners import line_following as line
+from pcs_racing.planners import line as line
 from pcs_racing.planners.field.alpha_racer import ALPHA_RACER, KEPT, SAMPLES, best_of_potential
 from pcs_racing.planners.field.bimatrix import MOVES, solve
 from pcs_racing.planners.field.disparity_extender import extend_disparities
@@ -21,6 +21,7 @@ from pcs_racing.planners.field.predictive_spliner import (
     AHEAD,
     BINS,
     MEMORY,
+    Process,
     remember,
     smooth_ahead,
 )
@@ -204,7 +205,7 @@ def test_the_process_of_the_predictive_spliner_is_that_of_its_kernel():
         python(remember)(memory, (first + k) % BINS, rng.normal(), 1.0)
     assert memory[_SEEN:].sum() == 20
     keep, noise, now, prior = 0.8, 0.1, 0.4, 0.2
-    python(smooth_ahead)(memory, first, _D, keep, noise, now, prior, mean, work)
+    python(smooth_ahead)(memory, first, _D, Process(keep, noise, now, prior), mean, work)
     at = np.concatenate([[0], seen])
     values = np.concatenate([[now], memory[_D + (first + seen) % BINS]])
     kernel = keep ** np.abs(np.subtract.outer(np.arange(AHEAD), at)).astype(float)

@@ -5,8 +5,9 @@ from refusal import refused
 from pcs_racing import PAPER, load_track, run_races
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.planners import lane_switcher as switcher
-from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT, WALL_MARGIN
+from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.line import WALL_MARGIN
 from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.start_grid import Starts

@@ -7,7 +7,8 @@ from scipy.interpolate import CubicSpline
 from pcs_racing import load_race_config, load_track
 from pcs_racing.car.vehicle import DELTA
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
-from pcs_racing.planners.lattice import GRIP, REFERENCE
+from pcs_racing.planners.lattice import REFERENCE
+from pcs_racing.planners.line import GRIP
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, hold_command
 from pcs_racing.planners.view import (

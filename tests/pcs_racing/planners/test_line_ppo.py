@@ -7,8 +7,9 @@ from safetensors.numpy import load, save
 
 from pcs_racing import load_track, racer, run_races
 from pcs_racing.base.compilation import compiled
-from pcs_racing.planners import lattice, line_ppo
-from pcs_racing.planners.lattice import CANDIDATES, GOALS, LATTICE, SPEEDS
+from pcs_racing.planners import candidates, line_ppo
+from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
+from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     FEATURES,
@@ -61,7 +62,7 @@ def test_a_network_of_zeros_drives_as_the_lattice(oval, view_at, gap):
         view = view_at(oval, s, 0.1, speed=4.0, gap=gap, opp_speed=3.0)
         own = path_of(plan_by_theta, oval, theta, view, memories[0])
         np.testing.assert_array_equal(own, path_of(LATTICE.plan, oval, whole, view, memories[1]))
-        np.testing.assert_array_equal(*memories[:, : lattice.MEMORY])
+        np.testing.assert_array_equal(*memories[:, : candidates.MEMORY])
 
 
 @compiled
@@ -119,11 +120,11 @@ def test_what_is_saved_is_read(tmp_path, oval, view_at):
 def test_the_memory_holds_the_opponents_speed_while_it_is_in_sight(oval, view_at):
     theta, memory = np.concatenate([DEFAULT, WHOLE, flat_weights(tensors(0.0))]), np.zeros(MEMORY)
     path_of(plan_by_theta, oval, theta, view_at(oval, 5.0, gap=3.0, opp_speed=2.5), memory)
-    speed, _, usual = memory[lattice.MEMORY :]
+    speed, _, usual = memory[candidates.MEMORY :]
     assert speed == 2.5
     assert usual < 0.0  # slower than the profile
     path_of(plan_by_theta, oval, theta, view_at(oval, 5.0, gap=-13.0, opp_speed=2.5), memory)
-    np.testing.assert_array_equal(memory[lattice.MEMORY :], 0.0)
+    np.testing.assert_array_equal(memory[candidates.MEMORY :], 0.0)
 
 
 def test_a_style_out_of_bounds_is_refused():

@@ -11,7 +11,8 @@ from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 from pcs_racing import load_race_config
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import normal_noise
-from pcs_racing.car.ittc import minimum_ittc
+from pcs_racing.car.collision import Rectangle
+from pcs_racing.car.ittc import Motion, minimum_ittc
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle, simulate
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import VIEW
@@ -140,8 +141,9 @@ def time_to_collision(setup, car, own, other):
     s = float(setup.track.to_frenet(own[:2])[0])
     half = 0.5 * setup.vehicles[1 - car].length, 0.5 * setup.vehicles[1 - car].width
     horizon = setup.config.ittc_horizon
-    place = (own[X], own[Y], *velocity(own), s, other[X], other[Y], other[PSI], *half)
-    return minimum_ittc(setup.track.arrays, *place, *velocity(other), True, horizon)
+    lidar = Motion(own[X], own[Y], *velocity(own))
+    body = Rectangle(other[X], other[Y], other[PSI], *half)
+    return minimum_ittc(setup.track.arrays, lidar, s, body, *velocity(other), True, horizon)
 
 
 def test_a_race_counts_what_a_second_account_of_it_counts(coarse_oval):

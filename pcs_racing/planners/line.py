@@ -1,4 +1,4 @@
-"""Shared parts of planners with a map: a lane along the race line, the path onto it, and trailing.
+"""Shared parts of planners with a map: the race line, lanes along it, paths onto them, trailing.
 
 A *lane* is a planner's target: distances from the race line (m, positive to the left),
 ``lane_step`` apart, from the car on. `ease_onto` turns a lane into the path of the protocol, with
@@ -8,22 +8,20 @@ differ in their target, not in how well they follow a path.
 
 import numpy as np
 
-from pcs_racing.base.compilation import inner_kernel, kernel
+from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.field.pure_pursuit import (
-    IN_THE_WAY,
-    WALL_MARGIN,
-    line_index,
-    side_air,
-    within_walls,
-)
-from pcs_racing.planners.lattice import GRIP, LOST
 from pcs_racing.planners.planner import Parameter
 from pcs_racing.planners.pursuit import BRAKING, steady_course, within_grip
 from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, offset
+from pcs_racing.track.frenet import angle_between, offset, shorter_way, wrap_s
+
+FOLLOW_GAIN = 1.2  # closing speed per metre beyond the follow distance, 1/s
+IN_THE_WAY = 0.1  # clearance below which the opponent is followed, m
+WALL_MARGIN = 0.38  # distance of the car's middle to the wall next to an opponent, m
+GRIP = 5.3  # m/s^2 allowed to a move up to speed scale 1; above, times the scale squared
+LOST = 0.4  # m from the plan; beyond it a new plan begins at the car
 
 PACE = Parameter(
     "pace",
@@ -78,6 +76,57 @@ ON_LINE = 0.15  # m from the race line; a lane within it is as good as the line 
 BEND = 3  # points of the lane to either side that give its bend at a point
 EASE_LATERAL = 6.0  # m/s^2, lateral acceleration allowed on the way to the lane
 COMFORT = 4.5  # m/s^2, braking down to the speed of a bend
+
+
+@compiled(forceinline=True)
+def line_index(track, s):
+    """Return the index of the last line sample at or before an arc length (any real number)."""
+    return int(wrap_s(track, s) / track.ds) % track.line.shape[0]
+
+
+@inner_kernel(forceinline=True)
+def sample_at(line, per_ds, s):
+    """Return the index of the line's sample at an arc length above -length, or some laps on."""
+    n = line.shape[0]
+    i = int(s * per_ds + n) - n
+    if i < 0:
+        i += n
+    while i >= n:
+        i -= n
+    return i
+
+
+@compiled(forceinline=True)
+def gap_ahead(track, view):
+    """Return the distance to the opponent ahead, modulo laps, in [-length / 2, length / 2), m."""
+    return shorter_way(track.length, view[_view.GAP])
+
+
+@compiled(forceinline=True)
+def side_air(view):
+    """Return the lateral clearance of both cars, m; negative if one would hit the other's rear."""
+    return abs(view[_view.OPP_D] - view[_view.OWN_D]) - 0.5 * (
+        view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]
+    )
+
+
+@compiled(forceinline=True)
+def gives_way(view, gap):
+    """Return whether the car gives way to the opponent.
+
+    It does if the opponent is alongside and nearer to the race line: then the line belongs to the
+    opponent.
+    """
+    bodies = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH])
+    alongside = -bodies < gap < 1.5 * bodies and side_air(view) > 0.0
+    return alongside and abs(view[_view.OPP_D]) < abs(view[_view.OWN_D])
+
+
+@compiled(forceinline=True)
+def within_walls(track, s, d, keep):
+    """Return the offset (m) nearest to ``d`` that leaves ``keep`` to walls where the line does."""
+    line = track.line[line_index(track, s)]
+    return min(max(d, min(keep - line[_frenet.RIGHT], 0.0)), max(line[_frenet.LEFT] - keep, 0.0))
 
 
 @kernel(forceinline=True)
