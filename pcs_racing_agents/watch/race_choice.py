@@ -43,22 +43,13 @@ def outcomes(races: RaceTable, car: int) -> NDArray[np.int64]:
 
 def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
     """Return whether never-switch lost the same race of a car, shape (N,); False without a race."""
-    names = races.agents.codes
-    other, own = names[:, 1 - car], names[:, car]
-    starts = (
-        races.preset.codes,
-        races.track.codes,
-        races.seed.codes,
-        races.race,
-        races.variants[:, car],
-        other,
-    )
-    keys = np.stack(starts, axis=1).astype(np.int64)
-    staying = own == (
-        races.agents.words.index(NEVER_SWITCH) if NEVER_SWITCH in races.agents.words else len(names)
-    )
-    lost = {tuple(key) for key in keys[staying & (races.winner == 1 - car)].tolist()}
-    return np.array([tuple(key) in lost for key in keys.tolist()], np.bool_)
+    words, agents = races.agents.words, races.agents.codes
+    own = words.index(NEVER_SWITCH) if NEVER_SWITCH in words else -1
+    starts = (races.preset.codes, races.track.codes, races.seed.codes, races.race)
+    keys = np.stack([*starts, races.variants[:, car], agents[:, 1 - car]], axis=1).tolist()
+    lost = (agents[:, car] == own) & (races.winner == 1 - car)
+    known = {tuple(key) for key, loses in zip(keys, lost.tolist(), strict=True) if loses}
+    return np.array([tuple(key) in known for key in keys], np.bool_)
 
 
 def choose_races(races: RaceTable, count: int) -> dict[int, str]:
