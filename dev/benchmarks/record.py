@@ -4,7 +4,6 @@ roughly.
     python dev/benchmarks/record.py            measure
     python dev/benchmarks/record.py --add      measure, and add a line to dev/benchmarks/history.csv
     python dev/benchmarks/record.py --check    measure, and compare with the history (exit code 1)
-    python dev/benchmarks/record.py --show     print the history
 
 Every time is divided by that of a fixed piece of compiled arithmetic (the reference), measured in
 turn with it: the processor's speed, and what else it does, cancel out to a good part. Times are the
@@ -160,8 +159,6 @@ def commit() -> str:
 
 
 def read_history(file: Path = HISTORY) -> list[dict[str, str]]:
-    if not file.is_file():
-        return []
     with open(file, newline="", encoding="utf-8") as lines:
         return list(csv.DictReader(lines))
 
@@ -191,13 +188,7 @@ def main() -> None:
     )
     parser.add_argument("--check", action="store_true", help="compare, and add nothing")
     parser.add_argument("--add", action="store_true", help="add a line to the history")
-    parser.add_argument(
-        "--show", action="store_true", help="print the history, and measure nothing"
-    )
     given = parser.parse_args()
-    if given.show:
-        print(HISTORY.read_text(encoding="utf-8") if HISTORY.is_file() else "no history")
-        return
     ratios, reference_ms = measure()
     for name, ratio in ratios.items():
         print(

@@ -473,6 +473,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/cli/main.py:import_module",
         "pcs_racing_agents/base/executors.py:loads",  # what this process has packed
         "pcs_racing_agents/learning/responses.py:json.loads",
+        "pcs_racing_agents/base/folders.py:json.loads",  # of settings that this process dumped
     }
 
 

@@ -40,6 +40,6 @@ def test_the_example_runs():
     ).splitlines()
     assert len([row for row in rows[:7] if row]) == 7
     # its drivers against agents of the zoo
-    assert "60 races of 40 s, preset contest, on Pipkin; seed 0" in rows
+    assert any(row.startswith("Pipkin, rules contest, seed 0: 60 races of 40 s, ") for row in rows)
     assert any(row.startswith("caution 0.3 ") for row in rows)
     assert rows[0].startswith("Pipkin, contest: 4 races")

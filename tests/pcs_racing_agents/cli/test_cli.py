@@ -151,7 +151,7 @@ def test_a_tournament_of_agents_goes_on_where_it_was_stopped(run, told, tmp_path
     table = run(*arguments, *SHORT)[1]
     assert not list(tmp_path.iterdir())
     _, out, err = run(*arguments, *SHORT, "--out", tmp_path / "out")
-    assert "2 races of 4 s, preset paper, on Pipkin" in out
+    assert out.startswith("Pipkin, rules paper, seed 0: 2 races of 4 s, ")
     assert out.startswith(table)
     assert "2/2 races" in err
     results = (tmp_path / "out" / "results.csv").read_bytes()
