@@ -21,10 +21,9 @@ SMALL = {
     "environment_speed": ("--only duel --envs 2 --seconds 0.01", "duel"),
     "imperfect_cars": ("--out out --races 2", "error: --races 2"),
     "race_speed": ("--track Pipkin --races 2", "ms"),
-    "record": ("--show", "race"),
     "sb3_speed": ("--steps 64", "limit by the products"),
     "scan_speed": ("--track Pipkin", "us"),
-    **dict.fromkeys(("circuits", "field", "solver_speed", "start_time", "zoo"), HELP),
+    **dict.fromkeys(("circuits", "record", "solver_speed", "start_time", "zoo"), HELP),
 }
 
 
