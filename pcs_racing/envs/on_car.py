@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
+from types import FunctionType, ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_array, check_number
 from pcs_racing.base.compilation import first_call, kernel
 from pcs_racing.base.errors import InputError
+from pcs_racing.car.lidar_kernel import scan_into
 from pcs_racing.car.vehicle import (
     F1TENTH,
     LIDAR_NOISE,
@@ -22,7 +24,7 @@ from pcs_racing.car.vehicle import (
     load_vehicle,
 )
 from pcs_racing.planners.calling import call_control, call_plan
-from pcs_racing.planners.planner import Policy
+from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
 from pcs_racing.race.config import CONTROL_EVERY, DT, PLAN_EVERY, RaceConfig, load_race_config
@@ -31,6 +33,36 @@ from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.state import empty_state
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
+
+MEASURED = {
+    "x": 1e5,
+    "y": 1e5,
+    "steering angle": 1.6,
+    "speed": 100.0,
+    "heading": 100.0,
+    "yaw rate": 100.0,
+    "slip angle": 3.2,
+}
+"""Max absolute values of a measured state, m, rad, m/s and rad/s."""
+
+
+def scans(planner: Planner) -> bool:
+    """Return whether the code of a compiled planner uses the simulated lidar."""
+    pending: list[Any] = [planner.plan, planner.control]
+    known: set[FunctionType] = set()
+    while pending:
+        function = pending.pop()
+        if function is scan_into:
+            return True
+        python = getattr(function, "py_func", function)
+        if isinstance(python, FunctionType) and python not in known:
+            known.add(python)
+            names, space = python.__code__.co_names, python.__globals__
+            pending += [cell.cell_contents for cell in python.__closure__ or ()]
+            pending += [space.get(name) for name in names]
+            modules = [space[name] for name in names if isinstance(space.get(name), ModuleType)]
+            pending += [getattr(module, name, None) for module in modules for name in names]
+    return False
 
 
 @kernel
@@ -46,8 +78,8 @@ class PolicyOnCar:
     A state is a row of seven numbers: x, y (m), steering angle (rad), speed (m/s), heading (rad),
     yaw rate (rad/s) and slip angle (rad), at the centre of gravity and in the frame of the map. As
     in races, the policy plans ten times a second, and each call follows the plan. Planners with a
-    lidar scan the map here; a file of :func:`pcs_racing_agents.agents.export_onnx` takes measured
-    ranges.
+    lidar are refused, because they would scan the map; a file of
+    :func:`pcs_racing_agents.agents.export_onnx` takes measured ranges.
 
     Parameters
     ----------
@@ -93,6 +125,11 @@ class PolicyOnCar:
             raise InputError(
                 f"policy {policy.name!r} is no compiled planner; export_onnx takes a model"
             )
+        if scans(planner):
+            raise InputError(
+                f"planner {planner.name!r} would scan the map, not the road; give a planner"
+                " without a lidar, or the file of pcs-racing export lidar-ppo and measured ranges"
+            )
         self.policy, self.track = policy, track if isinstance(track, Track) else load_track(track)
         cars = (load_vehicle(vehicle),) * 2
         self._setup = RaceSetup(self.track, load_race_config(rules), (planner, planner), cars)
@@ -122,15 +159,15 @@ class PolicyOnCar:
             Time since the start, s; 0 or above, and not below the time of the last call. After
             :meth:`reset` it may go back.
         car : array_like, shape (7,)
-            State of the own car.
+            State of the own car, on the track.
         opponent : array_like, shape (7,), optional
-            State of the opponent; without it there is no opponent near.
+            State of the opponent, on the track; without it there is no opponent near.
         """
         time = check_number("time", time, self._time)
         tick = CONTROL_EVERY * round(time / (CONTROL_EVERY * DT))
-        rows = [check_array("car", car, (STATE_SIZE,))]
+        rows = [self._measured("car", car)]
         if opponent is not None:
-            rows.append(check_array("opponent", opponent, (STATE_SIZE,)))
+            rows.append(self._measured("opponent", opponent))
         self._time = time
         self._look(tick, np.stack(rows))
         due, self._planned = tick // PLAN_EVERY != self._planned, tick // PLAN_EVERY
@@ -138,6 +175,19 @@ class PolicyOnCar:
         _ask(*self._code, due, self.track.arrays, *own)
         steering, speed = self._command.tolist()
         return steering, speed
+
+    def _measured(self, whose: str, given: ArrayLike) -> NDArray[np.float64]:
+        """Return a measured state, or refuse one that no car on the track can have."""
+        row = check_array(whose, given, (STATE_SIZE,))
+        for (name, limit), value in zip(MEASURED.items(), row.tolist(), strict=True):
+            if abs(value) > limit:
+                raise InputError(f"{whose} has {name} {value:g}; it must be within +-{limit:g}")
+        if not self.track.wall_distance(row[[X, Y]]) > 0.0:
+            raise InputError(
+                f"{whose} is at x = {row[X]:.2f}, y = {row[Y]:.2f} m, which is not on track"
+                f" {self.track.name!r}"
+            )
+        return row
 
     def _look(self, tick: int, cars: NDArray[np.float64]) -> None:
         """Fill the view of the own car; the opponent's gap is the shorter way along the track."""

@@ -29,9 +29,30 @@ def fill(message: Any, fields: dict[str, Any], kinds: dict[str, Any]) -> Any:
     return message
 
 
+class MessageError(ValueError):
+    """Message that no car can drive by; the text says why."""
+
+
+FAST, FAR = 100.0, 1e5  # m/s and rad/s, m: larger numbers are no measurement
+FLAT = 0.8  # min cosine of the tilt of a car
+LONGEST = 200.0  # m: larger finite ranges are no lidar's, or in mm
+COARSEST = 0.06  # rad: beams further apart pass by a car
+AHEAD = 0.8  # rad: half of the beams up to this angle to both sides must be valid, too
+
+
+def stamp_of(message: Any) -> float:
+    """Return the time of a message, s."""
+    return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
+
+
 def heading_of(orientation: Any) -> float:
-    """Return the heading (rad) of a quaternion of a car on flat ground."""
-    return 2.0 * math.atan2(orientation.z, orientation.w)
+    """Return the heading (rad) of a car's quaternion."""
+    x, y, z, w = orientation.x, orientation.y, orientation.z, orientation.w
+    if not abs(math.hypot(x, y, z, w) - 1.0) <= 0.01:  # NaN, too
+        raise MessageError(f"orientation {x:.3g}, {y:.3g}, {z:.3g}, {w:.3g} is no quaternion")
+    if w * w + z * z - x * x - y * y < FLAT:
+        raise MessageError("the orientation is tilted; it must be that of a car on flat ground")
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
 
 
 def state_of(odometry: Any, steering: float, to_centre: float) -> np.ndarray:
@@ -42,6 +63,13 @@ def state_of(odometry: Any, steering: float, to_centre: float) -> np.ndarray:
     """
     at, twist = odometry.pose.pose, odometry.twist.twist
     heading, yaw_rate = heading_of(at.orientation), twist.angular.z
+    for limit, numbers in (
+        (FAR, (at.position.x, at.position.y)),
+        (FAST, (twist.linear.x, twist.linear.y, yaw_rate)),
+    ):
+        if not max(map(abs, numbers)) <= limit or math.isnan(sum(numbers)):
+            shown = ", ".join(f"{number:.3g}" for number in numbers)
+            raise MessageError(f"holds {shown}; such numbers must be within +-{limit:g}")
     x = at.position.x + to_centre * math.cos(heading)
     y = at.position.y + to_centre * math.sin(heading)
     forward, aside = twist.linear.x, twist.linear.y + to_centre * yaw_rate
@@ -50,21 +78,42 @@ def state_of(odometry: Any, steering: float, to_centre: float) -> np.ndarray:
     return np.array([x, y, steering, speed, heading, yaw_rate, slip])
 
 
-def ranges_at(scan: Any, angles: np.ndarray, max_range: float) -> np.ndarray | None:
-    """Return the ranges (m) of the beams nearest to some angles (rad) from the heading.
+def moved(car: np.ndarray, seconds: float) -> np.ndarray:
+    """Return the state of a car some seconds later, at constant speed and yaw rate."""
+    x, y, steering, speed, heading, yaw_rate, slip = car
+    course = heading + slip + 0.5 * yaw_rate * seconds
+    x, y = x + seconds * speed * np.cos(course), y + seconds * speed * np.sin(course)
+    return np.array([x, y, steering, speed, heading + yaw_rate * seconds, yaw_rate, slip])
 
-    A beam without a valid range, or out of the field of view, has the max range; -inf, an obstacle
-    too near to measure, has the min range. Infinity, or a range beyond the max range, is open
-    space. Return None for an unusable scan: fewer than half of these beams see an obstacle or open
-    space.
+
+def ranges_at(scan: Any, angles: np.ndarray, max_range: float) -> np.ndarray:
+    """Return the ranges (m) of the beams nearest to some angles (rad) from the car's heading.
+
+    The beams of a scan may begin anywhere and turn either way. -inf, an obstacle too near to
+    measure, has the min range; infinity, or a range beyond the max range, is open space. A beam
+    without a valid range, or out of the field of view, has the smaller range of the next valid
+    beams on both sides. A scan is unusable if fewer than half of these beams are valid.
     """
-    ranges = np.append(np.asarray(scan.ranges, float), np.nan)  # the last one: out of view
-    with np.errstate(all="ignore"):  # an increment of 0
-        beams = np.rint((angles - scan.angle_min) / np.float64(scan.angle_increment))
-    inside = (beams >= 0) & (beams < len(ranges) - 1)
-    found = ranges[np.where(inside, beams, -1).astype(int)]
-    valid = (found > 0.0) & (found >= scan.range_min)
-    if 2 * np.count_nonzero(valid) < len(angles):
-        return None
-    clipped = np.where(valid, np.minimum(found, max_range), max_range)
-    return np.where(np.isneginf(found), scan.range_min, clipped)
+    ranges, step = np.append(np.asarray(scan.ranges, float), np.nan), abs(scan.angle_increment)
+    if not 0.0 < step <= COARSEST or not step * (len(ranges) - 3) <= 2.0 * math.pi:
+        raise MessageError(
+            f"the scan has {len(ranges) - 1} beams, {scan.angle_increment:.3g} rad apart; they must"
+            f" be up to {COARSEST} rad apart and within a turn"
+        )
+    turn = 2.0 * math.pi / step
+    beams = (angles - scan.angle_min) / scan.angle_increment
+    beams = np.rint(beams - turn * np.floor((beams + 0.5) / turn))
+    last = len(ranges) - 1
+    found = ranges[np.where(beams < last, beams, last).astype(int)]  # NaN out of view
+    near = np.isneginf(found)
+    found = np.where(near, scan.range_min, found)
+    valid = (found > 0.0) & (found >= scan.range_min) & ((found <= LONGEST) | np.isposinf(found))
+    far = valid & ~near
+    share = min(np.mean(far), np.mean(far[np.abs(angles) < AHEAD]))
+    if not share >= 0.5:
+        raise MessageError(f"the scan has no valid range in {1.0 - share:.0%} of the beams")
+    order = np.arange(len(found))
+    right = np.maximum.accumulate(np.where(valid, order, -1))
+    left = np.minimum.accumulate(np.where(valid, order, len(found))[::-1])[::-1]
+    known = np.concatenate([found, [np.inf, np.inf]])  # beyond the outer beams, on both sides
+    return np.minimum(np.minimum(known[right], known[left]), max_range)

@@ -36,7 +36,8 @@ PLANNER: dict[str, Any] = {
     "speed_share": 1.0,
     "to_centre": 0.0,
     "steering_rate": 3.2,
-    "timeout": 0.2,
+    "timeout": 0.1,
+    "map_frame": "map",
     "scan_topic": "/scan",
     "odometry_topic": "/ego_racecar/odom",
     "opponent_topic": "/opp_racecar/odom",
@@ -70,8 +71,6 @@ def simulator() -> None:
     from rclpy.node import Node
     from rclpy.qos import DurabilityPolicy, QoSProfile
 
-    from pcs_racing import InputError
-
     from .simulation import TIME_STEP, Simulation
 
     rclpy.init()
@@ -96,7 +95,7 @@ def simulator() -> None:
         pose = message.pose.pose
         try:
             race.put(pose.position.x, pose.position.y, heading_of(pose.orientation))
-        except InputError as error:
+        except ValueError as error:
             node.get_logger().error(str(error))
 
     def step() -> None:
@@ -133,7 +132,7 @@ def planner() -> None:
         kind: (message, values.pop(f"{kind}_topic"))
         for kind, message in {"scan": LaserScan, "odometry": Odometry, "opponent": Odometry}.items()
     }
-    planning, delays = Planning(**values), list[float]()
+    planning, delays, said = Planning(**values), list[float](), ""
     publisher = node.create_publisher(AckermannDriveStamped, out, 10)
 
     def now() -> float:
@@ -143,8 +142,12 @@ def planner() -> None:
         planning.hear(kind, message, now())
 
     def decide() -> None:
+        nonlocal said
         begin, message = perf_counter(), AckermannDriveStamped()
         steering, speed = planning.command(now())
+        if planning.stopped != said:
+            said = planning.stopped
+            node.get_logger().warning(f"the car stops: {said}" if said else "the car drives")
         message.header.stamp = node.get_clock().now().to_msg()
         message.drive.steering_angle, message.drive.speed = steering, speed
         publisher.publish(message)

@@ -9,9 +9,20 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import onnxruntime
+
+
+def number(file: str, about: dict[str, Any], name: str, low: float, high: float) -> float:
+    """Return a number of a file's description, within a range."""
+    value = about.get(name)
+    if type(value) not in (int, float) or not low <= value <= high:  # NaN, too
+        raise ValueError(
+            f"{file} has {name} {value!r}; it must be a number from {low:g} to {high:g}"
+        )
+    return float(value)
 
 
 class OnnxPolicy:
@@ -30,10 +41,25 @@ class OnnxPolicy:
         try:
             #: Description: name, period (s), inputs and outputs with their units, state.
             self.about = json.loads(metadata["pcs_racing"])
-        except (KeyError, ValueError) as error:
+            #: Inputs that are outputs of the last decision.
+            self.kept = dict(self.about.get("state", {}))
+            named = {*self.about["inputs"], *self.kept}, {"name", "outputs", "period"}
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise ValueError(f"{file} was not written by pcs-racing export") from error
         self.shapes = {one.name: (1, *one.shape[1:]) for one in self.session.get_inputs()}
-        self.kept = self.about.get("state", {})
+        outputs = {one.name for one in self.session.get_outputs()}
+        if (
+            named[0] != self.shapes.keys()
+            or not named[1] <= self.about.keys()
+            or not outputs >= {*self.about["outputs"], *self.kept.values()}
+            or not all(isinstance(size, int) for shape in self.shapes.values() for size in shape)
+        ):
+            raise ValueError(
+                f"{file} has inputs {', '.join(self.shapes)} and outputs {', '.join(outputs)}; its"
+                " description has others: export it again"
+            )
+        if self.about["period"] is not None:
+            number(file, self.about, "period", 0.001, 60.0)
         self.reset()
 
     def reset(self) -> None:

@@ -5,8 +5,13 @@ import pytest
 from refusal import refused
 
 from pcs_racing import load_race_config, load_track, racer
+from pcs_racing.base.compilation import kernel
 from pcs_racing.envs import PolicyOnCar
 from pcs_racing.envs.models import model_policy
+from pcs_racing.envs.on_car import scans
+from pcs_racing.planners.planner import Planner
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.shipped import SHIPPED
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, draw_starts, start_races
 
@@ -57,18 +62,16 @@ def test_time_goes_back_with_a_reset_alone():
 
 
 ERRORS = {"pose_noise": 0.3, "heading_bias": 0.2, "opponent_delay": 0.1, "opponent_lost": 1.0}
-LIDAR_ERRORS = {"lidar_lost": 0.5, "lidar_noise": 0.1, "lidar_bias": 0.5, "lidar_step": 0.5}
 
 
-@pytest.mark.parametrize(("name", "errors"), [("lattice", ERRORS), ("lidar-ppo", LIDAR_ERRORS)])
-def test_measured_states_are_not_disturbed_again(name, errors):
-    body = {"width": 0.25, "lidar_x": 0.2}
+def test_measured_states_are_not_disturbed_again():
+    body = {"width": 0.25}
     own, ahead = [
         [x, y, 0.0, speed, heading, 0.0, 0.0]
         for s, speed in ((1.0, 4.0), (2.0, 1.0))
         for x, y, heading in [load_track(TRACK).to_cartesian([s, 0.0])]
     ]
-    exact, other = (PolicyOnCar(name, TRACK, vehicle=one) for one in (body, body | errors))
+    exact, other = (PolicyOnCar("lattice", TRACK, vehicle=one) for one in (body, body | ERRORS))
     for time in (0.0, 0.1, 0.5):
         assert exact.command(time, own, ahead) == other.command(time, own, ahead)
         np.testing.assert_array_equal(exact.view, other.view)
@@ -82,3 +85,35 @@ def test_bad_input_is_refused():
     model = model_policy(lambda seen: 0.0 * seen[:, :2], name="straight")
     refused("'straight' is no compiled planner", PolicyOnCar, model, TRACK)
     refused("unknown", PolicyOnCar, "latice", TRACK)
+
+
+SCANNING = {"disparity-extender", "follow-the-gap", "gap-follower", "lidar-ppo"}
+
+
+def test_planners_that_scan_are_refused():
+    """They would scan the map: an obstacle on the road would not be seen."""
+    for name in SCANNING:
+        refused(f"planner '{name}' would scan the map", PolicyOnCar, name, TRACK)
+    plan = get_planner("gap-follower").plan
+    own = Planner("own", (), plan=kernel(lambda *given: plan(*given)), scratch_size=10_000)
+    refused("planner 'own' would scan the map", PolicyOnCar, own.policy(), TRACK)
+    assert {name for name in SHIPPED if scans(get_planner(name))} == SCANNING
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        (0, 1e256, r"has x 1e\+256; it must be within \+-100000"),
+        (0, 500.0, "which is not on track 'Pipkin'"),
+        (3, 1e9, "has speed 1e\\+09; it must be within"),
+        (4, -1e9, "has heading -1e\\+09"),
+        (5, 1e5, "has yaw rate 100000"),
+    ],
+)
+def test_states_that_no_car_on_the_track_has_are_refused(column, value, said):
+    on_car = PolicyOnCar("pure-pursuit", TRACK)
+    x, y, heading = on_car.track.to_cartesian([1.0, 0.0])
+    car = [x, y, 0.0, 4.0, heading, 0.0, 0.0]
+    wrong = [*car[:column], value, *car[column + 1 :]]
+    refused(f"car .*{said}", on_car.command, 0.0, wrong)
+    refused(f"opponent .*{said}", on_car.command, 0.0, car, wrong)
