@@ -35,6 +35,8 @@ _MAX_BYTES = 1_000_000  # of a file
 def find_copy(program: Path) -> Path | None:
     """Return the gym package in or below a program's folder or a parent folder in its repository.
 
+    A package is a folder with a folder ``envs``.
+
     A repository ends at the folder with ``.git``; without one, it is the program's folder and its
     parent.
     """
@@ -42,12 +44,10 @@ def find_copy(program: Path) -> Path | None:
     root = next((i for i, folder in enumerate(above) if (folder / ".git").exists()), 1)
     for folder in above[: root + 1]:
         for pattern in (
-            f"{start}{package}/envs/f110_env.py"
-            for start in ("", "*/", "*/*/")
-            for package in _PACKAGES
+            f"{start}{package}/envs" for start in ("", "*/", "*/*/") for package in _PACKAGES
         ):
             for found in sorted(folder.glob(pattern)):
-                return found.parents[1]
+                return found.parent
     return None
 
 
@@ -144,5 +144,6 @@ def use_copy(program: Path | None = None) -> None:
     if found is not None and found.name in _PACKAGES:
         os.environ[VARIABLE] = str(found)
         words = drive_by(found)
-        if words and program is not None:
-            say(f"{found} has defaults of its own, which are used: {words}")
+        if program is not None:
+            own = f"; it has defaults of its own, which are used: {words}" if words else ""
+            say(f"{found} is not run: pcs_racing.f1tenth takes its place{own}")

@@ -14,7 +14,7 @@ from pcs_racing.base.errors import ConfigError, InputError, MapError
 from pcs_racing.f1tenth.maps import GymMap, framed, load_map
 from pcs_racing.track.frenet import KAPPA, PSI, SPEED
 from pcs_racing.track.map_files import CENTERLINE_COLUMNS, RACELINE_COLUMNS, parse_csv
-from pcs_racing.track.maps import MAX_LINE, find_map
+from pcs_racing.track.maps import MAX_LINE, find_map, read_inside
 
 Floats = NDArray[Any]
 
@@ -255,9 +255,7 @@ class Track:
 
 
 def _rows(file: Path, columns: tuple[str, ...], separator: str) -> Floats:
-    if file.stat().st_size > MAX_LINE:
-        raise MapError(f"{file} has {file.stat().st_size} bytes; a line has at most {MAX_LINE}")
-    return parse_csv(file, file.read_bytes(), columns, separator)
+    return parse_csv(file, read_inside(file.parent, file, MAX_LINE), columns, separator)
 
 
 def _levels(free: NDArray[np.bool_]) -> Floats:

@@ -9,8 +9,8 @@ A folder ``NAME`` holds
 - ``NAME_track.yaml`` (optional, ours): origin and calibration, see `map_files.INFO_KEYS`,
 - ``global_waypoints.json`` (optional, of ForzaETH's race stack): the lines, without csv files.
 
-If no file has the name of the folder, the only ``*_map.yaml`` in it, or else the only yaml file
-with an image, gives the name.
+The map is ``NAME_map.yaml`` or ``NAME.yaml``, or else the only other map in the folder: a
+``*_map.yaml``, or a yaml file with an image. Two that fit are refused.
 """
 
 import math
@@ -156,21 +156,10 @@ def parse_ros_yaml(file: Path, data: bytes) -> dict[str, Any]:
 
 def _map_yaml(folder: Path) -> Path:
     """Return the path of the map's yaml file in a folder."""
-    own = folder / f"{folder.resolve().name}_map.yaml"
-    for file in (own, own.with_name(f"{folder.resolve().name}.yaml")):
-        if file.is_file() and (file == own or (folder / WAYPOINTS).is_file()):
-            return file
-    everything = sorted(
-        file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern) if file.is_file()
-    )
-    maps = [file for file in everything if file.stem.endswith("_map")]
-    if not maps:
-        others = [file for file in everything if not file.stem.endswith("_track")]
-        maps = [
-            file
-            for file in others
-            if "image" in parse_yaml(file, read_inside(folder, file, MAX_YAML))
-        ]
+    name = folder.resolve().name
+    files = [file for pattern in ("*.yaml", "*.yml") for file in folder.glob(pattern)]
+    maps = sorted(file for file in files if file.is_file() and _is_map(folder, file))
+    maps = [file for file in maps if file.stem in (name, f"{name}_map")] or maps
     if len(maps) > 1:
         names = ", ".join(file.name for file in maps)
         raise MapError(
@@ -178,9 +167,19 @@ def _map_yaml(folder: Path) -> Path:
         )
     if not maps:
         raise MapError(
-            f"{folder} holds no map: {own.name}, or any one *_map.yaml as ROS writes it, is needed"
+            f"{folder} holds no map: {name}_map.yaml, or any one *_map.yaml as ROS writes it, is"
+            " needed"
         )
     return maps[0]
+
+
+def _is_map(folder: Path, file: Path) -> bool:
+    """Return whether a yaml file is a map, by its name or by an image."""
+    if file.stem.endswith(("_map", "_track")):
+        return file.stem.endswith("_map")
+    with suppress(MapError):
+        return "image" in parse_yaml(file, read_inside(folder, file, MAX_YAML))
+    return file.stem == folder.resolve().name  # its reader reports the cause
 
 
 def picture_of(files: MapFiles, ros: dict[str, Any]) -> Path:

@@ -16,6 +16,7 @@ from pcs_racing.track.building.curves import (
     clean_closed,
     first_crossing,
     sample_closed,
+    signed_area,
 )
 from pcs_racing.track.building.walls import corner_lists, seen_lists, simplify, trace_outlines
 from pcs_racing.track.frenet import (
@@ -100,6 +101,18 @@ def check_centerline(centerline: ArrayLike, label: str) -> Floats:
             f" left of point {_at(rows[row])}: both must be positive"
         )
     return rows
+
+
+def check_direction(raceline: Floats, centerline: Floats, label: str) -> None:
+    """Check that a race line is driven in the direction of the centre line."""
+    race, center = signed_area(raceline), signed_area(centerline[:, :2])
+    if race * center < 0.0:
+        ways = ("counterclockwise", "clockwise")
+        raise MapError(
+            f"{label}: the race line is driven {ways[race < 0.0]}, but the centre line"
+            f" {ways[center < 0.0]}: reverse the rows of one of them (a reversed centre line"
+            " exchanges its widths)"
+        )
 
 
 def drivable_region(

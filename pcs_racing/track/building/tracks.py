@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.elementary import arctangent2
+from pcs_racing.base.elementary import arctangent2, headings
 from pcs_racing.base.errors import MapError
 from pcs_racing.base.typing import Floats
 from pcs_racing.track.building.build import (
     LINE_SPACING,
+    Grid,
     build_arrays,
     check_centerline,
+    check_direction,
     check_line,
 )
 from pcs_racing.track.building.centerline import centerline_from_grid
@@ -67,8 +69,10 @@ def build_track(
     grid, resolution, corner = checked_grid(occupied, resolution, origin, label)
     center = check_centerline(centerline, f"{label}: the centre line")
     race = check_line(raceline_xy, f"{label}: the race line")
+    check_direction(race, center, label)
     arrays, drivable = build_arrays(grid, resolution, corner, race, center, label)
     _check_centre(arrays, center, f"{label}: the centre line")
+    _check_round(drivable, arrays, label)
     for preset, own in (calibration or {}).items():
         last = max(stretches[-1][1] for stretches in own.start_places.values())
         if last >= arrays.length:
@@ -115,6 +119,21 @@ def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
         )
 
 
+def _check_round(drivable: Grid, arrays: TrackArrays, label: str) -> None:
+    """Check that the race line leads round the infield, if there is one."""
+    _, holes, large = fill_islands(drivable, arrays.cell)
+    line = (arrays.line[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell
+    turns = []
+    for hole in large:
+        angle = headings(line - np.argwhere(holes == hole)[0, ::-1] - 0.5)
+        turns.append(abs(float(np.unwrap([*angle, angle[0]])[-1] - angle[0])))
+    if turns and max(turns) < np.pi:
+        raise MapError(
+            f"{label}: the race line is {arrays.length:.1f} m long and leads round no wall: it must"
+            " lead all the way round the track"
+        )
+
+
 def build_from_map(files: MapFiles, contents: dict[str, bytes]) -> tuple[Track, str]:
     """Build a track from its files; return it, and a note on lines made from the picture."""
     content = parse_map(files, contents)
@@ -150,26 +169,30 @@ def _lines(files: MapFiles, content: MapFolder) -> tuple[Floats, Floats, str]:
     if content.raceline is None:
         reasons.append("it has no race line")
     else:
-        given = check_line(content.raceline[:, 1:3], str(files.raceline))
+        source = files.raceline or files.waypoints
+        given = check_line(content.raceline[:, 1:3], f"{source}: the race line")
         points = sample_closed(given, LINE_SPACING).xy
         air = float(wall_clearance(points, *grid, 1.0).min())
         if air == 0.0:
             raise MapError(
-                f"{files.raceline} leads through a wall or off the map: it must stay on the track"
+                f"{source}: the race line leads through a wall or off the map: it must stay on the"
+                " track"
             )
         if air < CLEARANCE - TOLERANCE:
             reasons.append(
                 f"its race line comes within {air:.2f} m of a wall ({CLEARANCE} m are needed)"
             )
     race = None if reasons else given
-    if content.centerline is not None:
+    if content.centerline is None:
+        reasons.append("it has no centre line")
+    else:
+        source = files.centerline or files.waypoints
         try:
-            center = check_centerline(content.centerline, str(files.centerline or files.waypoints))
-        except MapError:
+            center = check_centerline(content.centerline, f"{source}: the centre line")
+        except MapError as error:
             if files.centerline is not None:  # may cross itself in the race stack
                 raise
-    if center is None:
-        reasons.append("it has no centre line")
+            reasons.append(f"it has a bad centre line ({error})")
     note = " and ".join(reasons)
     try:
         if center is None:

@@ -12,6 +12,7 @@ from pcs_racing.base.checks import check_choice, check_number, check_seed
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import sine_cosine
 from pcs_racing.base.errors import InputError, MapError, UnknownNameError, require
+from pcs_racing.track.building.build import check_centerline, check_direction
 from pcs_racing.track.building.centerline import centerline_from_grid, directed, straightest
 from pcs_racing.track.building.curves import (
     curve_length,
@@ -285,7 +286,9 @@ def import_map(
     content = read_map(Path(source))
     if content.centerline is not None:
         # The given centre line decides the start and the driving direction.
-        line = content.centerline[:, :2]
+        line = check_centerline(content.centerline, f"{source}: the centre line")[:, :2]
+        if content.raceline is not None and direction is None:
+            check_direction(content.raceline[:, 1:3], line, str(source))
         seed_point = line[0].tolist() if seed_point is None else seed_point
         direction = (
             ("counterclockwise", "clockwise")[signed_area(line) < 0.0]

@@ -276,9 +276,22 @@ def test_a_program_drives_by_the_defaults_of_the_copy_that_it_brings_along(place
         0,
         "driven 0.02 1440 6.28 0.8 0.15875 Euler",
     ), done.stderr
-    said = next(line for line in done.stderr.splitlines() if "defaults of its own" in line)
+    said = next(line for line in done.stderr.splitlines() if "takes its place" in line)
     for word in ("timestep 0.02", "num_beams 1440", "fov 6.28", "mu 0.8", "integrator Euler"):
         assert word in said
+
+
+def test_an_own_package_of_the_gym_is_announced(tmp_path):
+    (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
+    (tmp_path / "f1tenth_gym" / "envs" / "__init__.py").write_text("raise SystemExit('run')")
+    config = {"map": "Pipkin", "observation_config": {"type": "frenet_marl"}}
+    (tmp_path / "program.py").write_text(
+        f"import f1tenth_gym, gymnasium; gymnasium.make('f1tenth-v0', config={config})"
+    )
+    done = run("program.py", tmp_path)
+    announced, error = done.stderr.strip().splitlines()
+    assert announced.endswith("f1tenth_gym is not run: pcs_racing.f1tenth takes its place")
+    assert "type is 'frenet_marl'" in error
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """Tracks loaded from map folders with the help of two caches."""
 
 import dataclasses
+import json
+import re
 
 import numba
 import numpy as np
@@ -9,11 +11,15 @@ from refusal import refused
 
 from pcs_racing import load_track
 from pcs_racing.base.errors import MapError, UnknownNameError
-from pcs_racing.track import loading
+from pcs_racing.track import loading, map_files
 from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA, LEFT, RIGHT
 from pcs_racing.track.map_files import MapFolder, read_map, write_map
 from pcs_racing.track.track import Calibration
+
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 60)
+SMALL = np.zeros((60, 7))
+SMALL[:, 1:3] = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])  # a circle about a point
 
 
 @pytest.fixture(autouse=True)
@@ -158,7 +164,7 @@ def test_a_changed_file_is_noticed_and_errors_name_the_file(folder):
     line = folder / "Big Oval_raceline.csv"
     rows = line.read_text().splitlines()
     line.write_text("\n".join(rows[: len(rows) // 2]))
-    refused(r"Big Oval_raceline\.csv is open", load_track, folder, error=MapError)
+    refused(r"Big Oval_raceline.csv: the race line is open", load_track, folder, error=MapError)
 
 
 def test_missing_lines_are_made_from_the_picture(folder, oval, caplog):
@@ -191,7 +197,60 @@ def test_a_race_line_without_air_to_the_walls_is_replaced(folder, oval, caplog):
     assert "comes within 0.1" in caplog.text
     rows[:, 1:3] *= 0.8
     np.savetxt(file, rows, delimiter=";")
-    refused(r"Oval_raceline\.csv leads", load_track, folder, error=MapError)
+    refused(r"Oval_raceline.csv: the race line leads", load_track, folder, error=MapError)
+
+
+def write_lines(folder, race, center):
+    """Write the lines of a folder as the json file of a race stack, in place of its csv files."""
+    for kind in ("centerline", "raceline"):
+        (folder / f"Big Oval_{kind}.csv").unlink()
+    columns = (map_files.RACELINE_COLUMNS, map_files.WAYPOINT_CENTERLINE)
+    keys = ("global_traj_wpnts_iqp", "centerline_waypoints")
+    lines = {
+        key: {"wpnts": [dict(zip(names, row, strict=True)) for row in np.asarray(rows).tolist()]}
+        for key, names, rows in zip(keys, columns, (race, center), strict=True)
+    }
+    (folder / "global_waypoints.json").write_text(json.dumps(lines))
+
+
+@pytest.mark.parametrize("form", ["csv", "json"])
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (lambda race: race[::-1], "race line is driven clockwise, but the centre line counter"),
+        (lambda race: np.random.default_rng(0).permutation(race), "race line crosses itself near"),
+        (lambda race: race * 1e300, "race line holds the impossible point"),
+        (lambda race: np.vstack([race[:-1], race]), "race line crosses itself"),
+        (lambda race: 0.5 * SMALL + race[0], "race line is .* leads round no wall"),
+    ],
+)
+def test_a_race_line_of_another_direction_order_or_way_is_refused(folder, line, message, form):
+    content = read_map(folder)
+    race = line(content.raceline)
+    write_map(content._replace(raceline=race))
+    if form == "json":
+        write_lines(folder, race, content.centerline)
+    refused(message, load_track, folder, error=MapError)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda center: center * [1.0, 1.0, 0.0, 1.0], "0.0 m wide to the right"),
+        (lambda center: center * [1.0, 1.0, 1.0, -1.0], "m to the left of point .* positive"),
+        (lambda center: np.random.default_rng(0).permutation(center), "crosses itself"),
+        (lambda center: center * [1e307, 1.0, 1.0, 1.0], "holds the impossible point"),
+    ],
+)
+def test_a_bad_centre_line_is_named_with_its_fault(folder, change, message, caplog):
+    content = read_map(folder)
+    center = change(content.centerline)
+    write_map(content._replace(centerline=center))
+    refused(f"Oval_centerline.csv: .*{message}", load_track, folder, error=MapError)
+    write_lines(folder, content.raceline, center)
+    load_track(folder)
+    (record,) = caplog.records
+    assert re.search(f"it has a bad centre line .*{message}", record.getMessage())
 
 
 def test_an_obstacle_stays_on_the_track_and_the_line_goes_past_it(folder, oval):

@@ -115,9 +115,18 @@ def test_the_map_is_found_by_the_folders_name_or_as_the_only_one(folder, tmp_pat
     assert find_map(renamed / "Ring_map.yaml") == find_map(renamed)
     (renamed / "Ring_map.yaml").rename(renamed / "Ring.yaml")
     assert find_map(renamed).name == "Ring"
+    (renamed / "notes.yaml").write_text("{no yaml")
+    assert find_map(renamed).name == "Ring"
     (renamed / "Other_map.yaml").write_text("image: x.png")
-    (renamed / "Third_map.yaml").write_text("image: x.png")
-    refused(r"several maps \(Other_map.yaml, Third_map.yaml\)", find_map, renamed, error=MapError)
+    refused(r"several maps \(Other_map.yaml, Ring.yaml\)", find_map, renamed, error=MapError)
+    (renamed / "with space.yaml").write_text("frame: x")  # no map
+    refused(r"several maps \(Other_map.yaml, Ring.yaml\)", find_map, renamed, error=MapError)
+    (renamed / "with space.yaml").write_text("image: x.png")
+    assert find_map(renamed).name == "with space"
+    (renamed / "with space_map.yaml").write_text("image: x.png")
+    refused(
+        r"several maps \(with space.yaml, with space_map.yaml\)", find_map, renamed, error=MapError
+    )
 
 
 def test_shipped_tracks_are_found_whatever_the_case(folder, monkeypatch):

@@ -1,5 +1,6 @@
 """Map folders: generated, imported from a bare picture, and the shipped ones made again."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.track.building.clearance import wall_clearance
 from pcs_racing.track.building.curves import resample, signed_area
 from pcs_racing.track.building.raceline import raceline_rows
-from pcs_racing.track.map_files import read_map
+from pcs_racing.track.map_files import read_map, write_map
 from pcs_racing.track.mapping.circuits import generate_circuit, generate_map, import_map
 
 SHIPPED = sorted(path for path in (REPOSITORY / "maps").iterdir() if path.is_dir())
@@ -80,6 +81,13 @@ def test_a_bare_map_is_completed_and_nothing_is_written_when_it_fails(tmp_path):
         error=MapError,
     )
     refused("the source itself", import_map, SHIPPED[0], SHIPPED[0], error=MapError)
+    turned = write_map(read_map(SHIPPED[0])._replace(folder=tmp_path / "Turned"))
+    for kind, message in (("race", "is driven"), ("center", "m wide to the right")):
+        content = read_map(turned)
+        wrong = content.raceline[::-1] if kind == "race" else content.centerline * -1.0
+        write_map(content._replace(**{f"{kind}line": wrong}))
+        refused(message, import_map, turned, tmp_path / "Never", error=MapError)
+    shutil.rmtree(turned)
     assert list(tmp_path.iterdir()) == []
     source = bare(tmp_path / "Bare Map", SHIPPED[0])
     track = import_map(source, tmp_path / "Full")
