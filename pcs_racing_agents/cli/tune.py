@@ -43,8 +43,7 @@ def run(
     held_out: Annotated[
         Sequence[str],
         Option(
-            f"circuits of the check only (default: those of {', '.join(HELD_OUT)} that are not"
-            " searched)",
+            f"circuits of choice and check only (default: {', '.join(HELD_OUT)}, if not searched)",
             "T",
         ),
     ] = (),
@@ -80,7 +79,8 @@ def run(
     with workers.start() as executor:
         tuned = tune(config, out, executor=executor, callback=show_search())
     print("\n".join(aligned(check_rows(tuned.check))))
-    print(f"\n{tuned.policy.name}\nwritten: {out / 'tuned.yaml'}, check.csv, progress.csv")
+    print(f"\n{tuned.kept}\n{tuned.policy.name}")
+    print(f"written: {out / 'tuned.yaml'}, check.csv, progress.csv")
 
 
 def show_search() -> TuningCallback:

@@ -7,8 +7,10 @@
    search and grows in the second: with the full price from the start, the search slows down the
    first policy and stays there, since the way to a fast and safe policy leads through fast ones.
 2. **Choice.** The start and the means of some generations of the second half race again, in more
-   races. The best of them is the tuned policy.
-3. **Check.** Start and tuned policy race once more, also on circuits held out of search and choice.
+   races, also on circuits held out of the search. Of the means that beat the start the one with the
+   max score less the price of own crashes is the finalist.
+3. **Check.** Start and finalist race once more on these circuits. The finalist is the tuned policy
+   if it beats the start by its score, and by its score less the price; else the start is kept.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,6 +23,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import yaml
 from annotated_types import Interval
+from numpy.typing import NDArray
 
 from pcs_racing.base.errors import ConfigError, InputError
 from pcs_racing.base.files import write_atomically
@@ -51,7 +54,7 @@ from pcs_racing_agents.policies.search import CubeCMAES
 CRASH_PRICE = 3.0
 """Lost races that an own crash beyond the limit is worth, besides the race that it loses."""
 FINALISTS = 8  # means of generations that race again
-CHOICE_STARTS = 4  # times the start lines of the search
+CHOICE_STARTS = 4  # times the start lines of the search, for the champion of an archive
 MIN_PARAMETERS = 2  # of CMA-ES
 
 TUNING_TRACKS = ("Tarnfjord", "Brackwater", "Pipkin", "Kestrelheim", "Quillburg")
@@ -67,7 +70,7 @@ class TuningConfig(Settings):
     tracks: Annotated[Names, "Names or folders of the circuits of search and choice."] = (
         TUNING_TRACKS
     )
-    held_out: Annotated[OptionalNames, "Circuits of the check only."] = HELD_OUT
+    held_out: Annotated[OptionalNames, "Circuits of choice and check only."] = HELD_OUT
     rules: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "contest"
     duration: Annotated[float, Interval(ge=0.1, le=3600.0), "Length of a race, s."] = 40.0
     start: Annotated[
@@ -85,7 +88,9 @@ class TuningConfig(Settings):
         int, Interval(ge=1, le=1000), "Start lines on each track, for each opponent."
     ] = 2
     check_starts: Annotated[
-        int, Interval(ge=2, le=10_000), "Start lines of the check, for each opponent and track."
+        int,
+        Interval(ge=2, le=10_000),
+        "Start lines of choice and check, for each opponent and track.",
     ] = 20
     crash_limit: Annotated[
         float, Interval(ge=0.0, le=1.0), "Share of own crashes that costs nothing."
@@ -139,7 +144,7 @@ TuningCallback = Callable[[str, int, int, TuningProgress | None], object]
 class CheckLine(NamedTuple):
     """Result of a policy against an opponent on a circuit, in the races of the check."""
 
-    policy: str  #: ``start`` or ``tuned``.
+    policy: str  #: ``start`` or ``tuned``: the same, if the start was kept.
     track: str
     held_out: str  #: ``yes`` for a circuit held out of the search.
     opponent: str
@@ -167,6 +172,7 @@ class Tuned(NamedTuple):
     policy: Policy
     check: list[CheckLine]
     course: list[TuningProgress]
+    kept: str  #: Line with the kept policy, and scores of start and finalist in the check.
 
 
 def tune(
@@ -197,16 +203,33 @@ def tune(
     settings = {**plain_settings(config), "rules": config.race_rules, "track_hashes": hashes}
     with open_job(folder, "tuning", settings) as job:
         run = TuningRun(config, job, executor, callback or (lambda *_: None))
-        text = policy_text(get_planner(config.planner), run.choose(run.search()))
+        text = policy_text(get_planner(config.planner), run.finalist(run.search()))
         # The policy as it is written, with four digits.
-        check = run.check(parse_policy(text).parameters)
+        check, both = run.check(parse_policy(text).parameters)
+        if not beats_start(both, config.crash_limit)[1]:
+            text = config.start or config.planner
+            own = [line for line in check if line.policy == "start"]
+            check = [*own, *(line._replace(policy="tuned") for line in own)]
+        kept = kept_words(both, config.crash_limit)
         write_csv(table_rows(CHECK, check), folder / "check.csv")
         write_csv(table_rows(COURSE, run.course), folder / "progress.csv")
         if find_spec("matplotlib") is not None:
             save_picture(course_picture(run.course, config.crash_limit), folder / "progress.png")
-        about = {"policy": text, **plain_settings(config)}
+        about = {"policy": text, "kept": kept, **plain_settings(config)}
         write_atomically(folder / "tuned.yaml", yaml.safe_dump(about, sort_keys=False))
-        return Tuned(parse_policy(text), check, run.course)
+        return Tuned(parse_policy(text), check, run.course, kept)
+
+
+def kept_words(both: Evaluation, crash_limit: float) -> str:
+    """Return a line with the kept policy: the start, unless the finalist beats it."""
+    start, finalist = (
+        f"{score:.3f} (own crashes {crash:.1%}, their price {price:.3f})"
+        for score, crash, price in zip(
+            both.score, both.own_crash, both.score - fitness(both, crash_limit), strict=True
+        )
+    )
+    which = "finalist" if beats_start(both, crash_limit)[1] else "start"
+    return f"kept: the {which}; scores in the check: start {start}, finalist {finalist}"
 
 
 def policy_text(planner: Planner, theta: Floats) -> str:
@@ -262,16 +285,22 @@ class TuningRun:
 
     def choose(self, means: Floats) -> Floats:
         """Return the best of the start and some means of the second half, by new races, (P,)."""
-        config, last = self.config, self.config.generations
-        steps = np.linspace(last, last // 2 + 1, FINALISTS).round().astype(int)
-        finalists = means[np.unique([0, *steps])]
-        seed = np.random.SeedSequence(config.seed, spawn_key=(2,))
-        starts = CHOICE_STARTS * config.starts
-        found = self._race(f"{self.name}-choice", finalists, seed, starts)
-        self.callback("choice", 1, 1, None)
-        return np.asarray(finalists[fitness(found, config.crash_limit).argmax()])
+        starts = CHOICE_STARTS * self.config.starts
+        finalists, found = self._choice(means, self.config.tracks, starts)
+        return np.asarray(finalists[fitness(found, self.config.crash_limit).argmax()])
 
-    def check(self, theta: Floats) -> list[CheckLine]:
+    def finalist(self, means: Floats) -> Floats:
+        """Return the best mean of the second half, by races on all circuits of the check, (P,).
+
+        Means that beat the start come first.
+        """
+        config = self.config
+        tracks = (*config.tracks, *config.held_out)
+        finalists, found = self._choice(means, tracks, config.check_starts)
+        value, beats = (of(found, config.crash_limit)[1:] for of in (fitness, beats_start))
+        return np.asarray(finalists[1:][np.lexsort((value, beats))[-1]])
+
+    def check(self, theta: Floats) -> tuple[list[CheckLine], Evaluation]:
         """Race the start and a policy in new races, on the circuits held out, too."""
         config = self.config
         seed = np.random.SeedSequence(config.seed, spawn_key=(3,))
@@ -280,7 +309,20 @@ class TuningRun:
         policies = np.stack([config.start_policy.parameters, theta])
         raced = self._raced(f"{self.name}-check", policies, scenarios)
         self.callback("check", 1, 1, None)
-        return list(_check_lines(config, scenarios, raced))
+        return list(_check_lines(config, scenarios, raced)), summarise(raced)
+
+    def _choice(
+        self, means: Floats, tracks: tuple[str, ...], starts: int
+    ) -> tuple[Floats, Evaluation]:
+        """Race the start and some means of the second half; return them with their results."""
+        last = self.config.generations
+        steps = np.linspace(last, last // 2 + 1, FINALISTS).round().astype(int)
+        finalists = means[np.unique([0, *steps])]
+        seed = np.random.SeedSequence(self.config.seed, spawn_key=(2,))
+        scenarios = self._scenarios(tracks, seed, starts)
+        found = summarise(self._raced(f"{self.name}-choice", finalists, scenarios))
+        self.callback("choice", 1, 1, None)
+        return finalists, found
 
     def _race(
         self, name: str, theta: Floats, seed: np.random.SeedSequence, starts: int
@@ -310,6 +352,12 @@ class TuningRun:
 def fitness(found: Evaluation, crash_limit: float, price: float = 1.0) -> Floats:
     """Return scores less a share of the price of own crashes beyond a limit, shape (K,)."""
     return found.score - price * CRASH_PRICE * np.maximum(found.own_crash - crash_limit, 0.0)
+
+
+def beats_start(found: Evaluation, crash_limit: float) -> NDArray[np.bool_]:
+    """Return which policies beat the first by the score, and by the score less the price, (K,)."""
+    value = fitness(found, crash_limit)
+    return (found.score > found.score[0]) & (value > value[0])
 
 
 def _check_lines(config: TuningConfig, scenarios: Scenarios, raced: Arrays) -> Iterator[CheckLine]:

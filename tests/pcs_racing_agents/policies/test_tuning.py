@@ -1,6 +1,7 @@
 """Tuning of a planner by races: a search, a choice and a check, as a resumable run."""
 
 import csv
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
@@ -17,7 +18,7 @@ from pcs_racing.race.races import RaceSetup, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.policies import TuningConfig, tune
 from pcs_racing_agents.policies import tuning as module
-from pcs_racing_agents.policies.tuning import fitness, policy_text
+from pcs_racing_agents.policies.tuning import beats_start, fitness, policy_text
 
 pytest.importorskip("cma")
 
@@ -55,6 +56,8 @@ def test_a_tuned_policy_is_better_than_the_start_and_stands_in_the_folder(tuned)
     settings = module.yaml.safe_load((folder / "tuned.yaml").read_text(encoding="utf-8"))
     assert settings["policy"] == found.policy.name
     assert settings["start"] == TINY.start
+    assert settings["kept"] == found.kept
+    assert found.kept.startswith("kept: the finalist; scores in the check: start 0.")
     with (folder / "progress.csv").open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     assert [float(line["score"]) for line in lines] == pytest.approx(
@@ -128,6 +131,10 @@ def test_crashes_beyond_the_limit_cost_more_than_the_races_that_they_lose():
     assert fitness(found, 0.2) == pytest.approx([0.6, 0.3, 0.5])
     assert fitness(found, 0.2, 0.5) == pytest.approx([0.6, 0.45, 0.5])
     assert fitness(found, 0.2, 0.0) == pytest.approx(found.score)
+    better = SimpleNamespace(
+        score=np.array([0.5, 0.5, 0.6, 0.6]), own_crash=np.array([0.1, 0.0, 0.3, 0.2])
+    )
+    assert beats_start(better, 0.2).tolist() == [False, False, False, True]
 
 
 def test_a_policy_as_text_is_the_same_policy_to_four_digits():
@@ -185,7 +192,15 @@ def test_the_command(tmp_path, run):
     code, out, err = run("tune", *given, *small, "--out", tmp_path / "a")
     assert code == 0
     assert [line.split()[0] for line in out.splitlines()[:2]] == ["opponent", "gap-follower"]
-    assert "pure-pursuit:pace=" in out
+    # A start that the search does not beat is kept, and wins ties.
+    assert re.search(r"\nkept: the start; scores in the check: start 0\.\d+ \(own crashes \d", out)
+    assert "\npure-pursuit\n" in out
+    lines = (tmp_path / "a" / "check.csv").read_text().splitlines()
+    start, tuned = (
+        [line.partition(",")[2] for line in lines if line.startswith(policy)]
+        for policy in ("start", "tuned")
+    )
+    assert start == tuned
     assert "1/1 generations" in err
     (row,) = [line for line in out.splitlines() if "held out" in line]
     assert row.split()[0] == "gap-follower"
