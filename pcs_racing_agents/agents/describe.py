@@ -7,6 +7,7 @@ for an agent with the same hash (:func:`pcs_racing_agents.agents.agent.competito
 import inspect
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ import numpy as np
 
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.game_spec import GameSpec
+from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 from pcs_racing_agents.base.tables import read_csv
 
@@ -85,8 +86,21 @@ NEEDS = {
 }
 
 
+SHIPPED_GAMES = (("default", "paper"), ("contest", "contest"))
+"""Archives and rules of the shipped agents."""
+
 NOT_SHIPPED = ["Not shipped for this game."]
 """Facts about an agent that is not shipped for a game."""
+
+
+def shipped_words(name: str) -> str:
+    """Return the rules for which a trained agent ships, in brackets; empty for other agents."""
+    rules = []
+    for archive, race in SHIPPED_GAMES if entries()[name].needs else ():
+        with suppress(UnknownNameError):
+            build(name, make_game_spec(archive, race))
+            rules.append(race)
+    return f" (ships for {' and '.join(rules)})" if rules else ""
 
 
 def option_meanings(function: Callable[..., Any]) -> dict[str, str]:

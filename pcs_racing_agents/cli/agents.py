@@ -1,4 +1,4 @@
-"""``pcs-racing agents``, ``policies`` and ``export``: agents, planners, and their networks."""
+"""``pcs-racing agents`` and ``export``: agents, planners, and their networks."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,49 +20,50 @@ _CONSTANT = "makes the same move at every step"
     "pcs-racing agents",
     "pcs-racing agents best-fixed",
     "pcs-racing agents response --rules contest",
+    "pcs-racing agents lattice",
 )
 def run(
     agent: Annotated[
-        str | None, Option("name of the agent to describe (default: list all)")
+        str | None, Option("name of the agent or planner to describe (default: list all)")
     ] = None,
     *,
     archive: ArchiveName = None,
     rules: RulesName = "paper",
 ) -> None:
-    """List all agents, or describe one of them: options, training, strength, cost, hash."""
-    from pcs_racing_agents.agents.describe import describe, facts_of
+    """List agents and planners, or describe one: options, training, strength; parameters."""
+    from pcs_racing_agents.agents.describe import describe, facts_of, shipped_words
     from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.agents.zoo import entries, names
 
+    if agent is not None and agent.endswith(".py"):
+        from pcs_racing.planners.imported import drivers_from
+
+        drivers_from(agent)
+    if agent is not None and (agent in planner_names() or agent.endswith(".py")):
+        print(_describe(get_planner(agent)))
+        return
     config = load_game_config(rules)
     spec = make_game_spec(archive_for(archive, config.race), config)
     available, listed = entries(), names(spec.archive, spec.config)
     if agent is None:
-        rows = [(name, available[name].summary) for name in listed if name in available]
+        rows = [
+            (name, available[name].summary + shipped_words(name))
+            for name in listed
+            if name in available
+        ]
         constant = [name.removeprefix(ALWAYS) for name in listed if name not in available]
         rows.append((f"{ALWAYS}MOVE", f"{_CONSTANT}; MOVE: {', '.join(constant)}"))
-        print("\n".join(aligned(sorted(rows), left=2)))
+        rows = [*sorted(rows), *((name, "planner") for name in planner_names())]
+        print("\n".join(aligned(rows, left=2)))
         return
     if agent not in listed:
-        raise UnknownNameError(f"agent {agent!r} is unknown; {choices(agent, listed)}")
+        known = [*listed, *planner_names()]
+        raise UnknownNameError(f"agent {agent!r} is unknown; {choices(agent, known)}")
     about = f"{_CONSTANT.capitalize()}.\n"
     if agent in available:
         about = describe(agent, available[agent]).replace("`", "")
     print(f"{agent}\n\n{about}\n\nWith archive {spec.archive.name} in the {spec.race} race:")
     print("\n".join(f"- {line}" for line in facts_of(agent, spec)))
-
-
-@command("policies", "pcs-racing policies lattice")
-def run_policies(
-    planner: Annotated[str | None, Option("name of the planner to list (default: all)")] = None,
-) -> None:
-    """List planners with the bounds and meanings of their parameters."""
-    names = [planner] if planner else planner_names()
-    if planner is not None and planner.endswith(".py"):
-        from pcs_racing.planners.imported import drivers_from
-
-        drivers_from(planner)
-    print("\n\n".join(_describe(get_planner(name)) for name in names))
 
 
 @command(

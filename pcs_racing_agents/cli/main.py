@@ -30,9 +30,8 @@ FILES = {
     "track": ("track", "list, show, import, generate and calibrate circuits"),
     "agents": (
         "agents",
-        "list all agents, or describe one of them: options, training, strength, cost, hash",
+        "list agents and planners, or describe one: options, training, strength; parameters",
     ),
-    "policies": ("agents", "list planners with the bounds and meanings of their parameters"),
     "export": ("agents", "write the network of a policy, planner or agent as an ONNX file"),
     "tune": (
         "tune",

@@ -167,13 +167,15 @@ def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(p
     out = printed("agents")
     listed = [line.split()[0] for line in out.splitlines()]
     assert {"cfr-argmax", "always-MOVE", "random-policy"} <= set(listed)
-    assert len(listed) <= 16
+    assert set(registry.SHIPPED) <= set(listed)
+    assert "equilibrium strategy (ships for paper)\n" in out
+    assert "counterfactual regret (ships for paper and contest)\n" in out
+    assert len(listed) <= 16 + len(registry.SHIPPED)
     assert "MOVE: aggressiveness+, aggressiveness-, restraint+, restraint-\n" in out
     assert "- Option target, by default None. Index of the policy." in printed(
         "agents", "best-fixed"
     )
-    assert set(registry.SHIPPED) <= set(printed("policies").splitlines())
-    lattice, switcher = (printed("policies", name) for name in ("lattice", "lane-switcher"))
+    lattice, switcher = (printed("agents", name) for name in ("lattice", "lane-switcher"))
     for one in registry.get_planner("lattice").parameters:
         assert re.search(
             rf"\n  {one.name} +{one.default:g} +in \[{one.low:g}, {one.high:g}\]"
@@ -287,7 +289,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
             ["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"],
             "style is 'baroque'; it must be one of hull, voronoi, hairpin",
         ),
-        (["policies", "latice"], "did you mean 'lattice'?"),
+        (["agents", "latice"], "did you mean 'lattice'?"),
         (["agents", "robot"], "agent 'robot' is unknown; there are: "),
         (["study", "contest", "--test-track", "Nowhere", "--out", "x"], "Nowhere"),
         (["study", "contest", "--test-track", "Pipkin", "--out", "x"], "Pipkin"),
@@ -328,7 +330,7 @@ def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code,
 
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", fails)
-    result, _, err = run("policies", "lattice")
+    result, _, err = run("agents", "lattice")
     assert result == code
     assert told in err
     assert err.count("\n") == 1
@@ -336,7 +338,7 @@ def test_what_stops_a_command_is_told_in_a_line(run, monkeypatch, stopped, code,
     # An error in the program itself is not hidden.
     monkeypatch.setattr("pcs_racing_agents.cli.agents.get_planner", lambda name: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        run("policies", "lattice")
+        run("agents", "lattice")
 
 
 def test_parameters_of_a_function_become_words_and_options(capsys):
@@ -516,7 +518,7 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
         assert ("(in 'view' after --agents)" in error) == (len(line) == 3)
     assert "own_racers.py:First (car 1) against own_racers.py:Straight" in text
     assert "makes no moves, so there is nothing to explain; nor does" in run(*explain, 2)[2]
-    assert "variants: Straight" in printed("policies", "own_racers.py")
+    assert "variants: Straight" in printed("agents", "own_racers.py")
     assert "'lattice' is not in the races of out; there are own_racers.py" in told(
         "view", "out", "--agents", "lattice"
     )
@@ -575,7 +577,7 @@ def test_streams_that_are_closed_or_know_few_letters(tmp_path, monkeypatch, caps
 
 def test_a_reader_that_goes_away_is_no_error():
     command = f"'{sys.executable}' -m pcs_racing_agents --version; '{sys.executable}' -m"
-    command += " pcs_racing_agents policies | head -n 1"
+    command += " pcs_racing_agents agents | head -n 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=True)
     assert done.stdout.startswith(f"pcs-racing {version('pcs-racing')}\n")
     assert done.stderr == ""
