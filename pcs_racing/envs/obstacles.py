@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.checks import is_whole
 from pcs_racing.base.elementary import lengths
+from pcs_racing.base.errors import ConfigError, say_once
 from pcs_racing.base.settings import OneOf, Settings, load_settings, number_range
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.moving import BOX, LANES, MOTION, make_lanes
@@ -80,10 +81,20 @@ class Obstacles(Settings):
         "Amplitude of the motion of a moving one across the race line, in a period of 4 s, m.",
     ] = (0.0, 0.0)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.moving[0] > self.count[0] or self.moving[1] > self.count[1]:
+            raise ConfigError(
+                f"moving is {list(self.moving)}, and count is {list(self.count)}: no more obstacles"
+                " can move than there are"
+            )
+
     def draw(
         self, track: Track, starts: Sequence[float], generator: np.random.Generator
     ) -> NDArray[np.float64]:
-        """Draw the obstacles of an episode, shape (K, 7); obstacles without room are left out.
+        """Draw the obstacles of an episode, shape (K, 7).
+
+        Obstacles without room are left out, and reported once for each number.
 
         ``starts`` are the arc lengths of the cars (m). The track is free from 3 m before to 8 m
         after each of them. Moving obstacles come first. They have the same speed, and their lanes
@@ -103,6 +114,11 @@ class Obstacles(Settings):
                 if self._fits(track, one, placed, starts):
                     placed.append(one)
                     break
+        if len(placed) < count:
+            say_once(
+                f"there was room for {len(placed)} of {count} obstacles in an episode (size"
+                f" {list(self.size)}, passage {self.passage:g}, apart {self.apart:g} m)"
+            )
         return np.array([one.row for one in placed]).reshape(-1, len(BOX) + len(MOTION))
 
     def _try(

@@ -230,8 +230,11 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
     def step(
         self, actions: Mapping[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], Infos]:
-        """Apply the actions of all agents, and drive a step."""
+        """Apply the actions of all agents, and drive a step; after the end nothing is returned."""
+        self._check_started()
         agents = self.possible_agents
+        if actions == {} and not self._running:
+            return {}, {}, {}, {}, {}
         if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
             raise InputError(
                 f"actions are {actions!r}; they must hold an action for each of {', '.join(agents)}"

@@ -387,6 +387,14 @@ def test_steps_at_the_wrong_time_are_refused(kind):
 
 
 @pytest.mark.parametrize("kind", PAIRS)
+def test_a_step_of_no_agents_after_the_end_returns_nothing(kind):
+    env = make(kind)
+    refused("not begun", env.step, {})
+    play(env, 1)
+    assert env.step({}) == ({}, {}, {}, {}, {})
+
+
+@pytest.mark.parametrize("kind", PAIRS)
 def test_max_cycles_truncates_and_decides_nothing(kind):
     env = (
         make(kind, max_cycles=2, rules="paper", moves=4)

@@ -1,6 +1,7 @@
 """Episodes that differ: circuits, cars, values drawn for the cars, and obstacles."""
 
 import dataclasses
+import re
 import threading
 import time
 
@@ -237,6 +238,16 @@ def test_drawn_obstacles_leave_room_and_keep_away_from_the_start(oval):
         assert not ((frenet[:, 0] > 2.01) & (frenet[:, 0] < 12.99)).any()
         reach = 0.5 * np.hypot(*boxes[:, 3:5].T)
         assert (1.1 + np.abs(frenet[:, 1]) - reach > 0.93).all()
+
+
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [({"count": 20}, r"[3-9] of 20"), ({"count": 1, "size": 2.0}, r"0 of 1 .*size \[2.0, 2.0\]")],
+)
+def test_obstacles_without_room_are_counted(oval, settings, found, capsys):
+    boxes = Obstacles(**settings).draw(oval, [5.0], np.random.default_rng(0))
+    assert re.search(f"room for {found}", (err := capsys.readouterr().err))
+    assert f"room for {len(boxes)} of" in err
 
 
 @pytest.mark.parametrize(("shape", "share"), [("box", 0.0), ("both", 0.5), ("circle", 1.0)])

@@ -101,6 +101,7 @@ PLAIN = [
         (ALL, {"obstacles": {"size": 5.0}}, "size of obstacles is 5.0"),
         (ALL, {"obstacles": {"speed": 5.0}}, "speed"),
         (ALL, {"obstacles": {"shape": "star"}}, "shape is 'star'"),
+        (ALL, {"obstacles": {"moving": 3, "count": 2}}, "moving is [3, 3], and count is [2, 2]"),
     ],
     ids=lambda value: str(value)[:60] if isinstance(value, dict) else "",
 )
@@ -111,6 +112,20 @@ def test_an_impossible_argument_is_one_error_that_names_it(kinds, arguments, mes
         if isinstance(caught.value, UnknownArgumentError):
             assert isinstance(caught.value, TypeError)  # as Python's own
             assert f"{kind.__name__}()" in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [*ALL, *VECTORS])
+def test_an_argument_is_read_and_never_set(kind):
+    env = kind()
+    for name in ("opponent", "rules", "obstacles"):
+        assert getattr(env, name) == getattr(env.options, name)
+        refused(f"{name} is an argument .* make another one", setattr, env, name, "lattice")
+    refused(r"set_opponent_weights\(\[...\]\) chooses", setattr, env, "opponent", "nonsense")
+    env.reset(seed=0)
+    env.reward = lambda step: step.reward
+    refused(
+        "reward is an argument", env.step, act(env) if kind in ALL else env.action_space.sample()
+    )
 
 
 @pytest.mark.parametrize(
