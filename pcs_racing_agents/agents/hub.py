@@ -17,7 +17,9 @@ from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
 from pcs_racing.planners.learned import LOADERS, folder_format, load_planner
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 
-REPO = re.compile(r"[\w.-]{1,96}/[\w.-]{1,96}", re.ASCII)
+PART = r"\w(?:[\w.-]{0,94}\w)?"  # of a name, as the hub allows it
+REPO = re.compile(rf"(?!.*(?:--|\.\.|\.git$)){PART}/{PART}", re.ASCII)
+REVISION = re.compile(r"(?!.*\.\.)\w[\w./-]{0,199}", re.ASCII)
 FILES = [MANIFEST, "*.npz", "*.safetensors"]
 """Names of the downloaded files; all other files of a repository stay on the hub."""
 
@@ -64,8 +66,8 @@ def load_from_hub(repo_id: str, *, revision: str | None = None) -> Any:
         Object of the format that the manifest names.
     """
     _check_repo(repo_id)
-    if not isinstance(revision, str | None):
-        raise InputError(f"revision is {revision!r}; it must be a text")
+    if revision is not None and not (isinstance(revision, str) and REVISION.fullmatch(revision)):
+        raise InputError(f"revision is {revision!r:.80}; it must be a branch, a tag or a commit")
     require("huggingface_hub", extra="hub")
     from huggingface_hub import snapshot_download
 
@@ -116,7 +118,10 @@ def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") 
 def _check_repo(repo_id: str) -> None:
     """Check that a name of a repository is ``owner/name``, since it stands in a card's code."""
     if not isinstance(repo_id, str) or not REPO.fullmatch(repo_id):
-        raise InputError(f"repo_id is {repo_id!r:.80}; it must be 'owner/name'")
+        raise InputError(
+            f"repo_id is {repo_id!r:.80}; it must be 'owner/name': letters, digits, and '-', '_' or"
+            " '.' between them"
+        )
 
 
 def _format(folder: Path, name: str | Path) -> str:

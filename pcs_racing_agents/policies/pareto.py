@@ -65,7 +65,14 @@ def hypervolume(points: Floats, reference: float = REFERENCE) -> float:
     Points that don't exceed the reference on all axes add nothing. See Fonseca, Paquete,
     Lopez-Ibanez, CEC 2006.
     """
-    return float(_moocore().hypervolume(points, ref=reference, maximise=True))
+    with np.errstate(over="ignore"):
+        volume = float(_moocore().hypervolume(points, ref=reference, maximise=True))
+    if not np.isfinite(volume):
+        raise InputError(
+            f"points hold {np.abs(points).max():g}; their hypervolume is beyond all numbers: scale"
+            " the points (Scale)"
+        )
+    return volume
 
 
 def contributions(front: Floats, reference: float = REFERENCE) -> Floats:

@@ -69,12 +69,20 @@ def test_a_missing_repository_and_another_format_are_one_line(hub):
     assert asked == [["manifest.yaml"]]  # its large files stay on the hub
 
 
-@pytest.mark.parametrize("name", [None, "model", "a/b/c", "../b/c", 'o/n")\nimport os #'])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(None, "model", "a/b/c", "../b/c", 'o/n")\nimport os #', "../..", "a/..", ".a/b", "a/b."),
+        *("a--b/c", "a/b..c", "a/b.git", "-a/b", f"a/{97 * 'b'}", "a/b\n"),
+    ],
+)
 def test_a_name_that_is_no_repository_is_refused(hub, tmp_path, name):
     with pytest.raises(InputError, match="must be 'owner/name'"):
         load_from_hub(name)
     with pytest.raises(InputError, match="must be 'owner/name'"):
         write_model_card(tmp_path, name)
+    with pytest.raises(InputError, match="must be a branch, a tag or a commit"):
+        load_from_hub("somebody/model", revision="../../model" if name is None else f"{name}/..")
 
 
 @pytest.mark.parametrize("kind", SHIPPED)

@@ -53,6 +53,10 @@ def test_hypervolume_is_the_number_of_cells_below_the_points(points, reference):
     )
 
 
+def test_a_hypervolume_beyond_all_numbers_is_refused():
+    refused("points hold 1e.200; their hypervolume", pareto.hypervolume, np.full((1, 2), 1e200))
+
+
 @given(whole_points(most=8, axes=st.integers(2, 3)))
 def test_a_contribution_is_what_the_front_loses_without_the_point(points):
     front = points[pareto.non_dominated(points)]
