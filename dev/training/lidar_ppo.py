@@ -331,10 +331,10 @@ class Run:
         return found[: len(shipped)] * a.each + found[len(shipped) + a.checks :]
 
     def train(self) -> None:
-        """Train until the time is over."""
+        """Train for the minutes, which begin now, after the preparation."""
         a, learner = self.arguments, self.learner
-        end, saved = 60.0 * a.minutes, self.log.seconds
-        while self.updates < a.updates and self.log.seconds < end - a.spare:
+        end, saved = self.log.begin(a.minutes), self.log.seconds
+        while self.updates < a.updates and self.log.seconds < end:
             begun = time.monotonic()
             self._price()
             rollout = self.collector.collect()

@@ -311,11 +311,11 @@ class Run:
         return shipped * a.each + random
 
     def train(self) -> None:
-        """Train until the time is over."""
+        """Train for the minutes, which begin now, after the preparation."""
         a, learner = self.arguments, self.learner
-        end, saved = 60.0 * a.minutes, self.log.seconds
         self._evaluate()
-        while self.updates < a.updates and self.log.seconds < end - a.spare:
+        end, saved = self.log.begin(a.minutes), self.log.seconds
+        while self.updates < a.updates and self.log.seconds < end:
             begun = time.monotonic()
             rollout = self.collector.collect()
             middle = time.monotonic()

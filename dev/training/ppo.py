@@ -248,6 +248,11 @@ class Log:
         """Print a line with the time."""
         print(f"{self.seconds:6.0f} s  {text}", flush=True)
 
+    def begin(self, minutes: float) -> float:
+        """Print that the training begins, and return the time of its end."""
+        self.say(f"prepared; the training begins now and takes {minutes:g} minutes")
+        return self.seconds + 60.0 * minutes
+
     def curve(self, steps: int, rows: Sequence[dict[str, Any]], found: float) -> None:
         """Print an evaluation with its merit, and add it to the csv file."""
         new = not self.file.exists()
@@ -270,9 +275,8 @@ def add_arguments(
     """Add the options that both trainings have, with their defaults that differ."""
     add = parser.add_argument
     add("--out", type=Path, required=True, help="folder of weights, checkpoint and curves")
-    add("--minutes", type=float, default=10.0, help="wall-clock time, preparation included")
+    add("--minutes", type=float, default=10.0, help="wall-clock time of the training itself")
     add("--updates", type=int, default=1_000_000, help="updates, if they end before the time")
-    add("--spare", type=float, default=10.0, help="seconds kept for the last evaluation")
     add("--every", type=float, default=60.0, help="seconds between evaluations and checkpoints")
     add("--device", default="cuda" if torch.cuda.is_available() else "cpu", help="of torch")
     add("--threads", type=int, default=1, help="threads that drive")

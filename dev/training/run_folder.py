@@ -14,7 +14,7 @@ from pcs_racing.envs.draws import load_randomization
 OF_THE_RACES = ("seed", "tracks", "cars", "random", "each", "batches")
 """Arguments that, with the draws of the cars, determine the races; others begin races again."""
 MAY_BE_ZERO = {
-    *("seed", "random", "checks", "updates", "spare", "every", "entropy"),
+    *("seed", "random", "checks", "updates", "every", "entropy"),
     *("warm", "fade", "bold", "progress", "gain", "win", "passing"),
 }
 
