@@ -148,7 +148,7 @@ def drivable_region(
         if not (
             (line.xy < origin) | (line.xy >= origin + resolution * np.array(occupied.shape[::-1]))
         ).any():
-            across = _free_widths(drivable, *_in_cells(line, resolution, origin, bottom, left)).sum(
+            across = free_widths(drivable, *_in_cells(line, resolution, origin, bottom, left)).sum(
                 axis=1
             )
             usual = max(usual, float(across.mean()) * line.length / resolution)
@@ -195,7 +195,7 @@ def build_arrays(
     line[:, PSI] = samples.psi
     line[:, KAPPA] = samples.kappa
     line[:, SPEED] = speed_profile(samples.kappa, ds)
-    line[:, [RIGHT, LEFT]] = _free_widths(drivable, x, y, tangent) * resolution
+    line[:, [RIGHT, LEFT]] = free_widths(drivable, x, y, tangent) * resolution
 
     outlines = trace_outlines(drivable)
     segments, owner, start = simplify(outlines, max(SIMPLIFY_CELLS, SIMPLIFY / resolution), INSET)
@@ -278,7 +278,7 @@ def _viewpoints(line: Floats, stretches: int) -> Floats:
 
 
 @compiled
-def _free_widths(drivable, x, y, tangent):
+def free_widths(drivable, x, y, tangent):
     """Return the free widths (cells) to the right and left of line samples, along the normals."""
     out = np.empty((x.shape[0], 2))
     for k in range(x.shape[0]):

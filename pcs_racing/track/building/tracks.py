@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pcs_racing.base.elementary import arctangent2, headings
+from pcs_racing.base.elementary import arctangent2, headings, lengths
 from pcs_racing.base.errors import MapError
 from pcs_racing.base.typing import Floats
 from pcs_racing.track.building.build import (
@@ -16,6 +16,7 @@ from pcs_racing.track.building.build import (
     check_centerline,
     check_direction,
     check_line,
+    free_widths,
 )
 from pcs_racing.track.building.centerline import centerline_from_grid
 from pcs_racing.track.building.clearance import CLEARANCE, checked_grid, wall_clearance
@@ -71,8 +72,9 @@ def build_track(
     race = check_line(raceline_xy, f"{label}: the race line")
     check_direction(race, center, label)
     arrays, drivable = build_arrays(grid, resolution, corner, race, center, label)
-    _check_centre(arrays, center, f"{label}: the centre line")
-    _check_round(drivable, arrays, label)
+    filled, holes, large = fill_islands(drivable, resolution)
+    _check_centre(arrays, center, filled, f"{label}: the centre line")
+    _check_round(arrays, [holes == hole for hole in large], label)
     for preset, own in (calibration or {}).items():
         last = max(stretches[-1][1] for stretches in own.start_places.values())
         if last >= arrays.length:
@@ -89,8 +91,11 @@ def build_track(
     return Track(name, arrays, center, dict(calibration or {}), folder, digest.hexdigest())
 
 
-def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
-    """Check that a centre line lies on the track, and that its stated widths are about right."""
+def _check_centre(arrays: TrackArrays, center: Floats, filled: Grid, label: str) -> None:
+    """Check that a centre line lies on the track, and that its stated widths are about right.
+
+    ``filled`` is the drivable region without islands.
+    """
     cols, rows = (
         np.floor((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell)
         .astype(np.int64)
@@ -102,7 +107,6 @@ def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
     room[on] = arrays.distance[rows[on], cols[on]]
     stated = center[:, 2:].min(axis=1)
     if (room < stated - WIDTH_TOLERANCE).any():  # obstacles do not narrow a centre line's track
-        filled = fill_islands(arrays.distance > 0.0, arrays.cell)[0]
         room[on] = distance_to_walls(filled, arrays.cell)[rows[on], cols[on]]
     if (room == 0.0).any():
         x, y = center[np.argmin(room), :2]
@@ -117,15 +121,26 @@ def _check_centre(arrays: TrackArrays, center: Floats, label: str) -> None:
             f" ({x:.2f}, {y:.2f}), but in the picture a wall is {room[worst]:.2f} m away: line,"
             " widths and picture must fit together"
         )
+    ahead = np.roll(center[:, :2], -1, axis=0) - np.roll(center[:, :2], 1, axis=0)
+    x, y = ((center[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell).T
+    ahead /= np.maximum(lengths(ahead), 1e-9)[:, None]
+    across = arrays.cell * free_widths(filled, x.copy(), y.copy(), ahead)
+    over = (center[:, 2:] - across - WIDTH_TOLERANCE).max(axis=0)
+    if (over > 0.0).any():
+        exchanged = (center[:, 3:1:-1] < across + WIDTH_TOLERANCE).all()
+        raise MapError(
+            f"{label} states up to {over.max() + WIDTH_TOLERANCE:.2f} m more room to the"
+            f" {('right', 'left')[int(np.argmax(over))]} than the picture has"
+            f"{': right and left are exchanged' if exchanged else ''}"
+        )
 
 
-def _check_round(drivable: Grid, arrays: TrackArrays, label: str) -> None:
-    """Check that the race line leads round the infield, if there is one."""
-    _, holes, large = fill_islands(drivable, arrays.cell)
+def _check_round(arrays: TrackArrays, infields: list[Grid], label: str) -> None:
+    """Check that the race line leads round an infield, if there is one."""
     line = (arrays.line[:, :2] - [arrays.origin_x, arrays.origin_y]) / arrays.cell
     turns = []
-    for hole in large:
-        angle = headings(line - np.argwhere(holes == hole)[0, ::-1] - 0.5)
+    for infield in infields:
+        angle = headings(line - np.argwhere(infield)[0, ::-1] - 0.5)
         turns.append(abs(float(np.unwrap([*angle, angle[0]])[-1] - angle[0])))
     if turns and max(turns) < np.pi:
         raise MapError(

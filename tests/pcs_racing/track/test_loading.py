@@ -253,6 +253,18 @@ def test_a_bad_centre_line_is_named_with_its_fault(folder, change, message, capl
     assert re.search(f"it has a bad centre line .*{message}", record.getMessage())
 
 
+def test_widths_of_the_other_sides_are_named(folder, oval):
+    content = read_map(folder)
+    s, d = oval.to_frenet(content.centerline[:, :2]).T
+    center = content.centerline.copy()
+    center[:, :2] = oval.to_cartesian(np.column_stack([s, d + 0.5]))[:, :2]
+    center[:, 2:] = [1.6, 0.6]
+    write_map(content._replace(centerline=center))
+    load_track(folder)
+    write_map(content._replace(centerline=center[:, [0, 1, 3, 2]]))
+    refused("m more room to the left .* right and left are exchanged", load_track, folder)
+
+
 def test_an_obstacle_stays_on_the_track_and_the_line_goes_past_it(folder, oval):
     content = read_map(folder)
     occupied = content.occupied.copy()

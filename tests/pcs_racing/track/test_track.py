@@ -24,7 +24,8 @@ def test_the_oval_has_the_measures_of_a_stadium(oval):
 
 
 def test_driven_the_other_way_round_sides_change_and_every_change_is_another_hash(oval, values):
-    values["raceline_xy"] = values["raceline_xy"][::-1]
+    for name in ("raceline_xy", "centerline"):
+        values[name] = values[name][::-1].copy()
     back = build_track("back", **values)
     np.testing.assert_allclose(back.length, oval.length, rtol=1e-4)
     assert back.line[:, KAPPA].min() < -0.2
