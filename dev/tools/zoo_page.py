@@ -16,6 +16,7 @@ from pcs_racing.game.players import ALWAYS
 from pcs_racing_agents.agents.describe import (
     AGAINST,
     NUMBERS,
+    SHIPPED_GAMES,
     TEXTS,
     Measured,
     describe,
@@ -25,9 +26,6 @@ from pcs_racing_agents.agents.describe import (
     rating_text,
 )
 from pcs_racing_agents.agents.zoo import SHIPPED, entries
-
-SETTINGS = (("default", "paper"), ("contest", "contest"))
-"""Archive and rules of the measured games."""
 
 HEAD = """# The zoo
 
@@ -71,7 +69,7 @@ def zoo_page() -> str:
                 f"### `{CONSTANT}`",
                 "Makes the same move at every step; one agent for each move.",
             ]
-    every = [one for one in measurements().values() if (one.archive, one.race) in SETTINGS]
+    every = [one for one in measurements().values() if (one.archive, one.race) in SHIPPED_GAMES]
     if every:
         races = max(one.races for one in every)
         blocks.append(
@@ -85,7 +83,7 @@ def zoo_page() -> str:
                 error=0.5 / np.sqrt(races),
             ).strip()
         )
-    for archive, race in SETTINGS:
+    for archive, race in SHIPPED_GAMES:
         rows = [one for one in every if (one.archive, one.race) == (archive, race)]
         blocks.append(f"### Archive `{archive}`, {race} race")
         blocks.append("\n".join(_lines(rows)) if rows else "Not measured yet.")

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, Self, Union
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self, Union
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -55,7 +55,7 @@ class OverBatch:
         names = cls.options_type.names() if hasattr(cls, "options_type") else ()
         for name in names:
             if name != "render_mode" and not hasattr(cls, name):
-                setattr(cls, name, property(attrgetter(f"options.{name}"), partial(_refuse, name)))
+                setattr(cls, name, property(attrgetter(f"options.{name}"), partial(refuse, name)))
 
     def _configure(self, arguments: Mapping[str, Any], **own: Any) -> None:
         """Make the batch from the arguments of the configuration; ``own`` are all others."""
@@ -136,7 +136,7 @@ class OverBatch:
         ``running`` marks the episodes that are not over; only their rewards must be finite.
         """
         if "reward" in vars(self):
-            raise refusal("reward")
+            refuse("reward")
         if self.options.reward is None and type(self).reward is OverBatch.reward:
             return self.batch.step(actions, generators)
         before = self.batch.value().copy()
@@ -234,17 +234,13 @@ class OverBatch:
             self._renderer = None
 
 
-def refusal(name: str) -> InputError:
-    """Return the error for an argument that is set after an environment was made."""
+def refuse(name: str, *_: object) -> NoReturn:
+    """Refuse an argument that is set after an environment was made."""
     among = "; of the opponents in a list, set_opponent_weights([...]) chooses later ones"
-    return InputError(
+    raise InputError(
         f"{name} is an argument of the environment and can't be set later: make another one with"
         f" {name}=...{among if name in ('opponent', 'opponents') else ''}"
     )
-
-
-def _refuse(name: str, _: Any, value: Any) -> None:
-    raise refusal(name)
 
 
 def _rebuild(kind: type[Any], arguments: dict[str, Any], state: Any, spec: EnvSpec | None) -> Any:

@@ -21,7 +21,7 @@ from pcs_racing.envs.batch import FREE, check_part, check_weights
 from pcs_racing.envs.drive import DriveHeadToHeadVectorEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv, SelfPlayVectorEnv
 from pcs_racing.envs.infos import rows_of
-from pcs_racing.envs.over_batch import refusal
+from pcs_racing.envs.over_batch import refuse
 from pcs_racing.envs.vector import BatchVectorEnv
 from pcs_racing.track.track import Track
 
@@ -258,7 +258,7 @@ class SB3VecEnv(VecEnv):
         The environment's own attributes can't be changed.
         """
         if attr_name in self.groups[0].options_type.names():
-            raise refusal(attr_name)
+            refuse(attr_name)
         if attr_name in SHARED or attr_name.startswith("_") or hasattr(OneOfBatch, attr_name):
             raise InputError(
                 f"{attr_name!r} can't be set for single environments of a batch; make another one"

@@ -26,6 +26,7 @@ class Scale(NamedTuple):
     @classmethod
     def of(cls, objectives: Floats) -> "Scale":
         """Return the range of points, shape (n, G), as a scale."""
+        _check_size(objectives)
         low, high = objectives.min(axis=0), objectives.max(axis=0)
         if not np.all(low < high):
             axis = int(np.argmin(low < high))
@@ -65,18 +66,13 @@ def hypervolume(points: Floats, reference: float = REFERENCE) -> float:
     Points that don't exceed the reference on all axes add nothing. See Fonseca, Paquete,
     Lopez-Ibanez, CEC 2006.
     """
-    with np.errstate(over="ignore"):
-        volume = float(_moocore().hypervolume(points, ref=reference, maximise=True))
-    if not np.isfinite(volume):
-        raise InputError(
-            f"points hold {np.abs(points).max():g}; their hypervolume is beyond all numbers: scale"
-            " the points (Scale)"
-        )
-    return volume
+    _check_size(points)
+    return float(_moocore().hypervolume(points, ref=reference, maximise=True))
 
 
 def contributions(front: Floats, reference: float = REFERENCE) -> Floats:
     """Return the hypervolume that a front loses without each of its points, shape (K,)."""
+    _check_size(front)
     lost = _moocore().hv_contributions(front, ref=reference, maximise=True)
     return np.maximum(np.asarray(lost, np.float64), 0.0)
 
@@ -130,6 +126,15 @@ def improving_corners(front: Floats, reference: float = REFERENCE) -> Floats:
         # A box is part of another box if the other box has a lower corner.
         corners = corners[non_dominated(-corners)]
     return corners
+
+
+def _check_size(points: Floats) -> None:
+    """Refuse points, shape (K, G), with a hypervolume beyond all numbers."""
+    if not (np.abs(points) < 1e300 ** (1.0 / points.shape[1])).all():
+        raise InputError(
+            f"points hold {np.abs(points).max():g}, whose hypervolume is beyond all numbers; scale"
+            " them (Scale)"
+        )
 
 
 def _moocore():

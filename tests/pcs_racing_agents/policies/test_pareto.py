@@ -54,7 +54,9 @@ def test_hypervolume_is_the_number_of_cells_below_the_points(points, reference):
 
 
 def test_a_hypervolume_beyond_all_numbers_is_refused():
-    refused("points hold 1e.200; their hypervolume", pareto.hypervolume, np.full((1, 2), 1e200))
+    for call in (pareto.hypervolume, pareto.contributions, pareto.Scale.of):
+        refused("points hold 1e.200, whose hypervolume", call, np.full((1, 2), 1e200))
+        refused("points hold nan", call, np.full((1, 2), np.nan))
 
 
 @given(whole_points(most=8, axes=st.integers(2, 3)))
