@@ -163,7 +163,7 @@ def main() -> None:
     )
     arguments = parser.parse_args()
     found = []
-    for archive, race in zoo_page.SETTINGS:
+    for archive, race in zoo_page.SHIPPED_GAMES:
         found += measure(archive, race, arguments.races, arguments.out)
     for one in found:
         print(
