@@ -13,7 +13,7 @@ from numba import njit
 
 from pcs_racing.base.code_cache import code_folder
 from pcs_racing.base.errors import say, say_once
-from pcs_racing.base.numba_parts import CodeCache, config, inner
+from pcs_racing.base.numba_parts import CodeCache, config, inner, linked
 
 
 def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -36,9 +36,11 @@ def compiled(function: Callable[..., Any] | None = None, **options: Any) -> Any:
         options.setdefault("no_cfunc_wrapper", True)
         dispatcher = njit(nogil=True, error_model="numpy", **options)(function)
         file = Path(function.__code__.co_filename)
-        if not config.DISABLE_JIT and file.is_file():
+        if config.DISABLE_JIT:
+            return dispatcher
+        if file.is_file():
             _keep_on_disk(dispatcher, file.parent)
-        return dispatcher
+        return linked(dispatcher)
 
     return decorate if function is None else decorate(function)
 
