@@ -123,13 +123,13 @@ class VehicleParams(Settings):
         float,
         Interval(ge=0.0, le=MAX_DELAYED * COMMAND_PERIOD),
         MultipleOf(COMMAND_PERIOD),
-        "Time by which steering commands are late, s.",
+        "Delay of steering commands, s.",
     ] = 0.0
     steer_noise: Annotated[
         float | None,
         Interval(ge=0.0, le=0.4),
-        "Standard deviation of the disturbance of every steering command, rad; None takes that of"
-        " the race's rules.",
+        "Standard deviation of the disturbance of every steering command, rad; None for the value"
+        " of the rules.",
     ] = None
     tyres: Annotated[
         Literal["linear", "pacejka"],
@@ -153,13 +153,12 @@ class VehicleParams(Settings):
         float,
         Interval(ge=0.0, le=MAX_DELAYED * COMMAND_PERIOD),
         MultipleOf(COMMAND_PERIOD),
-        "Time by which speed commands are late, s; until the first command the car keeps its"
-        " speed.",
+        "Delay of speed commands, s; until the first command the car keeps its speed.",
     ] = 0.0
     speed_lag: Annotated[
         float,
         Interval(ge=0.05, le=5.0),
-        "Time constant with which the speed approaches its command, s.",
+        "Time constant of the speed's approach to its command, s.",
     ] = 0.1
     speed_noise: Annotated[
         float,
@@ -226,7 +225,7 @@ class VehicleParams(Settings):
         float,
         Interval(ge=0.0, le=MAX_DELAYED * COMMAND_PERIOD),
         MultipleOf(COMMAND_PERIOD),
-        "Time by which other cars are seen late, s; until then they are seen at their start.",
+        "Delay of the view of other cars, s; until then they are seen at their start.",
     ] = 0.0
     opponent_lost: Annotated[
         float, Interval(ge=0.0, le=1.0), "Share of the time without sight of any other car."

@@ -205,10 +205,10 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
     if len(wrong):
         where, other = (
             poses[wrong[0], :, :3].tolist(),
-            "the other" if state.number == 2 else "another",
+            "the other car" if state.number == 2 else "another car",
         )
         raise InputError(
-            f"episode {wrong[0]}: at the poses {where} a car stands in a wall or in {other}"
+            f"episode {wrong[0]}: at the poses {where} a car overlaps a wall or {other}"
         )
     length = setup.track.length
     behind = (
@@ -246,7 +246,7 @@ def check_part(name: str, given: Any, like: Any) -> None:
             check_part(f"{name}.{part}", given[key], like[key])
     if not fits:
         raise InputError(
-            f"{name} is {found}; it must be {wanted}: use what get_state returned in an environment"
+            f"{name} is {found}; it must be {wanted}: use a state of get_state from an environment"
             " of equal arguments"
         )
 

@@ -125,17 +125,17 @@ Rival = Annotated[
     '"lattice", "lattice:pace=0.8", "lane-switcher:3", a policy, or a planner; a model that was'
     ' trained here, or its file "model.zip" (:func:`pcs_racing.envs.models.model_policy`). Or'
     " an agent of the game of moves (:class:`pcs_racing.envs.duel.DuelEnv`), by name or as an"
-    ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list,'
-    " in which entries may be (weight, opponent), one is drawn for each episode and drives it to"
-    " its end; planners may differ. A :class:`pcs_racing_agents.learning.league.League` is such a"
-    " list. With None there is none: the agent is alone on the track, and the elements of the"
-    " second car are 0. With two agents or more it takes the last one's place.",
+    ' object, such as "cfr-argmax": it changes its policy of the archive every 8 s. Of a list of'
+    " opponents or (weight, opponent) pairs, one is drawn for each episode; planners may differ."
+    " A :class:`pcs_racing_agents.learning.league.League` is such a list. None for no opponent:"
+    " the agent is alone on the track, and the elements of the second car are 0. With two agents"
+    " or more, the opponent replaces the last agent.",
 ]
 TimeStep = Annotated[
     float, Checked(_time_step, "a multiple of 0.01, up to 1"), "Length of a step, s."
 ]
 Rivalry = Annotated[
-    float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress that is taken off."
+    float, Interval(ge=-1e6, le=1e6), "Share of the opponent's progress subtracted from the reward."
 ]
 
 
@@ -164,19 +164,19 @@ class DriveOptions(EpisodeOptions):
     laps: Annotated[
         int | None,
         Interval(ge=1, le=MAX_LAPS),
-        "Laps after which the first car ends a race; by default the laps of the rules.",
+        "Length of a race in laps of the first car; by default the laps of the rules.",
     ] = None
     time_step: TimeStep = 0.1
     min_speed: Annotated[
         float,
         Interval(ge=F1TENTH.v_min, le=0.0),
-        "Target speed that the action -1 asks for, m/s; below 0 a car can reverse, for instance"
-        " away from a wall.",
+        "Target speed of the action -1, m/s; below 0 a car can reverse, for instance away from a"
+        " wall.",
     ] = 0.0
     top_speed: Annotated[
         float,
         Interval(ge=0.1, le=F1TENTH.v_max),
-        "Target speed that the action 1 asks for, m/s.",
+        "Target speed of the action 1, m/s.",
     ] = 8.0
     normalized: Annotated[
         bool,
@@ -184,11 +184,11 @@ class DriveOptions(EpisodeOptions):
     ] = True
     beams: Annotated[int, Interval(ge=0, le=MAX_BEAMS), "Beams of the lidar; 0 for none."] = 0
     fov: Annotated[float, FIELD_OF_VIEW, "Angle from the first beam to the last, rad."] = 4.7
-    max_range: Annotated[float, MAX_RANGE, "Longest range that is reported, m."] = 30.0
+    max_range: Annotated[float, MAX_RANGE, "Max reported range, m."] = 30.0
     look_ahead: Annotated[
         tuple[Annotated[float, Interval(ge=0.0, le=1000.0)], ...],
         Len(0, 100),
-        "Distances at which curvature, speed and widths of the race line are observed, m; () for"
+        "Distances ahead of the observed curvature, speed and widths of the race line, m; () for"
         " none.",
     ] = (0.0, 1.0, 2.0, 4.0, 6.0, 9.0)
     own_state: Annotated[bool, "Whether the numbers about the own car are observed."] = True
@@ -198,9 +198,8 @@ class DriveOptions(EpisodeOptions):
     see_opponent: Annotated[
         str,
         OneOf(SEE_OPPONENT),
-        'When the opponent is observed. "in sight": its elements are 0 while a wall stands between'
-        ' the centres of the two cars, or they are further apart than `max_range`; "never": there'
-        " are none",
+        'Observation of the opponent. "in sight": its elements are 0 while a wall is between the'
+        ' centres of the two cars, or their distance exceeds `max_range`; "never": no elements',
     ] = "always"
     time_left: Annotated[
         bool, "Whether an element before the beams is the share of the race that is left."

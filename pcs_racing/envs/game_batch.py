@@ -115,10 +115,9 @@ class GameOptions(EpisodeOptions):
         ' as "cfr-argmax". As an object: any agent with ``act(observations, turn)``; a policy; a'
         " model of Stable-Baselines3 or any object with its ``predict(observation, state,"
         " episode_start, deterministic)``; or a function ``f(observation, generator) -> move``. Of"
-        " a list, in which entries may be (weight,"
-        " opponent), one is drawn for each episode. The opponent observes what car 1 observes, and"
-        " may also stay, with all rules. With None a second agent drives car 1,"
-        " where the environment has one.",
+        " a list of opponents or (weight, opponent) pairs, one is drawn for each episode. The"
+        " opponent receives the observation of car 1, and may also stay, with all rules. None for"
+        " a second agent in car 1, where the environment has one.",
     ] = "random-moves"
     rules: Annotated[
         GameConfig | RaceConfig | str | Path,
@@ -127,8 +126,7 @@ class GameOptions(EpisodeOptions):
     ] = "paper"
     deterministic_opponent: Annotated[
         bool,
-        "Whether models take their best move; if not, they draw with a generator of their own,"
-        " which no seed of this environment reaches.",
+        "Whether models take their best move; else they draw with an unseeded generator.",
     ] = True
 
     @classmethod

@@ -279,8 +279,8 @@ def _parse_like(text: str) -> dict[str, Any]:
 def needs_like(name: str) -> InputError:
     """Return the error for a model whose environment is not known."""
     return InputError(
-        f"{name} does not tell in which environment it was trained; say so with --like (like=):"
-        " duel, drive, or drive with its arguments, as in drive:beams=27,time_step=0.05"
+        f"{name} does not name the environment of its training; give it with --like (like=): duel,"
+        " drive, or drive with its arguments, as in drive:beams=27,time_step=0.05"
     )
 
 

@@ -49,18 +49,18 @@ class Obstacles(Settings):
     size: Annotated[
         tuple[float, float],
         number_range(0.05, 2.0, " of obstacles"),
-        "Length of a side, or the shortest and the longest, m.",
+        "Length of a side, or its min and max, m.",
     ] = (0.2, 0.4)
     shape: Annotated[
         str,
         OneOf(SHAPES),
-        "What they are: boxes, circles (their diameter is drawn as a side is), either, or boxes of"
-        " .35 x .32 m as in RoboRacer's test, whatever the size.",
+        "Boxes, circles (their diameter is drawn like a side), either, or boxes of .35 x .32 m as"
+        " in RoboRacer's test, for any size.",
     ] = "box"
     passage: Annotated[
         float,
         Interval(ge=0.4, le=10.0),
-        "Width that stays free between an obstacle and the wall on one of its sides, m.",
+        "Free width between an obstacle and the wall on one of its sides, m.",
     ] = 1.0
     apart: Annotated[
         float, Interval(ge=0.0, le=1000.0), "Distance between two of them along the race line, m."

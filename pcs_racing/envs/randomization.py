@@ -100,10 +100,10 @@ class EpisodeOptions(Settings):
     obstacles: Annotated[
         Any,
         Checked(_obstacles),
-        "Boxes and circles that stand or move on the track, drawn for each episode: how many, or"
-        " their settings (:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML file."
-        " The lidar sees them, a car that touches one has crashed as into a wall, and the lattice"
-        " planner avoids most.",
+        "Boxes and circles on the track, at rest or moving, drawn for each episode: their number,"
+        " or their settings (:class:`pcs_racing.envs.obstacles.Obstacles`) as a dict or a YAML"
+        " file. The lidar sees them, a contact is a crash as into a wall, and the lattice planner"
+        " avoids most.",
     ] = None
     reward: Annotated[
         Callable[..., Any] | None,

@@ -114,15 +114,13 @@ class SingleEnv(OverBatch):
     def set_state(self, state: EnvState) -> Any:
         """Continue from a state of `get_state`, from an environment with equal arguments."""
         if not isinstance(state, EnvState):
-            raise InputError(
-                f"state is a {type(state).__name__}; it must be what get_state returned"
-            )
+            raise InputError(f"state is a {type(state).__name__}; it must be a state of get_state")
         check_flag("the state's running", state.running)
         begun = state.steps is not None
         if begun:
             check_whole("the state's steps", state.steps, 0, MAX_STEPS)
             if isinstance(state.batch, tuple) and state.batch and state.batch[0] is None:
-                raise InputError("the state has steps but no race; use what get_state returned")
+                raise InputError("the state has steps but no race; use a state of get_state")
         # A new generator: two environments restored from one state must not share a stream.
         unused = state.generator is None and not begun
         generator = None if unused else generator_of("the state's generator", state.generator)

@@ -242,9 +242,7 @@ class BatchVectorEnv(OverBatch, VectorEnv[NDArray[np.float32], NDArray[Any], Any
         Return the generators of the episodes.
         """
         if not isinstance(state, VectorState):
-            raise InputError(
-                f"state is a {type(state).__name__}; it must be what get_state returned"
-            )
+            raise InputError(f"state is a {type(state).__name__}; it must be a state of get_state")
         unused = isinstance(state.generators, list) and not state.generators
         count = 0 if unused else self.batch.episodes
         check_part("the state", state, VectorState(FREE, [FREE] * count, self._over, self._steps))

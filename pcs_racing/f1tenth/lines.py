@@ -248,8 +248,7 @@ class Track:
     def _line(self) -> CubicSpline2D:
         if self.centerline is None:
             raise InputError(
-                "this map has no centre line and no race line beside it: it has no Frenet"
-                " coordinates"
+                "this map has no centre line and no race line: it has no Frenet coordinates"
             )
         return self.centerline.spline
 

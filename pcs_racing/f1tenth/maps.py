@@ -116,8 +116,8 @@ def _load(file: Path, picture: Path | None, stamp: int) -> GymMap:
     picture = picture or file.parent / ros["image"]
     if not os.path.isfile(picture):
         raise MapError(
-            f"{file}: the picture {picture.name!r:.200} is not beside it; map_ext must be its"
-            " ending"
+            f"{file}: the picture {picture.name!r:.200} is not in its folder; map_ext must be the"
+            " extension of the picture"
         )
     level = (255 - FREE_ABOVE - 0.5) / 255.0
     rule = ros | {"negate": False, "occupied_thresh": level, "free_thresh": level}

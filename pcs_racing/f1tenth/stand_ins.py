@@ -34,8 +34,8 @@ class NotServedError(InputError, ImportError):
         )
         hint = hint if "f1tenth_gym" in module else ""
         super().__init__(
-            f"{module} has no {name!r} here: pcs_racing.f1tenth serves what racing programs"
-            f" use{hint}"
+            f"{module} has no {name!r} here: pcs_racing.f1tenth serves the names that racing"
+            f" programs use{hint}"
         )
 
 
@@ -149,7 +149,7 @@ def install() -> None:
 
 def _add_module(name: str, values: dict[str, Any]) -> None:
     """Add a module with some names; unknown names of gym are refused or Gymnasium's."""
-    module: Any = ModuleType(name, f"What programs use of {name}, by pcs_racing.f1tenth.")
+    module: Any = ModuleType(name, f"Names of {name} that programs use, by pcs_racing.f1tenth.")
     module.__path__ = []
     vars(module).update({key: value for key, value in values.items() if key[:2] != "__"})
     if name == "gym":

@@ -138,8 +138,8 @@ _registered = {
         Characteristic(
             "speed",
             "1",
-            "speed along the race line, in parts of its profile at pace 1: time that the profile"
-            " takes for what was driven, per time driven",
+            "speed along the race line, in parts of its profile at pace 1: time of the profile"
+            " for the driven way, per time driven",
             _speed,
         ),
         Characteristic(

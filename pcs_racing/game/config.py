@@ -20,7 +20,7 @@ from pcs_racing.race.config import PAPER, RaceConfig, check_steps, load_race_con
 
 UTILITIES = {
     "lead": "lead in m at the horizon; after a crash 0 for both",
-    "lead-at-crash": "lead in m when the race ended, be it by a crash",
+    "lead-at-crash": "lead in m at the end of the race, crashes included",
     "win": (
         "1 for the winner and -1 for the other; 0 for a tie; after a crash as the race's crash_rule"
         " says"
@@ -97,12 +97,12 @@ class GameConfig(Settings):
     ] = EPSILON
     stay: Annotated[
         bool | None,
-        "Whether there is a move that keeps the policy; None takes the race's stay_move.",
+        "Whether there is a move that keeps the policy; None for the race's stay_move.",
     ] = None
     utility: Annotated[
         str | None,
         OneOf(UTILITIES),
-        'Utility of an outcome; None takes the paper\'s "lead", or "win" if the crash rule names a'
+        'Utility of an outcome; None for "lead" (the paper), or "win" if the crash rule names a'
         " loser.",
     ] = None
     fault_penalty: Annotated[
@@ -118,7 +118,7 @@ class GameConfig(Settings):
     characteristics: Annotated[
         tuple[str, ...] | None,
         Checked(_axes),
-        "Axes of the game, out of the archive's; None takes all of them.",
+        "Axes of the game, out of the archive's; None for all of them.",
     ] = None
     mask_duplicates: Annotated[
         bool,

@@ -148,16 +148,16 @@ PARAMETERS = (
         0.0,
         0.5,
         0.2286,
-        "share by which a car that wants to pass tops the profile on straights",
+        "share added to the profile on straights by a car that wants to pass",
     ),
-    Parameter("side_margin", 0.1, 0.45, 0.3148, "air to keep beside the opponent, m"),
+    Parameter("side_margin", 0.1, 0.45, 0.3148, "clearance to the opponent, m"),
     Parameter(
         "pace_behind",
         -0.5,
         0.5,
         0.3471,
-        "what is added to the pace while the opponent leads; the sum is at least 0, and at most 1"
-        " or the pace",
+        "addition to the pace while the opponent leads; the sum is at least 0, and at most 1 or"
+        " the pace",
     ),
 )
 

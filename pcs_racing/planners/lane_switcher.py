@@ -75,9 +75,7 @@ PARAMETERS = (
         7.0,
         "decisions that the race line must be free before returning to it",
     ),
-    Parameter(
-        "follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed at which it is followed"
-    ),
+    Parameter("follow_factor", 0.6, 1.0, 0.8, "share of the opponent's speed while following it"),
     Parameter(
         "other_lane_factor", 0.5, 1.0, 0.6, "share of the race line's speed on the overtaking lane"
     ),

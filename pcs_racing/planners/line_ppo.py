@@ -78,7 +78,7 @@ PARAMETERS = (
         0.0,
         1.0,
         0.9,
-        "air to keep beside the opponent, from 0.4 m (0) to 0.1 m (1), and price of a lead",
+        "clearance to the opponent, from 0.4 m (0) to 0.1 m (1), and price of a lead",
     ),
     Parameter(
         "pace",
@@ -92,8 +92,8 @@ PARAMETERS = (
         -0.5,
         0.5,
         0.0,
-        "what is added to the pace while the opponent leads; the sum is at least 0, and at most 1"
-        " or the pace",
+        "addition to the pace while the opponent leads; the sum is at least 0, and at most 1 or"
+        " the pace",
     ),
 )
 """Style of the planner."""

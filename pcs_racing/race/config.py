@@ -76,7 +76,7 @@ class RaceConfig(Settings):
     laps: Annotated[
         int | None,
         Interval(ge=1, le=MAX_LAPS),
-        "Laps after which the first car ends a race, counted at the start line of the front car;"
+        "Length of a race in laps of the first car, counted at the start line of the front car;"
         " None for a race by time.",
     ] = None
     start: Annotated[
@@ -101,7 +101,7 @@ class RaceConfig(Settings):
     start_lines: Annotated[
         int,
         Interval(ge=1, le=1000),
-        "Start lines, spread evenly over the places of the circuit from which two cars get away.",
+        "Start lines, spread evenly over the places of the circuit where two cars get away.",
     ] = 50
     steering_noise: Annotated[
         float,
@@ -115,7 +115,7 @@ class RaceConfig(Settings):
     speed_range: Annotated[
         tuple[float, float] | None,
         Checked(_speed_range, "0.1 <= low < high <= 3"),
-        "Speed scales of pace 0 and pace 1; None takes the circuit's calibrated range for this"
+        "Speed scales of pace 0 and pace 1; None for the circuit's calibrated range of this"
         " preset.",
     ] = None
     crash_rule: Annotated[
@@ -136,21 +136,20 @@ class RaceConfig(Settings):
     ] = 10.0
     contact: Annotated[
         Literal["end", "stop", "restart"],
-        "What a contact does: it ends the race; the car at fault, or in a wall, stands still where"
-        " it was; or it is put back on the race line at rest, 2 m behind the other car, or where it"
-        " was if it hit a wall.",
+        "Consequence of a contact: the race ends; the car at fault, or in a wall, stands still"
+        " where it was; or it is put back on the race line at rest, 2 m behind the other car, or"
+        " where it was if it hit a wall.",
     ] = "end"
     most_faults: Annotated[
         int,
         Interval(ge=0, le=100),
-        "Faults with which a car is out and has lost, where contacts do not end the race; 0 for no"
-        " limit.",
+        "Faults that put a car out of the race and make it lose, where contacts do not end the"
+        " race; 0 for no limit.",
     ] = 0
     heats: Annotated[
         int,
         Interval(ge=1, le=99),
-        "Races from both sides in turn that count as one in the scores of a tournament: best of so"
-        " many.",
+        "Races per scored series of a tournament, from alternate sides: best of so many.",
     ] = 1
     stay_move: Annotated[bool, "Whether the game offers a move that keeps the policy."] = False
     steps: Annotated[

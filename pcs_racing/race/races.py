@@ -202,8 +202,8 @@ def start_races(
     if state.crashed.any():
         i = int(np.flatnonzero(state.crashed)[0])
         raise InputError(
-            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car would stand"
-            " in a wall or in another car; choose another line or a smaller start_spacing than"
+            f"race {i}: at start line {starts.s[i]:.2f} m of track {track.name!r} a car overlaps a"
+            " wall or another car; choose another line or a smaller start_spacing than"
             f" {spacing:g} m"
         )
     return state

@@ -226,8 +226,8 @@ def fit_places(
                 return float(spacing), places, share
     tried = ", ".join(f"{spacing:g}" for spacing in spacings)
     raise InputError(
-        f"track {track.name!r} has no place from which two cars get away from a {config.start}"
-        f" start with gap {config.start_gap:g} m at {config.start_speed:g} m/s, {tried} m apart;"
+        f"track {track.name!r} has no place where two cars get away from a {config.start} start"
+        f" with gap {config.start_gap:g} m at {config.start_speed:g} m/s, {tried} m apart;"
         " widen the track, or set another start in the race settings"
     )
 

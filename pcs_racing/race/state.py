@@ -14,9 +14,9 @@ SUMS: dict[str, str] = {
     "BLOCKING": "time spent ahead of the opponent, within 3 m, and in its way, s",
     "LATERAL": "integral of the squared lateral acceleration, m^2/s^3",
     "TIME": "time driven, s",
-    "PROFILE": "time that the profile of pace 1 takes along the race line for what was driven, s",
+    "PROFILE": "time of the profile of pace 1 for the driven way along the race line, s",
     "TIME_BEHIND": "time driven while another car led, s",
-    "PROFILE_BEHIND": "what PROFILE grew by meanwhile, s",
+    "PROFILE_BEHIND": "increase of PROFILE while another car led, s",
 }
 """Running sums of each car, by name; characteristics are made of differences of these sums."""
 

@@ -161,7 +161,7 @@ def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
     game = RaceGame(track, archive, GameConfig(moves=1, step_seconds=2.0))
     end = game.step(game.reset(policies=[0, len(archive) - 1]), [[0, 1]])
     assert np.isfinite(game.observation(end)).all(), (
-        f"{who}: a game on {track.name} leaves NaN or infinity in what is seen"
+        f"{who}: a game on {track.name} leaves NaN or infinity in the observation"
     )
 
 

@@ -193,7 +193,7 @@ def picture_of(files: MapFiles, ros: dict[str, Any]) -> Path:
     if not inside:
         raise MapError(
             f"{files.yaml}: image {ros['image']!r} lies outside the map's folder; put the picture"
-            " beside it"
+            " into that folder"
         )
     if not exists:
         raise MapError(

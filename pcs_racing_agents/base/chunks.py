@@ -57,7 +57,7 @@ def read_chunk(path: Path, task: str | None = None) -> Arrays:
         not comment.startswith(_MARK)
         or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]
     ):
-        raise InputError(f"{path} is damaged: it is not what was written")
+        raise InputError(f"{path} is damaged: its content has changed")
     if task is not None and written_for != task:
         raise InputError(f"{path} belongs to another task or another run")
     try:

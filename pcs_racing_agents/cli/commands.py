@@ -99,7 +99,7 @@ class Parser(ArgumentParser):
             message = (
                 f"{where} is {word!r}; {choices(word, known.replace(chr(39), '').split(', '))}"
             )
-        self.exit(2, f"{self.prog}: error: {message}; 'pcs-racing help' lists what there is\n")
+        self.exit(2, f"{self.prog}: error: {message}; 'pcs-racing help' lists all commands\n")
 
 
 def command(name: str, *examples: str) -> Callable[[Callable[..., None]], Command]:

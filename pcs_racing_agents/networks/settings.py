@@ -51,7 +51,7 @@ class TrainSettings(Settings):
     patience: Annotated[
         int,
         Interval(ge=1, le=100_000),
-        "Epochs without a lower validation loss after which training stops.",
+        "Max epochs without a lower validation loss.",
     ] = 20
     test_share: Annotated[
         float,

@@ -57,7 +57,7 @@ TARGETS = {
         "gain or loss of a move against the equilibrium, if both follow it afterwards", ExactResult
     ),
     "nash": Target(
-        "probability of the move in an equilibrium, from which the agent draws",
+        "probability of the move in an equilibrium; the agent draws from it",
         ExactResult,
         relative=False,
     ),

@@ -212,9 +212,8 @@ class GameTree:
         mixed = np.flatnonzero(representative[rows] != past)
         if len(mixed):
             raise InputError(
-                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with"
-                " a node that the car reaches otherwise; whoever remembers its own past (perfect"
-                " recall) tells them apart"
+                f"labels of level {level}, car {player} violate perfect recall: node"
+                f" {int(mixed[0])} shares its label with a node that the car reaches otherwise"
             )
 
 

@@ -30,7 +30,7 @@ from pcs_racing_agents.trees.tree import RaceTree, tree_from_arrays
 
 KIND = "game trees"
 NAME = "tree"
-MAKE_AGAIN = "run the command that made the folder again, and it is made anew"
+MAKE_AGAIN = "rerun the command that made the folder"
 
 
 @dataclass(frozen=True)
@@ -180,8 +180,8 @@ class StoredTrees(Sequence[RaceTree]):
         tree = tree_from_arrays(_read(file), int(self.settings["rules"]["moves"]), str(file))
         if tree.policies.tolist() != list(self.settings["pairs"][at]):
             raise InputError(
-                f"{file} is the tree of policies {tree.policies.tolist()}; there should be that of "
-                f"{list(self.settings['pairs'][at])}: {MAKE_AGAIN}"
+                f"{file} is the tree of policies {tree.policies.tolist()}; it must be the tree of"
+                f" {list(self.settings['pairs'][at])}: {MAKE_AGAIN}"
             )
         return tree
 

@@ -30,7 +30,7 @@ def story(explanation: Explanation) -> str:
         f" {explanation.game.config.race.name} rules: {replay.outcome}"
     ]
     if explanation.open_loop:
-        lines.append(f"{me} makes open-loop moves: what is seen below does not change them.")
+        lines.append(f"{me} makes open-loop moves: the observations below do not change them.")
     for k, step in enumerate(explanation.steps):
         seen = f"{opponent_words(explanation, step)}; {lead_words(step.lead)}"
         lines.append(f"{step.time:5.1f} s  saw: {seen}.")
@@ -88,7 +88,7 @@ def why(explanation: Explanation, step: ExplainedDecision) -> str:
     if values is None:
         return ""
     if step.next_policy == step.policy and names[step.move] != "stay":
-        return "it keeps the policy, so its value is that of staying"
+        return "it keeps the policy, so its value is the value of staying"
     if step.move >= len(values):
         return f"its network has no value for {names[step.move]}"
     others = [i for i in np.argsort(-values).tolist() if i != step.move]

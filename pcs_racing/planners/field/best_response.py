@@ -39,10 +39,8 @@ from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
     _line.PACE,
-    Parameter("rounds", 1.0, 8.0, 3.0, "times that both cars improve their plans"),
-    Parameter(
-        "sensitivity", 0.0, 2.0, 0.3, "weight of what the opponent's constraint pushes it by"
-    ),
+    Parameter("rounds", 1.0, 8.0, 3.0, "number of improvements of both cars' plans"),
+    Parameter("sensitivity", 0.0, 2.0, 0.3, "weight of the push by the opponent's constraint"),
     Parameter(
         "line_weight", 0.02, 5.0, 0.3, "cost of a squared distance from the race line, 1/m^2"
     ),
@@ -58,10 +56,10 @@ PARAMETERS = (
         0.1,
         5.0,
         0.5,
-        "metres of progress that a metre of mean distance from the line costs",
+        "cost of a metre of mean distance from the line, m of progress",
     ),
-    Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep, m"),
-    Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
+    Parameter("wall_air", 0.05, 0.5, 0.15, "clearance to walls, m"),
+    Parameter("opponent_air", 0.05, 0.6, 0.25, "clearance to the opponent, m"),
     Parameter(
         "follow_gap",
         0.7,

@@ -41,10 +41,10 @@ PARAMETERS = (
         0.1,
         5.0,
         1.0,
-        "metres of progress that a metre of mean distance from the line costs",
+        "cost of a metre of mean distance from the line, m of progress",
     ),
-    Parameter("wall_air", 0.05, 0.5, 0.15, "air beside walls to keep away from the race line, m"),
-    Parameter("opponent_air", 0.05, 0.6, 0.25, "air beside the opponent to keep, m"),
+    Parameter("wall_air", 0.05, 0.5, 0.15, "clearance to walls off the race line, m"),
+    Parameter("opponent_air", 0.05, 0.6, 0.25, "clearance to the opponent, m"),
 )
 COOPERATION, BLOCKING, SIDE, WALL_AIR, OPPONENT_AIR = range(len(_line.TRAILING), len(PARAMETERS))
 

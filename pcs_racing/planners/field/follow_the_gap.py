@@ -34,7 +34,7 @@ from pcs_racing.planners.scanning import (
 
 PARAMETERS = (
     Parameter("bubble", 0.15, 0.8, 0.3, "radius of the bubble around the nearest point, m"),
-    Parameter("longest", 2.0, 15.0, 10.0, "range at which longer ones are cut off, m"),
+    Parameter("longest", 2.0, 15.0, 10.0, "cap of the ranges, m"),
     Parameter(
         "smoothing", 0.0, 0.2, 0.03, "angle to either side over which ranges are averaged, rad"
     ),
@@ -42,10 +42,8 @@ PARAMETERS = (
         "best_smoothing", 0.0, 0.4, 0.17, "the same for the choice of the farthest point, rad"
     ),
     Parameter("steering_gain", 0.1, 1.0, 0.5, "steering angle per angle of the chosen direction"),
-    Parameter(
-        "straight_angle", 0.02, 0.2, 0.17, "steering angle up to which the car drives straight, rad"
-    ),
-    Parameter("corner_angle", 0.2, 0.4, 0.35, "steering angle up to which it drives a bend, rad"),
+    Parameter("straight_angle", 0.02, 0.2, 0.17, "max steering angle on a straight, rad"),
+    Parameter("corner_angle", 0.2, 0.4, 0.35, "max steering angle in a bend, rad"),
     Parameter("straight_speed", 1.0, 10.0, 5.0, "speed up to the first angle, m/s"),
     Parameter("bend_speed", 1.0, 8.0, 3.5, "speed up to the second angle, m/s"),
     Parameter("corner_speed", 0.5, 6.0, 2.0, "speed beyond it, m/s"),

@@ -41,25 +41,23 @@ PARAMETERS = (
         0.5,
         0.95,
         0.8,
-        "share of the longest free distance from which a direction belongs to the gap",
+        "min free distance within the gap, as a share of the max free distance",
     ),
     Parameter(
         "side_air",
         0.2,
         1.2,
         1.0,
-        "distance to what is beside the car, from where on it leans away from it, m",
+        "clearance below which it steers away, m",
     ),
-    Parameter(
-        "reach", 0.7, 2.0, 1.4, "distance in which the path turns into the chosen direction, m"
-    ),
+    Parameter("reach", 0.7, 2.0, 1.4, "length of the path's turn into the chosen direction, m"),
     Parameter("top_speed", 2.0, 10.0, 8.0, "speed never exceeded, m/s"),
     Parameter(
         "braking",
         1.0,
         6.0,
         4.5,
-        "braking with which the car could stop within the free distance, m/s^2",
+        "braking that would stop the car within the free distance, m/s^2",
     ),
     Parameter(
         "lateral", 1.0, 6.0, 5.0, "lateral acceleration that limits the speed in a bend, m/s^2"

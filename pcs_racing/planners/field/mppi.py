@@ -37,9 +37,7 @@ from pcs_racing.track.frenet import wrap_s
 
 PARAMETERS = (
     _line.PACE,
-    Parameter(
-        "temperature", 0.1, 50.0, 5.0, "cost by which a copy counts for less by a factor of e"
-    ),
+    Parameter("temperature", 0.1, 50.0, 5.0, "cost that divides the weight of a copy by e"),
     Parameter(
         "lateral_noise",
         0.2,
@@ -65,7 +63,7 @@ PARAMETERS = (
         "line_weight", 0.1, 100.0, 20.0, "cost of a squared distance from the race line, 1/m^2"
     ),
     Parameter(
-        "wall_weight", 50.0, 2000.0, 400.0, "cost of a squared lack of air beside a wall, 1/m^2"
+        "wall_weight", 50.0, 2000.0, 400.0, "cost of a squared lack of clearance to a wall, 1/m^2"
     ),
     Parameter("opponent_weight", 5.0, 500.0, 60.0, "cost of the opponent's place"),
     Parameter(

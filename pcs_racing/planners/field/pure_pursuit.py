@@ -45,9 +45,9 @@ PARAMETERS = (
         1.0,
         3.0,
         1.5,
-        "distance in which the path returns to the race line at standstill, m",
+        "length of the path's return to the race line at standstill, m",
     ),
-    Parameter("lookahead_time", 0.1, 0.5, 0.2, "how that distance grows with the speed, s"),
+    Parameter("lookahead_time", 0.1, 0.5, 0.2, "growth of that length with the speed, s"),
     Parameter(
         "follow_distance", 0.0, 4.0, 1.2, "distance to keep behind the opponent, m; 0 ignores it"
     ),

@@ -39,14 +39,14 @@ PARAMETERS = (
         0.1,
         1.5,
         0.3,
-        "air beside the race line below which the opponent is in the way, m",
+        "clearance to the race line below which the opponent is in the way, m",
     ),
     Parameter(
         "spline_bound_mindist",
         0.05,
         0.6,
         0.2,
-        "least distance from the side of the car to a wall, m",
+        "min distance from the side of the car to a wall, m",
     ),
     Parameter("lookahead", 4.0, 15.0, 10.0, "distance within which an opponent is considered, m"),
     Parameter("pre_apex_0", 3.2, 8.0, 4.0, "first point before the apex, m"),
@@ -60,9 +60,9 @@ PARAMETERS = (
         0.02,
         0.5,
         0.15,
-        "curvature of the race line, 1/m, up to which a pass may begin",
+        "max curvature of the race line at the beginning of a pass, 1/m",
     ),
-    Parameter("fixed_pred_time", 0.0, 1.0, 0.15, "time for which the opponent is propagated, s"),
+    Parameter("fixed_pred_time", 0.0, 1.0, 0.15, "prediction time of the opponent, s"),
 )
 TRAILING_GAP = 1
 EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(

@@ -31,8 +31,8 @@ from pcs_racing.track.frenet import angle_between
 PARAMETERS = (
     *_line.TRAILING,
     Parameter("k", 0.5, 6.0, 4.0, "gain of the distance of the front axle from the path, 1/s"),
-    Parameter("k_soft", 0.1, 5.0, 1.0, "speed that is added to the car's, m/s"),
-    Parameter("k_d_yaw", 0.0, 0.3, 0.02, "damping by the yaw rate beyond that of the path, s"),
+    Parameter("k_soft", 0.1, 5.0, 1.0, "addition to the car's speed, m/s"),
+    Parameter("k_d_yaw", 0.0, 0.3, 0.02, "damping by the yaw rate of the car minus the path's, s"),
     Parameter("k_d_steer", 0.0, 1.0, 0.1, "damping by the last change of the steering angle"),
 )
 K, K_SOFT, YAW_DAMPING, STEER_DAMPING = range(len(_line.TRAILING), len(PARAMETERS))

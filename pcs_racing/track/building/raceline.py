@@ -209,7 +209,7 @@ def _improve(
         x, y = line[int(np.argmax(low > high))]
         raise MapError(
             f"the circuit is too narrow near ({x:.2f}, {y:.2f}): a line must have {need:.3f} m to"
-            " both sides, half the width of a car and some air, also beside an obstacle"
+            " both sides, half the width of a car and a margin, also next to an obstacle"
         )
     # A point stops short of its centre of curvature, where neighbours would meet.
     limit = np.minimum(trust, 0.8 / np.maximum(np.abs(kappa), 1e-9))

@@ -200,7 +200,7 @@ def test_an_impossible_action_of_many_names_the_environment(kind, wrong, message
         (ALL, {"options": {"obstacles": [[0.0, 0.0, 0.0, 0.3, np.nan]]}}, "option 'obstacles' is"),
         (ALL, {"options": {"obstacles": [[0.0, -4.0, 0.0, 50.0, 0.3]]}}, "obstacle"),
         (STEERING, {"options": {"poses": [[0.0, 0.0]]}}, "option 'poses' is"),
-        (STEERING, {"options": {"poses": [[1e3, 0.0, 0.0], [0.0, 1e3, 0.0]]}}, "stands in a wall"),
+        (STEERING, {"options": {"poses": [[1e3, 0.0, 0.0], [0.0, 1e3, 0.0]]}}, "overlaps a wall"),
         (STEERING, {"options": {"poses": np.zeros((2, 4)) - 1.0}}, "reset option"),
         (
             STEERING,
@@ -255,7 +255,7 @@ def begin(kind, **arguments):
 @pytest.mark.parametrize(
     ("kinds", "harm", "message"),
     [
-        (ALL, lambda state: "yesterday", "state is a str; it must be what get_state returned"),
+        (ALL, lambda state: "yesterday", "state is a str; it must be a state of get_state"),
         (
             ALL,
             lambda state: state._replace(generator={"bit_generator": "dice"}),
@@ -409,7 +409,7 @@ def test_unknown_agents_and_states_of_another_number_are_refused():
         more.reset(seed=0)
         for wrong in (more.get_state(), "yesterday"):
             refused(
-                "use what get_state returned|it must be what get_state returned",
+                "use a state of get_state|it must be a state of get_state",
                 envs.set_state,
                 wrong,
             )

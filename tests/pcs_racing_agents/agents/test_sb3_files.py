@@ -148,7 +148,7 @@ def test_damaged_files_are_one_line_each(tmp_path, monkeypatch):
         refused(message, racer, other)
     del settings["observation_space"]["pcs_racing"]
     _write(other, json.dumps(settings).encode(), weights)
-    refused("does not tell in which environment it was trained; say so with --like", racer, other)
+    refused("does not name the environment of its training; give it with --like", racer, other)
     assert racer(other, like="drive:beams=5,time_step=0.05").planner.drive.hold == 5
     assert racer(other, like=drive()).planner.drive.options.beams == 5
     refused("'beams' is not of the form argument=value", racer, other, like="drive:beams")

@@ -174,7 +174,7 @@ def test_the_story_tells_every_step_and_a_race_that_ends_at_once(told):
             " 0.05 above the middle); ahead by 2.3 m."
         ),
         "         did: restraint +, no policy lies that way: kept policy 5.",
-        "         why: it keeps the policy, so its value is that of staying.",
+        "         why: it keeps the policy, so its value is the value of staying.",
         "         then: lost 2.5 m, level; the opponent hit a wall at 2.4 s.",
     ]
     still = told.steps[0]._replace(
