@@ -25,7 +25,7 @@ OPTIONS = [
 
 
 def missing():
-    """What is missing to open a page, in words; empty if nothing is."""
+    """Return the missing part of a browser, in words; empty if a page can be opened."""
     for library in ("playwright", "axe_playwright_python"):
         if find_spec(library) is None:
             return f'{library} is not installed: pip install ".[test]"'
@@ -92,7 +92,7 @@ class Browser:
         return found
 
     def hindrances(self):
-        """What axe-core finds serious or critical in the page and its first frame: the rule, and
+        """Serious and critical findings of axe-core in the page and its first frame: the rule, and
         the first element.
         """
         found = []
@@ -120,7 +120,7 @@ class Browser:
         return np.array(Image.open(io.BytesIO(self.page.screenshot())).convert("RGB")).astype(int)
 
     def look(self, right):
-        """Look until a picture is right: what a frame has drawn is on the screen a little later."""
+        """Look until a picture is right: a drawn frame reaches the screen a little later."""
         return self._until(self.screenshot, right, "the page never looks right")
 
     def close(self):

@@ -1,4 +1,4 @@
-"""Races of cars that stand at given places, for tests of what becomes of them."""
+"""Races of cars at rest at given places, for tests of the consequences."""
 
 import numpy as np
 
@@ -29,7 +29,7 @@ HOLD = Planner("hold", STEER_AND_SPEED, control=hold)
 
 
 def view_of(setup, state, race, car):
-    """What the driver of a car sees."""
+    """View of the driver of a car."""
     view, vehicles = np.zeros(VIEW_SIZE), np.stack([vehicle.as_row() for vehicle in setup.vehicles])
     fill_view(setup.track.arrays, state, race, car, vehicles, setup.settings, view)
     return view

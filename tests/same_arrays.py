@@ -4,7 +4,7 @@ import numpy as np
 
 
 def assert_same(found, expected, skip=(), strict=True):
-    """Arrays by name, of a dictionary or of a state and what it holds: the same names, shapes,
+    """Arrays by name, of a dictionary or of a state and its parts: the same names, shapes,
     types and numbers.
     """
     found, expected = (

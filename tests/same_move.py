@@ -1,12 +1,10 @@
-"""A competitor for tests of what is done with one."""
+"""A competitor for tests."""
 
 import numpy as np
 
 
 class Model:
-    """Stands in for a trained model, with no name but that of its class; it always makes the same
-    move.
-    """
+    """Replaces a trained model, has no name but its class's, and always makes the same move."""
 
     def __init__(self, move=0):
         self.move = move

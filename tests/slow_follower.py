@@ -1,4 +1,4 @@
-"""A driver by hand, for tests of what happens around it."""
+"""A driver by hand, for tests of other code."""
 
 import numpy as np
 

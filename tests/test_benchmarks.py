@@ -90,7 +90,7 @@ def test_what_cannot_be_compared_is_one_line(arguments, capsys):
 
 @pytest.mark.benchmarks
 def test_the_gym_is_run_by_its_own_python_and_named_if_it_fails(tmp_path, capsys):
-    """A stand-in for the other Python takes the task and answers as the gym's half does."""
+    """A substitute of the other Python takes the task and answers as the gym's half does."""
     (tmp_path / "f1tenth_gym" / "envs").mkdir(parents=True)
     python = tmp_path / "python"
     given = f"--checkout {tmp_path} --python {python} --seconds 2 --races 1 --cars 2".split()

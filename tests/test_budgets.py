@@ -1,4 +1,4 @@
-"""No room of the house is larger than its budget, which stands in a table of ``docs/design.md``."""
+"""No room of the house is larger than its budget in the table of ``docs/design.md``."""
 
 import ast
 import re

@@ -1,5 +1,5 @@
 """The documentation holds: its code runs, its commands parse, its links lead somewhere, its site
-says what is.
+is complete.
 """
 
 import ast
@@ -25,7 +25,7 @@ TEXTS = {
     page.relative_to(REPOSITORY).as_posix(): page.read_text(encoding="utf-8") for page in PAGES
 }
 
-# Pages whose code runs here. The others have tests of their own beside the code that they explain.
+# Pages whose code runs here. The others have separate tests next to the tests of their code.
 RUN_HERE = (
     "docs/agents.md",
     "docs/archives.md",
@@ -93,7 +93,7 @@ COMMANDS = [(page, line) for page, text in TEXTS.items() for line in command_lin
 
 
 def words(line: str) -> list[str]:
-    """Words of a command, without its comment and what is behind a pipe or an ampersand."""
+    """Words of a command, without its comment and the part behind a pipe or an ampersand."""
     found = shlex.split(line, comments=True)
     return found[
         : min(

@@ -36,7 +36,7 @@ def modules() -> dict[str, Path]:
 
 
 def imports(file: Path, known: dict[str, Path]) -> set[str]:
-    """Modules of the two packages that a file imports, wherever in it."""
+    """Modules of the two packages that a file imports, anywhere in it."""
     names = set()
     for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -63,7 +63,7 @@ def test_neither_package_nor_their_tests_import_the_experiments():
 
 
 def floor_of(module: str) -> int | None:
-    """None for what stands at the door: ``__init__`` and ``__main__`` of a package."""
+    """None for the doors of a package: ``__init__`` and ``__main__``."""
     return FLOOR_OF.get(".".join(module.split(".")[:2]))
 
 
@@ -82,9 +82,7 @@ def test_every_file_stands_on_a_floor_and_imports_none_from_a_higher_one(graph):
 
 
 def test_no_floor_imports_its_packages_front_door_and_the_simulator_is_the_lowest(graph):
-    """``import pcs_racing`` offers what the floors hold; a floor that asked there would go round in
-    a circle.
-    """
+    """``import pcs_racing`` offers names of the floors; a floor that imports it closes a circle."""
     assert not [
         (name, other)
         for name, others in graph.items()
@@ -101,7 +99,7 @@ def test_no_files_import_each_other_in_a_circle(graph):
 
 
 def test_dataclasses_are_frozen_but_for_two():
-    """What nothing can change may be shared, kept and hashed."""
+    """Immutable values may be shared, kept and hashed."""
     changing = set()
     for file in modules().values():
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):

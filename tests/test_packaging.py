@@ -1,4 +1,4 @@
-"""The base installation works without any extra; and the wheel holds what must ship."""
+"""The base installation works without any extra; and the wheel holds all shipped files."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from repository import REPOSITORY
 PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
 URLS = PROJECT["project"]["urls"]
 
-# Makes Python find none of the libraries that only extras bring, wherever it looks for them.
+# Makes Python find none of the libraries that only extras install.
 WITHOUT_EXTRAS = """
 import sys
 from importlib.machinery import PathFinder
@@ -110,7 +110,7 @@ NEEDS = {
 }
 
 
-# Which library an example misses first, and what to install.
+# Which library an example misses first, and the extra to install.
 LEARNING = "cleanrl_loop cleanrl_self_play self_play_ppo drive_self_play league_ppo"
 EXAMPLES = {
     **dict.fromkeys(LEARNING.split(), ("torch", '".[learning]"')),
@@ -199,7 +199,7 @@ def test_every_extra_folder_and_licence_that_is_named_exists():
     "file", sorted((REPOSITORY / ".github" / "workflows").glob("*.yml")), ids=lambda file: file.stem
 )
 def test_every_workflow_can_be_read(file):
-    """One that is no YAML is never run, and nothing says so but a page that nobody opens."""
+    """A workflow that is no YAML never runs, and only an unread page reports it."""
     jobs = yaml.safe_load(file.read_text(encoding="utf-8"))["jobs"]
     for job in jobs.values():
         assert job["runs-on"]

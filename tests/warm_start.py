@@ -1,9 +1,9 @@
-"""Python processes that start at once, for tests of scripts and of what is killed.
+"""Python processes that start at once, for tests of scripts and of killed processes.
 
 A new interpreter spends one second of processor time on importing numba and our packages, and four
 where it trains. Here it is forked from a process that has imported them and done nothing else.
-Everything else is as in a process of its own: arguments, folder, environment, output, exit code,
-and it can be killed. What a test says about imports needs a new interpreter, and so do systems
+Everything else is as in a separate process: arguments, folder, environment, output, exit code,
+and it can be killed. Tests of imports need a new interpreter, and so do systems
 where forking is not safe: there all processes are new ones.
 """
 
@@ -32,7 +32,7 @@ IMPORTED = [
     "filelock",
     "warm_start",
 ]
-"""What most scripts import. A library that is not installed is left out."""
+"""Imports of most scripts. A library that is not installed is left out."""
 
 
 @cache
@@ -43,7 +43,7 @@ def _context() -> Any:
 
     context = get_context("forkserver")
     context.set_forkserver_preload(IMPORTED)
-    # Without it our packages would be those of another checkout.
+    # Without it our packages would be another checkout's.
     with patch.dict(os.environ, PYTHONPATH=os.pathsep.join(filter(None, sys.path))):
         forkserver.ensure_running()
     return context

@@ -1,7 +1,6 @@
 """Races and episodes whose results belong to a version: saved by `dev/tools/make_goldens.py`.
 
-Whatever they depend on beside the code is made here (policies, actions, seeds) or named by its hash
-(the circuit).
+Inputs other than code are made here (policies, actions, seeds) or named by a hash (the circuit).
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -106,9 +105,7 @@ def actions(count: int, width: int) -> np.ndarray:
 def vector_episode(
     name: str, seed: int, actions: Iterable[np.ndarray], **options: Any
 ) -> tuple[Values, Any]:
-    """What three environments at once show, pay and end with; and the environment, which is still
-    open.
-    """
+    """Observations, rewards and ends of three environments at once; and the open environment."""
     env = gymnasium.make_vec(
         name, num_envs=3, track=TRACK, threads=1, autoreset_mode="SAME_STEP", **options
     )
@@ -129,7 +126,7 @@ def vector_episode(
 def pair_episode(
     name: str, seed: int, actions: Iterable[np.ndarray], maker: Any, **options: Any
 ) -> tuple[Values, Any]:
-    """What both agents of an environment see and get; and the environment."""
+    """Observations and rewards of both agents of an environment; and the environment."""
     made = getattr(pettingzoo, "make", None)
     env = (
         made("parallel", name, track=TRACK, **options)
@@ -243,7 +240,7 @@ SCENARIOS: dict[str, Callable[[], Values]] = {
     RACES_ID: races,
     **{name: _scenario(name) for name in (*GYMNASIUM_IDS, *PETTINGZOO_IDS)},
 }
-"""What is kept of every id; a new environment needs a scenario here."""
+"""Recorded results of every id; a new environment needs a scenario here."""
 
 
 def file_name(name: str) -> str:
@@ -264,7 +261,7 @@ STRAY = 1
 
 
 def differences(found: Mapping[str, Any], kept: Mapping[str, Any]) -> list[str]:
-    """Say what differs between two sets of results, in a line each."""
+    """Return the differences between two sets of results, in a line each."""
     lines = [f"{name} is in one of the two only" for name in sorted(set(found) ^ set(kept))]
     for name in sorted(set(found) & set(kept)):
         new, old = np.asarray(found[name]), np.asarray(kept[name])

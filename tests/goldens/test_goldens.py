@@ -1,4 +1,4 @@
-"""Results change only together with a version: what the registered environments did when their
+"""Results change only together with a version: recorded results of the environments when their
 version was new.
 """
 

@@ -1,4 +1,4 @@
-"""Small pieces of what only long races compile: `nox -s coverage` runs them once more without
+"""Small pieces of code that only long races compile: `nox -s coverage` runs them once more without
 compilation.
 
 A compiled function leaves no trace of its lines. With ``NUMBA_DISABLE_JIT=1`` these tests run as

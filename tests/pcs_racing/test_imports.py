@@ -7,7 +7,7 @@ from repository import REPOSITORY
 
 from pcs_racing import load_track
 
-# What a function imports when it needs it: optional libraries, and scipy, which takes a second.
+# Imports inside functions: optional libraries, and scipy, which takes a second.
 LATE = ("torch", "scipy", "matplotlib", "pygame", "stable_baselines3", "skimage", "clarabel", "cma")
 
 MAX_MODULES = 60
@@ -18,7 +18,7 @@ MAX_MODULES = 60
     "package", ["pcs_racing", "pcs_racing_agents", "pcs_racing_agents.cli.main"]
 )
 def test_importing_is_light(package):
-    """Numba itself looks at scipy's version, so what it brings along does not count."""
+    """Numba itself looks at scipy's version, so its own imports do not count."""
     code = f"""
 import sys
 import numba
@@ -37,7 +37,7 @@ print("of envs:", *(name for name in sys.modules if name.startswith("pcs_racing.
 
 
 def test_one_car_alone_loads_what_it_drives():
-    """A track of the cache is not built; nobody else drives; no file of another changes imports."""
+    """A track of the cache is not built; nothing else drives; no other file changes imports."""
     load_track("Tarnfjord")  # into the cache
     code = """
 import sys

@@ -34,7 +34,7 @@ def processes() -> Iterator[Executor]:
 
 @pytest.fixture
 def threads() -> Iterator[Executor]:
-    """Two threads, which share what they import and load."""
+    """Two threads, which share imports and loaded files."""
     with ThreadPoolExecutor(2) as executor:
         yield executor
 
@@ -81,8 +81,8 @@ def network(spec) -> RegretNetwork:
 
 @pytest.fixture(scope="session")
 def seen(game) -> list[np.ndarray]:
-    """What both players saw before each move of some games and at their end, shape (B, D) for each
-    step.
+    """Observations of both players before each move of some games and at their end, shape (B, D)
+    for each step.
     """
     rng = np.random.default_rng(0)
     state = game.reset(games=20, seed=1)

@@ -1,5 +1,5 @@
-"""Small settings of the long commands, for tests of clusters and of faults, and what may differ
-between two runs.
+"""Small settings of the long commands, for tests of clusters and of faults, and the allowed
+differences between two runs.
 """
 
 from pathlib import Path

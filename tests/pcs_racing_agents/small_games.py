@@ -9,8 +9,8 @@ def kuhn_poker() -> GameTree:
     """Kuhn poker: six deals, then car 0 checks or bets, car 1 answers, and after check and bet car
     0 answers.
 
-    Moves that no longer matter are played on without effect, as are those of the player whose turn
-    it is not.
+    Moves after the end are played on without effect, and so are moves of the player whose turn it
+    is not.
     """
     deals = [(mine, other) for mine in range(3) for other in range(3) if mine != other]
     payoffs = np.zeros((6, 2, 1, 1, 2, 2, 1))
@@ -51,7 +51,7 @@ def random_tree(seed: int, *shape: int, chance: int = 0, blur: int = 0) -> GameT
 
 
 def remembered(tree: GameTree, seen: list) -> list:
-    """Labels of the nodes for players that remember what they saw and their own moves."""
+    """Labels of the nodes for players that remember their observations and moves."""
     labels = []
     for k, pair in enumerate(seen):
         both = []

@@ -63,7 +63,7 @@ def test_the_table_of_the_paper(tmp_path):
     assert re.search(r"^Tarnfjord \(train\) +never-switch +\d\.\d{3} ", out, re.MULTILINE)
     assert (tmp_path / "made" / "table.csv").read_text(encoding="utf-8").count("\n") == 1 + 2 * 3
     again = run_python(script, "--tracks", "Tarnfjord", *size, "--out", "made", folder=tmp_path)
-    assert again == out  # from what was driven before
+    assert again == out  # from the way driven before
 
 
 def test_a_race_is_explained_move_by_move(tmp_path):

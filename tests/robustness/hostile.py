@@ -34,7 +34,7 @@ from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.trees import load_trees
 
-ROOM = 1_000_000_000  # bytes above what the process holds at the start
+ROOM = 1_000_000_000  # bytes above the memory of the process at the start
 GROWTH = 300_000_000  # that the most it ever held may grow by
 SECONDS = 5.0  # of processor for one case
 GREY = {"negate": False, "occupied_thresh": 0.65, "free_thresh": 0.25}
@@ -86,7 +86,7 @@ def zeros(size: int) -> bytes:
 
 
 class Evil:
-    """What would run if anything here was unpickled."""
+    """Code that would run if anything here was unpickled."""
 
     def __reduce__(self) -> tuple[Callable[[str], int], tuple[str]]:
         return os.system, ("touch hacked",)

@@ -62,7 +62,7 @@ VALUES = st.recursive(
     ),
     max_leaves=4,
 )
-"""What a YAML or a JSON file can hold."""
+"""Values that a YAML or a JSON file can hold."""
 
 NUMBERS = arrays(
     st.sampled_from(["f8", "f4", "i8", "u1", "?", "U3"]),
@@ -75,7 +75,7 @@ OBJECTS = (
     | st.complex_numbers()
     | st.sampled_from([(), (0.5, 1.0), range(3), object, np.float32(0.5), np.int64(3), "\ud800"])
 )
-"""What a call in Python can be given."""
+"""Values that a call in Python can be given."""
 
 
 @contextmanager

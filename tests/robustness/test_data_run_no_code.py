@@ -1,4 +1,4 @@
-"""A file holds data: whatever name stands in it, nothing is imported, run or called. One row for
+"""A file holds data: for any name in it, nothing is imported, run or called. One row for
 each kind of file.
 """
 
@@ -334,14 +334,14 @@ NAMELESS = {
     "read_chunk",
     "parse_waypoints",  # numbers alone
     "unpack",
-    # the text of a copy of the gym beside a program that is run anyway: literals alone
+    # the text of a copy of the gym next to a running program: literals alone
     "read_defaults",
     # parts of the settings of a study
     "_game",
     "_section",
     "check",
     "write_model_card",  # texts of a manifest
-    "read_agent",  # a text, in which an option's value is no name of code
+    "read_agent",  # a text; an option's value is no name of code
     "_parse_like",
     "read_origin",
     "read_onnx",
@@ -350,9 +350,7 @@ NAMELESS = {
 
 
 def planted(value: Any, word: str) -> Iterator[Any]:
-    """Return copies of a value in which the word stands in one place: each text, none, or key of a
-    mapping.
-    """
+    """Return copies of a value with the word in one place: each text, none, or key of a mapping."""
     if value is None or isinstance(value, str):
         yield word
     elif isinstance(value, dict):
@@ -381,7 +379,7 @@ def spoilt(file: Path) -> Iterator[bytes]:
 
 @pytest.fixture
 def evil(tmp_path, monkeypatch):
-    """A folder with code that anybody could import; the code leaves a file if it runs."""
+    """A folder with importable code; the code leaves a file if it runs."""
     for name in ("evil.py", "evil_module.py"):
         (tmp_path / name).write_text(EVIL)
     monkeypatch.chdir(tmp_path)
@@ -427,7 +425,7 @@ def test_every_reader_of_files_has_a_row():
 
 
 def test_code_is_run_for_words_of_the_command_line_alone():
-    """Whatever else is to run code must be added here, where a reader sees it."""
+    """Any other text that runs code must be added here, where a reader sees it."""
     doors = {"own_file", "run_file", "driver_classes", "drivers_from"}
     found: dict[str, set[str]] = {}
     for file, _, name, node in calls():
@@ -439,7 +437,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing/planners/own_code.py": {"drivers_from", "run_file"},
         "pcs_racing/planners/own_files.py": {"own_file"},
         "pcs_racing/planners/racers.py": {"racer code"},
-        "pcs_racing_agents/base/executors.py": {"run_file"},  # what the process has run already
+        "pcs_racing_agents/base/executors.py": {"run_file"},  # of code that already ran
         "pcs_racing_agents/cli/agents.py": {"drivers_from"},
         "pcs_racing_agents/cli/train.py": {"competitor True"},
         "pcs_racing_agents/cli/race.py": {"policy_racer True"},
@@ -471,7 +469,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/agents/from_onnx.py:json.loads",
         "pcs_racing_agents/agents/zoo.py:resolve_name",
         "pcs_racing_agents/cli/main.py:import_module",
-        "pcs_racing_agents/base/executors.py:loads",  # what this process has packed
+        "pcs_racing_agents/base/executors.py:loads",  # values that this process has packed
         "pcs_racing_agents/learning/responses.py:json.loads",
         "pcs_racing_agents/base/folders.py:json.loads",  # of settings that this process dumped
     }
@@ -502,7 +500,7 @@ COMMANDS = {
 @pytest.mark.parametrize("word", WORDS)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_command_that_opens_a_stranger_s_file_runs_no_code_of_it(evil, command, word, capsys):
-    """The digests beside a job are no signatures: whoever writes the names can write them, too."""
+    """The digests of a job are no signatures: a writer of the names can write them, too."""
     place = made(evil / "files")
     if command == "tournament":
         settings("settings.yaml", {**PROTOCOL, "opponents": ["random-moves", word]})(place)

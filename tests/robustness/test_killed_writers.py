@@ -25,7 +25,7 @@ STEPS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir", "shutil.rmtre
 
 
 class Writer(NamedTuple):
-    """A writer of several files, and a reader of what tells two of its values apart."""
+    """A writer of several files, and a reader that distinguishes two of its values."""
 
     write: Callable[[Path, Any], object]
     read: Callable[[Path], Any]

@@ -1,10 +1,9 @@
-"""Races and tracks are the same to the bit whatever instructions the processor has.
+"""Races and tracks are the same to the bit for all instructions of a processor.
 
-Numba's code: it is looked through for what the rounding could depend on, which are operations that
-the compiler may fuse or put into another order, and functions of the C library. The rest: a second
-process is told to do without new instructions, so numpy, the C library and BLAS take the code that
-they keep for the oldest processors. `dev/benchmarks/bits.py` and `nox -s machines` also
-compile everything for any x86-64 processor, which takes minutes.
+Numba's code is searched for sources of other rounding: operations that the compiler may fuse or
+reorder, and functions of the C library. For the rest, a second process disables new instructions,
+so numpy, the C library and BLAS use their code for the oldest processors. `dev/benchmarks/bits.py`
+and `nox -s machines` also compile everything for any x86-64 processor, which takes minutes.
 """
 
 import hashlib
@@ -89,12 +88,12 @@ LOOSE = re.compile(r" = (?:tail )?(f\w+|call|select|phi) .*?\b(fast|contract|rea
 
 
 def inexact(dispatcher: CPUDispatcher) -> Iterator[str]:
-    """What the bits of a compiled function's results could depend on: the processor's instructions
-    and its libraries.
+    """Return code that could change the bits of a compiled function's results: instructions of the
+    processor, and libraries.
 
-    The code is that of the compiler, with everything that was inlined, before it becomes machine
-    code. Numba shows it only of functions that this process has compiled itself; those from its
-    cache keep it in ``_shared_module``.
+    The code is the compiler's, with all inlined functions, before it becomes machine code. Numba
+    shows it only of functions that this process has compiled; functions from its cache keep it in
+    ``_shared_module``.
     """
     for overload in dispatcher.overloads.values():
         library = overload.library

@@ -20,7 +20,7 @@ FLOORS = (*SIMULATOR, "track/building", "game")
 
 @pytest.fixture
 def packages(tmp_path, monkeypatch) -> Path:
-    """A folder with the two packages, and beside them modules of a user."""
+    """A folder with the two packages and modules of a user."""
     monkeypatch.setattr(code_cache, "_PACKAGE", tmp_path / "pcs_racing")
     monkeypatch.setattr(code_cache, "_CHOSEN", "")
     monkeypatch.setenv("PCS_RACING_CACHE", str(tmp_path / "home"))
@@ -37,7 +37,7 @@ def packages(tmp_path, monkeypatch) -> Path:
 
 
 def new_process() -> None:
-    """Forget what a process remembers of sources and messages."""
+    """Forget the sources and messages of this process."""
     for known in (code_cache.sources_digest, code_cache.code_folder, numba_parts.say_once):
         known.cache_clear()
 
@@ -118,7 +118,7 @@ def module(packages) -> Path:
 
 
 def run(module: Path) -> tuple[float, int]:
-    """What a new process computes, and how often it finds code on disk."""
+    """Result of a new process, and how often it finds code on disk."""
     new_process()
     names = runpy.run_path(str(module))
     return names["value"], names["found"]

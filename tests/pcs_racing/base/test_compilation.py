@@ -34,7 +34,7 @@ def quarter(a):
 
 
 def dispatcher(cache: Path | None, signatures: tuple = ()) -> SimpleNamespace:
-    """What the announcement looks at."""
+    """Inputs of the announcement."""
     return SimpleNamespace(
         signatures=signatures,
         py_func=divide.py_func,

@@ -24,7 +24,7 @@ def test_numbers_come_back_to_within_half_a_step(values, per_unit, data):
     back = unpack(packed)
     assert back.shape == values.shape
     assert np.all(np.abs(back - values) <= 0.5 / per_unit + 1e-7)
-    assert pack(back, per_unit, axes) == packed  # what has been rounded stays as it is
+    assert pack(back, per_unit, axes) == packed  # rounding again changes nothing
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e300])

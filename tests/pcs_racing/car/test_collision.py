@@ -112,7 +112,7 @@ def test_touching_is_no_overlap():
 
 
 def poses_around(track, count, rng):
-    """Random poses on and beside the track, (count, 4): x, y, psi, s."""
+    """Random poses on and off the track, (count, 4): x, y, psi, s."""
     s = rng.uniform(0.0, track.length, count)
     d = rng.uniform(-1.5, 1.5, count)
     x, y, psi = track.to_cartesian(np.column_stack([s, d])).T
@@ -164,7 +164,7 @@ NEITHER_MORE, FIRST, SECOND = (True, True), (True, False), (False, True)
 
 def test_who_is_at_fault_whatever_the_order_of_the_cars():
     for first, second, faults in [
-        # Into the rear of a car, also when that one brakes to a stop or stands to one side.
+        # Into the rear of a car, also of a braking one or one on one side.
         *(
             (state(v=5.0), state(x=0.55, y=y, v=v), FIRST)
             for v in (3.0, 0.5, 0.0)
@@ -213,8 +213,8 @@ def centroid(polygon):
 
 
 def closing_speeds(first, second, sizes):
-    """How fast each car's body moves into the other one, at the middle of what they share and along
-    the contact.
+    """Speed of each car's body into the other one, at the middle of their overlap and along the
+    contact.
     """
     boxes = [
         corners(car[0], car[1], car[4], *size)

@@ -42,7 +42,7 @@ def cast(segments, x, y):
 
 
 def times(ranges, vx, vy):
-    """iTTC of each beam: its range over the speed at which it closes."""
+    """iTTC of each beam: its range over its closing speed."""
     closing = vx * np.cos(ANGLES) + vy * np.sin(ANGLES)
     return np.where(closing > 0.0, ranges / np.where(closing > 0.0, closing, 1.0), np.inf)
 
@@ -123,9 +123,7 @@ def test_hand_cases_of_a_single_wall():
 
 
 def straight(oval, vx=4.0, ox=2.0, ovx=0.0):
-    """A lidar in the middle of the oval's lower straight at 4 m/s, an opponent 2 m ahead of it that
-    stands.
-    """
+    """A lidar in the middle of the oval's lower straight at 4 m/s, an opponent at rest 2 m on."""
     return measure(oval, (0.0, -4.0, vx, 0.0, 6.0, ox, -4.0, 0.0, ovx, 0.0))
 
 

@@ -97,7 +97,7 @@ def test_a_lidar_within_a_car_in_a_wall_and_of_a_single_beam(oval):
 
 
 def test_beams_beside_an_edge_end_where_the_grid_says(oval):
-    """The drawn outlines lie beside the cells by a fraction of one: enough to miss an edge."""
+    """The drawn outlines differ from the cells by a fraction of one: enough to miss an edge."""
     lidar = Lidar(oval, fov=2.0 * np.pi)
     edges = wrong = 0
     for pose in poses_on(oval, 40):

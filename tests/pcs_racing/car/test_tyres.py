@@ -84,7 +84,7 @@ def test_steps_are_the_integral_of_the_published_equations(car):
 @pytest.mark.parametrize("speed", [1.5, 2.5, 4.0, 5.5, 7.0])
 def test_in_steady_cornering_the_axles_carry_the_car(car, speed):
     """Each axle's force is its share of the lateral force; the steering is the wheelbase over the
-    radius, plus the slip by which the front tyres exceed the rear ones.
+    radius, plus the slip of the front tyres minus the slip of the rear ones.
     """
     radius = speed**2 / (0.5 * 0.6 * 9.81)  # at half of the grip
     states = simulate(

@@ -71,7 +71,7 @@ VARIED = {
     },
     "obstacles": {"count": [0, 2], "passage": 0.8, "moving": [0, 1], "sway": [0.0, 0.3]},
 }
-"""Arguments with which episodes differ in everything."""
+"""Arguments for episodes that differ in everything."""
 
 
 class Counting:
@@ -133,7 +133,7 @@ def _act(space, k):
 
 
 def flat(value):
-    """What an environment answers as something that compares, bit for bit."""
+    """Return an answer of an environment as values that compare, bit for bit."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     if isinstance(value, dict):

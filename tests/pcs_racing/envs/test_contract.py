@@ -1,6 +1,4 @@
-"""What all environments promise, whatever is raced in them: checkers, names, seeds, batches,
-copies, frames, errors.
-"""
+"""Promises of all environments: checkers, names, seeds, batches, copies, frames, errors."""
 
 import copy
 import gc
@@ -316,7 +314,7 @@ def test_vector_and_scalar_environment_agree_to_the_last_bit(
 
 
 def sides(env, *answer):
-    """An answer of an environment, in which each part lists what belongs to each agent."""
+    """An answer of an environment: each part lists the values of all agents."""
     return tuple(
         list(part.values()) if hasattr(env, "possible_agents") else [part] for part in answer
     )
@@ -331,7 +329,7 @@ def compare_infos(info, rows, told):
 @pytest.mark.parametrize("many", [False, True], ids=["one", "many"])
 @pytest.mark.parametrize(("kind", "arguments"), VARIANTS)
 def test_a_moment_can_be_kept_copied_and_pickled(kind, arguments, many):
-    """Whatever was made of the environment since, or in another one."""
+    """After any steps of the environment, and in another one."""
     env, other = (
         make_many(kind, 3, **arguments) if many else make(kind, **arguments) for _ in range(2)
     )
@@ -408,7 +406,7 @@ def test_max_cycles_truncates_and_decides_nothing(kind):
     assert answers[-1][4]["car_0"]["result"] == Result.RUNNING
     assert env.agents == []
     whole = play(make(kind), 1)
-    # what ends by itself in that step is not cut off
+    # an episode that ends in that step is not cut off
     assert play(make(kind, max_cycles=len(whole) - 1), 1) == whole
 
 
@@ -438,7 +436,7 @@ def test_resets_leave_nothing_behind(kind):
 
 @EVERY
 def test_every_environment_speaks_of_the_same_things_by_the_same_names(kind):
-    """Those of the table of :mod:`pcs_racing.envs.infos`, as numbers; the outcome says the same in
+    """Infos of the table of :mod:`pcs_racing.envs.infos`, as numbers; the outcome says the same in
     words.
     """
     table = set(re.findall(r"`(\w+)`(?=[^|]*\|[^|]*\|$)", infos.__doc__, re.M))

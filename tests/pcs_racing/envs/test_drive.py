@@ -1,4 +1,4 @@
-"""Steering: what agents observe and are paid, against whom one may race, and how the races of two
+"""Steering: observations, rewards and opponents of agents, and how the races of two
 end.
 """
 
@@ -173,7 +173,7 @@ def test_the_opponent_is_hidden_by_walls_and_distance(coarse_oval, places, reach
 
 
 def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
-    """What remains is what was there before."""
+    """The rest is unchanged."""
     parts = {
         "own_state": (False, range(8)),
         "look_ahead": ((), range(8, 32)),
@@ -271,7 +271,7 @@ def test_poses_count_progress_and_keep_cars_out_of_walls_and_of_each_other(oval,
 
 
 def test_a_car_that_drives_alone_meets_nobody(oval, setup):
-    """Wherever the poses put the other one; but its own wall counts."""
+    """For any pose of the other one; but its own wall counts."""
     setup = replace(setup, planners=(LATTICE,), vehicles=())
     state = place_poses(setup, poses_at(oval, (3.0, 0.0), (3.1, 0.0))[:, :1])
     assert not state.crashed.any()

@@ -175,7 +175,7 @@ def crash(env, command, steps=20):
 
 
 def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
-    """Whoever causes it, a crash ends the episode."""
+    """A crash ends the episode, whichever car causes it."""
     fast, still = HOLD.policy({"speed": 6.0}), HOLD.policy({"speed": 0.0})
     aside = HOLD.policy({"steer": 0.3, "speed": 5.0})
     apart, behind = ((3.0, 0.0), (9.0, 0.0)), ((6.0, 0.0), (3.0, 0.0))
@@ -229,7 +229,7 @@ def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval
     assert abs(np.corrcoef(draws[:-1].ravel(), draws[1:].ravel())[0, 1]) < 0.12
     races = noisy.batch.state
     steering = [normal_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
-    # other numbers than those of the steering
+    # other numbers than the steering's
     assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5
     assert np.ptp(draws, axis=0).min() > 0.05
 

@@ -1,4 +1,4 @@
-"""The game of moves as an environment: what is played, how opponents are asked, and films."""
+"""The game of moves as an environment: games, calls of opponents, and films."""
 
 import itertools
 import sys
@@ -41,7 +41,7 @@ def episode(env, seed, action=1):
 
 
 def test_an_episode_is_the_game():
-    """What the agents get is what RaceGame says, step by step, until the game is over."""
+    """Agents get the values of RaceGame, step by step, until the game is over."""
     env = HeadToHeadEnv(step_seconds=1.0)
     game = env.game
     for seed in range(5):
@@ -159,7 +159,7 @@ def test_what_a_model_answers_is_checked(answer):
 
 @pytest.fixture
 def videos(monkeypatch):
-    """What would be written by moviepy: frames and their rate of each video."""
+    """Input of moviepy: frames and their rate of each video."""
     written = []
 
     class Clip:
@@ -238,6 +238,6 @@ def test_frames_are_those_since_the_last_ones():
     np.testing.assert_array_equal(filmed, kept.batch[0].race.cars)  # filming changes nothing
     env.step(1)
     env.reset(seed=1)
-    assert len(env.render()) == 25  # a reset forgets what was not asked for
+    assert len(env.render()) == 25  # a reset drops frames that were not rendered
     env.set_state(kept)
     assert len(env.render()) == 1  # of a value nothing is known but the moment

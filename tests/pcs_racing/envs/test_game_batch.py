@@ -1,4 +1,4 @@
-"""What a batch of games says about them, and how opponents are drawn and asked; quick as plain
+"""Infos of a batch of games, and draws and calls of opponents; quick as plain
 Python, too.
 """
 
@@ -45,7 +45,7 @@ def begin(batch, seed=0):
 
 
 def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
-    """Won, lost, too close, a crash with one to blame, with two, and one that goes on."""
+    """Won, lost, too close, a crash with one to blame, with two, and an open race."""
     batch = make(coarse_oval, archive, opponent=None)
     begin(batch)
     state = batch.state

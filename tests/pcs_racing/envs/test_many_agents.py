@@ -1,4 +1,4 @@
-"""Control level with one car or more than two: what is observed, paid and told, and the libraries'
+"""Control level with one car or more than two: observations, rewards and infos, and the libraries'
 checkers.
 """
 
@@ -83,7 +83,7 @@ def test_the_lidar_sees_all_cars(oval):
 
 
 def test_agents_of_a_race_of_four(oval):
-    """Rewards add up to zero, infos tell each car's own facts, and the vector environment has the
+    """Rewards add up to zero, infos have each car's own facts, and the vector environment has the
     same numbers.
     """
     four, envs = (

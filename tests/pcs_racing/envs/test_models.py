@@ -1,6 +1,4 @@
-"""Models that were trained at the wheel race as they drove in their environment, wherever a policy
-races.
-"""
+"""Models that control the car race as they drove in their environment."""
 
 import pickle
 from types import SimpleNamespace

@@ -13,7 +13,7 @@ STEP = 8.0  # s between two moves
 
 
 class Watcher:
-    """It keeps what it sees and asks for less aggressiveness."""
+    """Store the observation, and move to less aggressiveness."""
 
     name = "watcher"
 

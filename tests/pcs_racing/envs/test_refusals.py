@@ -1,4 +1,4 @@
-"""What an environment refuses: one error that names the value, and nothing has changed."""
+"""Refusals of environments: one error that names the value, and nothing has changed."""
 
 import re
 
@@ -51,7 +51,7 @@ PLAIN = [
     ),
     (STEERING, {"crash_penalty": (-1.0,), "win_reward": (-1.0,), "normalize": ("yes",)}),
 ]
-"""Values of which the error says no more than that the name has this value."""
+"""Values whose error only names the argument and the value."""
 
 
 @pytest.mark.parametrize(
@@ -231,7 +231,7 @@ def test_an_impossible_seed_of_many_is_refused(seed, message):
 
 
 def changed(index, value):
-    """A state in which one part of the batch's is another."""
+    """A state with another value in one part of the batch's."""
 
     def change(state):
         parts = list(state.batch)
@@ -384,7 +384,7 @@ def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, argume
     other = env.get_state()
     env.step(act(env))
     before = flat(env.get_state())
-    remembered = ((3, 2), (3,))  # what opponents remember can be anything
+    remembered = ((3, 2), (3,))  # memories of opponents can be anything
     for path, leaf in leaves(other):
         if (
             path[0] == 0

@@ -1,4 +1,4 @@
-"""What a step of driving pays, against numbers by hand."""
+"""Rewards of a step of driving, against numbers by hand."""
 
 import pytest
 

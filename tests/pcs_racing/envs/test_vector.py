@@ -1,4 +1,4 @@
-"""How vector environments begin anew, and what Gymnasium's own wrappers make of them."""
+"""Resets of vector environments, and Gymnasium's own wrappers around them."""
 
 import gymnasium as gym
 import numpy as np

@@ -1,5 +1,5 @@
-"""Ten scripted situations on a ring, and what runs them in a checkout of the gym (v1.0.0) by its
-own Python.
+"""Ten scripted situations on a ring, and a program that runs them in a checkout of the gym (v1.0.0)
+by its own Python.
 """
 
 import json

@@ -1,7 +1,6 @@
-"""The same actions give what the gym gives: recorded facts, and beside a checkout of v1.0.0 where
-there is one.
+"""The same actions give the gym's results: recorded facts, and a checkout of v1.0.0 if present.
 
-The checkout is that of ``PCS_RACING_GYM``, its Python that of ``PCS_RACING_GYM_PYTHON``.
+``PCS_RACING_GYM`` names the checkout, ``PCS_RACING_GYM_PYTHON`` its Python.
 """
 
 import os
@@ -90,7 +89,7 @@ def test_states_and_scans_beside_the_gym(ring, tmp_path):
 
 
 def test_states_are_those_that_the_gym_recorded(reference):
-    """Ten trajectories from states of their own, far beside the map, by the gym's controllers with
+    """Ten trajectories from separate states, far off the map, by the gym's controllers with
     steering delayed.
     """
     recorded = np.load(reference / "st_dynamics.npz")
@@ -106,7 +105,7 @@ def test_states_are_those_that_the_gym_recorded(reference):
 
 
 def test_scans_are_exact_to_half_a_cell(ring):
-    """The fast lidar of circuits beside exact rays through the cells, from anywhere on the ring."""
+    """The fast lidar of circuits against exact rays through the cells, from all over the ring."""
     env = gymnasium.make("pcs_racing:f1tenth-v0", config={"map": str(ring), "num_agents": 1})
     assert env.sim.setup.on_circuit
     for k in range(8):
@@ -137,7 +136,7 @@ def until_the_end(env, poses, actions, steps=300):
 
 
 def test_crashes_without_the_faults(ring):
-    """The heading and the flag stay, anybody's crash ends the race, and the infos say whose fault
+    """The heading and the flag stay, any crash ends the race, and the infos say whose fault
     it was.
     """
     into, along = place(0.0, turned=-0.8), place(3.0)
@@ -164,7 +163,7 @@ def test_cars_have_noise_of_their_own_without_the_faults(ring):
             seen.append(env.sim.agent_scans)
         assert np.array_equal(seen[0], seen[1])
         assert np.array_equal(seen[1], seen[2]) is faithful
-        # What a seed changes is not the same for both cars.
+        # A seed changes different numbers for both cars.
         assert np.allclose(*(seen[2] - seen[1]), rtol=0.0, atol=1e-3) is faithful
 
 
@@ -205,7 +204,7 @@ def test_euler_contacts_and_the_border_without_the_faults(ring):
                 obs, *_ = env.step(np.array([[0.3, 1.0], [0.0, 0.0]]))
             ends[faithful, integrator] = env.sim.states[0]
         assert obs["agent_0"]["collision"] == (0 if faithful else 1)
-        # There are no walls: what is seen beside the other car is the border, a few metres away.
+        # There are no walls: next to the other car, beams end at the border, a few metres away.
         assert (obs["agent_1"]["scan"] > 25.0).any() == faithful
     assert np.array_equal(ends[False, "rk4"], ends[False, "euler"])
     assert not np.array_equal(ends[True, "rk4"], ends[True, "euler"])

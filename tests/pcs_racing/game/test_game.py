@@ -57,7 +57,7 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     archive, axes = game.archive, get_characteristics(game.archive.characteristics)
     policy = np.array([3, 9])
     actions = [(0, 2), (1, 3), (2, 0), (0, 0)]
-    # many, so that one game at least is played to its end, whatever the tuning
+    # many, so that at least one game is played to its end, for any tuning
     lines = game.start_lines
     starts = Starts(lines, np.arange(len(lines)) % 2)
     ends = play(game, game.reset(np.arange(len(starts)), policies=policy, starts=starts), actions)
@@ -127,9 +127,7 @@ def test_players_may_move_before_the_start(track):
 
 
 def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
-    """Line, side, both policies and the noise: no two go together, whatever the keys have in
-    common.
-    """
+    """Line, side, both policies and the noise: no two depend on each other, for any keys."""
     game = make_game(track, step_seconds=0.1, moves=1)
     state = game.reset(np.arange(400, dtype=np.uint64), redraw=False)
     races, count = state.race, len(game.archive)

@@ -1,4 +1,4 @@
-"""Rules of a game: their defaults, what follows from them, and how far each may go."""
+"""Rules of a game: defaults, consequences and bounds."""
 
 import dataclasses
 from enum import Enum
@@ -126,7 +126,7 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
         (*moves, "stay"),
         (0.2, 0.6),
     )
-    # what was not recorded is not compared
+    # missing records are not compared
     unknown = own._replace(elements=(), moves=(), decisions=0)
     for mine, other in [
         (own, own),

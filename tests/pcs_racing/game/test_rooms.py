@@ -23,9 +23,7 @@ SHORT = {"step_seconds": 0.1, "moves": 1, "stay": True}
 
 @pytest.fixture(scope="module")
 def archive() -> PolicyArchive:
-    """Six policies of which each has a pace of its own, so that what drives a car tells where a
-    move led.
-    """
+    """Six policies with different paces, so that the driver of a car shows the target of a move."""
     planner = get_planner("pure-pursuit")
     pace = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.625])
     parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
@@ -37,9 +35,7 @@ def archive() -> PolicyArchive:
 
 
 def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarray]]:
-    """Record the files on the way to each call of the kernel, what the check of moves is given, and
-    the parameters.
-    """
+    """Record the files on the way to each call of the kernel, checked moves, and parameters."""
     ways: list[list[str]] = []
     checked: list[np.ndarray] = []
     advance, check = driving.advance_races, rules.check_moves
@@ -86,7 +82,7 @@ def test_a_move_passes_seven_rooms_at_most_and_none_twice(coarse_oval, archive, 
             "pair": {"car_0": int(actions[0]), "car_1": 1},
         }[kind]
     )
-    # What reaches the kernel is the policy that each car's move leads to.
+    # The kernel receives the policy that each car's move leads to.
     table = env.game.table
     expected = archive.parameters[[table[0, 0], table[5, 1]]]
     np.testing.assert_array_equal(thetas[-1][0, :, : expected.shape[1]], expected)

@@ -57,7 +57,7 @@ def drive_alone() -> Callable[..., RaceResult]:
 
 @pytest.fixture(scope="session")
 def views() -> Callable[..., np.ndarray]:
-    """What a driver sees every 0.3 s of some races: shape (N, VIEW_SIZE)."""
+    """Views of a driver every 0.3 s of some races: shape (N, VIEW_SIZE)."""
 
     def collect(track: Track, policy: Policy, config: RaceConfig, starts: Starts) -> np.ndarray:
         setup = RaceSetup(track, config, (policy.planner, policy.planner))
@@ -78,9 +78,7 @@ def views() -> Callable[..., np.ndarray]:
 
 @pytest.fixture(scope="session")
 def view_at() -> Callable[..., np.ndarray]:
-    """What the driver of a car at (s, d) sees; the opponent stands at a gap ahead of it along the
-    track.
-    """
+    """View of the driver of a car at (s, d), with the opponent at rest a gap ahead of it."""
 
     def look(
         track: Track,

@@ -47,7 +47,7 @@ def race(function):
 def test_plain_compiled_and_typed_functions_drive_the_same_and_what_they_raise_is_told():
     assert (race(control).state.cars == race(njit(control)).state.cars).all()
     assert control_address(control) == control_address(control)
-    # It has no file beside which numba could keep its code.
+    # It has no file, so numba has no place for its code.
     typed = (
         "def control(track, theta, view, memory, scratch, path, command):\n    command[0],"
         " command[1] = 0.0, 1.0\n"
@@ -61,7 +61,7 @@ def test_plain_compiled_and_typed_functions_drive_the_same_and_what_they_raise_i
 
 @pytest.mark.parametrize("function", [control, allocating, failing])
 def test_references_to_arrays_are_counted_right(function):
-    """Whatever a planner does, no array is freed too early, or never."""
+    """For any planner, no array is freed too early, or never."""
     planner, track, config = (
         Planner("test", (), control=function),
         load_track("Tarnfjord"),

@@ -289,7 +289,7 @@ def test_ranges_are_cut_off_and_averaged_and_the_longest_gap_is_found():
 
 
 @pytest.mark.parametrize("opp_d", [-0.2, 0.2])
-# what lidar-ppo does follows from more than one scan
+# decisions of lidar-ppo follow from more than one scan
 @pytest.mark.parametrize("name", LIDAR[:-1])
 def test_a_lidar_driver_steers_away_from_a_car(name, opp_d, oval, view_at):
     planner, path = get_planner(name), np.zeros((PATH_POINTS, 4))

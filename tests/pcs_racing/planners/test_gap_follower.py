@@ -75,7 +75,7 @@ def test_it_leans_away_from_what_is_beside_it():
     assert gaps.lean(ranges, 0.4) == 0.0
     ranges[-4] = 0.3
     assert gaps.lean(ranges, 1.0) < 0.0
-    ranges[gaps.BEAMS // 2] = 0.1  # straight ahead is not beside
+    ranges[gaps.BEAMS // 2] = 0.1  # straight ahead is not at the side
     assert gaps.lean(ranges, 0.25) == 0.0
 
 
@@ -86,7 +86,7 @@ def test_it_sees_what_the_lidar_sees(oval, view_at):
     opponent = oval.to_cartesian([4.5, -0.3])
     expected = lidar.scan([x, y, psi + 0.1], opponents=opponent)
     np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
-    view[TRUE_PSI] -= 0.05  # of a car that slides, what lies along its course
+    view[TRUE_PSI] -= 0.05  # of a car that slides, the points along its course
     view[OWN_BETA] += 0.05
     np.testing.assert_allclose(path(oval, view)[1], expected, rtol=0, atol=1e-9)
 

@@ -63,7 +63,7 @@ def folder(tmp_path, monkeypatch) -> Path:
 
 
 def written(folder: Path, text: str, **beside: str) -> Path:
-    """Write a file ``driver.py``, and modules beside it."""
+    """Write a file ``driver.py``, and modules in the same folder."""
     for name, content in {**beside, "driver": text}.items():
         place = folder / f"{name.replace('__', '/')}.py"
         place.parent.mkdir(parents=True, exist_ok=True)
@@ -161,7 +161,7 @@ def test_a_class_beside_a_file_is_found_again_by_its_name(folder):
     ],
 )
 def test_a_race_is_the_same_alone_among_others_and_again(top, speed, folder):
-    """Whatever the driver draws; the generators of this process go on as without a driver."""
+    """For any draws of the driver; the generators of this process go on as without a driver."""
     drawing = "import random\ndef speed():\n    return 1.0 + random.random()\n"
     driver = team(folder, DRIVER.format(top, "", speed), drawing=drawing)
     random.seed(1)

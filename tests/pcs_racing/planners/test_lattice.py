@@ -45,7 +45,7 @@ def path(track, view, parameters=None):
 def plan(track, view, memory=MEMORY, parameters=None):
     """The path that the planner writes, and its memory after that."""
     written, memory = np.full((PATH_POINTS, 4), np.nan), memory.copy()
-    scratch = np.full(REFERENCE.scratch_size, np.nan)  # whatever was left there must not matter
+    scratch = np.full(REFERENCE.scratch_size, np.nan)  # values left there must not matter
     REFERENCE.plan(
         track.arrays, REFERENCE.policy(parameters).parameters, view, memory, scratch, written
     )
@@ -66,7 +66,7 @@ def test_candidates_are_cubics_from_the_car_across_the_track(oval, view_at):
     for across in ends[:16, 1].reshape(2, 8):
         assert (np.diff(across) > 0.05).all()
         assert np.abs(across).min() < 1e-6
-        # 0.25 m beside the car's body
+        # 0.25 m from the side of the car
         np.testing.assert_allclose(across[[0, -1]], [-0.695, 0.695], atol=0.02)
     assert np.isfinite(costs).sum() > 32
     points, _ = candidates(oval, view_at(oval, 3.0, 0.2, turned=0.05, speed=4.0))
@@ -115,11 +115,11 @@ def test_walls_and_swerves_that_would_spin_the_car_reject_candidates(oval, view_
 
 
 def test_an_opponent_in_the_way_rejects_candidates_and_is_passed_on_the_free_side(oval, view_at):
-    """Both cars' half widths and the margin are kept free beside a standing car."""
+    """Both cars' half widths and the margin are kept free next to a standing car."""
     points, costs = candidates(oval, view_at(oval, 3.0, speed=8.0, gap=8.0, opp_d=0.0))
     across = oval.to_frenet(points[:, -1])[:, 1]
     rejected = ~np.isfinite(costs)
-    # Of those that are open when nobody is there.
+    # Of the candidates that are open without a car.
     open_else = np.isfinite(candidates(oval, view_at(oval, 3.0, speed=8.0))[1]) & (
         np.arange(64) < 16
     )
@@ -174,7 +174,7 @@ def test_it_drives_real_circuits(name, real_maps, drive_alone):
 def check_solo(track, drive_alone):
     result = drive_alone(track, [REFERENCE.policy({"pace": 0.5})], speed_range=RANGE)
     assert not result.crashed.any()
-    # At least 85 % of what the profile allows at this pace.
+    # At least 85 % of the profile at this pace.
     laps = result.state.progress[0] + [0.0, min(0.5 * track.length, 50.0)]
     line = track.line
     speed = track.length / (track.arrays.ds / line[:, 6]).sum()
@@ -296,7 +296,7 @@ def test_a_followed_car_holds_its_place(oval, view_at, gap):
 
 
 def test_behind_a_car_it_keeps_a_distance_and_slows_before_that_car_brakes(oval, view_at):
-    """With so much air to keep there is no room beside the other car: the nearer, the slower."""
+    """With such a clearance there is no room to pass the other car: the nearer, the slower."""
     wide = {"side_margin": 0.45}
     seen = [view_at(oval, 3.0, speed=4.0, gap=gap, opp_speed=4.0) for gap in (0.8, 1.2, 1.9)]
     speeds = np.array([path(oval, view, wide)[:, 2].min() for view in seen])
@@ -342,7 +342,7 @@ def test_alone_it_neither_crashes_nor_falls_behind_pure_pursuit(oval, drive_alon
 
 @pytest.mark.parametrize(("scale", "noise"), [(1.0, 0.0), (1.0, 0.01), (1.2, 0.02)])
 def test_it_does_not_weave_on_straights(oval, scale, noise):
-    """Its steering moves no faster than 1.3 times that of pure pursuit."""
+    """Its steering moves no faster than 1.3 times the steering of pure pursuit."""
     ours, theirs = (
         steering_rate(oval, planner, scale, noise) for planner in (REFERENCE, PURE_PURSUIT)
     )

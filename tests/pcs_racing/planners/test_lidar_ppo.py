@@ -1,6 +1,4 @@
-"""The lidar planner that PPO trained: what its network sees, how its command is driven, and its
-folders.
-"""
+"""The lidar planner that PPO trained: inputs of its network, its commands and its folders."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""docs/planners.md says what the code says, and its code runs."""
+"""docs/planners.md agrees with the code, and its code runs."""
 
 import re
 

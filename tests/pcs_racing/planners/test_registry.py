@@ -20,7 +20,7 @@ PACE = Parameter("pace", 0.0, 1.0, 0.5, "how fast")
 
 @pytest.fixture(autouse=True)
 def _own_registry(monkeypatch):
-    """Whatever a test registers is forgotten after it."""
+    """Forget the names that a test registers after it."""
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     monkeypatch.setattr(registry, "_places", dict(registry._places))
 

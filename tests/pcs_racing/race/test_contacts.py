@@ -1,4 +1,4 @@
-"""Contacts that do not end a race: who stands still, who is put back where, and what is counted."""
+"""Contacts that do not end a race: cars that stand still or are put back, and counts of faults."""
 
 import numpy as np
 import pytest
@@ -70,7 +70,7 @@ def test_a_wall_stops_a_car_and_cars_that_overlapped_may_part(oval):
     before = state.frenet[0, 0, 1]
     advance(setup, state, theta, 100)
     assert state.frenet[0, 0, 1] < before - 0.5
-    # The car behind stands, the one ahead drives off; neither is held, whoever was to blame.
+    # The car behind stands, the one ahead drives off; neither is held, whichever was at fault.
     setup, state, theta = placed(oval, [(3.0, 0.0), (3.4, 0.0)], [0.0, 2.0], contact="stop")
     state.crash[:], state.fault[:] = 0, 0
     advance(setup, state, theta, 200)
@@ -91,7 +91,7 @@ def test_the_car_at_fault_is_put_back_behind_the_other_where_there_is_room(oval)
     advance(setup, state, theta, 600)
     assert state.tick[0] == 600
     assert winners(setup.config, state).tolist() == [1]
-    # A third car stands where the first would be put: it is put behind that one.
+    # A third car is where the first would be put: it is put behind that one.
     places, speeds = [(6.0, 0.9), (9.0, 0.9), (6.9, 0.0)], [5.0, 0.0, 0.0]
     setup, state, theta = placed(oval, places, speeds, contact="restart")
     drive_until_fault(setup, state, theta)

@@ -22,7 +22,7 @@ HOLD_IN_PYTHON = Planner(
 
 
 def ends_of_laps(progress, length):
-    """Times at which progress, known every 0.02 s, first passes each multiple of a length."""
+    """Times when progress, known every 0.02 s, first passes each multiple of a length."""
     ends = []
     for k, (before, now) in enumerate(pairwise(progress), start=1):
         line = length * (len(ends) + 1)

@@ -41,7 +41,7 @@ FIELD = [
 
 
 def of_cars(state, cars):
-    """All that a race holds of some cars, apart from what names cars by their numbers."""
+    """All fields of a race for some cars, except fields that name cars by their numbers."""
     skipped = ("tick", "seed", "leader", "ahead")
     return {name: array[:, cars] for name, array in state._asdict().items() if name not in skipped}
 
@@ -89,7 +89,7 @@ def test_a_race_does_not_depend_on_batch_or_threads(oval, count):
 
 @pytest.mark.parametrize(("start", "gap"), [("staggered", 1.4), ("side-by-side", 0.0)])
 def test_the_grid(oval, start, gap):
-    """One behind the other on sides in turn, or rows of two; car 0 starts from each place."""
+    """One behind the other on alternate sides, or rows of two; car 0 starts from each place."""
     rules = load_race_config("paper", start=start, start_gap=gap)
     setup = RaceSetup(oval, rules, (HOLD,) * 5)
     state = start_races(setup, Starts(np.full(5, 8.0), np.arange(5)), np.zeros(5, np.uint64))
@@ -103,7 +103,7 @@ def test_the_grid(oval, start, gap):
 
 
 def test_a_driver_sees_the_nearest_car_along_the_track(oval):
-    """Also across the start line; and alone nobody near."""
+    """Also across the start line; and alone without a near car."""
     length = oval.length
     for places, seen in (
         ([3.0, 8.0, 1.0], [2, 0, 0]),
@@ -211,7 +211,7 @@ def test_passes_and_times_to_collision_count_every_pair(oval):
         advance(setup, state, theta, 2)
     assert state.overtakes[0].tolist() == [2, 2, 0]
     assert state.leader[0] == 1
-    # At 2 m/s towards one that stands 1.2 m ahead, nearer than the walls: the mean after 0.05 and
+    # At 2 m/s towards a car at rest 1.2 m ahead, nearer than the walls: the mean after 0.05 and
     # 0.1 s.
     column, times = list(SUMS).index("ITTC"), []
     for count in (2, 3):

@@ -110,7 +110,7 @@ def test_a_python_driver_can_be_stopped_and_continued(oval):
     advance(setup, whole, theta, SHORT.ticks)
     advance(setup, stopped, theta, 246)
     continued = stopped.copy()
-    advance(setup, stopped, theta, 30)  # what happens to the original does not matter
+    advance(setup, stopped, theta, 30)  # changes of the original do not matter
     advance(setup, continued, theta, SHORT.ticks - 246)
     assert_same(continued, whole)
 

@@ -9,7 +9,7 @@ from pcs_racing.race.config import PRESETS, ROBORACER, RaceConfig
 
 
 def test_the_presets():
-    """The paper's race: side by side and undisturbed for 40 s; a crash pays nobody."""
+    """The paper's race: side by side and undisturbed for 40 s; a crash is a no-contest."""
     assert PRESETS == {"paper": PAPER, "contest": CONTEST, "roboracer": ROBORACER}
     assert (ROBORACER.contact, ROBORACER.most_faults, ROBORACER.heats, ROBORACER.start_speed) == (
         "restart",

@@ -1,4 +1,4 @@
-"""What a race counts and whom it blames, against a second account of it in a few lines of numpy.
+"""Counts and faults of a race, against a second account of it in a few lines of numpy.
 
 All of it also runs as plain Python (``NUMBA_DISABLE_JIT=1``) in little time: ``nox -s coverage``
 runs it that way.
@@ -28,7 +28,7 @@ from pcs_racing.track.frenet import SPEED
 COLUMN = {name: k for k, name in enumerate(SUMS)}
 PERIOD = 0.02  # s, between two commands
 
-# Two cars that have no number in common, so that none can stand for the other's.
+# Two cars without a common number, so that none can replace the other's.
 SHORT = VehicleParams(mu=1.0, c_sf=4.5, c_sr=5.3, lf=0.15, lr=0.17, h=0.07, width=0.30, length=0.50)
 LONG = VehicleParams(
     mu=1.05, c_sf=4.7, c_sr=5.5, lf=0.16, lr=0.18, h=0.08, width=0.36, length=0.70, steer_max=0.4
@@ -60,7 +60,7 @@ RULES = load_race_config("paper", **START, steering_noise=0.02, noise_time=0.5, 
 
 
 class Account:
-    """What becomes of a race, written down once more from where the cars are."""
+    """Compute the course of a race once more from the places of the cars."""
 
     def __init__(self, setup, state):
         self.setup, self.state = setup, state
@@ -159,7 +159,7 @@ def test_a_race_counts_what_a_second_account_of_it_counts(coarse_oval):
         np.testing.assert_allclose(state.sums[0], account.sums, rtol=1e-6, atol=1e-9)
         assert state.overtakes[0].tolist() == account.overtakes
         assert state.leader[0] == (-1 if account.leader is None else account.leader)
-    # The race had what there is to count.
+    # The race had all that is counted.
     assert min(account.overtakes) >= 1
     assert (account.sums[:, COLUMN["BLOCKING"]] > 0.5).all()
     assert (account.sums[:, COLUMN["BLOCKING"]] < 8.0).all()
@@ -181,7 +181,7 @@ def test_a_view_says_where_both_cars_are_and_what_they_are(coarse_oval):
             coarse_oval.to_frenet(other[:2]),
         )
         body, rival = CARS[car], CARS[1 - car]
-        # The rate at which its distance from the line grows: by moving it a little along its
+        # The growth rate of its distance from the line: by moving it a little along its
         # course.
         later = coarse_oval.to_frenet(other[:2] + 1e-4 * np.array(velocity(other)))[1]
         stiffness = body.mu * 9.81
@@ -268,7 +268,7 @@ def test_noise_is_the_sum_of_four_parts_and_a_command_is_due_after_its_delay():
         # four uniform numbers have the variance 4 / 12
         expected = (sum(parts) - 2.0) * np.sqrt(3.0)
         assert normal_noise(np.uint64(seed), car, tick) == pytest.approx(expected, abs=1e-12)
-    # The queue stands at the end of the driver's memory; what is before belongs to the driver.
+    # The queue is at the end of the driver's memory; the rest belongs to the driver.
     memory, queue = np.array([9.0, 9.0, 0.0, 0.0, 0.0]), getattr(delayed, "py_func", delayed)
     assert [queue(memory, 3.0, 2 * k, k + 1.0) for k in range(8)] == [
         0.0,
@@ -302,7 +302,7 @@ def test_a_wall_is_the_fault_of_the_car_that_stands_in_it(coarse_oval):
 
 @pytest.mark.parametrize("order", [1, -1])
 def test_a_car_that_runs_into_a_wall_is_blamed_alone(coarse_oval, order):
-    """It steers to the side on the straight while the other one stands in the middle."""
+    """It steers to the side on the straight while the other one is in the middle."""
     setup, state, theta = placed(
         coarse_oval, [(3.0, 0.0, 0.6), (9.0, 0.0)][::order], [4.0, 0.0][::order]
     )
@@ -346,7 +346,7 @@ def test_each_car_is_as_long_and_as_wide_as_its_own_parameters_say(coarse_oval):
 
 
 def wall_at(track, s, side):
-    """Distance from the race line to the wall beside it, from the wall segments."""
+    """Distance from the race line to the nearest wall, from the wall segments."""
     x, y, psi = track.to_cartesian([s, 0.0])
     ax, ay, bx, by = (track.arrays.walls - [x, y, x, y]).T
     across = side * np.array([-np.sin(psi), np.cos(psi)])
@@ -368,8 +368,8 @@ def lead_by(track, leads, vehicles=(F1TENTH, F1TENTH)):
 
 def test_a_pass_counts_once_the_car_leads_by_more_than_its_length(coarse_oval):
     own = F1TENTH.length
-    assert lead_by(coarse_oval, [0.0, 0.5]) == ([0, 0], -1)  # nobody has led yet
-    # beside, and a bit ahead: not yet
+    assert lead_by(coarse_oval, [0.0, 0.5]) == ([0, 0], -1)  # no car has led yet
+    # side by side, and a bit ahead: not yet
     assert lead_by(coarse_oval, [-1.0, own - 0.01]) == ([0, 0], 1)
     assert lead_by(coarse_oval, [-1.0, own + 0.01]) == ([1, 0], 0)
     assert lead_by(coarse_oval, [1.0, 0.1, -0.1, 0.1, -own - 0.01]) == ([0, 1], 1)

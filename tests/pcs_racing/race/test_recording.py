@@ -132,8 +132,8 @@ def test_a_replay_shows_moving_obstacles(oval, tmp_path):
 
 
 def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
-    """The first at the car itself; the others go on from the plan before, and half of what a car
-    strays is forgiven.
+    """The first at the car itself; the others continue the last plan, moved by half of the car's
+    deviation.
     """
     replay = record_race(oval, *policies("lattice"), PAPER)
     times = replay.paths[..., 3]
@@ -144,13 +144,13 @@ def test_plans_begin_near_the_car_and_follow_the_cheapest_candidate(oval):
     away = np.hypot(*(replay.paths[::2, :, 0, :2] - at_plan).T)
     np.testing.assert_allclose(away[:, 0], 0.0, atol=1e-9)
     assert away.max() < 0.1
-    # Candidates are asked for before the plan is made: they show what was on offer, farther than
+    # Candidates are asked for before the plan is made: they show all candidates, farther than
     # the path is.
     compared = 0
     for row in range(len(replay.candidates)):
         for car in range(2):
             costs = replay.costs[row, car]
-            # in a pinch it takes the least evil, which the costs no longer tell
+            # without a free candidate it takes the least bad one, not the cheapest
             if np.isinf(costs).all():
                 continue
             best = replay.candidates[row, car, int(np.argmin(costs)), 1:]

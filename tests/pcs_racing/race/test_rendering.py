@@ -182,7 +182,7 @@ def test_each_car_has_its_name_beside_it(race, view, apart):
 
 
 def test_frames_show_each_moment_with_its_plan_its_trail_and_who_leads(race):
-    """What the renderer is asked to draw, by times: frames 0.05 s apart, plans 0.1 s, trails of 2
+    """Inputs of the renderer, by times: frames 0.05 s apart, plans 0.1 s, trails of 2
     s.
     """
     asked = []

@@ -93,7 +93,7 @@ window.requestAnimationFrame = (callback) => { next = callback; return 1; };
 const frames = (n) => { while (n--) { const callback = next; now += 50; callback(now); } };
 </script>"""
 
-# What a viewer might do, and what the page says afterwards.
+# Keys that a viewer might press, and the page's texts afterwards.
 VISIT = """<script>
 const seen = {};
 const press = (key) =>

@@ -33,7 +33,7 @@ def see(setup, state, car=0):
 
 
 def views(track, car, ticks, seed=1):
-    """What car 0 sees of two standing cars, at so many moments: each number as an array."""
+    """Views of two standing cars by car 0, at so many moments: each number as an array."""
     setup, state, _ = placed(track, PLACES, vehicles=(car, VehicleParams()))
     state.seed[:] = seed
     found = []

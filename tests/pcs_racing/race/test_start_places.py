@@ -1,4 +1,4 @@
-"""Start places are those from which pairs of drivers get away."""
+"""Start places are the places where pairs of drivers get away."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -27,7 +27,7 @@ def box():
 
 @pytest.fixture
 def values(oval):
-    """What the oval was built from, or nearly so: its grid is cropped, and infield and outfield are
+    """Sources of the oval, or nearly so: its grid is cropped, and infield and outfield are
     walls too.
     """
     arrays = oval.arrays

@@ -1,4 +1,4 @@
-"""Map folders: what is written reads back, every common shape is found, and bad input gives one
+"""Map folders: written files read back, every common shape is found, and bad input gives one
 clear error.
 """
 
@@ -163,7 +163,7 @@ def test_the_threshold_is_that_of_ros(tmp_path_factory, level, threshold):
 
 def test_unknown_regions_are_walls_and_numbers_may_be_written_as_text(folder):
     grey = np.full((30, 30), 255, dtype=np.uint8)
-    grey[:, :8] = 205  # as SLAM tools paint what they have not seen
+    grey[:, :8] = 205  # as SLAM tools paint unseen cells
     grey[10, 12:20] = 180  # the fringe of a line
     grey[11, 12:20] = 40
     _picture(folder, grey)
@@ -237,7 +237,7 @@ def test_the_lines_of_a_race_stack_are_read_where_there_are_no_csv_files(folder)
     np.testing.assert_array_equal(found.centerline, np.column_stack([race[:, 1:3], center[:, 2:]]))
     (folder / "Ring_map.yaml").rename(
         folder / "Ring.yaml"
-    )  # the race stack's name; the maps of its filter lie beside it
+    )  # the race stack's name; its folder has the maps of its filter, too
     (folder / "pf_map.yaml").write_text((folder / "Ring.yaml").read_text())
     assert find_map(folder).name == "Ring"
     for wrong in (

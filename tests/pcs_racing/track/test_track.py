@@ -136,7 +136,7 @@ def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
     occupied[3:44, 5:415] = False  # the lower leg
     occupied[46:87, 5:415] = False  # the upper leg; two cells of wall lie between
     occupied[3:87, 5:45] = occupied[3:87, 375:415] = False
-    # The line of the upper leg lies 0.3 m above the wall, that of the lower leg 0.9 m below it.
+    # The line of the upper leg lies 0.3 m above the wall, the line of the lower leg 0.9 m below it.
     turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 15)
     bend = 0.6 * np.column_stack([np.cos(turn), np.sin(turn)])
     along = np.linspace(2.0, 19.0, 60)[1:-1]

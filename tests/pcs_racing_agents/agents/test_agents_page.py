@@ -1,4 +1,4 @@
-"""docs/agents.md and the page of the zoo: what the zoo says of itself stands there."""
+"""docs/agents.md and the page of the zoo agree with the zoo."""
 
 import numpy as np
 import pytest

@@ -45,7 +45,7 @@ def test_a_walk_arrives_and_stays(spec, game, target):
 
 
 def test_a_lead_plan_looks_at_who_leads_and_at_nothing_else(spec, game, seen):
-    """Every decision is that of the walk to one of its two policies, by the lead of the last step
+    """Every decision is a step of the walk to one of its two policies, by the lead of the last step
     that is over.
     """
     plan = best_lead_plan(spec, targets={"behind": 10, "ahead": 1})

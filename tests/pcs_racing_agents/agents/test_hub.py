@@ -30,7 +30,7 @@ asked = []  # patterns of each download
 
 @pytest.fixture
 def hub(tmp_path, monkeypatch):
-    """Stand-in for the library of the hub: repositories are folders below ``tmp_path``."""
+    """Library of the hub, replaced for tests: repositories are folders below ``tmp_path``."""
 
     asked.clear()
 

@@ -1,4 +1,4 @@
-"""Whoever races in tournaments is an opponent of the environments, by name and as an object."""
+"""All racers of tournaments are opponents in the environments, by name and as an object."""
 
 import copy
 import subprocess

@@ -250,7 +250,7 @@ class Seen(vec.VecEnvWrapper):
 
 
 def wrapped(one=lambda env: env, many=lambda envs: envs, make_env=DriveEnv, others=0):
-    """A model that trained in environments of which the last one is wrapped, or all together."""
+    """A model that trained in environments with a wrapper around the last one, or around all."""
 
     def plain():
         return make_env(track="Pipkin", opponent=None, beams=5)

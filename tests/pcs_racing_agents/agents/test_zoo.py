@@ -29,7 +29,7 @@ from pcs_racing_agents.tournament.games import game_between
 
 
 def learned(name: str, spec) -> dict:
-    """What an agent of the zoo must be given if nothing is shipped for its game."""
+    """Options that an agent of the zoo needs if nothing is shipped for its game."""
     given = {
         "best-schedule": {"moves": ["stay"] * 4},
         "best-fixed": {"target": 3},
@@ -87,7 +87,7 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     game, spec, oval
 ):
     agent = pcs_racing_agents.make("random-moves", rules="contest", seed=1)
-    assert agent.chances == (0.2,) * 5  # the contest offers "stay" to everybody
+    assert agent.chances == (0.2,) * 5  # the contest offers "stay" to all
     assert "never-switch" in pcs_racing_agents.agents.names()
     explored = len(make_game_spec().archive.explored_parameters)
     assert len(make("random-policy").policies) == explored

@@ -162,7 +162,7 @@ def test_a_large_function_travels_once_and_not_with_every_task(tmp_path, kind, r
     with open_job(tmp_path, "k", {}) as job:
         found = job.run("heavy", heavy, range(40), executor=executor)
     with sent_once(heavy, executor) as submit:
-        assert 0 < len(repr(submit.args[1:])) < 1000  # what goes along with every task
+        assert 0 < len(repr(submit.args[1:])) < 1000  # the shared part of every task
     assert [float(result["sum"]) for result in found] == heavy.load[:40].tolist()
     assert not [warning for warning in recwarn if "large" in str(warning.message)]
 
@@ -236,7 +236,7 @@ def test_a_killed_scheduler_is_told_in_a_line_and_another_goes_on(cluster, tmp_p
 
 
 def out_of_memory(task: int) -> dict[str, int]:
-    """What dask says of a task whose workers died several times."""
+    """Error of dask for a task whose workers died several times."""
     from distributed.scheduler import KilledWorker
 
     raise KilledWorker("out_of_memory-12", SimpleNamespace(address="tcp://there:1"), 3)

@@ -123,7 +123,7 @@ def test_sigterm_ends_a_command_and_its_workers_as_ctrl_c_does(long_commands, tm
         tmp_path,
     ]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    # A new interpreter: its own tracker of semaphores says what was left behind.
+    # A new interpreter: its own tracker of semaphores reports leaks.
     with Popen(
         [sys.executable, "-m", "pcs_racing_agents", *command],
         stderr=PIPE,
@@ -140,7 +140,7 @@ def test_sigterm_ends_a_command_and_its_workers_as_ctrl_c_does(long_commands, tm
 
 @contextmanager
 def largest_file(size: int) -> Iterator[None]:
-    """A limit on the size of files stands in for a full disk: the write itself fails."""
+    """A limit on the size of files replaces a full disk: the write itself fails."""
     import resource
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)

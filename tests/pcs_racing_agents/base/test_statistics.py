@@ -192,7 +192,7 @@ def test_a_comparison_counts_its_egos_and_its_opponents():
 
 
 def test_the_paired_t_test_is_that_of_the_means_of_the_egos():
-    """Against scipy's own test (of which the code uses the distribution alone)."""
+    """Against scipy's own test (the code uses only its distribution)."""
     rng = np.random.default_rng(6)
     a, b = rng.random((2, 400))
     result = compare(a, b, np.repeat(np.arange(20), 20), np.tile(np.arange(20), 20))

@@ -57,7 +57,7 @@ TREE = [
 def copied(tmp_path) -> Path:
     """A shipped circuit, copied to a folder whose name has a space."""
     folder = tmp_path / "my maps" / "Pipkin"
-    folder.mkdir(parents=True)  # one to write to, wherever the shipped one lies
+    folder.mkdir(parents=True)  # one to write to, for any place of the shipped one
     for file in find_shipped("Pipkin").iterdir():
         shutil.copyfile(file, folder / file.name)
     return folder
@@ -120,7 +120,7 @@ def test_files_and_folders_are_checked_before_the_work(tmp_path):
 
 def test_a_map_folder_with_a_space_in_its_name(printed, copied):
     for file in copied.glob("*.csv"):
-        file.unlink()  # what is left are the picture and its ROS file
+        file.unlink()  # the picture and its ROS file remain
     out = printed("race", "--track", copied, "--opponent", "lattice:pace=0.5", *SHORT)
     assert out.startswith("Pipkin, ")
     assert "car 0: lattice:pace=0.5 (car 0), " in out
@@ -409,7 +409,7 @@ def test_each_command_is_found_in_its_file():
 
 
 def modules_after(code: str) -> set[str]:
-    """What a process has imported after some code."""
+    """Modules that a process has imported after some code."""
     code = (
         f"import sys; from pcs_racing_agents.cli.main import main, _parser; {code};"
         " print(*sys.modules)"

@@ -80,7 +80,7 @@ def test_trees_are_played_and_taken_up(run, saved_archive, tmp_path):
 
 
 def test_trees_that_can_not_be_built_end_in_one_line(run, saved_archive, tmp_path):
-    """The game is told before."""
+    """The game is announced before."""
     for option, value, message in [
         ("--pairs", 0, "pairs is 0; it must be a whole number"),
         ("--seeds", 3, "seeds_per_pair is 3, but there is no steering noise"),

@@ -1,4 +1,4 @@
-"""``pcs-racing view``: what it writes, serves, explains and refuses."""
+"""``pcs-racing view``: pages, server, explanations and refusals."""
 
 import json
 import re

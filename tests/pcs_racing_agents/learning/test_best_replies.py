@@ -1,4 +1,4 @@
-"""Loss to a learned best reply, in short games in which a good reply is known: to go faster."""
+"""Loss to a learned best reply, in short games with a known good reply: to go faster."""
 
 import csv
 from concurrent.futures import ThreadPoolExecutor
@@ -76,7 +76,7 @@ def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
     for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):
         np.testing.assert_array_equal(own, others)
 
-    # A run that goes on does not train again what is there.
+    # A resumed run does not train saved networks again.
     def never(*arguments, **options):
         raise AssertionError("trained again")
 

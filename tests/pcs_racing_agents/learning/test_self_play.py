@@ -53,7 +53,7 @@ class MatrixGame:
         return (1.0 - exploration) * regret_matching(network.unclipped(seen))[0] + exploration / 2
 
     def exploited(self, networks):
-        """Half of what both players could gain on the average strategy, and its value."""
+        """Half of both players' gains by best responses to the average strategy, and its value."""
         x, y = (
             sum(
                 weight * self.chances(network, 0.0, 0, player)

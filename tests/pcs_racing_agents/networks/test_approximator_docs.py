@@ -1,4 +1,4 @@
-"""docs/approximator.md says what the code says, and its code runs."""
+"""docs/approximator.md agrees with the code, and its code runs."""
 
 import re
 

@@ -126,10 +126,10 @@ def test_every_decision_of_both_cars_is_a_row(target):
 
 
 def test_crashed_nodes_are_left_out_and_the_rest_is_as_if_they_were_not_there():
-    """Two seeds; one has crashed in a node: targets there are those of the other seed alone."""
+    """Two seeds; one has crashed in a node: targets there come from the other seed alone."""
     whole = random_tree(seeds=2, sees_seed=True)
     payoffs = whole.payoffs.copy()
-    # what the crash in seed 1 pays, whatever is played afterwards
+    # the payoff of the crash in seed 1, for any later moves
     payoffs[1].reshape(9, 9)[4] = 0.7
     over = np.zeros((2, 9), bool)
     over[1, 4] = True

@@ -61,7 +61,7 @@ def test_a_network_learns_what_can_be_learned_and_knows_how_it_was_made():
     first, best = result.epochs[0], result.epochs[result.best]
     assert best.validation_loss < 0.05 < 0.5 < first.validation_loss
     assert best.validation_loss == min(epoch.validation_loss for epoch in result.epochs)
-    # The epoch that was kept is the network: its own score is what it does on the held-out pairs.
+    # The saved epoch is the network: its own score is its score on the held-out pairs.
     held_out = np.isin(rows_of(*situations()).pair, result.validation_pairs)
     again = agreement(network, rows_of(*situations()).take(held_out))
     assert again == pytest.approx(best.validation_agreement, abs=1e-3)

@@ -1,4 +1,4 @@
-"""Small networks and trees that no race stands behind."""
+"""Small networks and trees without races."""
 
 import numpy as np
 from random_layers import random_layers

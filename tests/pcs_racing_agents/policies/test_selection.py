@@ -26,7 +26,7 @@ clouds = hnp.arrays(
 
 
 def raced(totals, segments=None):
-    """Races of which only the characteristics are known."""
+    """Races with known characteristics only."""
     shape = totals.shape[:2]
     segments = np.full(shape, 2) if segments is None else segments
     none = dict.fromkeys(("own_crash", "crashed"), np.zeros(shape, bool))

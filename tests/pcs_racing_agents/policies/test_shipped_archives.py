@@ -1,4 +1,4 @@
-"""The archives that come with the package are what their configurations and manifests say."""
+"""The archives that come with the package agree with their configurations and manifests."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def test_the_default_archive_lies_along_the_front():
     # Seen from either axis there is a policy within a quarter of the range of any place.
     for axis in range(2):
         assert np.diff(np.sort(points[:, axis])).max() < 0.25
-    assert np.corrcoef(points.T)[0, 1] < -0.9  # what is more of one is less of the other
+    assert np.corrcoef(points.T)[0, 1] < -0.9  # more of one is less of the other
     assert duplicate_share(archive) < 0.15
 
 

@@ -33,7 +33,7 @@ class SlowCFR:
         self.strategy = [[np.full(shape, 1.0 / shape[1]) for shape in pair] for pair in shapes]
 
     def visit(self, level, node, player, own, others):
-        """Value of a node for a player; adds what each of its moves would have gained."""
+        """Value of a node for a player; adds the gain of each of its moves."""
         sign = 1.0 if player == 0 else -1.0
         if level == self.tree.depth:
             return sign * self.tree.payoffs.reshape(-1)[node]
@@ -56,7 +56,7 @@ class SlowCFR:
         return value
 
     def iterate(self, t):
-        """Iteration t, counted from 1: what strategies have gained, and then the next ones."""
+        """Iteration t, counted from 1: gains of the strategies, then the next strategies."""
         variant = self.variant
         for player in (0, 1):
             self.own_reach = [np.zeros(self.tree.rows(k, player)) for k in range(self.tree.depth)]
@@ -73,7 +73,7 @@ class SlowCFR:
                 self.follow(t, player)
 
     def follow(self, t, player):
-        """Discount what a player regrets, and play in proportion to what is left of it."""
+        """Discount a player's regrets, and play in proportion to the rest."""
         kept = [
             0.0 if e == -math.inf else 1.0 if e == math.inf else t**e / (t**e + 1.0)
             for e in (self.variant.alpha, self.variant.beta)

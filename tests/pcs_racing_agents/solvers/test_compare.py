@@ -1,4 +1,4 @@
-"""Methods side by side: what each of them gives by itself, and agreement counted decision by
+"""Methods side by side: the result of each by itself, and agreement counted decision by
 decision.
 """
 

@@ -7,7 +7,7 @@ from small_games import kuhn_poker, random_tree
 
 from pcs_racing_agents import solvers
 
-# Two and three steps, seeds that nobody sees, and any infosets.
+# Two and three steps, unobserved seeds, and any infosets.
 TREES = {
     "two steps": random_tree(0, 3, 3, 3, 3),
     "three steps": random_tree(1, 2, 3, 3, 2, 2, 2),

@@ -50,7 +50,7 @@ def pure_strategies(tree: solvers.GameTree, player: int):
 
 @given(seed=st.integers(0, 10**6), blur=st.integers(1, 2), sharp=st.sampled_from([0.05, 1.0]))
 def test_a_best_response_is_the_best_of_all_plans(seed, blur, sharp):
-    """Also where it can't tell nodes apart, and where the other player never leads."""
+    """Also where it can't distinguish nodes, and where the other player never leads."""
     tree = random_tree(seed, 2, 2, 2, 2, chance=2, blur=blur)
     profile = random_profile(tree, seed, sharp)
     for player in (0, 1):

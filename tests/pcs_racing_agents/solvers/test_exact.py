@@ -19,7 +19,7 @@ PAYOFFS = SMALL.flatmap(lambda shape: arrays(np.float64, shape, elements=METRES)
 
 
 def pure_security(tree: GameTree) -> tuple[float, float]:
-    """What car 0 can hold with moves that the other sees, and with seeing the other's: bounds of
+    """Payoffs that car 0 can secure with observed moves, and by observing the other's: bounds of
     the value.
     """
     low = high = tree.payoffs[0]

@@ -49,7 +49,7 @@ def test_infosets_are_numbered_as_they_come():
     assert seen.infosets[1][0].tolist() == [0, 0, 1, 1]
     assert seen.infosets[1][1].tolist() == [0, 1, 0, 1]
     assert seen.rows(1, 0) == 2
-    # Labels that tell all nodes apart change nothing, whatever their order.
+    # Labels that distinguish all nodes change nothing, in any order.
     same = tree.with_infosets([([0], [0]), ([5, 2, 9, 1], [3, 2, 1, 0])])
     assert same.perfect
     assert same.infosets[1][0].tolist() == [0, 1, 2, 3]

@@ -27,7 +27,7 @@ def linear_program(game: np.ndarray) -> float:
 
 
 def gap(game: np.ndarray, row: np.ndarray, column: np.ndarray) -> Fraction:
-    """What both players could gain together, in exact arithmetic, in units of the range."""
+    """Sum of both players' possible gains, in exact arithmetic, in units of the range."""
     exact = [[Fraction(value) for value in line] for line in game.tolist()]
     x, y = ([Fraction(value) for value in shares.tolist()] for shares in (row, column))
     best = max(sum(value * share for value, share in zip(line, y, strict=True)) for line in exact)
@@ -40,7 +40,7 @@ def gap(game: np.ndarray, row: np.ndarray, column: np.ndarray) -> Fraction:
 
 
 def check(games: np.ndarray, most: float = 1e-12) -> None:
-    """Strategies are distributions, nobody could gain more, and the value is between the gains."""
+    """Strategies are distributions, no player can gain more, and the value is between the gains."""
     solution = solve_matrix_games(games)
     low = games.min(axis=(1, 2))
     span = games.max(axis=(1, 2)) - low
@@ -63,7 +63,7 @@ def test_games_known_by_hand_and_payoffs_of_all_sizes():
     assert solution.rows[0] == pytest.approx([0.5, 0.5])
     stones = solve_matrix_games([[0.0, -1.0, 1.0], [1.0, 0.0, -1.0], [-1.0, 1.0, 0.0]])
     assert stones.columns[0] == pytest.approx([1 / 3] * 3)
-    # A saddle point: row 1 and column 0 whatever the other does.
+    # A saddle point: row 1 and column 0 against any strategy.
     saddle = solve_matrix_games([[1.0, 5.0], [2.0, 3.0]])
     assert (saddle.values[0], saddle.rows[0].tolist(), saddle.columns[0].tolist()) == (
         2.0,

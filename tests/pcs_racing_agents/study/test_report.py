@@ -52,7 +52,7 @@ def page(content) -> str:
 
 
 class _Balance(HTMLParser):
-    """Counts tags and keeps what is written between them."""
+    """Counts tags and keeps the text between them."""
 
     def __init__(self):
         super().__init__()
@@ -112,7 +112,7 @@ console.log("a race of " + race.car_names + ", " + duration + " s");
 
 
 def test_the_page_works_in_a_browser(tmp_path, content, page, browser):
-    # The first race tells that it is there; nothing else in the page may say anything.
+    # The first race reports that it is there; nothing else in the page may say anything.
     path = tmp_path / "report.html"
     path.write_text(page.replace(html.escape("</body>"), html.escape(TELL), 1))
     browser.open(path)

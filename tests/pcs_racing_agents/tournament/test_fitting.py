@@ -106,8 +106,8 @@ def test_candidates_are_compared_in_the_same_races(training, short, oval, monkey
 
 @pytest.mark.parametrize("seed", range(5))
 def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(seed):
-    """Against a search that looks at all scores; each choice is raced once, and told how many were
-    raced before.
+    """Against a search that looks at all scores; each choice is raced once, with the number of
+    earlier ones.
     """
     options, places = (1, 3, 4), 3
     every = list(product(options, repeat=places))
@@ -146,6 +146,6 @@ def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(training, oval, s
     assert np.count_nonzero(meta.payoffs) > 0
     assert meta.weights.sum() == pytest.approx(1.0)
     np.testing.assert_array_equal(meta.payoffs, -meta.payoffs.T)
-    assert (meta.weights @ meta.payoffs).min() >= -1e-6  # nobody beats the mixture on these races
+    assert (meta.weights @ meta.payoffs).min() >= -1e-6  # no gain over the mixture on these races
     again = fits.fit_psro(training, members, known=fits.fit_psro(training, members[:3]))
     np.testing.assert_array_equal(again.payoffs, meta.payoffs)

@@ -1,4 +1,4 @@
-"""Games of one or several egos: what is driven is the game, whoever else is driven with it."""
+"""Games of one or several egos: a game does not depend on the other games of its batch."""
 
 from dataclasses import dataclass, replace
 

@@ -22,7 +22,7 @@ SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
 
 
 def units(pairing):
-    """What makes a race the same race for two egos."""
+    """Fields of a race that are the same for two egos."""
     columns = (*pairing.variants.T, pairing.starts.s, pairing.starts.side)
     return list(zip(*(column.tolist() for column in columns), strict=True))
 

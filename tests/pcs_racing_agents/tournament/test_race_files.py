@@ -1,4 +1,4 @@
-"""Results files: the same bytes for the same races, and what is refused."""
+"""Results files: the same bytes for the same races, and refusals."""
 
 import csv
 
@@ -104,7 +104,7 @@ def test_seeds_may_be_larger_than_any_number_of_the_machine(tmp_path, rows):
 )
 def test_a_damaged_line_is_named(rows, column, value, message, tmp_path):
     path = tmp_path / "results.csv"
-    for number in (5, 9):  # the first of them is told
+    for number in (5, 9):  # the first of them is reported
         rows[number][column] = value
     with pytest.raises(InputError) as refused:
         read_results(as_file(rows, path))

@@ -77,8 +77,8 @@ def test_nothing_leads_uphill_from_the_fit_and_another_optimiser_finds_nothing_b
     """The log-posterior is strictly concave, so that it is highest where its gradient vanishes, and
     nowhere else.
 
-    How close another optimiser comes to that place depends on the processor's rounding; what it
-    finds is only compared in height.
+    How close another optimiser comes to that place depends on the processor's rounding; its result
+    is only compared in height.
     """
     first, second, result = simulate(np.random.default_rng(1), 25, tie)
     races = Counter(
@@ -101,7 +101,7 @@ def test_nothing_leads_uphill_from_the_fit_and_another_optimiser_finds_nothing_b
     assert np.abs(slopes).max() < 1e-9 * len(result)  # one race alone has a slope of up to 1
     assert (ratings.tie == 0.0) == (tie == 0.0)
     reference = minimize(loss, np.zeros(6), tol=1e-10).fun
-    # what is lost to rounding in a sum over the races
+    # the rounding error of a sum over the races
     assert reference >= loss(fit) - 1e-12 * len(result)
     assert reference == pytest.approx(loss(fit), rel=1e-6)
 

@@ -111,7 +111,7 @@ def test_intervals_are_robust_to_places_and_policies(mixed):
     score = score_races(races)
     mean, low, high = clustered_score(races, races.score)
     assert (score.mean, score.low, score.high) == (mean, max(low, 0.0), min(high, 1.0))
-    # A second copy of the races tells nothing new.
+    # A second copy of the races has no new information.
     twice = clustered_score(concatenate_races([races, races]), np.tile(races.score, 2))
     assert (twice[0], twice[2]) == pytest.approx((mean, high))
 

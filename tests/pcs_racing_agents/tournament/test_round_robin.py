@@ -64,7 +64,7 @@ def test_scores_count_ties_half_and_ratings_see_no_cycle(cycle):
         # The first two tie and beat the third.
         ([[0, 0.5, 0.7], [0.5, 0, 0.6], [0.3, 0.4, 0]], [0.5, 0.5, 0.0]),
         ([[0, 1, 0], [0, 0, 1], [1, 0, 0]], [1 / 3] * 3),
-        # A cycle in which one win counts twice.
+        # A cycle where one win counts twice.
         ([[0, 1, 0.25], [0, 0, 0.75], [0.75, 0.25, 0]], [0.25, 0.25, 0.5]),
     ],
 )

@@ -43,7 +43,7 @@ def paper(track, archive) -> RaceGame:
 
 @pytest.fixture(scope="session")
 def noisy(track, archive) -> RaceGame:
-    """Games with noise, in which some crash."""
+    """Games with noise and some crashes."""
     return make_game(
         track,
         archive,
@@ -56,7 +56,7 @@ def noisy(track, archive) -> RaceGame:
 
 @pytest.fixture(scope="session")
 def far(track, archive) -> RaceGame:
-    """Games of cars that start out of each other's sight, and in which some crash."""
+    """Games of cars that start out of each other's sight, some with crashes."""
     rules = {
         "moves": 3,
         "step_seconds": 6.0,

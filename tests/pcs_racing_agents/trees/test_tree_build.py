@@ -20,7 +20,7 @@ from pcs_racing_agents.trees.tree import check_size, own_histories, policy_paths
 
 
 def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, number):
-    """Memoised, crash-cut and shared, yet every leaf is what 16 * 16 races from the start give."""
+    """Memoised, crash-cut and shared, yet the leaves are the results of 16 * 16 races."""
     tree = build_tree(paper, (2, 7), (float(paper.start_lines[1]), 1), [5])
     every = np.array(list(product(range(4), repeat=4))).reshape(-1, 2, 2)
     ends = played(paper, tree, 0, every)

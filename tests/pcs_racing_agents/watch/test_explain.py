@@ -48,7 +48,7 @@ def explained(contest, ego, rival, **options):
 
 @pytest.fixture(scope="module")
 def race(contest, spec):
-    """An agent with a network, of which two moves are alike, against one that draws."""
+    """An agent with a network that values two moves alike, against an agent that draws."""
     ego = build("cfr-argmax", spec, network=network_of(spec, worth="win"))
     return explained(contest, ego, build("random-moves", spec))
 
@@ -252,7 +252,7 @@ def test_open_loop_agents_fixed_policies_and_whoever_answers_predict(contest, sp
 
 
 def marks(axes):
-    """Signs that stand alone: marker, place, and colour of its face."""
+    """Single signs: marker, place, and colour of the face."""
     found = [line for line in axes.lines if len(line.get_xdata()) == 1]
     return [
         (one.get_marker(), one.get_xydata()[0].tolist(), one.get_markerfacecolor()) for one in found

@@ -47,7 +47,7 @@ def report(get):
     return page
 
 
-# What makes a page, and what is true of it when all of it is there.
+# The maker of a page, and conditions that a complete page meets.
 PAGES = {
     "a replay": (replay, "document.documentElement.dataset.drawn"),
     "a bare replay of one car": (bare_replay, "document.documentElement.dataset.drawn"),

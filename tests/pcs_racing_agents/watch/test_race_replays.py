@@ -43,7 +43,7 @@ def test_a_race_is_a_replay_with_less_in_it(repeater, tournament_folder):
 def test_places_are_where_the_archive_and_the_other_car_saw_them(
     repeater, tournament_folder, archive
 ):
-    """As shares of the picture, which holds the archive and most of what was explored."""
+    """As shares of the picture, which holds the archive and most explored policies."""
     _, tournament = tournament_folder
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     low, high = points.min(axis=0), points.max(axis=0)

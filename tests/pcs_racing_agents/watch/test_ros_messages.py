@@ -122,7 +122,7 @@ def test_each_message_holds_what_the_race_says_at_its_time(race):
 
 
 def check_read(race, kept):
-    """What a library read again, by topic, is the race."""
+    """The messages that a library reads again, by topic, are the race."""
     expected = {topic: 1 if topic == "/map" else len(race.cars) for topic in TOPICS}
     assert {topic: len(found) for topic, found in kept.items()} == expected
     track, last = load_track("Pipkin"), race.cars[-1]

@@ -168,9 +168,7 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
 
 
 def test_two_hundred_thousand_races_are_filtered_at_once(browser, tmp_path):
-    """No time is asserted; that all of them are there, sorted, and that only what is seen is in the
-    page.
-    """
+    """No time is asserted; all races are there, sorted, and only visible rows are in the page."""
     races = toy_races(("t",), ("a", "b"), egos=50, variants=50)
     races = replace(races, overtakes=np.random.default_rng(0).integers(0, 3, (200_000, 2)))
     path = tmp_path / "many.html"

@@ -128,7 +128,7 @@ def test_rows_follow_the_file_format_and_give_the_lap_time(box):
 
 @given(kappa=CURVATURES, ds=st.floats(0.05, 3.0))
 def test_every_sample_is_held_back_by_some_limit_and_none_is_exceeded(kappa, ds):
-    """5 m/s^2 across, 3.5 forwards, 4.5 backwards, 8 m/s: the least of what these allow is the
+    """5 m/s^2 across, 3.5 forwards, 4.5 backwards, 8 m/s: the min of these limits is the
     speed.
     """
     w = speed_profile(kappa, ds) ** 2

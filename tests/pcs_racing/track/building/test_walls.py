@@ -126,9 +126,7 @@ def _missed(track, views, beams, rng):
 
 
 def test_lists_hold_all_that_is_seen_in_the_order_of_the_distance(oval):
-    """Rounded down, by less than a millimetre, and rising along each list, in which no segment
-    stands twice.
-    """
+    """Rounded down, by less than a millimetre, and rising along each list without repetition."""
     arrays = oval.arrays
     assert (arrays.seen_start[0], arrays.seen_start[-1]) == (0, len(arrays.seen))
     assert len(arrays.seen_start) == round(oval.length / arrays.seen_stretch) + 1
@@ -171,7 +169,7 @@ def test_each_list_holds_the_segments_of_its_stretch_and_those_that_meet_share_a
             assert segments_between(corners) | segments_between(everywhere) == {
                 tuple(wall) for wall in listed.tolist()
             }
-    # Three sides of a square, of which the last is listed first, and a wall far away.
+    # Three sides of a square, the last of them first, and a wall far away.
     walls = np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [9, 9, 8, 9]], float)
     start, corners = corner_lists(
         walls, np.array([0, 4, 6]), np.array([2, 0, 3, 1, 3, 0], np.int32)

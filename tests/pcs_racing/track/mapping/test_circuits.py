@@ -75,7 +75,7 @@ def test_braking_zones_straights_and_rounded_corners_by_hand():
     square = 10.0 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     line = rounded(square, np.full(4, 2.0), 0.05)
     assert signed_area(line) == pytest.approx(100.0 - (4.0 - np.pi) * 4.0, rel=1e-3)
-    # A radius that doesn't fit shrinks to what does.
+    # A radius that doesn't fit shrinks until it does.
     assert signed_area(rounded(square, np.full(4, 50.0), 0.05)) == pytest.approx(
         np.pi * 25.0, rel=0.02
     )
