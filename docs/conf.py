@@ -47,7 +47,7 @@ nb_output_stderr = "remove"  # notes on compilation and progress
 
 autodoc_member_order = "bysource"
 autodoc_mock_imports = [name for name in ("stable_baselines3", "torch") if find_spec(name) is None]
-autodoc_typehints = "signature"  # docstrings say what types don't: shapes and units
+autodoc_typehints = "signature"  # docstrings add shapes and units
 autodoc_typehints_format = "short"
 napoleon_google_docstring = False
 napoleon_use_param = False
@@ -67,7 +67,7 @@ site_pages.write(HERE)
 
 
 def setup(app):
-    """Join what Sphinx does while it reads pages and docstrings."""
+    """Connect the functions that change pages and docstrings."""
     app.connect("source-read", site_pages.mend_page)
     # napoleon: 500
     app.connect("autodoc-process-docstring", site_pages.mend_docstring, priority=400)

@@ -77,7 +77,7 @@ REFERENCE = {
     "pcs_racing_agents.study": "The study",
     "pcs_racing_agents.watch": "Explanations and the race viewer",
 }
-"""Packages with a page of the reference each: their own modules, not those of packages inside them.
+"""Packages with a page of the reference each: their own modules, without the packages inside them.
 """
 
 
@@ -149,7 +149,7 @@ def _arguments(options: Any) -> list[str]:
 
 
 def _to_markdown(text: str) -> str:
-    """Turn what is reStructuredText in a docstring into Markdown."""
+    """Turn the reStructuredText of a docstring into Markdown."""
     text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text)
     text = text.replace("``", "`")
     parts = re.split(r"^(Parameters|Examples|Returns)\n-+\n", text, flags=re.MULTILINE)
@@ -286,7 +286,7 @@ def reference_page(package: str) -> str:
 
 
 def _names_from_elsewhere(module: str) -> list[str]:
-    """Return what a module offers but another one of ours defines."""
+    """Return the public names of a module that another one of ours defines."""
     file = REPOSITORY / f"{module.replace('.', '/')}.py"
     imported = {
         alias.name
@@ -301,7 +301,7 @@ def names_page() -> str:
     """Return a table of the names of ``pcs_racing``, with links to their descriptions."""
     import pcs_racing
 
-    lines = ["# What `pcs_racing` offers\n", "| name | what it is | defined in |", "|---|---|---|"]
+    lines = ["# What `pcs_racing` offers\n", "| name | meaning | defined in |", "|---|---|---|"]
     for name in pcs_racing.__all__:
         thing = getattr(pcs_racing, name)
         if inspect.ismodule(thing):
@@ -348,7 +348,7 @@ def mend_page(app, name, source) -> None:
         source[0] += "\n```{toctree}\n:caption: More\n:hidden:\n\n" + "\n".join(rest) + "\n```\n"
 
 
-# What autodoc reads
+# Docstrings and signatures for autodoc
 
 SOURCE = re.compile(r"^\.\. (\[\d+\])")
 CITED = re.compile(r"(\[\d+\])_")
@@ -395,7 +395,7 @@ def skip_settings(app, what, name, thing, skip, options):
 
 
 def shorten_signature(app, what, name, thing, options, signature, returned):
-    """Say ``ndarray`` and ``ArrayLike`` in signatures, not what these types are made of; docstrings
+    """Say ``ndarray`` and ``ArrayLike`` in signatures, not the parts of these types; docstrings
     give the shapes.
     """
     del app, what, name, thing, options

@@ -113,7 +113,7 @@ def main() -> None:
                 nn.utils.clip_grad_norm_([*actor.parameters(), *critic.parameters()], 0.5)
                 optimiser.step()
         if (update + 1) % max(1, updates // 10) == 0:
-            # The mean return is 0: one car wins what the other one loses.
+            # The mean return is 0: the game is zero-sum.
             with torch.no_grad():
                 entropy = Categorical(logits=actor(flat[0])).entropy().mean()
             print(f"{(update + 1) * ENVS * ROLLOUT:8d} moves: entropy {entropy:.3f}", flush=True)

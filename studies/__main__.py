@@ -14,7 +14,7 @@ from studies.ppo_against_cfr import command as ppo_against_cfr
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run an experiment; errors and the exit status are those of ``pcs-racing``."""
+    """Run an experiment; with the errors and exit statuses of ``pcs-racing``."""
     parser = argparse.ArgumentParser(
         prog="python -m studies", description=__doc__, allow_abbrev=False
     )

@@ -34,7 +34,7 @@ def read_comparisons(
         if row["train"] not in ("0", "1"):
             raise InputError(f"{where}: train is {row['train']!r}; it must be 0 or 1")
         if key in seen:
-            raise InputError(f"{where}: the comparison {' '.join(key)} stands twice")
+            raise InputError(f"{where}: the comparison {' '.join(key)} is there twice")
         seen.add(key)
         for name, least in low.items():
             if not least <= _number(row[name]) <= 1.0:

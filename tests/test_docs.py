@@ -138,7 +138,7 @@ def test_commands_within_lines_exist_and_impossible_ones_are_found():
 
 def test_scripts_and_targets_exist_and_make_help_names_the_targets():
     workflows = [file.read_text("utf-8") for file in (REPOSITORY / ".github").rglob("*.yml")]
-    # The page says at which commit a script measured that is gone.
+    # Pages name the commit of a script that is gone.
     gone = r"commit\s+[0-9a-f]{7}\s+with\s+`python dev/benchmarks/\w+\.py"
     text = re.sub(gone, "", "\n".join([*TEXTS.values(), *workflows]))
     named = set(re.findall(r"\b(?:examples|dev/benchmarks|dev/tools)/\w+\.py\b", text))

@@ -104,7 +104,7 @@ print(json.dumps({"spent": spent, "driven": driven, "crashed": crashed}))
 
 
 def the_task(track: Track, seconds: float, cars: int) -> dict[str, Any]:
-    """What both halves are told: map, line, poses and time."""
+    """Input of both halves: map, line, poses and time."""
     assert track.folder is not None
     # Every second point: their half searches the nearest one in plain Python in each step.
     line = track.line[::2, :2]

@@ -30,10 +30,10 @@ from numpy._core._multiarray_umath import __cpu_dispatch__
 ROOT = Path(__file__).resolve().parents[2]
 Digests = Iterator[tuple[str, Any]]
 
-NO_AVX = " ".join(__cpu_dispatch__)  # numpy's own names for what it can do without
+NO_AVX = " ".join(__cpu_dispatch__)  # numpy's names of dispensable instructions
 NO_AVX512 = " ".join(name for name in __cpu_dispatch__ if name.startswith(("AVX512", "X86_V4")))
 GLIBC = "-AVX512F,-AVX512VL,-AVX512DQ,-AVX512BW,-AVX2,-FMA,-FMA4"
-# What each process is told, by the name of the column.
+# Environment of each process, by the name of the column.
 SETTINGS: dict[str, dict[str, str]] = {
     "again": {},
     "compiled for any": {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""},
@@ -292,7 +292,7 @@ def other_process(setting: dict[str, str], arguments: list[str]) -> dict[str, st
 
 
 def compare(chosen: list[str], arguments: list[str]) -> None:
-    """Print the table of what is the same."""
+    """Print the table of equal results."""
     base: dict[str, str] = {}
     rows: dict[str, dict[str, bool]] = {}
     for name in chosen:
@@ -321,7 +321,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--compare", action="store_true", help="run under other instructions and say what changes"
+        "--compare", action="store_true", help="run under other instructions and print the changes"
     )
     parser.add_argument("--maps", type=Path, help="a folder of map folders to take along")
     parser.add_argument(

@@ -47,7 +47,7 @@ AIMS = {"paper": (0.01, 0.0, 0.08), "contest": (0.02, 0.15, 0.45)}
 
 
 def bare_track(folder: Path, where: Path) -> Track:
-    """Load a map from copies of its picture and yaml file, whatever else its folder holds."""
+    """Load a map from copies of its picture and yaml file, without its folder."""
     files = find_map(folder)
     content = parse_map(files, read_bytes(files))
     copy = where / content.name
@@ -87,7 +87,7 @@ def measure(track: Track, config: RaceConfig, races: int, seed: int) -> dict[str
 
 
 def misses(row: dict[str, object]) -> list[str]:
-    """What of a row misses the aims."""
+    """Values of a row that miss the aims."""
     if row["early"] == "refused":
         return ["refused"]
     early, crash, left = (float(str(row[key])) for key in ("early", "crash", "left wins"))
@@ -103,7 +103,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--maps", type=Path, help="folder of map folders, beside the circuits that ship"
+        "--maps", type=Path, help="folder of map folders, in addition to the circuits that ship"
     )
     parser.add_argument("--only", nargs="+", help="names of circuits")
     parser.add_argument(

@@ -74,7 +74,7 @@ PACES, PACE_RACES = 16, 24
 STRAIGHT = 0.05  # 1/m
 # m/s^2 of lateral acceleration: all that the tyres' friction gives
 SLIDING = F1TENTH.mu * _vehicle.GRAVITY
-BEFORE = 0.5  # s before a crash in which the tyres may have slid
+BEFORE = 0.5  # s before a crash; the tyres may have slid in them
 
 Row = dict[str, Any]
 
@@ -389,7 +389,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument(
-        "--maps", type=Path, help="folder of map folders, beside the circuits that ship"
+        "--maps", type=Path, help="folder of map folders, in addition to the circuits that ship"
     )
     parser.add_argument("--tracks", nargs="+", help="names of circuits")
     parser.add_argument(

@@ -77,7 +77,7 @@ def batch(envs: Any, steps: int) -> Work:
 
 
 def scalar(env: Any, steps: int) -> Work:
-    """Steps of one environment, which begins anew when an episode ends."""
+    """Steps of one environment, with a reset at the end of an episode."""
     space, rng = env.action_space, np.random.default_rng(0)
     straight = isinstance(space, Box)
     env.reset(seed=0)

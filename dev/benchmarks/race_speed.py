@@ -77,7 +77,7 @@ def side_by_side(code: str, arguments: list[str], other: Path) -> tuple[float, f
     for worker in workers:
         assert worker.stdout is not None
         print(f"  {worker.stdout.readline().strip()}")
-    # By turns: a checkout that is measured first would meet a cooler processor.
+    # Alternately: the first measured checkout would meet a cooler processor.
     for _ in range(4 * REPEATS):
         for i, worker in enumerate(workers):
             assert worker.stdin is not None

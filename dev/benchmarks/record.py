@@ -45,7 +45,7 @@ ROUNDS = 5
 def slower(
     found: Mapping[str, float], history: Sequence[Mapping[str, str]], processor: str
 ) -> list[str]:
-    """Say which ratios are well above what they were, in a line each.
+    """Return the ratios that are well above their last values, in a line each.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def reference() -> Callable[[], object]:
 
 
 def measured() -> dict[str, tuple[Callable[[], object], int]]:
-    """What is timed, and how many units are in a call."""
+    """Timed calls, with the number of units in a call."""
     from pcs_racing import PAPER, load_track, racer, run_races
     from pcs_racing.car.lidar import Lidar
     from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv

@@ -57,7 +57,7 @@ def make_model(name: str, task: dict[str, Any], threads: int | None = 1) -> PPO:
 
 
 def learn(name: str, seconds: float) -> str:
-    """Train for this processor time, and return what the policy is worth in 200 races."""
+    """Train for this processor time, and return the policy's result in 200 races."""
     model, begun = make_model(name, LESSON), time.process_time()
     while time.process_time() - begun < seconds:
         model.learn(model.n_steps * model.n_envs, reset_num_timesteps=False)

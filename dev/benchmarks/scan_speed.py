@@ -97,7 +97,7 @@ def errors(track: Track, reference: Path) -> dict[str, float]:
     data = np.load(reference / "scans_spielberg.npz")
     exact = np.minimum(data["exact_scans"], 30.0)
     error = np.abs(Lidar(track).scan(data["poses"]) - exact)
-    # What ray marching on a grid loses, beside our error.
+    # Errors of ray marching on a grid, and ours.
     marched = np.abs(data["gym_scans"] - exact)
     return {
         "median_m": float(np.median(error)),

@@ -36,7 +36,7 @@ ITERATIONS = (10, 30, 100, 300, 1000, 3000)
 
 
 def seconds(function: Callable[[], object]) -> float:
-    """CPU time of this thread: what else the machine does counts only through its caches."""
+    """CPU time of this thread: other work of the machine counts only through its caches."""
     begin = time.thread_time()
     function()
     return time.thread_time() - begin
@@ -47,7 +47,7 @@ def median(values: list[float]) -> float:
 
 
 def against_openspiel(tree: GameTree) -> None:
-    """Iterations by turns; exploitability after 9 and 13 iterations on both sides."""
+    """Alternate iterations; exploitability after 9 and 13 iterations on both sides."""
     import pyspiel
 
     begin = time.thread_time()
@@ -70,7 +70,7 @@ def against_openspiel(tree: GameTree) -> None:
             if abs(ours - theirs) > 1e-10 * max(1.0, abs(theirs)):
                 raise SystemExit(f"{variant} and {name} do not play the same game")
         rounds = []
-        # By turns, so that a slow moment of the machine meets both sides of a ratio.
+        # Alternately, so that a slow moment of the machine meets both sides of a ratio.
         for _ in range(ROUNDS):
             mine = seconds(lambda variant=variant: cfr(tree, OURS, variant)) / OURS
             other = (

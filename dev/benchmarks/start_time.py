@@ -75,7 +75,7 @@ def main() -> None:
             f"{folder}: {first:.1f} s of processor time until the first race is over, nothing"
             " compiled before"
         )
-    # The first start compiles and reads files from disk; a user's second one is what counts.
+    # The first start compiles and reads files from disk; a user's second one counts.
     best = [float("inf")] * len(folders)
     for _ in range(1 + WARM_STARTS):
         for i, folder in enumerate(folders):

@@ -49,7 +49,7 @@ FIELD = (
     "lane-switcher:any",
     "random-policy",
 )
-SEED = 8_000_000  # other races than those of any study
+SEED = 8_000_000  # other races than in any study
 
 
 def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
@@ -153,13 +153,11 @@ def main() -> None:
     parser.add_argument(
         "--races", type=int, default=30, help="races against each of six opponents on each circuit"
     )
-    parser.add_argument(
-        "--out", type=Path, default=Path("out/zoo"), help="folder in which the races are kept"
-    )
+    parser.add_argument("--out", type=Path, default=Path("out/zoo"), help="folder of the races")
     parser.add_argument(
         "--write",
         action="store_true",
-        help="write measured.csv of this checkout, of which the page of the zoo is made",
+        help="write measured.csv of this checkout, the source of the page of the zoo",
     )
     arguments = parser.parse_args()
     found = []

@@ -1,7 +1,7 @@
 """The page of the circuits: a picture of every shipped one, with its length, width, speeds and
 character.
 
-The figures are those of the shipped files: race line, track.yaml and calibration. The page is made
+The figures come from the shipped files: race line, track.yaml and calibration. The page is made
 whenever the site is built (``docs/site_pages.py``).
 """
 
@@ -25,9 +25,9 @@ its name. You can also [import a map of your own](../bring_a_map.md).
 
 ## At a glance
 
-- **length** and **lap**: those of the race line at its full speed, which no car in a race reaches
+- **length** and **lap**: values of the race line at its full speed, which no car in a race reaches
   everywhere;
-- **width**: that of the drivable surface;
+- **width**: width of the drivable surface;
 - **speed**: smallest and largest speed of the race line;
 - **pace**: the scales of this speed that the parameter values "pace 0" and "pace 1" mean under the
   rules of each preset ([how they are measured](../bring_a_map.md#how-fast-and-where-from)).

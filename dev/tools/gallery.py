@@ -71,7 +71,7 @@ def find_defence(replay: Replay) -> float | None:
     lead = np.asarray(replay.lead)
     run = 0
     for i, value in enumerate(lead):
-        # A change of the order ends it, and closer than 0.3 m the cars are beside each other.
+        # A change of the order ends it, and closer than 0.3 m the cars are side by side.
         same = i > 0 and value * lead[i - 1] > 0.0 and 0.3 < abs(value) < CLOSE
         run = run + 1 if same else 0
         if run * replay.frame_dt >= DEFENDED and i * replay.frame_dt >= BEFORE + AFTER:

@@ -26,7 +26,7 @@ MARKS = {
 
 
 def left_out(changed: list[str]) -> str:
-    """Return the expression for ``pytest -m`` that leaves out what a change does not concern."""
+    """Return the expression for ``pytest -m`` that leaves out marks of unchanged rooms."""
     paths = [path.removeprefix("tests/") for path in changed]
     marks = [
         mark for mark, rooms in MARKS.items() if not any(path.startswith(rooms) for path in paths)

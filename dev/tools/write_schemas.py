@@ -73,7 +73,7 @@ def schema_of_kind(kind: Any, notes: Iterable[Any]) -> dict[str, Any]:
 
 
 def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
-    """Return the schema of a file of settings; ``more`` are keys beside the options."""
+    """Return the schema of a file of settings; ``more`` are further keys."""
     properties = {}
     for name, option in options_of(cls).items():
         kind = option.kind

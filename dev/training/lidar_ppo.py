@@ -118,7 +118,7 @@ class LidarSettings(Settings):
     kl: float = 0.01
     max_kl: float = 0.04
     warm: float = 3e6  #: Choices with imitation alone.
-    fade: float = 20e6  #: Choices after which the imitation has no weight.
+    fade: float = 20e6  #: Number of choices until the imitation has no weight.
     imitation: float = 0.1  #: Weight of the imitation after the warm choices.
 
 
@@ -274,7 +274,7 @@ class LidarCollector(Collector):
 
 
 def merit(rows: Sequence[dict[str, Any]]) -> float:
-    """Return what the best weights are chosen by: scores, and own crashes."""
+    """Return the criteria of the best weights: scores, and own crashes."""
     return float(np.mean([row["score"] - row["own_crash"] for row in rows]))
 
 

@@ -112,7 +112,7 @@ def _bounded(value, bound):
 
 @inner_kernel(forceinline=True)
 def _worth(lead, options):
-    """Return the worth of a lead (m); what a car gains of it is its reward."""
+    """Return the worth of a lead (m); its increase is the reward of a car."""
     close = _bounded(lead / options.near, 1.0)
     return options.gain * _bounded(lead, options.far) + 0.5 * options.passing * close
 
@@ -143,7 +143,7 @@ def _reward(state, race, end_tick, before, options, out):
 
 @inner_kernel
 def _tell(track, view, left, slow, family, out):
-    """Write what only the critic knows, all of order one, into ``out``, shape (EXTRA,)."""
+    """Write the critic's extra inputs, all of order one, into ``out``, shape (EXTRA,)."""
     line, count = track.line, track.line.shape[0]
     s, v = view[_view.OWN_S], view[_view.OWN_V]
     here = int(s / track.ds) % count
@@ -425,7 +425,7 @@ class LidarBatch(Batch):
 def make_groups(
     circuits: Sequence[Circuit], cars: int, seed: int, teacher: Policy, ranges: Randomization
 ) -> list[Group]:
-    """Return a group for each circuit, with ``cars`` cars, families in turn."""
+    """Return a group for each circuit, with ``cars`` cars, families alternately."""
     families = in_turn(FAMILIES, seed)
     return [
         Group(one, family, cars, 1000 * seed + k, k, teacher, ranges)

@@ -259,7 +259,7 @@ class LineCollector(Collector):
 
 
 def merit(rows: Sequence[dict[str, Any]]) -> float:
-    """Return what the best weights are chosen by: scores, and own crashes."""
+    """Return the criteria of the best weights: scores, and own crashes."""
     return float(
         rows[0]["score"]
         + 0.5 * np.mean([row["score"] for row in rows])

@@ -91,7 +91,7 @@ PAIRS_KEY = np.uint64(0xD6E8FEB86659FD93)  # makes the draw of the cars another 
 LENGTHS = ((60.0, 120.0), (60.0, 120.0), (120.0, 200.0), (180.0, 320.0))  # m, of random circuits
 WIDTHS = (2.2, 2.0, 3.0)  # m
 
-# Rules of the groups, in turn: the contest; side by side from rest; far apart.
+# Rules of the groups, alternately: the contest; side by side from rest; far apart.
 RULES = (
     CONTEST,
     CONTEST,
@@ -465,7 +465,7 @@ def drawn_pairs(ranges: Randomization, seed: int, count: int = PAIRS) -> NDArray
 def start_states(
     setup: RaceSetup, lines: NDArray[np.float64], rng: np.random.Generator
 ) -> RaceState:
-    """Return start states of a group; in each of them no car stands in a wall."""
+    """Return start states of a group; in each of them no car overlaps a wall."""
     starts = Starts(rng.choice(lines, STARTS), np.arange(STARTS) % 2)
     state = place_on_grid(
         setup.track,
@@ -550,7 +550,7 @@ def in_turn(families: Mapping[str, int], seed: int) -> Iterator[str]:
 def make_groups(
     circuits: Sequence[Circuit], cars: int, seed: int, league: League, ranges: Randomization
 ) -> list[Group]:
-    """Return a group for each circuit, with ``cars`` learning cars, families in turn."""
+    """Return a group for each circuit, with ``cars`` learning cars, families alternately."""
     families = in_turn(FAMILIES, seed)
     return [
         Group(one, family, RULES[k % len(RULES)], cars, 1000 * seed + k, league, ranges)

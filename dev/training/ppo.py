@@ -288,7 +288,7 @@ def add_arguments(
     add("--rivals", nargs="*", default=rivals, help="planners of the evaluation")
     add("--random", type=int, default=24, help="random circuits")
     add("--each", type=int, default=each, help="groups on each shipped circuit")
-    add("--batches", type=int, default=1, help="batches that drive in turn")
+    add("--batches", type=int, default=1, help="batches that drive alternately")
     add("--steps", type=int, default=32, help="choices of a car between two updates")
     add("--minibatch", type=int, default=8192, help="choices of a step of the optimiser")
     add("--epochs", type=int, default=3, help="passes over a rollout")

@@ -62,7 +62,7 @@ class Races(pufferlib.PufferEnv):
         self.terminals[:], self.truncations[:] = terminated, truncated
         ended = terminated | truncated
         infos = []
-        if ended.any():  # PufferLib averages what the infos hold
+        if ended.any():  # PufferLib averages the numbers of the infos
             last = info["final_info"]
             infos = [
                 {

@@ -44,7 +44,7 @@ class Obstacles(Settings):
     count: Annotated[
         tuple[int, int],
         number_range(0, MAX_COUNT, " of obstacles", is_whole),
-        "How many there are: a number, or the smallest and the largest.",
+        "Number of obstacles, or its min and max.",
     ] = (1, 3)
     size: Annotated[
         tuple[float, float],
@@ -63,17 +63,17 @@ class Obstacles(Settings):
         "Free width between an obstacle and the wall on one of its sides, m.",
     ] = 1.0
     apart: Annotated[
-        float, Interval(ge=0.0, le=1000.0), "Distance between two of them along the race line, m."
+        float, Interval(ge=0.0, le=1000.0), "Distance between two obstacles along the race line, m."
     ] = 5.0
     moving: Annotated[
         tuple[int, int],
         number_range(0, MAX_COUNT, " of obstacles", is_whole),
-        "How many of them move around the track: a number, or the smallest and the largest.",
+        "Number of obstacles that move around the track, or its min and max.",
     ] = (0, 0)
     speed: Annotated[
         tuple[float, float],
         number_range(0.0, 4.0, " of obstacles"),
-        "Speed of the moving ones of an episode along the race line, m/s.",
+        "Speed of the moving obstacles of an episode along the race line, m/s.",
     ] = (0.5, 1.5)
     sway: Annotated[
         tuple[float, float],

@@ -122,8 +122,7 @@ class GameConfig(Settings):
     ] = None
     mask_duplicates: Annotated[
         bool,
-        "Whether the action mask rules out a move that leads where an earlier one, or no move,"
-        " leads.",
+        "Whether the action mask rules out all but the first move to the same policy, and no-ops.",
     ] = True
 
     def __post_init__(self) -> None:

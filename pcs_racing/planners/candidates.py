@@ -117,7 +117,7 @@ _WEIGHTS = (
         -1.0,
         3.0,
         0.6541,
-        "how far behind the predicted opponent the candidate ends, in 5 m",
+        "distance from the end of the candidate to the predicted opponent ahead, in 5 m",
     ),
     (
         "blocking",

@@ -45,7 +45,7 @@ TRAILING = (
         0.0,
         1.0,
         0.2,
-        "how much of the difference of speeds is taken off while trailing",
+        "share of the difference of speeds subtracted while trailing",
     ),
 )
 """First parameters of planners that use `trailing_speed`; the values are from [1]_.

@@ -1,4 +1,4 @@
-"""How fast a circuit may be driven, and where two cars may start on it, for each race preset.
+"""Calibration of a circuit for each race preset: its speed range and its start places.
 
 Shipped circuits carry their calibration. Any other circuit is calibrated by driving when a preset
 asks for it (:mod:`pcs_racing.race.calibrating`); the result is kept in the cache folder (see

@@ -57,12 +57,12 @@ MAX_SECONDS = 3600.0
 LAP_SECONDS = 40.0  # s: default length of a race, and of each lap of a race with laps
 
 CONTACTS = ("end", "stop", "restart")
-"""What a contact does; each at the index that the kernel knows it by."""
+"""Consequences of a contact, each at its index in the kernel."""
 
 
 @dataclass(frozen=True)
 class RaceConfig(Settings):
-    """How cars race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
+    """Rules of a race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
 
     name: Annotated[
         Text, Checked(_printable), "Name of the rules in archives, trees, networks and results."

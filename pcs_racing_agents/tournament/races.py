@@ -320,7 +320,7 @@ def closeness_text(races: RaceTable) -> str:
     if not len(gaps):
         return ""
     return (
-        f"How close the races were: of the {len(gaps):,} without a crash {(gaps <= 5.0).mean():.0%}"
+        f"Final gaps: of the {len(gaps):,} races without a crash {(gaps <= 5.0).mean():.0%}"
         f" ended within 5 m and {(gaps <= 20.0).mean():.0%} within 20 m; the median gap was"
         f" {np.median(gaps):.1f} m."
     )

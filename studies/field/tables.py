@@ -190,7 +190,7 @@ def draw_scores(lines: Sequence[Line], file: Path) -> Path:
 
 
 def _draw_line(panel: Any, line: Line, place: int) -> None:
-    """Draw a score with its interval; a tuned planner stands a little below its defaults."""
+    """Draw a score with its interval; a tuned planner is a little below its defaults."""
     at = place + (0.22 if line.kind == "tuned" else -0.1)
     style = _style(line.kind)
     panel.plot([line.score.low, line.score.high], [at, at], color=style["color"], linewidth=1.3)

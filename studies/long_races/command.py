@@ -1,4 +1,4 @@
-"""``python -m studies long-races``: what reacting to the lead gains in races of 300 s and 40 s."""
+"""``python -m studies long-races``: gains by reacting to the lead in races of 300 s and 40 s."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -16,7 +16,7 @@ from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.fitting import TrainingRaces, evaluate
 
 EDGES = (5.0, 20.0)
-"""Candidates for the lead at which a plan by the size of the lead changes its policy, m."""
+"""Candidates for the lead where a plan by the size of the lead changes its policy, m."""
 MEMBERS = 3
 """Number of policies that plans are made of: the best ones of the fixed policies."""
 
@@ -24,7 +24,7 @@ MEMBERS = 3
 class Plan(NamedTuple):
     """Target policies of an archive by the lead."""
 
-    edges: tuple[float, ...]  #: Leads at which the target changes, m, ascending.
+    edges: tuple[float, ...]  #: Leads where the target changes, m, ascending.
     targets: tuple[int, ...]  #: Index of the target: below the first edge, ..., from the last edge.
 
     def __str__(self) -> str:
@@ -37,7 +37,7 @@ class Plan(NamedTuple):
 class PlanStrategy:
     """A path through the archive to the target of the last measured lead."""
 
-    edges: Floats  #: shape (E,): Leads at which the target changes, m.
+    edges: Floats  #: Leads where the target changes, m, shape (E,).
     walks: tuple[WalkStrategy, ...]  #: Paths to the E + 1 targets.
 
     def __call__(self, observation: ObservationBatch) -> Floats:

@@ -1,4 +1,4 @@
-"""``python -m studies all``: the steps, what is skipped, and the first failure."""
+"""``python -m studies all``: the steps, skipped steps, and the first failure."""
 
 import pytest
 from refusal import refused

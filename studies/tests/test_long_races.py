@@ -1,4 +1,4 @@
-"""Plans by the size of the lead: what they do, how they are fitted, and their gains."""
+"""Plans by the size of the lead: moves, fits and gains."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""The overtaking protocol: its scenarios, its lines, and what is counted."""
+"""The overtaking protocol: its scenarios, lines and counts."""
 
 import numpy as np
 import pytest
@@ -112,7 +112,7 @@ def test_lines_are_read_in_their_own_direction(lines, tmp_path):
     assert read.track.length == pytest.approx(track.length, rel=0.01)
     ahead = track.to_frenet(read.track.to_cartesian([[0.0, 0.0], [AHEAD, 0.0]])[:, :2])[:, 0]
     assert np.mod(ahead[0] - ahead[1], track.length) == pytest.approx(AHEAD, abs=0.1)
-    # What lay to the left lies to the right in the other direction.
+    # The left is on the right in the other direction.
     assert read.d[0].mean() == pytest.approx(-lines.d[0].mean(), abs=0.02)
     assert read.speed[1].mean() == pytest.approx(lines.speed[1].mean(), rel=0.02)
     refused("can't read .*Pipkin_line0.csv: No such", read_lines, load_track("Pipkin"), tmp_path)

@@ -13,7 +13,7 @@ FRONT = (("0", "ego"), ("1", "ego"), ("0", "none"), ("1", "opponent"))
 
 
 def study(folder, gain):
-    """Tables in which the response wins ``gain`` more than the baseline, and 0.1 more on Monza."""
+    """Tables where the response wins ``gain`` more than the baseline, and 0.1 more on Monza."""
     folder.mkdir()
     for name, opponent in (("table", "random-moves"), ("table_further", "stanley")):
         rows = [HEAD]

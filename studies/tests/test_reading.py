@@ -1,4 +1,4 @@
-"""Labels that are known: what the opponent's place tells, and whom a rule was fitted on."""
+"""Known labels: information of the opponent's place, and opponents of a fit."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ RNG = np.random.default_rng(3)
 def test_information_is_that_of_the_opponent_beyond_what_is_given():
     given, place = RNG.integers(2, size=(2, 4000))
     assert information(place, place ^ given, given) == pytest.approx(1.0, abs=0.01)
-    # the move follows from what is given
+    # the move follows from the input
     assert information(place, given, given) == pytest.approx(0.0, abs=1e-9)
     assert 0.0 <= information(place, RNG.integers(2, size=4000), given) < 0.005
 

@@ -22,7 +22,7 @@ def test_each_line_is_a_comparison(tmp_path):
     [
         ([HEAD], "no lines"),
         ([HEAD[:-1], LINE[:-1]], "has no 'score'"),
-        ([HEAD, LINE, LINE], "line 3: the comparison .* stands twice"),
+        ([HEAD, LINE, LINE], "line 3: the comparison .* is there twice"),
         ([HEAD, (*LINE[:-2], "True", "0.5")], "line 2: train is 'True'"),
         ([HEAD, (*LINE[:-1], "nan")], "line 2: score is 'nan'; it must be 0 to 1"),
         ([HEAD, (*LINE[:-1], "7")], "line 2: score is '7'"),

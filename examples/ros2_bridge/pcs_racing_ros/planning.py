@@ -177,8 +177,8 @@ class Planning:
     rules: str = "paper"  #: Rules with the speed range.
     speed_share: float = 1.0  #: Factor of the commanded speed.
     to_centre: float = 0.0  #: m: from the frame of the odometry forward to the centre of gravity.
-    steering_rate: float = 3.2  #: rad/s: rate at which the servo follows a command.
-    timeout: float = 0.1  #: s: age from which a message counts as lost.
+    steering_rate: float = 3.2  #: rad/s: rate of the servo.
+    timeout: float = 0.1  #: s: min age of a lost message.
     map_frame: str = "map"  #: Frame of the odometry that a planner with a map needs.
     stopped: str = field(init=False, default="no command yet")  #: Reason of a stop, or "".
     heard: dict[str, Heard] = field(init=False, default_factory=dict)

@@ -78,7 +78,7 @@ def state(x=0.0, y=0.0, psi=0.0, v=0.0, rate=0.0, beta=0.0):
 
 
 def contact_fault(first, second, sizes=(HALF, HALF)):
-    """Who is to blame when two cars of these sizes touch."""
+    """Cars at fault when two cars of these sizes touch."""
     bodies = (
         Rectangle(*car[[0, 1, 4]], *size) for car, size in zip((first, second), sizes, strict=True)
     )

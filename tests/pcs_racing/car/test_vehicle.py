@@ -222,7 +222,7 @@ def test_at_its_limits_the_car_follows_what_it_can():
         (DELTA, -0.43, (2.0, 0.0)),
         (V, 20.0, (0.0, 3.0)),
         (V, 20.0, (0.0, -3.0)),
-        (V, 12.0, (0.0, 9.0)),  # above the speed from which power is what limits
+        (V, 12.0, (0.0, 9.0)),  # in the range of speeds that power limits
         (V, -5.0, (0.0, -3.0)),
         (V, -5.0, (0.0, 3.0)),
         (V, 3.0, (9.0, 99.0)),

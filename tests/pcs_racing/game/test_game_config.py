@@ -28,7 +28,7 @@ def test_the_papers_game_and_the_contest():
     config = load_game_config("contest")
     assert (config.race, config.utility, config.stay) == (CONTEST, "win", True)
     assert config.ends == (0.0, 2.0, 8.0, 16.0, 24.0, 32.0, 40.0)
-    # Who names one of the three lengths names them all.
+    # One of the three lengths sets all of them.
     assert load_game_config("contest", moves=2).ends == (8.0, 16.0, 24.0)
     assert GameConfig(CONTEST, step_seconds=2.0).ends == (2.0, 4.0, 6.0, 8.0, 10.0)
     assert dataclasses.replace(config, stay=False, utility="lead-at-crash").stay is False

@@ -244,8 +244,8 @@ def test_the_best_pair_is_that_of_the_nearest_potential_game():
 
 
 def test_alpha_racer_stays_where_there_is_no_room_and_passes_where_there_is(oval, view_at):
-    """Behind a slow car, in the middle of a wide track and of one whose walls leave no room beside
-    it.
+    """Behind a slow car, in the middle of a wide track and of one whose walls leave no room to
+    pass.
     """
     ends = []
     for width in (1.2, 0.45):

@@ -189,8 +189,8 @@ def test_a_faster_follower_gets_by_a_slower_car(shipped):
         duration=20.0, start="rolling", start_gap=3.0, start_spacing=0.0, speed_range=(0.5, 0.85)
     )
     slow, fast = PURE_PURSUIT.policy({"pace": 0.0}), [REFERENCE.policy({"pace": 1.0})] * 10
-    # From the places of the paper's start, which every circuit brings: those of this one would be
-    # found by driving.
+    # From the places of the paper's start, which every circuit has; other places would need
+    # a calibration.
     starts = [draw_starts(track, load_race_config("paper"), 10, seed=1) for track in shipped]
     results = [
         run_races(track, fast, slow, config, starts=at)
@@ -379,5 +379,5 @@ def test_a_car_that_stands_on_the_race_line_is_driven_around():
     for noise in (0.0, 0.02):
         rules = replace(config, steering_noise=noise)
         result = run_races(track, [REFERENCE.policy()] * 40, PARKED.policy(), rules, starts=starts)
-        assert (np.abs(result.state.progress[:, 1]) < 0.1).all()  # it stands
+        assert (np.abs(result.state.progress[:, 1]) < 0.1).all()  # at rest
         assert ((result.lead > 10.0) & ~result.crashed).mean() > 0.9

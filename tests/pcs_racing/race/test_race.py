@@ -53,7 +53,7 @@ def lattice(**changes: float):
 
 
 def begin(track, config, egos, opponents, seed=0):
-    """What ``run_races`` does before it drives: setup, state and parameters of a batch."""
+    """First part of ``run_races``: setup, state and parameters of a batch."""
     setup = RaceSetup(track, config, (egos[0].planner, opponents[0].planner))
     races = len(egos)
     state = start_races(setup, draw_starts(track, config, races, seed), race_seeds(seed, races))

@@ -127,7 +127,7 @@ def test_impossible_tracks_are_refused(values, change, message):
 
 
 def test_two_parts_of_a_track_with_a_thin_wall_between_are_told_apart():
-    """Two legs: where the line of one hugs the wall between, points of the other beside it belong
+    """Two legs: where the line of one hugs the wall between, points of the other next to it belong
     to their own.
     """
     cell = 0.05

@@ -43,7 +43,7 @@ def test_regrets_fade_with_the_opponents_reach_and_are_unknown_where_cfr_never_w
     """Car 1 has to choose first; its second move leads to a lower game for car 0, so car 1 keeps to
     it.
     """
-    # car 0 has one move, then car 0 chooses between 0 and what follows
+    # car 0 has one move, then car 0 chooses between 0 and the rest
     payoffs = np.zeros((1, 2, 2, 1))
     payoffs[0, 0, :, 0] = [10.0, 13.0]  # car 1 avoids this one ...
     payoffs[0, 1, :, 0] = [0.0, 3.0]  # ... for this one; at both car 0 loses 3 by its first move

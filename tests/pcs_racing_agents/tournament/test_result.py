@@ -55,7 +55,7 @@ score against    (1)    (2)
 score: races won, a tie counting half; a crash is won by the car not to blame
 rating: Bradley-Terry, 400 are odds of 10
 equilibrium: probability of each agent in the game of choosing an agent
-How close the races were: of the 5 without a crash 100% ended within 5 m and 100% within 20 m; \
+Final gaps: of the 5 races without a crash 100% ended within 5 m and 100% within 20 m; \
 the median gap was 1.0 m."""
 
 

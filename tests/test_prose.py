@@ -1,0 +1,100 @@
+"""Nouns come first in pages, docstrings, comments and strings: odd patterns are rare."""
+
+import ast
+import io
+import re
+import tokenize
+from collections.abc import Iterator
+from functools import cache
+
+import pytest
+from repository import REPOSITORY
+
+ODD = re.compile(
+    r"\A\W*(?:what|how|who|whose|those)\b|\b(?:"
+    r"(?:of|in|from|to|by|on|for|with|at|after|before|through|between) which"
+    r"|(?:that|those) of|ones? that|what (?!if\b)\w+"
+    r"|stand(?:s|ing)? (?:for|in)|stands(?! still)|beside"
+    r"|anew|by turns|in turn|at hand|if need be|be it"
+    r"|nobody|whoever|anybody|everybody|whatever|wherever"
+    r"|tells?|told|mend(?:s|ed)?)\b",
+    re.IGNORECASE,
+)
+CODE = re.compile(r"```.*?```|``.*?``|`[^`\n]*`", re.DOTALL)
+WORD = re.compile(r"[A-Za-z][A-Za-z']*")
+PACKAGES = ("pcs_racing/**/*.py", "pcs_racing_agents/**/*.py")
+OTHERS = ("studies/**/*.py", "dev/**/*.py", "examples/**/*.py", "docs/*.py")
+
+
+def texts(python: str) -> Iterator[tuple[str, int, str]]:
+    """Yield kind, line and text of docstrings, comments, and strings of three words or more."""
+    alone: set[ast.AST] = set()
+    parts: set[ast.AST] = set()
+    for node in ast.walk(ast.parse(python)):
+        if isinstance(node, ast.Expr):
+            alone.add(node.value)
+        pieces = node.values if isinstance(node, ast.JoinedStr) else [node]
+        parts |= {piece for whole in pieces if whole is not node for piece in ast.walk(whole)}
+        values = [piece.value for piece in pieces if isinstance(piece, ast.Constant)]
+        text = " ".join(value for value in values if isinstance(value, str))
+        if node not in parts and (node in alone or len(WORD.findall(text)) > 2):
+            yield "docstrings" if node in alone else "strings", getattr(node, "lineno", 0), text
+    for token in tokenize.generate_tokens(io.StringIO(python).readline):
+        if token.type == tokenize.COMMENT:
+            yield "comments", token.start[0], token.string.lstrip("#: ")
+
+
+@cache
+def read(pattern: str) -> list[tuple[str, str, str]]:
+    """Return kind, place and text of all texts in some files, without names and blocks of code."""
+    found = []
+    for file in sorted(REPOSITORY.glob(pattern)):
+        content = file.read_text(encoding="utf-8")
+        rows = texts(content) if file.suffix == ".py" else [("pages", 1, content)]
+        name = file.relative_to(REPOSITORY).as_posix()
+        found += [(kind, f"{name}:{line}", CODE.sub("", text)) for kind, line, text in rows]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("patterns", "kinds", "limit"),
+    [
+        (("*.md", "docs/*.md", "docs/notebooks/*.md"), "pages", 1.0),
+        (("docs/reports/*.md",), "pages", 1.0),
+        (PACKAGES, "strings", 0.5),
+        (PACKAGES, "docstrings", 1.0),
+        (PACKAGES, "comments", 1.0),
+        (("tests/**/*.py",), "docstrings comments", 2.0),
+        (OTHERS, "docstrings comments strings", 4.0),
+    ],
+)
+def test_odd_patterns_are_rare(patterns, kinds, limit):
+    rows = [row for pattern in patterns for row in read(pattern) if row[0] in kinds.split()]
+    odd = [f"{place}: {hit[0]}" for _, place, text in rows for hit in ODD.finditer(text)]
+    words = sum(len(WORD.findall(text)) for _, _, text in rows)
+    rate = 1000.0 * len(odd) / words
+    assert rate <= limit, f"{rate:.2f} in 1,000 words; repeat the noun: {odd}"
+
+
+def test_all_kinds_of_texts_are_read():
+    python = '"""What it\nis."""\nx = f"one {y} two three"  #: a note\nz = "a b"\n'
+    assert sorted(texts(python)) == [
+        ("comments", 3, "a note"),
+        ("docstrings", 1, "What it\nis."),
+        ("strings", 3, "one   two three"),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "odd"),
+    [
+        ("What rewards are multiplied by", True),
+        ("a crash pays nobody", True),
+        ("the place in which it stands", True),
+        ("distance to what is beside the car", True),
+        ("the speed of the car, and that of the other", True),
+        ("reward factor; clearance below which it steers away; a car stands still", False),
+    ],
+)
+def test_odd_patterns_are_found(text, odd):
+    assert bool(ODD.search(text)) is odd
