@@ -51,7 +51,7 @@ TARGETS = {
         relative=False,
     ),
     "normalised": Target(
-        "cumulative regret, divided by its largest magnitude at the node: -1 to 1", CFRResult
+        "cumulative regret, divided by its max magnitude at the node: -1 to 1", CFRResult
     ),
     "advantage": Target(
         "gain or loss of a move against the equilibrium, if both follow it afterwards", ExactResult
