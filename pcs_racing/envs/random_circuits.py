@@ -37,9 +37,7 @@ class RandomCircuits(Settings):
         Interval(ge=1, le=1_000_000),
         "Episodes of an environment before it gets another circuit.",
     ] = 1
-    count: Annotated[int, Interval(ge=1, le=2**31), "Number of different circuits."] = (
-        10_000
-    )
+    count: Annotated[int, Interval(ge=1, le=2**31), "Number of different circuits."] = 10_000
     style: Annotated[
         str | None,
         OneOf(STYLES),

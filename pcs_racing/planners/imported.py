@@ -170,7 +170,7 @@ def drivers_from(path: str | Path) -> dict[str, Policy]:
     if name not in planner_names():
         drive = _Drive(name)
         which = Parameter(
-            "driver", 0.0, float(len(drive.makers)), 0.0, "number of the driving class in the file, from 0"
+            "driver", 0.0, float(len(drive.makers)), 0.0, "number of the class in the file, from 0"
         )
         variants = {driver: (float(i),) for i, driver in enumerate(drive.makers)}
         register_planner(Planner(name, (which,), drive=drive, memory_size=1, variants=variants))

@@ -1,4 +1,4 @@
-"""The reports hold: their code runs, and their commands parse."""
+"""Commands of the experiments on pages parse."""
 
 import contextlib
 import io
@@ -6,31 +6,18 @@ import re
 import shlex
 
 import pytest
-from repository import REPOSITORY, python_blocks, run_block
+from repository import REPOSITORY
 
 from studies import __main__
 
-REPORTS = {
-    page.name: page.read_text(encoding="utf-8")
-    for page in (REPOSITORY / "docs" / "reports").glob("*.md")
-}
-OTHERS = {
-    page.name: page.read_text(encoding="utf-8") for page in (REPOSITORY / "docs").glob("*.md")
-}
-BLOCKS = [(name, block) for name, text in REPORTS.items() for block in python_blocks(text)]
+PAGES = [*(REPOSITORY / "docs").glob("*.md"), *(REPOSITORY / "docs" / "reports").glob("*.md")]
 COMMANDS = [
-    (name, line.strip())
-    for name, text in [*REPORTS.items(), *OTHERS.items()]
-    for block in re.findall(r"```console\n(.*?)```", text, flags=re.DOTALL)
+    (page.name, line.strip())
+    for page in PAGES
+    for block in re.findall(r"```console\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     for line in block.replace("\\\n", " ").splitlines()
     if line.startswith("python -m studies ")
 ]
-
-
-@pytest.mark.usefixtures("own_registry")
-@pytest.mark.parametrize(("page", "code"), BLOCKS)
-def test_the_code_runs(page, code):
-    run_block(code)
 
 
 def parsed(arguments: list[str], monkeypatch) -> bool:

@@ -45,6 +45,12 @@ EXAMPLES = REPOSITORY / "examples"
             ["20 races of 40 s", "catch-up", "catch-up-too", "stubborn"],
             set(),
         ),
+        (
+            "custom_planner",
+            "--races 4",
+            ["Pipkin, contest: 4 races", "60 races of 40 s, preset contest", "caution 0.3 "],
+            set(),
+        ),
         ("watch_a_race", "--duration 1 --gif", ["race.html"], {"race.html", "race.gif"}),
     ],
 )
@@ -94,17 +100,6 @@ def test_a_car_is_steered_with_keys(tmp_path, monkeypatch):
     script = EXAMPLES / "play_a_race.py"
     out = run_python(script, "--rules", "short.yaml", "--races", 2, folder=tmp_path)
     assert [line.split(":")[0] for line in out.splitlines()] == ["race 0", "race 1"]
-
-
-@pytest.mark.parametrize(
-    "number", range(len(re.findall("```python\n", (REPOSITORY / "README.md").read_text())))
-)
-def test_what_the_readme_shows(tmp_path, number):
-    code = re.findall(r"```python\n(.*?)```", (REPOSITORY / "README.md").read_text(), re.DOTALL)[
-        number
-    ]
-    (tmp_path / "snippet.py").write_text(code)
-    run_python("snippet.py", folder=tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -118,14 +118,6 @@ def test_files_and_folders_are_checked_before_the_work(tmp_path):
     refused("can't make the folder", output_folder, tmp_path / "file" / "b")
 
 
-def test_a_map_folder_with_a_space_in_its_name(printed, copied):
-    for file in copied.glob("*.csv"):
-        file.unlink()  # the picture and its ROS file remain
-    out = printed("race", "--track", copied, "--opponent", "lattice:pace=0.5", *SHORT)
-    assert out.startswith("Pipkin, ")
-    assert "car 0: lattice:pace=0.5 (car 0), " in out
-
-
 def test_a_race_without_options_is_worth_watching(printed, tmp_path):
     out = printed("race", "--replay", tmp_path / "race.html")
     assert out.startswith("Brackwater, ")

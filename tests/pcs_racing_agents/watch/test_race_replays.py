@@ -65,8 +65,7 @@ def test_places_are_where_the_archive_and_the_other_car_saw_them(
     assert unpack(space["explored"]) == pytest.approx(expected, abs=2e-4)
     assert (min(space["crash"]), max(space["crash"])) == (0.0, 12.3)
     assert space_values(archive, ())["crash"] is None
-    # A step of a car's observations: two own coordinates, two of the other, the lead, and whether it was
-    # over.
+    # A step of a car's observations: two own coordinates, two of the other, the lead, and the end.
     for number in (1, 9):
         race, row = repeater.drive(number), tournament.races[number]
         blocks = (
