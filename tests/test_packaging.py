@@ -23,8 +23,7 @@ from importlib.machinery import PathFinder
 
 MISSING = set(
     "torch stable_baselines3 sb3_contrib tensorboard matplotlib skimage clarabel cma moocore pandas"
-    " pygame sklearn pymoo pyspiel open_spiel networkx dask distributed cvxpy onnx"
-    " huggingface_hub".split()
+    " pygame pyspiel open_spiel networkx dask distributed onnx huggingface_hub".split()
 )
 find = PathFinder.find_spec
 

@@ -30,7 +30,7 @@ its name. You can also [import a map of your own](../bring_a_map.md).
 - **width**: width of the drivable surface;
 - **speed**: smallest and largest speed of the race line;
 - **pace**: the scales of this speed that the parameter values "pace 0" and "pace 1" mean under the
-  rules of each preset ([how they are measured](../bring_a_map.md#how-fast-and-where-from)).
+  rules of each preset ([definition](../bring_a_map.md#speed-range-and-start-positions)).
 """
 
 

@@ -98,10 +98,10 @@ class VehicleParams(Settings):
     m: Annotated[float, Interval(ge=0.001, le=1e5), "Mass, kg."] = 3.74
     inertia: Annotated[float, Interval(ge=1e-6, le=1e6), "Yaw inertia, kg m^2."] = 0.04712
     steer_max: Annotated[
-        float, Interval(ge=0.001, le=1.5), "Largest steering angle either way, rad."
+        float, Interval(ge=0.001, le=1.5), "Max steering angle either way, rad."
     ] = 0.4189
     steer_rate_max: Annotated[
-        float, Interval(ge=0.001, le=1000.0), "Largest steering rate either way, rad/s."
+        float, Interval(ge=0.001, le=1000.0), "Max steering rate either way, rad/s."
     ] = 3.2
     v_switch: Annotated[
         float,
@@ -109,7 +109,7 @@ class VehicleParams(Settings):
         "Speed above which the engine's power, not its force, limits the acceleration, m/s.",
     ] = 7.319
     a_max: Annotated[
-        float, Interval(ge=0.01, le=1000.0), "Largest acceleration and braking, m/s^2."
+        float, Interval(ge=0.01, le=1000.0), "Max acceleration and braking, m/s^2."
     ] = 9.51
     v_min: Annotated[float, Interval(ge=-1000.0, le=0.0), "Lowest speed, m/s."] = -5.0
     v_max: Annotated[float, Interval(ge=0.01, le=1000.0), "Highest speed, m/s."] = 20.0

@@ -45,11 +45,11 @@ class RandomCircuits(Settings):
     ] = None
     width: Annotated[float, Interval(ge=1.6, le=10.0), "Width of the track, m."] = 2.2
     shortest: Annotated[
-        float, Interval(ge=16.0, le=1000.0), "Shortest length of the centre line, m."
+        float, Interval(ge=16.0, le=1000.0), "Min length of the centre line, m."
     ] = 60.0
-    longest: Annotated[
-        float, Interval(ge=16.0, le=1000.0), "Longest length of the centre line, m."
-    ] = 120.0
+    longest: Annotated[float, Interval(ge=16.0, le=1000.0), "Max length of the centre line, m."] = (
+        120.0
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()

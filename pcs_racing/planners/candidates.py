@@ -96,10 +96,10 @@ SLOWEST = 0.65  # factor in place of following, with no car to follow
 
 _WEIGHTS = (
     ("length", -2.0, 0.0, -0.2979, "length of the move: 2.5 m over its length"),
-    ("max_curvature", -2.0, 0.0, -0.1836, "largest curvature, 1/m"),
+    ("max_curvature", -2.0, 0.0, -0.1836, "max curvature, 1/m"),
     ("mean_curvature", -2.0, 0.0, -1.744, "mean curvature, 1/m"),
-    ("curvature_rate", -2.0, 0.0, -2.0, "largest change of curvature in time, 1/(m s)"),
-    ("lateral_acceleration", -2.0, 0.0, -0.8748, "largest lateral acceleration, in 10 m/s^2"),
+    ("curvature_rate", -2.0, 0.0, -2.0, "max change of curvature in time, 1/(m s)"),
+    ("lateral_acceleration", -2.0, 0.0, -0.8748, "max lateral acceleration, in 10 m/s^2"),
     ("braking", -2.0, 0.5, -0.5202, "change of speed along the candidate, in 10 m/s^2"),
     ("similarity", -2.0, 1.0, 0.4275, "squared distance to the previous plan, m^2"),
     ("progress", -1.0, 2.0, 0.1675, "time per metre of progress, relative to the fastest profile"),

@@ -48,7 +48,7 @@ EXAMPLES = REPOSITORY / "examples"
         (
             "custom_planner",
             "--races 4",
-            ["Pipkin, contest: 4 races", "60 races of 40 s, preset contest", "caution 0.3 "],
+            ["Pipkin, contest: 4 races", "seed 0: 60 races of 40 s", "caution 0.3 "],
             set(),
         ),
         ("watch_a_race", "--duration 1 --gif", ["race.html"], {"race.html", "race.gif"}),

@@ -45,7 +45,7 @@ PARAMETERS = (
     replace(_line.TRAILING[_GAP], default=1.1),
     replace(_line.TRAILING[_P], default=1.0),
     _line.TRAILING[_D],
-    Parameter("speed_factor", 0.7, 1.0, 0.95, "smallest factor of the speed among the samples"),
+    Parameter("speed_factor", 0.7, 1.0, 0.95, "min factor of the speed among the samples"),
     Parameter(
         "look_ahead",
         1.0,
