@@ -231,7 +231,7 @@ class ParallelBatchEnv(SingleEnv, ParallelEnv[str, NDArray[np.float32], Any]):
         """Apply the actions of all agents, and drive a step; after the end nothing is returned."""
         self._check_started()
         agents = self.possible_agents
-        if actions == {} and not self._running:
+        if isinstance(actions, Mapping) and not (actions or self._running):
             return {}, {}, {}, {}, {}
         if not isinstance(actions, Mapping) or any(agent not in actions for agent in agents):
             raise InputError(

@@ -301,7 +301,7 @@ KINDS = {
     "map": Kind(
         shipped("maps", "Pipkin/Pipkin_map.yaml"),
         lambda file: [read_map(file.parent), load_map(file)],
-        "parse_ros_yaml _map_yaml read_inside _load",
+        "parse_ros_yaml _is_map read_inside _load",
     ),
     "track": Kind(
         shipped("maps", "Pipkin/Pipkin_track.yaml"),
