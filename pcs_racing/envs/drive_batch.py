@@ -402,7 +402,7 @@ class DriveBatch:
     def _check_clear(
         self, setup: RaceSetup, rows: NDArray[np.int64], placed: RaceState, where: str
     ) -> None:
-        """Refuse given obstacles, starts and poses at which a drawn car starts in something."""
+        """Refuse given obstacles, starts and poses with a drawn car that starts in something."""
         settle(setup.track, setup.vehicles, placed, self.randomization.conditions(rows))
         wrong = np.flatnonzero(placed.crashed)
         if len(wrong):

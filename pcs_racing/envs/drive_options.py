@@ -79,7 +79,7 @@ def _opponents(name: str, value: Any) -> tuple[Any, ...]:
 
 
 def rivals_of(opponent: Any, opponents: Any) -> tuple[Any, ...]:
-    """Return what drives each car that no agent drives: nothing for a lone car."""
+    """Return the opponents of the cars without an agent: none for a lone car."""
     given = (opponent,) if opponents is None else _opponents("opponents", opponents)
     return () if len(given) == 1 and given[0] is None else given
 

@@ -177,7 +177,7 @@ class PolicyOnCar:
         return steering, speed
 
     def _measured(self, whose: str, given: ArrayLike) -> NDArray[np.float64]:
-        """Return a measured state, or refuse one that no car on the track can have."""
+        """Return a measured state, or refuse an impossible one."""
         row = check_array(whose, given, (STATE_SIZE,))
         for (name, limit), value in zip(MEASURED.items(), row.tolist(), strict=True):
             if abs(value) > limit:

@@ -1,7 +1,7 @@
 """Origin of a space: the environment that made it, with its arguments, as JSON in an attribute.
 
 Libraries keep the spaces of a training with a model. Stable-Baselines3 writes the attribute as
-readable text into its zip, so that a saved model tells in which environment it learned.
+readable text into its zip, so that a saved model names the environment where it learned.
 """
 
 import json

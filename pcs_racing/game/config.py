@@ -187,7 +187,7 @@ def load_game_config(
     >>> load_game_config("contest", moves=2).utility
     'win'
     """
-    # what the race decides is not decided before its rules are known
+    # values of the race's rules are set once these are known
     if not isinstance(source, GameConfig):
         own = ("moves", "step_seconds", "first_steps")
         race = changes.pop("race") if "race" in changes else _race("rules", source)

@@ -59,7 +59,7 @@ def encode_observation(
     """Encode the players' observations in the order of :func:`observation_elements`, (B, 2, D).
 
     The arrays are fields of :class:`pcs_racing.game.state.GameState`, for ``N = moves + 1`` steps;
-    ``step`` is the last finished step. The elements of later steps are 0, whatever the arrays hold.
+    ``step`` is the last finished step. The elements of later steps are 0 for any arrays.
     """
     games, steps = leads.shape
     axes = own.shape[-1]

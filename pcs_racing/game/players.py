@@ -2,7 +2,7 @@
 
 An agent has a ``name`` and a method ``act(observations, turn)``, which returns the moves of one car
 in a batch of games (:class:`SupportsAct`). A :class:`pcs_racing.planners.planner.PolicySet` also
-takes part in games, without moves. Agents may always stay, whatever moves the rules offer:
+takes part in games, without moves. Agents may stay under all rules:
 :attr:`pcs_racing.game.rules.RaceGame.moves`.
 """
 

@@ -2,7 +2,7 @@
 
 Open-loop agents follow constant probabilities, a sequence of moves or a path to a policy.
 :mod:`pcs_racing_agents.tournament.fitting` chooses the best open-loop sequence, the best target
-policy and the best lead plan on training races. The moves of a lead plan depend on which car leads,
+policy and the best lead plan on training races. The moves of a lead plan depend on the leading car,
 and on nothing else of the opponent: the gain of an agent over the lead plan comes from knowing the
 opponent. A policy with ``pace_behind`` reacts to the lead by itself, so a race with such policies
 is lead-conditioned, whatever the agent.

@@ -94,7 +94,7 @@ NOT_SHIPPED = ["Not shipped for this game."]
 
 
 def shipped_words(name: str) -> str:
-    """Return the rules for which a trained agent ships, in brackets; empty for other agents."""
+    """Return the rules of a shipped trained agent, in brackets; empty for other agents."""
     rules = []
     for archive, race in SHIPPED_GAMES if entries()[name].needs else ():
         with suppress(UnknownNameError):

@@ -116,7 +116,7 @@ def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") 
 
 
 def _check_repo(repo_id: str) -> None:
-    """Check that a name of a repository is ``owner/name``, since it stands in a card's code."""
+    """Check that a name of a repository is ``owner/name``, since a card's code contains it."""
     if not isinstance(repo_id, str) or not REPO.fullmatch(repo_id):
         raise InputError(
             f"repo_id is {repo_id!r:.80}; it must be 'owner/name': letters, digits, and '-', '_' or"

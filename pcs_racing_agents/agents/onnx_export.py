@@ -24,7 +24,7 @@ from pcs_racing_agents.networks.network import RegretNetwork
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 
 DRAWN = 64
-"""Number of drawn observations to which a file and its policy must answer alike."""
+"""Number of drawn observations with equal answers of a file and its policy."""
 
 
 def export_onnx(model: Any, path: str | PathLike[str]) -> Path:

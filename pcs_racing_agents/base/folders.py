@@ -52,7 +52,7 @@ def claim_folder(
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[None]:
-    """Create and lock a folder, and delete what killed runs left half-written."""
+    """Create and lock a folder, and delete half-written files of killed runs."""
     with _locked(folder):
         clear_half_written(folder)
         yield

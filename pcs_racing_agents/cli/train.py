@@ -80,7 +80,7 @@ def _config(kind: str) -> Option:
 
 @dataclass(frozen=True, kw_only=True)
 class Games:
-    """The games in which an agent learns."""
+    """Return the games of an agent's training."""
 
     track: Circuits = (DEFAULT_TRACK,)
     archive: ArchiveName = None

@@ -20,7 +20,7 @@ from pcs_racing_agents.networks.rows import Rows
 Floats = NDArray[np.float32]
 
 FLOOR = 0.25
-"""Relative targets are raised to at most this many times what random moves lose on average below
+"""Relative targets are raised to at most this many times the mean loss of random moves below
 the highest target of their row."""
 
 

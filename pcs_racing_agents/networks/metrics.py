@@ -147,7 +147,7 @@ def score_tree(profile: Profile, race_tree: "RaceTree", exact: ExactResult) -> T
 
 
 def _with_opponent(profile: Profile, other: Profile, player: int) -> Profile:
-    """Return a profile in which one player follows the first profile, the opponent the second."""
+    """Return a profile: one player follows the first profile, the opponent the second."""
     mine, theirs = (profile, other) if player == 0 else (other, profile)
     return [(first[0], second[1]) for first, second in zip(mine, theirs, strict=True)]
 

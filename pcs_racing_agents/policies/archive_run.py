@@ -206,7 +206,7 @@ class ArchiveRun:
         return stage_scenarios(self.config)
 
     def begin(self, scenarios: Scenarios) -> Floats | None:
-        """Race the initial sample, and return the parameters at which searches start."""
+        """Race the initial sample, and return the first parameters of searches."""
         sample = draw_policies(self.config, self.config.initial_sample, _roots(self.config)[3])
         self._searched("initial-sample", scenarios, sample)
         return None

@@ -4,7 +4,7 @@ Coordinates are means over races and have errors. A policy stays on a front if a
 it by less than the error of their difference, since it may belong to the front. All policies drive
 the same races, so that error is small.
 
-A Pareto front of two axes is a line, on which less of one axis is more of the other. If only strong
+A Pareto front of two axes is a line: less of one axis is more of the other. If only strong
 policies remain, they may be as far from each other as possible instead, in all directions.
 """
 

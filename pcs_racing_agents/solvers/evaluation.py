@@ -1,6 +1,6 @@
 """Evaluation of behaviour profiles: values, reach, action values, best responses, exploitability.
 
-Plain array code for every tree, whatever the players observe. It shares no code with the solvers,
+Plain array code for all trees and all observations. It shares no code with the solvers,
 so it can judge them.
 """
 

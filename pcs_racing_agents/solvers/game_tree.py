@@ -62,8 +62,8 @@ class GameTree:
         if table.ndim < 3 or table.ndim % 2 == 0 or 0 in table.shape:
             raise InputError(
                 f"payoffs have shape {np.shape(payoffs)}; they need an axis for each move, car 0"
-                f" and car 1 by turns{'' if chance is None else ', after one for chance'}, and none"
-                " may be empty"
+                f" and car 1 alternately{'' if chance is None else ', after one for chance'}, and"
+                " none may be empty"
             )
         if weights.shape != table.shape[:1]:
             raise InputError(

@@ -32,7 +32,7 @@ GOOD_GAP = 1e-12
 """Gap, in units of the payoffs' range, above which a game is solved again with rounded payoffs."""
 
 PARTS = 2.0**24
-"""Number of parts of the range to which payoffs are rounded."""
+"""Number of steps of rounded payoffs in their range."""
 
 
 class MatrixSolution(NamedTuple):
