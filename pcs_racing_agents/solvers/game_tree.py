@@ -212,8 +212,8 @@ class GameTree:
         mixed = np.flatnonzero(representative[rows] != past)
         if len(mixed):
             raise InputError(
-                f"labels of level {level}, car {player} violate perfect recall: node"
-                f" {int(mixed[0])} shares its label with a node that the car reaches otherwise"
+                f"labels of level {level}, car {player}: node {int(mixed[0])} shares its label with"
+                " a node that the car reaches otherwise; labels need perfect recall"
             )
 
 
