@@ -44,11 +44,12 @@ def load_car(lanes, lane, state, p, dt):
     for k in range(_vehicle.STATE_SIZE):
         lanes[_STATE + LANES * k + lane] = state[k]
     lanes[_SHARE + lane], lanes[_GAIN + lane] = actuators(p, dt)
-    linear = p[_vehicle.TYRES] == 0.0
-    lanes[_ALONE_BELOW + lane] = (
-        _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt if linear else np.inf
-    )
     car = handling(p)
+    rate = dt * _vehicle.eigenvalue(p, car, _vehicle.KINEMATIC_BELOW)
+    usual = p[_vehicle.TYRES] == 0.0 and rate <= _vehicle.STABLE
+    lanes[_ALONE_BELOW + lane] = (
+        _vehicle.KINEMATIC_BELOW + p[_vehicle.A_MAX] * dt if usual else np.inf
+    )
     for k in range(len(car)):
         lanes[_HANDLING + LANES * k + lane] = car[k]
 
@@ -71,7 +72,8 @@ def set_target(lanes, lane, steer, speed):
 def step_alone(lanes, lane, state, p, dt):
     """Advance ``state`` alone and return True if the lane's car is not one for `step_lanes`.
 
-    Cars that are too slow, and cars with Pacejka tyres, are stepped alone.
+    Cars that are too slow or too stiff for one step, and cars with Pacejka tyres, are stepped
+    alone.
     """
     if lanes[LANES * _vehicle.V + lane] >= lanes[_ALONE_BELOW + lane]:
         return False
@@ -88,8 +90,7 @@ def step_lanes(lanes, cars, dt):
     ``VECTOR`` lanes are computed at a time. The lanes beyond the cars, up to the next multiple, are
     computed as well and may hold any numbers; numbers below 1e-307 would slow down the arithmetic.
 
-    Results are wrong for cars slow enough to roll without slip within the step, and for cars with
-    Pacejka tyres (`step_alone`).
+    Results are wrong for the cars of `step_alone`.
     """
     for first in range(0, cars, VECTOR):
         part = lanes[first:]

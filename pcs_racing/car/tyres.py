@@ -21,7 +21,6 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import arctangent, arctangent2, sine_cosine
 
 GRAVITY = 9.81
-MAX_SUBSTEPS = 64.0
 
 
 class Tyres(NamedTuple):
@@ -71,7 +70,7 @@ def substeps_of(tyres, v, dt):
 
     The slower the car, the faster do the forces of stiff tyres change.
     """
-    return 1 + int(min(tyres.substeps * dt / v, MAX_SUBSTEPS))
+    return 1 + int(tyres.substeps * dt / v)
 
 
 @inner_kernel

@@ -23,6 +23,7 @@ from pcs_racing.car.vehicle import (
     PSI,
     PSI_DOT,
     STATE_SIZE,
+    H,
     V,
     X,
     Y,
@@ -165,7 +166,8 @@ def handling(p):
 
     Steering is limited elsewhere: its limits may differ by side.
     """
-    return handling_within(p, np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH])
+    ends = np.inf, np.inf, p[V_MIN], p[V_MAX], p[A_MAX], p[V_SWITCH]
+    return handling_within(p, *ends, p[H], np.inf)
 
 
 @kernel

@@ -17,9 +17,11 @@ from pcs_racing.car.lanes import (
     store_car,
 )
 from pcs_racing.car.vehicle import (
+    BETA,
     DELTA,
     F1TENTH,
     PARAMS_SIZE,
+    PSI_DOT,
     RULES_NOISE,
     STEER_DELAY,
     V,
@@ -27,6 +29,7 @@ from pcs_racing.car.vehicle import (
     load_vehicle,
     simulate,
 )
+from pcs_racing.envs.batch import MAX_RATE
 
 
 def constant(steer: float, speed: float, steps: int) -> np.ndarray:
@@ -345,6 +348,7 @@ def test_cars_in_lanes_drive_as_alone(cars):
             mu=0.8 + 0.05 * k,
             m=3.0 + 0.3 * k,
             tyres=tyres[k % 3],
+            inertia=0.001 if k == 4 else 0.05,  # too stiff for one step
             steer_lag=lags[k % 2],
             speed_lag=0.1 + 0.02 * k,
         )
@@ -357,6 +361,30 @@ def test_cars_in_lanes_drive_as_alone(cars):
     slow_steps = _drive(np.full(LANES_SIZE, np.nan), states, rows, TARGETS[:cars], 150)
     np.testing.assert_array_equal(states, expected)
     assert 0 < slow_steps <= 150 * cars
+
+
+STIFF = ({"c_sf": 20.89, "c_sr": 20.89}, {"inertia": 1e-6}, {"m": 1e5}, {"mu": 10.0})
+STIFF += ({"c_sf": 1000.0, "c_sr": 1000.0}, {"lf": 0.001, "c_sr": 900.0}, {"lr": 2.0})
+
+
+@pytest.mark.parametrize("speed", [0.6, 3.0])
+@pytest.mark.parametrize("change", STIFF, ids=str)
+def test_stiff_cars_reach_their_steady_turn(change, speed):
+    """The steering angle is curvature times wheelbase and understeer of the tyres' stiffness."""
+    car = VehicleParams(**change)
+    understeer = (1.0 / car.c_sf - 1.0 / car.c_sr) / (9.81 * car.mu)
+    states = simulate(at_speed(speed), constant(0.02, speed, 300), params=car)
+    expected = speed * 0.02 / (car.wheelbase + understeer * speed**2)
+    assert states[-1, PSI_DOT] == pytest.approx(expected, rel=1e-4)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_car_without_grip_spins_within_limits(seed):
+    """Linear tyres hold an oversteering car at no speed; its state can be restored."""
+    car = VehicleParams(c_sf=1000.0, c_sr=0.01, inertia=1e-6, h=10.0, a_max=1000.0, v_max=1000.0)
+    targets = np.random.default_rng(seed).uniform([-1.0, -5.0], [1.0, 999.0], (300, 2))
+    states = simulate(at_speed(5.0), targets, params=car)
+    assert np.abs(states[:, [V, PSI_DOT, BETA]]).max() <= MAX_RATE
 
 
 def test_the_names_of_the_gym_lead_to_ours():
