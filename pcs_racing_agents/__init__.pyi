@@ -13,8 +13,8 @@ from .networks.from_trees import train_regrets as train_regrets
 from .networks.network_files import load_network as load_network
 from .policies.archive_run import synthesize as synthesize
 from .solvers.compare import solve as solve
-from .tournament.play import play_tournament as play_tournament
 from .tournament.ratings import rate as rate
+from .tournament.result import play_tournament as play_tournament
 from .trees.build import build_tree as build_tree
 
 __all__ = [

@@ -17,8 +17,7 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive_files import load_archive
 from pcs_racing.planners.planner import Policy
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import open_job, show_progress
 from pcs_racing_agents.base.tables import Column, aligned, table_rows, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (

@@ -29,12 +29,10 @@ from pcs_racing_agents.agents import Agent, make_game_spec, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
+from pcs_racing_agents.base.jobs import open_job, show_progress
+from pcs_racing_agents.tournament.pairings import draw_schedule, play_pairings, schedule_pairing
 from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.ratings import round_robin
-from pcs_racing_agents.tournament.runner import play_pairings
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 import zoo_page

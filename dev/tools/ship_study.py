@@ -13,7 +13,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from pcs_racing_agents.agents.fits import load_fit, save_fit
+from pcs_racing_agents.agents.blind import load_fit, save_fit
 from pcs_racing_agents.networks import (
     load_network,
     load_network_set,

@@ -16,10 +16,9 @@ import pcs_racing_agents
 from pcs_racing.base.settings import DIFFERENT, OneOf, Settings, options_of, split
 from pcs_racing.race.config import PRESETS, RaceConfig
 from pcs_racing_agents.learning.ppo import PPOSettings
-from pcs_racing_agents.learning.psro import PSROSettings
-from pcs_racing_agents.learning.responses import ResponseSettings
+from pcs_racing_agents.learning.responses import PSROSettings, ResponseSettings
 from pcs_racing_agents.learning.self_play import SelfPlaySettings
-from pcs_racing_agents.networks.settings import TrainSettings
+from pcs_racing_agents.networks.training import TrainSettings
 from pcs_racing_agents.policies.config import SELECTIONS
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.tournament.protocol import ProtocolConfig

@@ -1,7 +1,7 @@
 from . import observing as observing
 from .agent import Agent as Agent
 from .agent import Strategy as Strategy
-from .fits import save_fit as save_fit
+from .blind import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
 from .game_spec import GameSpec as GameSpec
 from .game_spec import make_game_spec as make_game_spec

@@ -13,7 +13,7 @@ SHIPPED = {
     "psro": "pcs_racing_agents.agents.mixture:PSRO",
     "self-play": "pcs_racing_agents.agents.mixture:SELF_PLAY",
     "ppo": "pcs_racing_agents.agents.from_network:PPO",
-    "random-policy": "pcs_racing_agents.agents.fixed_policies:RANDOM_POLICY",
+    "random-policy": "pcs_racing_agents.agents.blind:RANDOM_POLICY",
 }
 """Agents and fixed policies of this package: name, and reference to the entry.
 

@@ -9,5 +9,5 @@ Long-running functions of this package share up to three arguments, which their 
 repeat. ``job`` saves results, so that a stopped run can be resumed; without a job nothing is saved.
 ``executor`` runs the tasks; without an executor they run in this process, on all cores. Neither
 changes the result. ``progress`` is called as ``progress(done, total, label)``;
-:func:`pcs_racing_agents.base.progress.show_progress` makes a function that prints a line.
+:func:`pcs_racing_agents.base.jobs.show_progress` makes a function that prints a line.
 """

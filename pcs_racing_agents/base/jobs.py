@@ -7,10 +7,23 @@ byte, whichever run computed them:
 
     with open_job("out/trees", "trees", {"seed": 0}) as job, make_executor() as executor:
         results = job.run("tree", build, tasks, executor=executor, progress=show_progress("trees"))
+
+Chunks: files with the result of one task each; damage and results of other tasks are detected.
+
+A chunk is an ordinary ``.npz`` file of arrays. Its zip comment holds two SHA-256 digests: the
+digest of its task, and the digest of the file itself, which is compared before any content of the
+file is interpreted.
+
+Progress of long work, as a line on the terminal.
 """
 
+import hashlib
+import io
 import logging
 import re
+import struct
+import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -20,13 +33,107 @@ from pathlib import Path
 from typing import Any, TypedDict, TypeVar, Unpack
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk, write_chunk
+from pcs_racing.base.files import read_limited, unpack_arrays, write_atomically
+from pcs_racing_agents.base.executors import run_tasks
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.folders import claim_folder, package_version
-from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.base.tasks import run_tasks
+
+Progress = Callable[[int, int, str], None]
+"""``progress(done, total, label)``: called after every finished task."""
+
+
+def show_progress(unit: str = "races") -> Progress:
+    """Return a progress function that keeps a line on stderr up to date.
+
+    If stderr is no terminal, it prints plain lines: at most one line every 2 s, and the last line.
+    """
+    begin = spoken = time.monotonic()
+    first: tuple[float, int] | None = None
+
+    def show(done: int, total: int, label: str) -> None:
+        nonlocal first, spoken
+        now = time.monotonic()
+        # Earlier runs say nothing about the speed of this run.
+        if first is None:
+            first = (now, done) if now - begin < 0.2 else (begin, 0)
+        line = f"{done}/{total} {unit}, {now - begin:.0f} s"
+        if done < total and done > first[1]:
+            left = (now - first[0]) * (total - done) / (done - first[1])
+            line += f", about {duration_text(left)} left"
+        if done < total:
+            line += f": {label}"
+        if sys.stderr.isatty():
+            end = "\n" if done >= total else ""
+            print(f"\r\x1b[K{line:.110}", end=end, file=sys.stderr, flush=True)
+        elif done >= total or now - spoken >= 2.0:
+            spoken = now
+            print(line, file=sys.stderr, flush=True)
+
+    return show
+
+
+def duration_text(seconds: float) -> str:
+    """Return a duration as text: ``"90 s"``, ``"5 min"``, ``"2.5 h"``."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60.0:.0f} min" if seconds < 7200.0 else f"{seconds / 3600.0:.1f} h"
+
+
+Arrays = dict[str, NDArray[Any]]
+
+_MARK = b"pcs-racing chunk "
+_COMMENT = len(_MARK) + 128
+_MAX_BYTES = 4_000_000_000
+
+
+def chunk_file(folder: str | Path, name: str, index: int) -> Path:
+    """Return the path of a task's chunk in a job's folder."""
+    return Path(folder) / "chunks" / f"{name}-{index:05d}.npz"
+
+
+def write_chunk(path: Path, arrays: Arrays, task: str) -> None:
+    """Write a chunk atomically: arrays without objects; equal arrays make equal files.
+
+    ``task`` is the digest of the task, 64 hexadecimal digits
+    (:func:`~pcs_racing_agents.base.fingerprint.fingerprint`).
+    """
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    # A zip file ends with the length of its comment, which np.savez leaves at 0.
+    body = buffer.getvalue()[:-2] + struct.pack("<H", _COMMENT)
+    comment = _MARK + task.encode() + _digest(body, task).encode()
+    write_atomically(path, lambda file: (file.write(body), file.write(comment)))
+
+
+def read_chunk(path: Path, task: str | None = None) -> Arrays:
+    """Read a chunk after a check that its bytes are as written and that it belongs to ``task``."""
+    try:
+        content = read_limited(path, _MAX_BYTES, "a chunk")
+    except OSError as error:
+        raise InputError(f"{path} can't be read: {error.strerror}") from None
+    # The digest is compared before any content is interpreted: a damaged zip file can mislead its
+    # reader.
+    body, comment = content[:-_COMMENT], content[-_COMMENT:]
+    written_for = comment[len(_MARK) : len(_MARK) + 64].decode("latin-1")
+    if (
+        not comment.startswith(_MARK)
+        or _digest(body, written_for).encode() != comment[len(_MARK) + 64 :]
+    ):
+        raise InputError(f"{path} is damaged: its content has changed")
+    if task is not None and written_for != task:
+        raise InputError(f"{path} belongs to another task or another run")
+    try:
+        return unpack_arrays(content, _MAX_BYTES)
+    except InputError as error:
+        raise InputError(f"{path} holds no arrays: {error}") from None
+
+
+def _digest(body: bytes, task: str) -> str:
+    return hashlib.sha256(body + task.encode("latin-1")).hexdigest()
+
 
 A = TypeVar("A")
 

@@ -27,18 +27,18 @@ FILES = {
         "tournament",
         "race every pair of agents and policies, or all by a protocol, and print a table",
     ),
-    "track": ("track", "list, show, import, generate and calibrate circuits"),
+    "track": ("track", "show, import, generate and calibrate circuits"),
     "agents": (
         "agents",
         "list agents and planners, or describe one: options, training, strength; parameters",
     ),
     "export": ("agents", "write the network of a policy, planner or agent as an ONNX file"),
     "tune": (
-        "tune",
+        "search",
         "tune the parameters of a planner by races, and check them on circuits held out",
     ),
     "synthesize": (
-        "synthesize",
+        "search",
         "search for an archive of policies that drive differently",
     ),
     "tree": (

@@ -16,7 +16,7 @@ from pcs_racing_agents.cli.commands import Option
 
 DEFAULT_TRACK = "Brackwater"
 """The default track of commands and environments."""
-TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track list') or a map folder"
+TRACK_HELP = "name of a shipped circuit (see 'pcs-racing track show') or a map folder"
 OWN_CODE = "FILE.py:Class, module:function"
 FILES = f"model.zip, model.onnx, a folder of a trained planner, {OWN_CODE}"
 POLICY_HELP = f"planner, planner:variant, planner:parameter=value,..., ARCHIVE[INDEX], {FILES}"

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.base.jobs import Job, open_job
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import Job, open_job, show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (
     AGENT_HELP,

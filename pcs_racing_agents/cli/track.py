@@ -1,4 +1,4 @@
-"""``pcs-racing track``: list, show, import, generate and calibrate tracks."""
+"""``pcs-racing track``: show, import, generate and calibrate tracks."""
 
 from pathlib import Path
 from typing import Annotated
@@ -16,11 +16,11 @@ from pcs_racing.track.maps import list_tracks, read_inside
 from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Command, Option, command
-from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, Circuit, RulesName, output_file
+from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, RulesName, output_file
 
 group = Command(
     "track",
-    "List, show, import, generate and calibrate circuits.",
+    "Show, import, generate and calibrate circuits.",
     ("pcs-racing track show Tarnfjord --out tarnfjord.png",),
 )
 
@@ -28,20 +28,23 @@ MapFolder = Annotated[Path, Option("map folder to write", "DIR")]
 Name = Annotated[str | None, Option("name of the circuit (default: name of the folder)")]
 
 
-@command("track list", "pcs-racing track list")
-def run_list() -> None:
-    """List the circuits that ship with the package."""
-    rows = [(name, f"{load_track(name).length:.1f}") for name in list_tracks()]
-    print("\n".join(aligned([("circuit", "lap, m"), *rows])))
-
-
-@command("track show", "pcs-racing track show Tarnfjord --out tarnfjord.png")
+@command(
+    "track show", "pcs-racing track show", "pcs-racing track show Tarnfjord --out tarnfjord.png"
+)
 def run_show(
-    track: Circuit = DEFAULT_TRACK,
+    track: Annotated[
+        str | None, Option(f"{TRACK_HELP} (default: list the shipped circuits)", "T")
+    ] = None,
     *,
     out: Annotated[Path | None, Option("file for the picture (.png)", "FILE")] = None,
 ) -> None:
-    """Print a summary of a circuit, and draw it."""
+    """List the shipped circuits, or print a summary of a circuit and draw it."""
+    if track is None:
+        if out is not None:
+            raise InputError("--out draws a circuit: say which, as in 'pcs-racing track show T'")
+        rows = [(name, f"{load_track(name).length:.1f}") for name in list_tracks()]
+        print("\n".join(aligned([("circuit", "lap, m"), *rows])))
+        return
     target = output_file(out, ".png") if out else None
     circuit = load_track(track)
     print(circuit.summary())

@@ -16,11 +16,9 @@ from pcs_racing_agents import learning
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.configurations import shipped_configs
-from pcs_racing_agents.base.curves import curves_picture
 from pcs_racing_agents.base.folders import hold_folder
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
-from pcs_racing_agents.base.style import save_picture
+from pcs_racing_agents.base.jobs import open_job, show_progress
+from pcs_racing_agents.base.style import curves_picture, save_picture
 from pcs_racing_agents.base.tables import aligned, table_rows, write_csv
 from pcs_racing_agents.cli.commands import Command, ConfigOptions, Option, command
 from pcs_racing_agents.cli.options import (
@@ -44,8 +42,7 @@ from pcs_racing_agents.networks import (
 )
 from pcs_racing_agents.networks.from_trees import train_regrets
 from pcs_racing_agents.networks.metrics import score_table
-from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.networks.training import epoch_curves, write_epochs
+from pcs_racing_agents.networks.training import TrainSettings, epoch_curves, write_epochs
 from pcs_racing_agents.tournament.plan import game_rules
 from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.trees import load_trees

@@ -9,7 +9,7 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.config import load_game_config
 from pcs_racing.game.make import make_game
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from pcs_racing.base.checks import check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import RACED_CODE, Terminated, can_draw, output_file
 
@@ -78,9 +78,8 @@ def run(
 ) -> None:
     """Write a page that lists and plays the races of a tournament or study, or explain a race."""
     from pcs_racing.base.files import write_atomically
-    from pcs_racing_agents.study.results import open_results
-    from pcs_racing_agents.watch.race_replays import RaceRepeater
-    from pcs_racing_agents.watch.view_page import view_page
+    from pcs_racing_agents.study.study import open_results
+    from pcs_racing_agents.watch.race_replays import RaceRepeater, view_page
     from pcs_racing_agents.watch.view_server import make_server
 
     if serve and out is not None:

@@ -7,9 +7,9 @@ from .league import save_league as save_league
 from .ppo import PPOSettings as PPOSettings
 from .ppo import load_ppo_settings as load_ppo_settings
 from .ppo import train_ppo as train_ppo
-from .psro import learn_psro as learn_psro
-from .psro import load_psro_settings as load_psro_settings
+from .responses import learn_psro as learn_psro
 from .responses import learn_response as learn_response
+from .responses import load_psro_settings as load_psro_settings
 from .responses import load_response_settings as load_response_settings
 from .self_play import learn_self_play as learn_self_play
 from .self_play import load_self_play_settings as load_self_play_settings

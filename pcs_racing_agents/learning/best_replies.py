@@ -22,9 +22,8 @@ from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.learning.responses import ResponseSettings, learn_response
 from pcs_racing_agents.networks import RegretNetwork
-from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.pairings import cross_pairing, play_pairings
 from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
-from pcs_racing_agents.tournament.runner import play_pairings
 
 LINES = 5
 """Start lines of each pair of variants, each raced from both sides."""

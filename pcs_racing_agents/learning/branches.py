@@ -17,8 +17,7 @@ from pcs_racing.game.players import Competitor, ask_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
 from pcs_racing.planners.planner import PolicySet
-from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.base.jobs import Job, Workers
+from pcs_racing_agents.base.jobs import Arrays, Job, Workers
 from pcs_racing_agents.networks import Rows
 
 PAYOFFS = ("win", "utility")

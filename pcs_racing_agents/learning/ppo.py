@@ -38,17 +38,14 @@ from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.agents.from_network import network_agent
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import frozen_model
-from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.configurations import load_config
-from pcs_racing_agents.base.curves import Curve
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.executors import in_other_processes
+from pcs_racing_agents.base.jobs import Arrays, Progress, open_job
+from pcs_racing_agents.base.style import Curve
 from pcs_racing_agents.base.tables import Column, write_csv
-from pcs_racing_agents.base.tasks import in_other_processes
 from pcs_racing_agents.networks import RegretNetwork, save_network
 from pcs_racing_agents.networks.training import torch_alone
-from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament.pairings import draw_schedule, play_pairings, schedule_pairing
 
 RACE_SEED = 1_000_003
 """Seed of the evaluations: all networks drive the same races."""

@@ -30,9 +30,8 @@ from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.observing import ObservationBatch
-from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.configurations import load_config
-from pcs_racing_agents.base.jobs import Job, Workers
+from pcs_racing_agents.base.jobs import Arrays, Job, Workers
 from pcs_racing_agents.learning.branches import (
     GameBlock,
     branch_games,

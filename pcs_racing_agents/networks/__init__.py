@@ -11,16 +11,16 @@ from pcs_racing_agents.networks.network_files import (
     save_network,
     save_network_set,
 )
-from pcs_racing_agents.networks.rows import Rows, join_rows
-from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.networks.targets import (
+from pcs_racing_agents.networks.rows import (
     TARGETS,
+    Rows,
     best_moves,
+    join_rows,
     node_targets,
     solve_for,
     tree_rows,
 )
-from pcs_racing_agents.networks.training import train_network
+from pcs_racing_agents.networks.training import TrainSettings, load_train_settings, train_network
 
 __all__ = [
     "TARGETS",

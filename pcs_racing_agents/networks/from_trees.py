@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.base.progress import Progress
-from pcs_racing_agents.base.tasks import in_other_processes, run_tasks
+from pcs_racing_agents.base.executors import in_other_processes, run_tasks
+from pcs_racing_agents.base.jobs import Progress
 from pcs_racing_agents.networks.metrics import (
     RowScore,
     TreeScore,
@@ -22,10 +22,16 @@ from pcs_racing_agents.networks.metrics import (
     score_trees,
 )
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.networks.rows import Rows, draw_pairs, join_rows, pair_number
-from pcs_racing_agents.networks.settings import TrainSettings
-from pcs_racing_agents.networks.targets import get_target, solve_for, tree_rows
-from pcs_racing_agents.networks.training import TrainingResult, train_network
+from pcs_racing_agents.networks.rows import (
+    Rows,
+    draw_pairs,
+    get_target,
+    join_rows,
+    pair_number,
+    solve_for,
+    tree_rows,
+)
+from pcs_racing_agents.networks.training import TrainingResult, TrainSettings, train_network
 
 if TYPE_CHECKING:
     from pcs_racing_agents.trees import RaceTree

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from pcs_racing_agents.base.tables import Column, aligned, table_rows
 from pcs_racing_agents.networks.network import RegretNetwork
-from pcs_racing_agents.networks.rows import Rows
-from pcs_racing_agents.networks.targets import best_moves
+from pcs_racing_agents.networks.rows import Rows, best_moves
 from pcs_racing_agents.solvers import (
     ExactResult,
     GameTree,

@@ -38,7 +38,7 @@ class RegretNetwork:
 
     name: str
     identity: GameIdentity  #: Game that the network was made for.
-    #: Kind of the values (:data:`pcs_racing_agents.networks.targets.TARGETS`, or another text).
+    #: Kind of the values (:data:`pcs_racing_agents.networks.rows.TARGETS`, or another text).
     target: str
     clipped: bool  #: True if values below 0 are returned as 0, as regrets in the paper.
     layers: DenseLayers  #: D inputs and A outputs.

@@ -5,7 +5,6 @@ from dataclasses import replace
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -13,16 +12,16 @@ from pcs_racing.base.settings import plain_settings
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
-from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.game.moves import duplicate_share, no_op_share
 from pcs_racing.planners.registry import get_planner
-from pcs_racing_agents.base.chunks import Arrays
 from pcs_racing_agents.base.folders import package_version
-from pcs_racing_agents.base.style import new_figure, picture, save_picture, tidy
+from pcs_racing_agents.base.jobs import Arrays
+from pcs_racing_agents.base.style import save_picture
 from pcs_racing_agents.base.tables import Column, table_rows, write_csv
 from pcs_racing_agents.policies.config import ArchiveConfig
 from pcs_racing_agents.policies.evaluate import Evaluation, summarise
 from pcs_racing_agents.policies.pareto import Scale, front_layers, hypervolume
+from pcs_racing_agents.policies.picture import archive_picture
 
 COURSE = (
     Column("generation"),
@@ -73,7 +72,7 @@ def write_archive(
     rows = table_rows(COURSE, history)
     write_csv(rows, folder / "hypervolume.csv")
     if find_spec("matplotlib") is not None:
-        save_picture(front_picture(archive), folder / "front.png")
+        save_picture(archive_picture(archive), folder / "front.png")
     save_archive(archive, folder)
     return archive
 
@@ -122,33 +121,3 @@ def _rounded(value: str | float) -> str | int | float | bool:
     if isinstance(value, str | bool | int):
         return value
     return float(f"{float(value):.6g}")
-
-
-@picture
-def front_picture(archive: PolicyArchive) -> Any:
-    """Draw the first two axes of an archive: policies with standard errors, and all explored ones.
-
-    Colours show own crash rates.
-    """
-    second, first = get_characteristics(archive.characteristics[:2])
-    explored, front, errors = (
-        np.asarray(points)[:, 1::-1].T
-        for points in (archive.explored_coordinates, archive.coordinates, archive.spread)
-    )
-    figure = new_figure(7.0, 5.0)
-    plot = figure.subplots()
-    plot.plot(*explored, ".", color="0.8", ms=3, label=f"{len(explored[0])} explored")
-    plot.errorbar(*front, errors[1], errors[0], fmt="none", ecolor="0.45", lw=0.7)
-    crashes = 100.0 * np.asarray(archive.own_crash)
-    dots = plot.scatter(*front, 22, crashes, zorder=3, label=f"{len(archive)} policies")
-    figure.colorbar(dots, ax=plot, label="own crashes in % of the measuring races")
-    plot.set_xlabel(f"{first.name} ({first.unit})")
-    plot.set_ylabel(f"{second.name} ({second.unit})")
-    correlation = archive.correlations[second.name, first.name]
-    plot.set_title(
-        f"archive {archive.name}, preset {archive.preset}; bars: one standard error; correlation"
-        f" {correlation:+.2f}"
-    )
-    plot.legend(loc="lower left")
-    tidy(plot)
-    return figure

@@ -29,8 +29,7 @@ from pcs_racing.base.typing import Floats, Indices
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.base.jobs import Job, Run, open_job
+from pcs_racing_agents.base.jobs import Arrays, Job, Run, open_job
 from pcs_racing_agents.policies.archive_report import write_archive
 from pcs_racing_agents.policies.config import ArchiveConfig, FrontConfig, SpreadConfig
 from pcs_racing_agents.policies.evaluate import (

@@ -24,8 +24,7 @@ from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.loading import as_track
-from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.base.jobs import Run, run_races
+from pcs_racing_agents.base.jobs import Arrays, Run, run_races
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.typing import Floats, Indices
-from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.jobs import Arrays
 from pcs_racing_agents.policies.evaluate import summarise
 from pcs_racing_agents.policies.pareto import front_layers
 

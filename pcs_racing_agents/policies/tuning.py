@@ -35,11 +35,9 @@ from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner, parse_policy
 from pcs_racing.race.config import RaceConfig, load_race_config
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.base.chunks import Arrays
-from pcs_racing_agents.base.curves import Curve, curves_picture
-from pcs_racing_agents.base.jobs import Job, open_job
+from pcs_racing_agents.base.jobs import Arrays, Job, open_job
 from pcs_racing_agents.base.statistics import clustered_mean
-from pcs_racing_agents.base.style import save_picture
+from pcs_racing_agents.base.style import Curve, curves_picture, save_picture
 from pcs_racing_agents.base.tables import Column, table_rows, write_csv
 from pcs_racing_agents.policies.evaluate import (
     Evaluation,

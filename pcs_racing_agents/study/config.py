@@ -16,7 +16,7 @@ from pcs_racing.race.config import PAPER
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
-from pcs_racing_agents.networks.targets import get_target
+from pcs_racing_agents.networks.rows import get_target
 
 BASELINES = ("best-fixed", "best-schedule", "best-lead-plan")
 """Agents fitted on training races: fixed policy, move sequence and lead-conditioned plan."""

@@ -12,7 +12,7 @@ from pcs_racing.base.files import write_atomically
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.race.replay import Replay
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.fits import load_fit
+from pcs_racing_agents.agents.blind import load_fit
 from pcs_racing_agents.base.statistics import Comparison
 from pcs_racing_agents.base.style import (
     COLOURS,
@@ -25,9 +25,9 @@ from pcs_racing_agents.base.style import (
     tidy,
 )
 from pcs_racing_agents.base.tables import table_rows
+from pcs_racing_agents.policies.picture import archive_picture
 from pcs_racing_agents.study.config import BASELINES
-from pcs_racing_agents.study.results import study_pairing
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import Study, study_pairing
 from pcs_racing_agents.study.table import (
     COLUMNS,
     GAIN,
@@ -42,7 +42,6 @@ from pcs_racing_agents.study.table import (
 from pcs_racing_agents.tournament import RaceTable, closeness_text, write_results
 from pcs_racing_agents.watch.explain import explain_race
 from pcs_racing_agents.watch.pages import rendered
-from pcs_racing_agents.watch.pcs_picture import archive_picture
 from pcs_racing_agents.watch.pictures import explanation_picture
 from pcs_racing_agents.watch.race_choice import OUTCOMES, outcomes
 from pcs_racing_agents.watch.words import story

@@ -16,13 +16,13 @@ from pcs_racing.base.errors import require
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.make import make_game
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.fits import save_fit
+from pcs_racing_agents.agents.blind import save_fit
 from pcs_racing_agents.base.folders import claim_folder, clear_half_written
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning.responses import learn_response, load_response_settings
 from pcs_racing_agents.learning.self_play import learn_self_play, load_self_play_settings
 from pcs_racing_agents.networks.network_files import save_network, save_network_set
-from pcs_racing_agents.networks.settings import load_train_settings
+from pcs_racing_agents.networks.training import load_train_settings
 from pcs_racing_agents.policies.diverse import select_diverse
 from pcs_racing_agents.study.config import StudyConfig
 from pcs_racing_agents.study.report import write_report

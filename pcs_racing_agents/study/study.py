@@ -1,21 +1,47 @@
-"""A study: its configuration and folder, as the context of its stages."""
+"""A study: its configuration and folder, as the context of its stages.
 
+Reader of the results of a tournament or study, to repeat and watch their races.
+
+A folder describes the competitors, starts and noise of its races. The hash of an agent detects a
+changed agent, the lead of a race a changed result.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
+import numpy as np
+
+from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
+from pcs_racing.game.config import GameConfig
 from pcs_racing.game.make import make_game
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import RaceConfig
+from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.agent import Agent
+from pcs_racing_agents.agents.agent import Agent, competitor_hash
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import build
-from pcs_racing_agents.base.progress import Progress, show_progress
-from pcs_racing_agents.study.config import BASELINES, StudyConfig
+from pcs_racing_agents.base.folders import read_job
+from pcs_racing_agents.base.jobs import Progress, show_progress
+from pcs_racing_agents.study.config import BASELINES, StudyConfig, load_study_config
+from pcs_racing_agents.tournament import (
+    Pairing,
+    RaceRow,
+    RaceTable,
+    cross_pairing,
+    draw_schedule,
+    read_results,
+    schedule_pairing,
+)
+from pcs_racing_agents.watch.results_folder import MANIFEST, ResultsFolder
 
 NETWORKS = {
     "cfr-argmax": "regret",
@@ -85,3 +111,119 @@ class Study:
     def progress(self, unit: str) -> Progress | None:
         """Return a progress function that updates a line on stderr; None if ``quiet``."""
         return None if self.quiet else show_progress(unit)
+
+
+def open_results(
+    folder: str | Path, code: Sequence[str] = (), maps: Sequence[str] = ()
+) -> ResultsFolder:
+    """Open a tournament's or study's folder.
+
+    Agents named in ``code`` may be code, which is run. ``maps`` are the folders of maps that were
+    moved since the races were driven.
+    """
+    path = Path(folder)
+    kind, settings = _read_manifest(path)
+    file = path / "results.csv"
+    if not file.exists():
+        raise InputError(f"there is no {file}; it is written when all races are driven")
+    races = read_results(file)
+    moved = {load_track(place).name: place for place in maps}
+    for names, known in ((code, races.agents.words), (moved, races.track.words)):
+        for name in names:
+            if name not in known:
+                raise InputError(
+                    f"{name!r} is not in the races of {folder}; there are"
+                    f" {', '.join(sorted(known))}"
+                )
+    make: Callable[[RaceRow], Pairing]
+    try:
+        if kind == "study":
+            study = Study(load_study_config(**settings), path, quiet=True)
+            rules, make = study.config.game, partial(study_pairing, study, races, moved=moved)
+        else:
+            # Without the move "stay": every tournament adds it.
+            game = {**settings["game"], "race": RaceConfig(**settings["game"]["race"])}
+            rules = GameConfig(**{**game, "stay": None})
+            make = partial(_tournament_pairing, settings, rules, code, moved)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path / MANIFEST} is damaged: {error}") from None
+    return ResultsFolder(path, file, races, rules.race.start, make)
+
+
+def _read_manifest(folder: Path) -> tuple[str, dict[str, Any]]:
+    """Return the kind and the settings of a folder of results."""
+    file = folder / MANIFEST
+    try:
+        manifest = read_job(file) if file.is_file() else {"kind": None, "settings": {}}
+        kind, settings = manifest["kind"], dict(manifest["settings"])
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{file} is damaged: {error}") from None
+    if kind not in ("tournament", "study"):
+        raise InputError(
+            f"{folder} holds no races; give a folder that 'pcs-racing tournament' or 'pcs-racing"
+            " study' wrote with --out"
+        )
+    return kind, settings
+
+
+def study_pairing(
+    study: Study, races: RaceTable, row: RaceRow, moved: Mapping[str, str] = MappingProxyType({})
+) -> Pairing:
+    """Return the pairing of one of the races of a study; ``moved``: places of maps by name."""
+    # All races of a pairing together determine its variants and number of lines.
+    rows = races.pairs[row.track, row.ego, row.opponent, str(row.seed)]
+    egos, opponents = (np.unique(races.variants[rows, car]).tolist() for car in range(2))
+    places = [moved[row.track]] if row.track in moved else study.config.tracks
+    tracks = {track.name: track for track in map(_load_track, places)}
+    return cross_pairing(
+        study.game(tracks[row.track]),
+        study.agent(row.ego),
+        study.agent(row.opponent),
+        egos=egos,
+        opponents=opponents,
+        lines=len(rows) // max(1, 2 * len(egos) * len(opponents)),
+        seed=row.seed,
+    )
+
+
+def _load_track(place: str) -> Track:
+    try:
+        return load_track(place)
+    except InputError as error:
+        raise InputError(f"{error}; if the map was moved, --track names its folder") from None
+
+
+def _tournament_pairing(
+    settings: Mapping[str, Any],
+    rules: GameConfig,
+    code: Sequence[str],
+    moved: Mapping[str, str],
+    row: RaceRow,
+) -> Pairing:
+    """Return the pairing of one of the races of a tournament.
+
+    All inputs are compared by hash: other inputs give another race.
+    """
+    seed, spec = int(settings["seed"]), make_game_spec(settings["archive"], rules)
+    archive = spec.archive
+    _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
+    track = _load_track({**settings.get("maps", {}), **moved}.get(row.track, row.track))
+    _check_same(f"track {row.track!r}", track.content_hash, settings["tracks"][row.track])
+
+    def agent(name: str) -> Competitor:
+        car = competitor(name, spec, seed=seed, code=name in code)
+        _check_same(f"agent {name!r}", competitor_hash(car), settings["agents"][name])
+        return car
+
+    races = int(settings["races_per_pair"])
+    schedule = draw_schedule(track, spec.config.race_rules, races, seed)
+    game = RaceGame(track, archive, spec.config)
+    return schedule_pairing(game, agent(row.ego), agent(row.opponent), schedule, seed)
+
+
+def _check_same(noun: str, current: str, recorded: str) -> None:
+    if current != recorded:
+        raise InputError(
+            f"{noun} has changed since the races were driven (sha256 {current[:12]}, it was"
+            f" {str(recorded)[:12]}), so they can't be driven again"
+        )

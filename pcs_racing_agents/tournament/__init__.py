@@ -1,8 +1,7 @@
 """Tournaments: games between competitors, pairings, statistics, ratings and result tables."""
 
 from pcs_racing_agents.base.executors import make_executor
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import open_job, show_progress
 from pcs_racing_agents.base.statistics import compare, holm
 from pcs_racing_agents.tournament.fitting import (
     TrainingRaces,
@@ -14,6 +13,9 @@ from pcs_racing_agents.tournament.pairings import (
     Pairing,
     cross_pairing,
     draw_schedule,
+    play_pairing,
+    play_pairings,
+    repeat_race,
     schedule_pairing,
 )
 from pcs_racing_agents.tournament.plan import (
@@ -22,7 +24,6 @@ from pcs_racing_agents.tournament.plan import (
     plan_tournament,
     tournament_settings,
 )
-from pcs_racing_agents.tournament.play import play_plan, play_tournament
 from pcs_racing_agents.tournament.protocol import (
     Protocol,
     ProtocolConfig,
@@ -44,8 +45,7 @@ from pcs_racing_agents.tournament.ratings import (
     rate,
     round_robin,
 )
-from pcs_racing_agents.tournament.result import Standing, Tournament
-from pcs_racing_agents.tournament.runner import play_pairing, play_pairings, repeat_race
+from pcs_racing_agents.tournament.result import Standing, Tournament, play_plan, play_tournament
 
 __all__ = [
     "Pairing",

@@ -3,7 +3,7 @@
 The baselines are an open-loop sequence of moves, a fixed policy, and a lead plan (a policy behind
 and a policy ahead). Every candidate drives the same training races (common random numbers), which
 reduces the noise of their differences. The result of a baseline is a
-:class:`pcs_racing_agents.agents.fits.Fit`, a small file for the agents "best-schedule",
+:class:`pcs_racing_agents.agents.blind.Fit`, a small file for the agents "best-schedule",
 "best-fixed" and "best-lead-plan".
 """
 
@@ -21,8 +21,14 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.racers import own_name
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.blind import LEAD_PLAN, best_fixed, best_lead_plan, best_schedule
-from pcs_racing_agents.agents.fits import Fit, make_fit
+from pcs_racing_agents.agents.blind import (
+    LEAD_PLAN,
+    Fit,
+    best_fixed,
+    best_lead_plan,
+    best_schedule,
+    make_fit,
+)
 from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
@@ -30,9 +36,9 @@ from pcs_racing_agents.tournament.pairings import (
     Pairing,
     RaceSchedule,
     draw_schedule,
+    play_pairings,
     schedule_pairing,
 )
-from pcs_racing_agents.tournament.runner import play_pairings
 
 Choices = tuple[int, ...]
 

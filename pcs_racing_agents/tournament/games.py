@@ -24,7 +24,7 @@ from pcs_racing.planners.planner import PolicySet
 from pcs_racing.planners.racers import own_name
 from pcs_racing.race.config import DT
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.base.chunks import Arrays
+from pcs_racing_agents.base.jobs import Arrays
 from pcs_racing_agents.tournament.races import narrow
 
 CARS = ("ego", "opponent")

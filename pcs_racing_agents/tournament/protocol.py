@@ -24,6 +24,7 @@ from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.base.tables import Column, aligned, table_rows, with_interval
+from pcs_racing_agents.tournament.pairings import play_pairings
 from pcs_racing_agents.tournament.plan import (
     Entrant,
     TournamentPlan,
@@ -32,7 +33,6 @@ from pcs_racing_agents.tournament.plan import (
     tournament_settings,
 )
 from pcs_racing_agents.tournament.races import RaceTable, concatenate_races
-from pcs_racing_agents.tournament.runner import play_pairings
 from pcs_racing_agents.tournament.scores import (
     SCORE_COLUMNS,
     Score,

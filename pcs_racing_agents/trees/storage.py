@@ -15,10 +15,8 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.identity import GameIdentity, game_identity
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.base.chunks import Arrays, chunk_file, read_chunk
 from pcs_racing_agents.base.folders import read_job
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import Progress
+from pcs_racing_agents.base.jobs import Arrays, Progress, chunk_file, open_job, read_chunk
 from pcs_racing_agents.trees.build import (
     build_tree,
     check_game,

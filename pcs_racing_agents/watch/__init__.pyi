@@ -1,6 +1,5 @@
 from .explain import explain_race as explain_race
 from .explain import mark_moves as mark_moves
-from .pcs_picture import archive_picture as archive_picture
 from .pictures import explanation_picture as explanation_picture
 from .ros_messages import RosMessage as RosMessage
 from .ros_messages import map_message as map_message
@@ -10,7 +9,6 @@ from .words import story as story
 
 __all__ = [
     "RosMessage",
-    "archive_picture",
     "explain_race",
     "explanation_picture",
     "map_message",

@@ -6,8 +6,8 @@ import numpy as np
 
 from pcs_racing.base.packing import join_segments
 from pcs_racing_agents.base.style import CARS, INK, SOFT, new_figure, picture, short, tidy
+from pcs_racing_agents.policies.picture import draw_archive, draw_arrow, in_units, plane
 from pcs_racing_agents.watch.explain import Explanation
-from pcs_racing_agents.watch.pcs_picture import draw_archive, draw_arrow, in_units, plane
 
 SIGNS = {"overtake": "^", "crash": "X"}
 """Markers of the events on the track."""

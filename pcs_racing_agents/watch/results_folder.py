@@ -12,7 +12,7 @@ MANIFEST = "job.yaml"
 
 @dataclass(frozen=True, eq=False)
 class ResultsFolder:
-    """A folder of races (:func:`pcs_racing_agents.study.results.open_results`)."""
+    """A folder of races (:func:`pcs_racing_agents.study.study.open_results`)."""
 
     folder: Path
     file: Path  #: File of the races.

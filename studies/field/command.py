@@ -6,14 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-from pcs_racing_agents.base.jobs import Job, open_job
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import Job, open_job, show_progress
 from pcs_racing_agents.base.tables import aligned, markdown, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Workers, can_draw, output_folder
-from pcs_racing_agents.tournament.pairings import Pairing
+from pcs_racing_agents.tournament.pairings import Pairing, play_pairings
 from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import play_pairings
 from studies.field import cost, entrants, races, tables
 
 PARTS = ("cost", "tune", *races.RULES, "tables")

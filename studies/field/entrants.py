@@ -11,7 +11,7 @@ from pcs_racing.base.errors import InputError, UnknownNameError, say_once
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names
 from pcs_racing_agents.agents.game_spec import GameSpec
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.policies.tuning import (
     MIN_PARAMETERS,

@@ -13,15 +13,13 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
-from pcs_racing_agents.base.jobs import Run, open_job
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import Run, open_job, show_progress
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Workers, output_folder
 from pcs_racing_agents.tournament.fitting import TrainingRaces
-from pcs_racing_agents.tournament.pairings import draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.runner import play_pairings
+from pcs_racing_agents.tournament.pairings import draw_schedule, play_pairings, schedule_pairing
 from studies.circuits import real_circuits
 from studies.long_races.plans import Plan, fit_plans, plan_agent
 

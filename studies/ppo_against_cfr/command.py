@@ -3,13 +3,12 @@
 from pathlib import Path
 from typing import Annotated
 
-from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.base.progress import show_progress
+from pcs_racing_agents.base.jobs import open_job, show_progress
 from pcs_racing_agents.base.tables import markdown, write_csv
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import Workers, can_draw, output_folder
+from pcs_racing_agents.tournament.pairings import play_pairings
 from pcs_racing_agents.tournament.races import RaceTable
-from pcs_racing_agents.tournament.runner import play_pairings
 from studies.ppo_against_cfr import races, tables
 
 

@@ -4,8 +4,8 @@ differences between two runs.
 
 from pathlib import Path
 
-from pcs_racing_agents.base.chunks import read_chunk
 from pcs_racing_agents.base.fingerprint import fingerprint
+from pcs_racing_agents.base.jobs import read_chunk
 
 TREES = ["--archive", "default", "--track", "Pipkin", "--moves", "2", "--step", "2"]
 SETTINGS = Path(__file__).parent / "settings"

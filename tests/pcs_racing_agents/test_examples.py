@@ -7,11 +7,8 @@ import numpy as np
 import pytest
 import yaml
 from repository import REPOSITORY, run_python
-from warm_start import call_python
 
 from pcs_racing import load_race_config, load_track, run_races
-from pcs_racing.car.vehicle import F1TENTH, MU, STEER_DELAY
-from pcs_racing.envs.draws import load_randomization
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
@@ -197,30 +194,6 @@ def test_a_line_planner_is_trained_and_a_stopped_training_goes_on(tmp_path):
     assert json.loads(fields["training"]["randomize"]) == yaml.safe_load(cars.read_text())
 
 
-def test_impossible_cars_of_a_training_are_refused_before_it_begins(tmp_path):
-    pytest.importorskip("torch")
-    (tmp_path / "cars.yaml").write_text("mu: [1.1, 0.7]\n")
-    file = EXAMPLES.parent / "dev" / "training" / "lidar_ppo.py"
-    arguments = ("--randomize", "cars.yaml", "--out", "out")
-    done = call_python(file, *arguments, cwd=tmp_path)
-    assert "cars.yaml: mu is [1.1, 0.7]; it must be [low, high]" in done.stderr
-    assert done.returncode == 2
-    assert not (tmp_path / "out").exists()
-
-
-def test_the_cars_of_a_training_are_drawn_in_pairs(monkeypatch):
-    monkeypatch.syspath_prepend(str(EXAMPLES.parent / "dev" / "training"))
-    races = importlib.import_module("line_races")
-    ranges = load_randomization({"mu": [0.8, 1.1], "each": {"steer_delay": [0.0, 0.06]}})
-    pairs = races.drawn_pairs(ranges, 3)
-    assert pairs.shape[:2] == (races.PAIRS, 2)
-    assert (pairs[:, 0, MU] == pairs[:, 1, MU]).all()
-    assert len(set(pairs[:, 0, MU])) == races.PAIRS
-    assert (pairs[:, 0, STEER_DELAY] != pairs[:, 1, STEER_DELAY]).any()
-    plain = races.drawn_pairs(load_randomization(None), 3)
-    np.testing.assert_array_equal(plain[0], [F1TENTH.as_row()] * 2)
-
-
 def test_a_planner_by_lidar_is_trained_and_a_stopped_training_goes_on(tmp_path):
     # The first update only imitates, the second one does both.
     size = ("--checks", 0, "--warm", 3e-5, "--fade", 1e-3, "--teacher", "pure-pursuit")
@@ -279,7 +252,3 @@ def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):
         :, 0
     ]
     assert driven.min() - 0.1 < float(kept) < driven.max() + 0.1
-    again = run_python(
-        EXAMPLES / "record_dataset.py", *arguments, "--name", "again/lattice-v0", folder=tmp_path
-    )
-    assert again.partition(": ")[2] == out.partition(": ")[2]

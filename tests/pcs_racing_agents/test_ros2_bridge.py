@@ -66,17 +66,6 @@ def test_the_simulator_drives_by_commands_and_publishes_what_the_gym_does(ros):
     assert 1.5 < speeds[0] < 2.1
     assert abs(speeds[1]) < 0.1
     assert len(messages["/scan"].fields["ranges"]) == 9
-    frames = SimpleNamespace(transforms=None)
-
-    def new():
-        parts = SimpleNamespace(translation=SimpleNamespace(), rotation=SimpleNamespace())
-        return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace()), transform=parts)
-
-    ros("messages").fill(frames, messages["/tf"].fields, {"transforms": new})
-    assert [frame.child_frame_id for frame in frames.transforms][:2] == [
-        "ego_racecar/base_link",
-        "ego_racecar/laser",
-    ]
 
 
 KINDS = {"/scan": "scan", "/ego_racecar/odom": "odometry", "/opp_racecar/odom": "opponent"}

@@ -27,9 +27,9 @@ from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT
 from pcs_racing.track.map_files import parse_csv, parse_grid, read_map
 from pcs_racing.track.maps import parse_ros_yaml
-from pcs_racing_agents.agents.fits import load_fit
-from pcs_racing_agents.base.chunks import read_chunk, write_chunk
+from pcs_racing_agents.agents.blind import load_fit
 from pcs_racing_agents.base.folders import claim_folder
+from pcs_racing_agents.base.jobs import read_chunk, write_chunk
 from pcs_racing_agents.networks import load_network
 from pcs_racing_agents.tournament.race_files import read_results
 from pcs_racing_agents.trees import load_trees

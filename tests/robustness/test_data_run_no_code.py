@@ -43,15 +43,13 @@ from pcs_racing_agents.cli.main import main
 from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
 from pcs_racing_agents.learning.league import load_league, make_league, save_league
 from pcs_racing_agents.learning.ppo import PPOSettings, load_ppo_settings
-from pcs_racing_agents.learning.psro import load_psro_settings
-from pcs_racing_agents.learning.responses import load_response_settings
+from pcs_racing_agents.learning.responses import load_psro_settings, load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
-from pcs_racing_agents.networks.settings import load_train_settings
+from pcs_racing_agents.networks.training import load_train_settings
 from pcs_racing_agents.policies.archive_run import stage_scenarios
 from pcs_racing_agents.policies.config import load_archive_config
 from pcs_racing_agents.study.config import StudyConfig, load_study_config
-from pcs_racing_agents.study.results import open_results
-from pcs_racing_agents.study.study import Study
+from pcs_racing_agents.study.study import Study, open_results
 from pcs_racing_agents.tournament.protocol import ProtocolConfig, load_protocol
 from pcs_racing_agents.trees import load_trees
 
@@ -442,7 +440,7 @@ def test_code_is_run_for_words_of_the_command_line_alone():
         "pcs_racing_agents/cli/train.py": {"competitor True"},
         "pcs_racing_agents/cli/race.py": {"policy_racer True"},
         "pcs_racing_agents/cli/tournament.py": {"plan_tournament True"},
-        "pcs_racing_agents/study/results.py": {"competitor name in code"},
+        "pcs_racing_agents/study/study.py": {"competitor name in code"},
         "pcs_racing_agents/tournament/protocol.py": {"plan_tournament True"},
     }
     importers = {

@@ -38,16 +38,16 @@ from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import RaceConfig
 from pcs_racing.race.frames import write_gif
 from pcs_racing.track.map_files import parse_grid, read_map, write_map
-from pcs_racing_agents.agents.fits import Fit, load_fit
+from pcs_racing_agents.agents.blind import Fit, load_fit
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.learning.ppo import load_ppo_settings
 from pcs_racing_agents.networks import load_network, load_network_set
-from pcs_racing_agents.networks.settings import load_train_settings
+from pcs_racing_agents.networks.training import load_train_settings
 from pcs_racing_agents.policies.config import FrontConfig
 from pcs_racing_agents.study.config import LearningConfig, StudyConfig, load_study_config
-from pcs_racing_agents.study.results import open_results
+from pcs_racing_agents.study.study import open_results
 from pcs_racing_agents.tournament.protocol import load_protocol
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.trees import load_trees

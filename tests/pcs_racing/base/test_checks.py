@@ -99,19 +99,6 @@ def test_arrays():
         assert message in str(error.value)
 
 
-def test_facts_are_texts_and_numbers_by_name():
-    facts = checks.check_facts("training", {"seed": 3, "tracks": "Pipkin", "share": 0.5})
-    assert dict(facts) == {"seed": 3, "tracks": "Pipkin", "share": 0.5}
-    with pytest.raises(TypeError):
-        facts["seed"] = 4
-    for wrong, message in (
-        (5, "training is 5"),
-        ({"a": [1]}, r"training holds 'a': \[1\]"),
-        ({1: 2}, "training holds 1"),
-    ):
-        refused(message, checks.check_facts, "training", wrong)
-
-
 @pytest.mark.parametrize("size", [1, 32, 33, 1000])
 @pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
 def test_whether_all_are_finite(size, wrong):

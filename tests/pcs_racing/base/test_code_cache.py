@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
-import pcs_racing
 from pcs_racing.base import code_cache, compilation, numba_parts
 from pcs_racing.base.code_cache import SIMULATOR, code_folder, digest_of
 
@@ -67,12 +66,6 @@ def test_an_edit_of_the_simulator_changes_all_code_and_one_above_it_only_what_is
     assert changed_by(packages, "user/module.py") == {"user"}
     assert not changed_by(packages, "user/below/module.py")
     assert not changed_by(packages, "user/notes.txt")
-
-
-def test_the_simulator_is_where_the_package_is():
-    package = Path(pcs_racing.__file__).resolve().parent
-    assert package == code_cache._PACKAGE
-    assert all((package / floor / "__init__.py").is_file() for floor in SIMULATOR)
 
 
 def test_code_is_in_the_first_writable_place_and_unused_folders_go(packages, monkeypatch):

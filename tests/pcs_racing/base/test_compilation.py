@@ -1,8 +1,6 @@
-import gc
 from pathlib import Path
 from types import SimpleNamespace
 
-import pytest
 from filelock import FileLock
 from refusal import refused
 from repository import run_python
@@ -59,24 +57,6 @@ def test_the_first_compilation_is_announced_and_no_other(tmp_path, capsys):
     with first_call(dispatcher(None), "what has no folder", 7) as compiling:
         assert compiling
     assert "what has no folder (about 7 s, in each process)" in capsys.readouterr().err
-
-
-def failing_call(cache: Path, what: str) -> None:
-    with first_call(dispatcher(cache), what, 7):
-        assert not gc.isenabled()
-        raise ZeroDivisionError
-
-
-@pytest.mark.parametrize("collects", [True, False])
-def test_no_garbage_is_collected_during_a_compilation(tmp_path, collects):
-    was = gc.isenabled()
-    (gc.enable if collects else gc.disable)()
-    try:
-        with pytest.raises(ZeroDivisionError):
-            failing_call(tmp_path, f"what fails {collects}")
-        assert gc.isenabled() is collects
-    finally:
-        (gc.enable if was else gc.disable)()
 
 
 def test_one_process_compiles_and_the_others_wait(tmp_path, monkeypatch):

@@ -154,17 +154,6 @@ def test_a_car_creeps_without_chatter_and_recovers_from_a_spin(car):
     assert after[:, V].max() < 3.1
 
 
-def test_the_tyres_give_way_where_linear_tyres_hold():
-    """At 8 m/s and 0.3 rad linear tyres turn at 20 m/s^2, beyond any friction."""
-    controls = np.tile([0.3, 8.0], (50, 1))
-    start = [0.0, 0.0, 0.0, 8.0, 0.0, 0.0, 0.0]
-    linear = simulate(start, controls)[-1]
-    sliding = simulate(start, controls, params=FORZAETH_NUC2)[-1]
-    assert linear[V] * linear[PSI_DOT] > 15.0
-    assert sliding[V] * sliding[PSI_DOT] < 0.65 * 9.81 + 1.0
-    assert sliding[V] < 7.95 < linear[V]
-
-
 def test_each_coefficient_changes_a_car_with_pacejka_tyres_only():
     controls = np.concatenate([np.tile([0.15, 5.0], (60, 1)), np.tile([-0.1, 2.0], (60, 1))])
     start = [0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 0.0]

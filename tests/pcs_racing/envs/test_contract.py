@@ -81,6 +81,7 @@ VARIANTS = [
     [
         (DriveEnv, {"duration": 40.0}),
         (DriveEnv, {"opponent": None, "beams": 20, "rules": "paper"}),
+        (DriveEnv, {"opponents": ["lattice:pace=0.3", "pure-pursuit", "lattice:pace=0.2"]}),
         (DriveEnv, {"normalize": True, "beams": 5}),
         (DuelEnv, {"opponent": "lane-switcher:3"}),
         (DuelEnv, {"opponent": MIXTURE}),
@@ -148,6 +149,8 @@ def test_the_checkers_of_pettingzoo_are_content(two_agents):
     api_test(module.env(**arguments), num_cycles=cycles)
     parallel_seed_test(lambda: module.parallel_env(**arguments), num_cycles=min(cycles, 30))
     seed_test(lambda: module.env(**arguments), num_cycles=min(cycles, 30))
+    if module is drive:
+        parallel_api_test(drive.parallel_env(**arguments, cars=4), num_cycles=20)
 
 
 @pytest.mark.parametrize("kind", ["parallel", "aec"])

@@ -2,22 +2,16 @@
 end.
 """
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from faces import AGENTS, begun, flat, follow_the_line, poses
 from refusal import refused
 
-from pcs_racing import InputError, load_race_config
-from pcs_racing.envs.batch import place_poses, poses_option, start_option
+from pcs_racing import load_race_config
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash, Result
-from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.race.races import RaceSetup
-from pcs_racing.track.frenet import X, Y
 
 
 def episode(env, seed, steps=400, policy=follow_the_line):
@@ -31,17 +25,6 @@ def episode(env, seed, steps=400, policy=follow_the_line):
         if terminated or truncated:
             break
     return np.array(observations), np.array(rewards), terminated, truncated, info
-
-
-def test_a_driver_that_reads_the_observation_gets_around(oval):
-    _, rewards, terminated, truncated, info = episode(
-        DriveEnv(track=oval, opponent=None, duration=20.0), seed=2
-    )
-    assert truncated
-    assert not terminated
-    assert info["time"] == pytest.approx(20.0)
-    assert info["progress"] > 50.0
-    assert rewards.sum() == pytest.approx(info["progress"])
 
 
 def test_threads_share_a_step_that_is_long_enough():
@@ -230,56 +213,6 @@ def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(
 # Where the cars stand after a reset
 
 
-def test_a_start_is_for_all_episodes_or_for_each_and_poses_may_have_a_speed():
-    assert start_option({}, 2) is None
-    shared = start_option({"start": (3.0, 1)}, 2)
-    assert (shared.s.tolist(), shared.side.tolist()) == ([3.0, 3.0], [1, 1])
-    own = start_option({"start": [(3.0, 1), (5.0, 0)]}, 2)
-    assert (own.s.tolist(), own.side.tolist()) == ([3.0, 5.0], [1, 0])
-    standing, rolling = (
-        [[1.0, 2.0, 0.5], [3.0, 4.0, 0.0]],
-        [[1.0, 2.0, 0.5, 2.0], [3.0, 4.0, 0.0, 0.0]],
-    )
-    assert poses_option({}, 3) is None
-    assert (
-        poses_option({"poses": standing}, 3).tolist()
-        == [[[1.0, 2.0, 0.5, 0.0], [3.0, 4.0, 0.0, 0.0]]] * 3
-    )
-    assert poses_option({"poses": [rolling] * 3}, 3).tolist() == [rolling] * 3
-
-
-@pytest.fixture
-def setup(oval):
-    return RaceSetup(oval, load_race_config("paper"), (LATTICE, LATTICE))
-
-
-def poses_at(track, first, second):
-    """Poses of both cars, shape (1, 2, 4), from (s, d)."""
-    return np.array([[[*track.to_cartesian(place), 0.0] for place in (first, second)]])
-
-
-def test_poses_count_progress_and_keep_cars_out_of_walls_and_of_each_other(oval, setup):
-    state = place_poses(setup, poses_at(oval, (3.0, 0.2), (7.0, -0.2)))
-    assert state.progress[0] == pytest.approx([-4.0, 0.0], abs=0.01)
-    assert state.frenet[0] == pytest.approx(np.array([[3.0, 0.2], [7.0, -0.2]]), abs=0.01)
-    inside_each_other, in_a_wall = (
-        poses_at(oval, (3.0, 0.0), (3.1, 0.0)),
-        poses_at(oval, (7.0, 0.0), (3.0, 1.1)),
-    )
-    for wrong in (inside_each_other, in_a_wall):
-        refused("episode 0", place_poses, setup, wrong)
-
-
-def test_a_car_that_drives_alone_meets_nobody(oval, setup):
-    """For any pose of the other one; but its own wall counts."""
-    setup = replace(setup, planners=(LATTICE,), vehicles=())
-    state = place_poses(setup, poses_at(oval, (3.0, 0.0), (3.1, 0.0))[:, :1])
-    assert not state.crashed.any()
-    assert state.cars[0, 0, [X, Y]] == pytest.approx(oval.to_cartesian((3.0, 0.0))[:2])
-    with pytest.raises(InputError, match="episode 0"):
-        place_poses(setup, poses_at(oval, (3.0, 1.1), (7.0, 0.0))[:, :1])
-
-
 def test_cars_start_where_the_options_say(coarse_oval):
     env = DriveEnv(track=coarse_oval, opponent="lattice")
     env.reset(seed=0, options={"start": (5.0, 1)})
@@ -293,3 +226,10 @@ def test_cars_start_where_the_options_say(coarse_oval):
     np.testing.assert_allclose(env.batch.state.cars[0][:, 3], [3.0, 2.0])
     assert env.batch.info(0)["lead"] == pytest.approx(4.0, abs=0.1)
     assert env.step([0.0, -1.0])[1] > 0.0
+    for place in ([6.1, 0.0], [3.0, 1.1]):  # in the other car, in a wall
+        wrong = env.track.to_cartesian([[6.0, 0.0], place])
+        refused("episode 0: .* a car overlaps a wall or", env.reset, options={"poses": wrong})
+    env = DriveEnv(track=coarse_oval, opponent=None)
+    env.reset(options={"poses": wrong[:1]})
+    assert not env.batch.state.crashed.any()
+    refused("episode 0", env.reset, options={"poses": wrong[1:]})

@@ -7,12 +7,10 @@ import pytest
 from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V
 
 from pcs_racing import load_race_config
-from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import DriveOptions
-from pcs_racing.envs.infos import Crash
 from pcs_racing.race.positions import place_cars
 
 TOP = 8.0
@@ -163,40 +161,6 @@ def test_the_reward_is_the_own_progress_less_a_share_of_the_opponents(coarse_ova
         assert not late
 
 
-def crash(env, command, steps=20):
-    """Reward of the last step beyond its progress, the two kinds of end, and the last info."""
-    races = env.batch.state
-    for _ in range(steps):
-        before = races.progress[0, 0]
-        _, reward, ended, late, info = env.step(action(*command))
-        if ended or late:
-            break
-    return reward - (races.progress[0, 0] - before), ended, late, info
-
-
-def test_the_penalty_is_paid_for_the_own_crash_and_for_no_other(coarse_oval):
-    """A crash ends the episode, whichever car causes it."""
-    fast, still = HOLD.policy({"speed": 6.0}), HOLD.policy({"speed": 0.0})
-    aside = HOLD.policy({"steer": 0.3, "speed": 5.0})
-    apart, behind = ((3.0, 0.0), (9.0, 0.0)), ((6.0, 0.0), (3.0, 0.0))
-    for opponent, places, speeds, command, costs, facts in (
-        # into the wall
-        (still, apart, (5.0, 0.0), (0.3, 5.0), 7.0, (Crash.WALL, Crash.NONE, True)),
-        # the other one into the wall
-        (aside, apart, (0.0, 5.0), (0.0, 0.0), 0.0, (Crash.NONE, Crash.WALL, False)),
-        # into the other one
-        (still, apart, (6.0, 0.0), (0.0, 6.0), 7.0, (Crash.CAR, Crash.CAR, True)),
-        # hit by the other one
-        (fast, behind, (0.0, 6.0), (0.0, 0.0), 0.0, (Crash.CAR, Crash.CAR, False)),
-    ):
-        env = begun(coarse_oval, opponent, crash_penalty=7.0)
-        put(env, places, speeds)
-        paid, ended, late, info = crash(env, command)
-        assert paid == pytest.approx(-costs, abs=1e-9)
-        assert (ended, late) == (True, False)
-        assert (info["crash"], info["opponent_crash"], bool(info["fault"])) == facts
-
-
 def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_oval):
     opponents = [HOLD.policy({"speed": speed}) for speed in (1.0, 2.0)]
     options = DriveOptions(track=coarse_oval, opponent=opponents, rules=RACE, start_lines=3)
@@ -208,34 +172,3 @@ def test_episodes_are_drawn_from_all_places_both_sides_and_all_opponents(coarse_
     assert sorted(set(batch.drawn)) == [0, 1]
     np.testing.assert_array_equal(batch.theta[:, 1, 1], np.where(batch.drawn == 0, 1.0, 2.0))
     assert len(set(batch.state.seed)) == 64
-
-
-def test_the_noise_of_the_lidar_is_new_for_each_beam_and_each_moment(coarse_oval):
-    quiet, noisy = (
-        begun(coarse_oval, None, beams=30, vehicle={"lidar_noise": noise}, time_step=0.02)
-        for noise in (0.0, 0.05)
-    )
-    for env in (quiet, noisy):
-        put(env, ((3.0, 0.0), (9.0, 0.0)))
-        env.batch.state.seed[:] = 2
-    draws = []
-    for _ in range(30):
-        calm, scan = (env.step(action(0.0, 0.0))[0][-30:].astype(float) for env in (quiet, noisy))
-        draws.append(scan - calm)
-    draws = np.array(draws)
-    assert draws.std() == pytest.approx(0.05, rel=0.1)
-    assert abs(draws.mean()) < 0.006
-    assert abs(np.corrcoef(draws[:, :-1].ravel(), draws[:, 1:].ravel())[0, 1]) < 0.12
-    assert abs(np.corrcoef(draws[:-1].ravel(), draws[1:].ravel())[0, 1]) < 0.12
-    races = noisy.batch.state
-    steering = [normal_noise(races.seed[0], 0, tick) for tick in range(2, 62, 2)]
-    # other numbers than the steering's
-    assert abs(np.corrcoef(draws[:, 0], steering)[0, 1]) < 0.5
-    assert np.ptp(draws, axis=0).min() > 0.05
-
-
-def test_noisy_ranges_stay_within_the_lidars_reach(coarse_oval):
-    env = begun(coarse_oval, None, beams=30, vehicle={"lidar_noise": 5.0}, max_range=4.0)
-    scans = np.array([env.step(action(0.0, 0.0))[0][-30:] for _ in range(5)])
-    assert scans.min() == 0.0
-    assert scans.max() == 4.0

@@ -94,28 +94,3 @@ def test_the_info_says_how_each_game_ended_for_either_car(coarse_oval, archive):
         mask = one.pop("action_mask")
         assert one == {name: infos[name][environment] for name in infos if name != "action_mask"}
         np.testing.assert_array_equal(mask, infos["action_mask"][environment])
-
-
-def test_opponents_are_drawn_by_their_weights_for_every_game_anew(coarse_oval, archive):
-    names = ["always-aggressiveness+", "always-stay", "random-moves"]
-    batch = make(
-        coarse_oval,
-        archive,
-        [(w, name) for w, name in zip((1, 2, 5.0), names, strict=True)],
-        games=240,
-    )
-    rngs = begin(batch)
-    counts = np.bincount(batch.drawn, minlength=3)
-    np.testing.assert_allclose(counts / 240, [1 / 8, 2 / 8, 5 / 8], atol=0.1)
-    assert batch.infos()["opponent"].tolist() == batch.drawn.tolist()
-    assert [batch.codes["opponent"][k] for k in range(3)] == names
-    batch.step(np.full((240, 1), 4), rngs)
-    replies = batch.moves[:, 1]
-    assert (replies[batch.drawn == 0] == 0).all()
-    assert (replies[batch.drawn == 1] == 4).all()
-    assert set(replies[batch.drawn == 2]) == {0, 1, 2, 3, 4}
-    first, keys = batch.drawn.copy(), batch.state.race.seed.copy()
-    begin(batch, seed=1)
-    assert (batch.drawn != first).any()
-    assert not np.isin(batch.state.race.seed, keys).any()
-    assert (batch.moves == -1).all()

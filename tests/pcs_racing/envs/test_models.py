@@ -9,7 +9,7 @@ from refusal import refused
 
 from pcs_racing import load_race_config, racer, run_races
 from pcs_racing.envs.drive import DriveEnv
-from pcs_racing.envs.models import layers, model_policy
+from pcs_racing.envs.models import model_policy
 from pcs_racing.race.races import draw_starts
 
 RIVAL = "lattice:pace=0.3"
@@ -78,12 +78,3 @@ def test_what_no_model_may_answer_is_one_line(oval):
     ):
         refused(message, run_races, oval, model_policy(model), racer(RIVAL), CONFIG)
     refused("beam", model_policy, weave, beam=3)
-
-
-def test_a_wrapper_that_changes_nothing_is_allowed_whatever_its_name():
-    class Watcher:
-        pass
-
-    wrapper = Watcher()
-    wrapper.env = Watcher()
-    assert list(layers(wrapper)) == [wrapper, wrapper.env]

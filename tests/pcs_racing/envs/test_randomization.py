@@ -18,10 +18,6 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
-from pcs_racing.envs.randomization import (
-    EpisodeOptions,
-    EpisodeRandomization,
-)
 from pcs_racing.race.config import PRESETS
 from pcs_racing.track.moving import BOX, MOTION
 
@@ -150,40 +146,6 @@ def test_cars_are_what_the_argument_says(oval, tmp_path):
     assert (second.mu, second.m) == (0.5, 5.0)
     game = DuelEnv(track=oval, vehicle=VehicleParams(mu=0.9), **DUEL).game
     assert [car.mu for car in game.setup.vehicles] == [0.9, 0.9]
-
-
-@pytest.mark.parametrize("opponent", [None, "lattice"])
-def test_a_steering_delay_shifts_the_commands(oval, opponent):
-    """The command in force is the one of two control periods before; with several cars each has its
-    own queue.
-    """
-    asked = np.random.default_rng(0).uniform(-0.4, 0.4, 20)
-    env = begun(
-        DriveEnv(track=oval, opponent=opponent, vehicle={"steer_delay": 0.04}, time_step=0.02),
-        seed=0,
-    )
-    in_force = []
-    for steering in asked:
-        env.step([steering / 0.4189, 0.0])
-        in_force.append(env.batch.state.command[0, 0, 0])
-    np.testing.assert_allclose(in_force, [0.0, 0.0, *asked[:-2]], atol=1e-7)
-
-
-def test_what_is_drawn_is_what_is_driven():
-    batch = EpisodeRandomization(3, EpisodeOptions(track="Pipkin", randomize=RANGES))
-    batch.draw(np.arange(3), [np.random.default_rng(i) for i in range(3)])
-    for row in range(3):
-        values = {name: batch.drawn[name][row] for name in RANGES}
-        cars = [
-            VehicleParams(
-                mu=values["mu"],
-                m=values["m"],
-                inertia=0.04712 * values["m"] / 3.74,
-                steer_delay=values["steer_delay"],
-                steer_noise=values["steer_noise"],
-            ).as_row()
-        ] * 2
-        np.testing.assert_allclose(batch.vehicles[row], cars, rtol=1e-12)
 
 
 def test_each_car_drives_with_its_own_draws(oval):

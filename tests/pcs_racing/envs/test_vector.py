@@ -58,21 +58,6 @@ def test_a_vector_environment_begins_anew_as_gymnasiums_own_does(name, mode):
     assert ends >= 3
 
 
-def test_max_episode_steps_truncates():
-    envs = gym.make_vec("pcs_racing/Drive-v1", num_envs=2, opponent=None, max_episode_steps=3)
-    envs.reset(seed=0)
-    late = [envs.step(action(envs))[3].tolist() for _ in range(7)]
-    assert late == [
-        [False] * 2,
-        [False] * 2,
-        [True] * 2,
-        [False] * 2,
-        [False] * 2,
-        [False] * 2,
-        [True] * 2,
-    ]
-
-
 @pytest.mark.parametrize("mode", ["NEXT_STEP", "SAME_STEP", "DISABLED"])
 def test_a_reset_in_mid_episode_restarts_the_count_of_steps_there_and_nowhere_else(mode):
     envs = DriveVectorEnv(3, opponent=None, max_episode_steps=3, autoreset_mode=mode)

@@ -13,25 +13,10 @@ import pcs_racing
 from pcs_racing.envs import game_batch
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
 from pcs_racing.game import players, rules
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.planners.registry import get_planner
 from pcs_racing.race import driving
 
 HOME = Path(pcs_racing.__file__).resolve().parent
 SHORT = {"step_seconds": 0.1, "moves": 1, "stay": True}
-
-
-@pytest.fixture(scope="module")
-def archive() -> PolicyArchive:
-    """Six policies with different paces, so that the driver of a car shows the target of a move."""
-    planner = get_planner("pure-pursuit")
-    pace = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.625])
-    parameters = np.array([planner.policy({"pace": value}).parameters for value in pace])
-    coordinates = np.column_stack([np.arange(6.0), np.arange(6.0) % 3.0])
-    axes = ("aggressiveness", "restraint")
-    return PolicyArchive(
-        "marked", "pure-pursuit", planner.parameter_names, parameters, axes, coordinates
-    )
 
 
 def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarray]]:
@@ -63,9 +48,8 @@ def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarr
 
 
 @pytest.mark.parametrize("kind", ["scalar", "vector", "pair"])
-def test_a_move_passes_seven_rooms_at_most_and_none_twice(coarse_oval, archive, monkeypatch, kind):
-    given = {"track": coarse_oval, "archive": archive, **SHORT}
-    move = 0  # more of the first axis: from policy 0 to a neighbour
+def test_a_move_passes_seven_rooms_at_most_and_none_twice(coarse_oval, monkeypatch, kind):
+    given, move = {"track": coarse_oval, **SHORT}, 0
     kinds = {
         "scalar": DuelEnv,
         "vector": lambda **a: DuelVectorEnv(1, threads=1, **a),
@@ -84,9 +68,8 @@ def test_a_move_passes_seven_rooms_at_most_and_none_twice(coarse_oval, archive, 
     )
     # The kernel receives the policy that each car's move leads to.
     table = env.game.table
-    expected = archive.parameters[[table[0, 0], table[5, 1]]]
-    np.testing.assert_array_equal(thetas[-1][0, :, : expected.shape[1]], expected)
-    assert table[0, 0] != 0
+    expected = env.game.theta(np.array([table[0, 0], table[5, 1]]))
+    np.testing.assert_array_equal(thetas[-1][0], expected)
     way = ["agent", *ways[-1], "race/kernel.py"]
     assert len(way) <= 7, way
     assert len(set(way)) == len(way), f"a room is entered twice: {way}"

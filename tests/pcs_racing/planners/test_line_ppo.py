@@ -10,6 +10,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.planners import candidates, line_ppo
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.planners.learned import is_planner_folder, load_planner
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     FEATURES,
@@ -30,6 +31,8 @@ from pcs_racing.planners.line_ppo import (
     read_line_planner,
     save_line_planner,
 )
+from pcs_racing.planners.registry import get_planner
+from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS
 
 WHOLE = LATTICE.default
@@ -166,3 +169,17 @@ def test_a_parameter_out_of_bounds_is_refused(tmp_path):
         lattice={"pace": 2.0},
         training={},
     )
+
+
+@pytest.mark.parametrize("name", ["line-ppo", "lidar-ppo"])
+def test_each_kind_is_loaded_from_its_folder(name):
+    folder = PLANNER_FORMAT.find(name)
+    planner, shipped = load_planner(folder), get_planner(name)
+    assert planner.name == str(folder)
+    assert (planner.plan, planner.parameters) == (shipped.plan, shipped.parameters)
+
+
+def test_a_folder_of_another_kind_is_refused(tmp_path):
+    (tmp_path / "manifest.yaml").write_text("format: pcs-racing archive\n")
+    assert is_planner_folder(tmp_path)
+    refused("begins with 'format: pcs-racing archive'", load_planner, tmp_path)

@@ -26,7 +26,7 @@ from pcs_racing.race.races import (
     starts_of,
 )
 from pcs_racing.race.start_grid import Starts
-from pcs_racing.race.state import ITTC, ITTC_SAMPLES, RaceState
+from pcs_racing.race.state import ITTC, ITTC_SAMPLES
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
 
@@ -102,30 +102,6 @@ def test_a_race_can_be_stopped_saved_and_continued_anywhere(oval, cut, pieces):
         advance(setup, continued, theta, 2 * ((NOISY.ticks - cut) // (2 * pieces)))
     advance(setup, continued, theta, NOISY.ticks)  # past the end nothing moves
     assert_same(continued, whole)
-
-
-def test_a_python_driver_can_be_stopped_and_continued(oval):
-    setup, whole, theta = begin(oval, SHORT, [PYTHON.policy()], [lattice()])
-    stopped = whole.copy()
-    advance(setup, whole, theta, SHORT.ticks)
-    advance(setup, stopped, theta, 246)
-    continued = stopped.copy()
-    advance(setup, stopped, theta, 30)  # changes of the original do not matter
-    advance(setup, continued, theta, SHORT.ticks - 246)
-    assert_same(continued, whole)
-
-
-def test_different_planners_in_one_batch_equal_separate_runs(oval):
-    egos = [lattice(pace=0.4), PYTHON.policy(), lattice(pace=0.8), STRAIGHT.policy()]
-    opponents = [lattice(), lattice(), PYTHON.policy({"pace": 0.5}), PYTHON.policy()]
-    starts = draw_starts(oval, SHORT, 4, seed=3)
-    mixed = run_races(oval, egos, opponents, SHORT, seed=3, starts=starts)
-    for k in range(4):
-        alone = run_races(oval, egos[k], opponents[k], SHORT, seed=3, starts=starts.take([k]))
-        row = RaceState._make(array[k : k + 1] for array in mixed.state)
-        assert_same(alone.state, row._replace(memory=alone.state.memory), skip=("seed",))
-        used = alone.state.memory.shape[2]
-        np.testing.assert_array_equal(row.memory[..., :used], alone.state.memory)
 
 
 def test_the_same_driver_compiled_and_in_python_drives_the_same_race_at_fifty_hertz(oval):

@@ -1,5 +1,4 @@
 import dataclasses
-import sys
 from types import SimpleNamespace
 
 import numpy as np
@@ -142,12 +141,6 @@ def test_a_window_shows_frames(race, monkeypatch):
     )
     renderer.close()
     renderer.close()
-
-
-def test_a_missing_window_library_is_named(race, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    refused(r"pcs-racing\[window\]", Renderer, race, mode="human", error=ImportError)
-    assert Renderer(race, 100, 100).render(race.cars[0]).shape == (100, 100, 3)
 
 
 def test_one_car_and_sizes_of_its_own(race):

@@ -1,6 +1,5 @@
 """All racers of tournaments are opponents in the environments, by name and as an object."""
 
-import copy
 import subprocess
 import sys
 
@@ -8,23 +7,15 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from refusal import refused
-from slow_follower import slow_follower
 
 import pcs_racing_agents
-from pcs_racing import make_game
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 
 SHORT = {"step_seconds": 0.4}
 UNTRAINED = {"psro", "self-play"}
 """Agents that are shipped for the contest alone; of these games they say so."""
 NAMES = [name for name in pcs_racing_agents.agents.names() if name not in UNTRAINED]
-
-
-@pytest.fixture(scope="module")
-def game():
-    return make_game("Tarnfjord")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -48,51 +39,6 @@ def test_every_name_and_every_object_is_an_opponent_of_all_environments(name):
 def test_a_name_without_a_network_for_the_game_says_what_is_missing():
     for name in sorted(UNTRAINED):
         refused(f"'{name}'", DuelEnv, error=UnknownNameError, opponent=name, **SHORT)
-
-
-def test_an_agent_moves_in_a_drive_as_in_a_game(game):
-    """Car 1 watches for 8 s, then each move changes its policy as the table of the game says, every
-    8 s.
-    """
-    env = DriveEnv(track="Tarnfjord", opponent="always-aggressiveness +")
-    for seed in range(20):
-        env.reset(seed=seed)
-        policies, over = [env.batch._moving._games.policy[0, 1]], False
-        while not over:
-            _, _, ended, late, info = env.step(slow_follower(env))
-            over = ended or late
-            if round(info["time"] * 10) % 80 == 0:
-                policies.append(env.batch._moving._games.policy[0, 1])
-                np.testing.assert_array_equal(
-                    env.batch.theta[0, 1], game.theta(np.array(policies[-1]))
-                )
-        if late:
-            break
-    assert late, "every race ends in a crash"
-    moves = game.table[:, 0]
-    expected = [policies[0]]
-    for _ in range(4):
-        expected.append(moves[expected[-1]])
-    assert policies == [*expected, expected[-1]]
-
-
-def test_a_drive_against_an_agent_is_the_same_in_a_batch_and_after_a_copy():
-    single = DriveEnv(opponent="random-moves", time_step=1.0)
-    envs = DriveVectorEnv(3, opponent="random-moves", time_step=1.0, threads=2)
-    envs.reset(seed=5)
-    single.reset(seed=6)
-    twin = None
-    for step in range(20):
-        seen, _, terminated, truncated, _ = envs.step(np.tile(np.float32([0.1, -0.4]), (3, 1)))
-        one, _, ended, late, _ = single.step(np.float32([0.1, -0.4]))
-        np.testing.assert_array_equal(seen[1], one)
-        if twin is not None:
-            np.testing.assert_array_equal(twin.step(np.float32([0.1, -0.4]))[0], one)
-        if step == 3:
-            twin = copy.deepcopy(single)
-        assert (ended, late) == (terminated[1], truncated[1])
-        if ended or late:
-            break
 
 
 def test_a_policy_of_a_set_is_drawn_for_each_episode():

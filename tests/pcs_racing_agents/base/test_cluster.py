@@ -132,7 +132,7 @@ def long_commands(tmp_path_factory) -> dict[str, list[str]]:
     return {**commands(), "train": ["train", "regret", str(folder / "trees"), *few]}
 
 
-@pytest.mark.parametrize("what", ["tree", "train", "ppo"])
+@pytest.mark.parametrize("what", ["tree", "ppo"])
 def test_a_cluster_gives_the_same_bytes_as_threads(cluster, long_commands, tmp_path, what):
     if what != "tree":
         pytest.importorskip("stable_baselines3")

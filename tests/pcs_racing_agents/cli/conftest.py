@@ -7,9 +7,8 @@ from pcs_racing_agents.base.folders import claim_folder
 from pcs_racing_agents.study.config import StudyConfig, TableConfig
 from pcs_racing_agents.study.study import Study
 from pcs_racing_agents.tournament import write_results
-from pcs_racing_agents.tournament.pairings import cross_pairing
+from pcs_racing_agents.tournament.pairings import cross_pairing, play_pairing
 from pcs_racing_agents.tournament.races import concatenate_races
-from pcs_racing_agents.tournament.runner import play_pairing
 
 
 @pytest.fixture(scope="package")

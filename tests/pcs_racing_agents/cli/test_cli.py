@@ -29,10 +29,9 @@ from pcs_racing.planners.racers import policy_racer
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
 from pcs_racing_agents.agents import make_game_spec
-from pcs_racing_agents.cli import synthesize
+from pcs_racing_agents.cli import search
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
-from pcs_racing_agents.cli.options import output_file, output_folder
 from pcs_racing_agents.policies.archive_run import SearchProgress
 
 SHORT = ["--duration", "4"]
@@ -94,7 +93,7 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
 def test_progress_of_a_search_tells_its_generation_and_front(capsys, monkeypatch):
     clock = iter([0.0, 10.0, 20.0])
     monkeypatch.setattr("time.monotonic", lambda: next(clock))
-    show = synthesize.show_search()
+    show = search.show_search()
     show("search", 500, 2000, SearchProgress(3, 500, 0.5, 7, 0.125))
     show("measurement", 4, 4, None)
     assert capsys.readouterr().err.splitlines() == [
@@ -102,20 +101,6 @@ def test_progress_of_a_search_tells_its_generation_and_front(capsys, monkeypatch
         " 7 policies, own crashes 12.5%",
         "4/4 steps, 20 s",
     ]
-
-
-def test_files_and_folders_are_checked_before_the_work(tmp_path):
-    (tmp_path / "x.csv").mkdir()
-    (tmp_path / "file").write_text("")
-    assert output_file(tmp_path / "a.csv", ".txt", ".csv") == tmp_path / "a.csv"
-    assert [output_folder(tmp_path / "a" / "b").is_dir() for _ in range(2)] == [True] * 2
-    for name, message in [
-        ("a.png", r"must end in \.txt or \.csv"),
-        ("b/a.csv", "there is no folder"),
-        ("x.csv", "it is a folder"),
-    ]:
-        refused(message, output_file, tmp_path / name, ".txt", ".csv")
-    refused("can't make the folder", output_folder, tmp_path / "file" / "b")
 
 
 def test_a_race_without_options_is_worth_watching(printed, tmp_path):
@@ -182,8 +167,8 @@ def test_the_zoo_and_all_planners_are_listed_with_their_options_and_parameters(p
     assert told.startswith("always-restraint+\n\nMakes the same move at every step.\n")
 
 
-def test_track_list_and_show(printed, tmp_path):
-    out = printed("track", "list")
+def test_track_show_lists_the_circuits_or_draws_one(printed, tmp_path):
+    out = printed("track", "show")
     laps = {name: f"{load_track(name).length:.1f}" for name in list_tracks()}
     assert [tuple(line.split()) for line in out.splitlines()[1:]] == list(laps.items())
     out = printed("track", "show", "pipkin", "--out", tmp_path / "picture.png")
@@ -281,6 +266,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
             ["track", "generate", "--seed", "1", "--style", "baroque", "--out", "x"],
             "style is 'baroque'; it must be one of hull, voronoi, hairpin",
         ),
+        (["track", "show", "--out", "picture.png"], "--out draws a circuit: say which"),
         (["agents", "latice"], "did you mean 'lattice'?"),
         (["agents", "robot"], "agent 'robot' is unknown; there are: "),
         (["study", "contest", "--test-track", "Nowhere", "--out", "x"], "Nowhere"),
@@ -436,7 +422,7 @@ def test_an_unknown_name_is_told_before_compiled_code_is_imported():
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("track lsit", "COMMAND is 'lsit'; did you mean 'list'? there are: list, show"),
+        ("track shw", "COMMAND is 'shw'; did you mean 'show'? there are: show, import"),
         ("race --trak Pipkin", "option --trak is unknown (did you mean '--track'?)"),
         ("track show Pipkin --seed-point 1 2", "option --seed-point belongs to another command"),
     ],

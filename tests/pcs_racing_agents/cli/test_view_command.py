@@ -13,7 +13,7 @@ from refusal import refused
 from pcs_racing import load_track
 from pcs_racing_agents.cli import view
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.study.results import open_results
+from pcs_racing_agents.study.study import open_results
 from pcs_racing_agents.watch.race_choice import choose_races
 from pcs_racing_agents.watch.race_replays import RaceRepeater
 from pcs_racing_agents.watch.view_server import Answer, make_server

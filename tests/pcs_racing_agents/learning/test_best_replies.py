@@ -1,7 +1,6 @@
 """Loss to a learned best reply, in short games with a known good reply: to go faster."""
 
 import csv
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from pcs_racing_agents import make
 from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import clustered_mean
-from pcs_racing_agents.learning import responses
 from pcs_racing_agents.learning.best_replies import (
     BestReply,
     best_reply,
@@ -62,26 +60,6 @@ def test_an_agent_that_slows_down_loses_to_its_reply_and_an_even_score_is_no_los
     assert not set(np.round(reply.races.start_s, 6)) & set(np.round(games[0].start_lines, 6))
     even = replace(reply.races, winner=np.tile(np.array([0, 1], np.int8), len(reply.races) // 2))
     assert excess_estimate(even).mean == 0.0
-
-
-def test_a_run_that_goes_on_elsewhere_gives_the_same_and_trains_nothing_again(
-    slow, games, spec, monkeypatch
-):
-    folder, first = slow
-    for file in sorted((folder / "chunks").glob("*.npz"))[::2]:
-        file.unlink()
-    with ThreadPoolExecutor(2) as executor:
-        again = reply_to(always(spec, "aggressiveness -"), games, spec, folder, executor)
-    assert again.loss == first.loss
-    for own, others in zip(first.network.layers.weights, again.network.layers.weights, strict=True):
-        np.testing.assert_array_equal(own, others)
-
-    # A resumed run does not train saved networks again.
-    def never(*arguments, **options):
-        raise AssertionError("trained again")
-
-    monkeypatch.setattr(responses, "train_network", never)
-    assert reply_to(always(spec, "aggressiveness -"), games, spec, folder).loss == first.loss
 
 
 def test_a_fixed_policy_can_be_replied_to_in_enough_races(games, spec, tmp_path):

@@ -6,14 +6,12 @@ import yaml
 from random_layers import random_layers
 from refusal import refused
 from repository import read_page
-from same_arrays import assert_same
 
 from pcs_racing import load_archive, make_game
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.agents import make
-from pcs_racing_agents.base.chunks import read_chunk
 from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.learning import ppo
@@ -42,38 +40,9 @@ def trained(tmp_path_factory):
     return train_ppo(SMALL, folder), folder
 
 
-class StopError(Exception):
-    """A kill."""
-
-
-def stop_after(updates):
-    def progress(done, total, label):
-        nonlocal updates
-        updates -= 1
-        if updates < 0:
-            raise StopError
-
-    return progress
-
-
-def chunk_of(folder, seed=0):
-    """Result of a seed without its time."""
-    arrays = read_chunk(folder / f"chunks/seed-{seed:05d}.npz")
-    return {key: array for key, array in arrays.items() if key != "seconds"}
-
-
-def test_a_stopped_training_ends_as_an_undisturbed_one(trained, tmp_path):
-    """Stopped in its first seed, then in its second: the first is kept."""
-    for updates in (2, 6):
-        assert not (tmp_path / "chunks").exists()
-        with pytest.raises(StopError):
-            train_ppo(SMALL, tmp_path, progress=stop_after(updates), seeds=(0, 1))
-    reports = []
-    both = train_ppo(SMALL, tmp_path, seeds=(0, 1), progress=lambda *news: reports.append(news[:2]))
-    # When the seeds are counted, before every update of the second seed, and at its end.
-    assert reports == [(steps, 96) for steps in (48, 48, 64, 80, 96)]
-    alone, folder = trained
-    assert_same(chunk_of(tmp_path), chunk_of(folder))
+def test_of_several_seeds_the_policy_of_the_best_evaluation_is_kept(trained, tmp_path):
+    alone, _ = trained
+    both = train_ppo(SMALL, tmp_path, seeds=(0, 1))
     assert [line for line in both.curve if line.seed == 0] == alone.curve
     scores = {
         key: np.average([line.score for line in both.curve if line[:2] == key], weights=[2, 1, 1])

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from long_jobs import files
 from random_layers import random_layers
 from refusal import refused
 
@@ -13,7 +14,15 @@ from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning import responses
 from pcs_racing_agents.learning.branches import branch_games, branched_rows, game_blocks, outcome
-from pcs_racing_agents.learning.responses import ResponseSettings, learn_response, mean_network
+from pcs_racing_agents.learning.responses import (
+    ResponseSettings,
+    learn_psro,
+    learn_response,
+    load_psro_settings,
+    load_response_settings,
+    mean_network,
+)
+from pcs_racing_agents.learning.self_play import load_self_play_settings
 from pcs_racing_agents.networks import RegretNetwork
 from pcs_racing_agents.tournament.games import game_between
 
@@ -229,3 +238,65 @@ def test_networks_of_several_shapes_have_a_mean_too():
     x = np.random.default_rng(9).normal(size=(20, 3))
     mean = np.mean([member(x) for member in members], axis=0)
     np.testing.assert_allclose(mean_network(members)(x), mean, atol=2e-5)
+
+
+pytest.importorskip("torch", reason="torch is not installed")
+
+
+def test_psro_plays_an_equilibrium_of_its_responses(lesson, learner, tmp_path):
+    settings = load_psro_settings(rounds=3, races=20, learner=learner)
+    with open_job(tmp_path / "one", "psro", {}) as job:
+        networks = learn_psro(*lesson, settings, job)
+    assert 1 <= len(networks.networks) <= 3
+    assert networks.weights.sum() == pytest.approx(1.0)
+    assert len({network.name for network in networks.networks}) == len(networks.networks)
+
+
+def test_shares_divide_the_games(lesson, learner, tmp_path):
+    settings = load_response_settings(learner)
+    with open_job(tmp_path / "shares", "response", {}) as job:
+        network = learn_response(*lesson, settings, job, shares=[3, 1])
+        # At each of two steps; races that were over before give no row.
+        assert settings.starts < network.training["rows"] <= 2 * settings.starts
+        for shares in ([1.0], [0, 0], [1, -1], [1, np.nan]):
+            refused("shares", learn_response, *lesson, settings, job, shares=shares)
+
+
+GAME = ["--track", "Tarnfjord", "--duration", "2.5"]
+
+
+@pytest.mark.parametrize(
+    ("method", "settings"),
+    [
+        ("response", "starts: 24\nrounds: 1\nmembers: 1\nhidden: [8]\nepochs: 4\n"),
+        ("psro", "rounds: 2\nraces: 4\nlearner: {learner}\n"),
+        ("self-play", "iterations: 2\nstarts: 8\nhidden: [8]\nepochs: 2\n"),
+    ],
+)
+def test_the_command_learns_an_agent_that_races_and_again_after_a_stop(
+    method, settings, learner, tmp_path, printed
+):
+    config = tmp_path / "settings.yaml"
+    config.write_text(settings.format(learner=learner), encoding="utf-8")
+    out = tmp_path / method
+    command = ["train", method, *GAME, "--config", config, "--out", out]
+    (last,) = [line for line in printed(*command).splitlines() if line.startswith("written: ")]
+    agent = last.rpartition("race it as ")[2]
+    printed("tournament", *GAME, "--agents", agent, "never-switch", "--races", 2)
+    learned = files(out)
+    for file in sorted((out / "chunks").glob("*.npz"))[::2]:
+        file.unlink()
+    printed(*command)
+    assert files(out) == learned
+
+
+def test_impossible_settings_are_refused():
+    for load, change, message in [
+        (load_response_settings, {"worth": "fame"}, "worth is 'fame'"),
+        (load_response_settings, {"members": 0}, "members is 0"),
+        (load_psro_settings, {"learner": "nobody"}, "'nobody' are unknown"),
+        (load_psro_settings, {"rounds": 1}, "rounds is 1"),
+        (load_self_play_settings, {"iterations": 0}, "iterations is 0"),
+        (load_self_play_settings, {"weights": "square"}, "weights is 'square'"),
+    ]:
+        refused(message, load, **change)

@@ -112,11 +112,6 @@ def test_scores_on_several_trees_are_a_table():
     rows = Rows(observations, np.eye(3)[:2], np.ones(2), np.zeros(2, int), np.zeros(2, int))
     found = metrics.score_rows(network, rows)
     lines = metrics.score_table(found, scores).splitlines()
-    assert lines[0] == "choices on held-out rows:"
-    assert lines[2].split()[0] == "2"
-    title = "utility on 4 held-out trees, mean of both roles (standard error over trees):"
-    assert lines[4] == title
-    assert lines[6].startswith("  network ")
     assert f"{scores['network'][:, 0].mean():.3f}" in lines[6]
     assert len(lines) == 6 + 5
     assert "nan" in metrics.score_table(found, metrics.score_trees(plays, race_trees[:1]))

@@ -5,8 +5,12 @@ from toy_networks import MOVES, identity
 
 from pcs_racing_agents.networks import Rows, goals
 from pcs_racing_agents.networks.metrics import score_rows
-from pcs_racing_agents.networks.settings import TrainSettings, load_train_settings
-from pcs_racing_agents.networks.training import train_layers, train_network
+from pcs_racing_agents.networks.training import (
+    TrainSettings,
+    load_train_settings,
+    train_layers,
+    train_network,
+)
 
 torch = pytest.importorskip("torch")
 

@@ -6,9 +6,8 @@ from refusal import refused
 from toy_trees import random_tree
 
 from pcs_racing import make_game
-from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.game.identity import GameIdentity
-from pcs_racing_agents.networks import TrainSettings, load_network, load_train_settings
+from pcs_racing_agents.networks import load_network, load_train_settings
 from pcs_racing_agents.networks.from_trees import train_regrets
 from pcs_racing_agents.networks.rows import pair_number
 from pcs_racing_agents.networks.training import Epoch
@@ -135,28 +134,3 @@ def test_without_held_out_trees_the_validation_rows_judge_and_too_few_pairs_are_
     refused(
         "1 starting pairs", train_toys, toy_trees(1), load_train_settings(QUICK, test_share=0.0)
     )
-
-
-def test_settings_come_from_yaml(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text("target: advantage\nhidden: [8, 4]\nlearning_rate: 1.0e-3\n")
-    settings = load_train_settings(file, epochs=7)
-    assert settings == TrainSettings(
-        target="advantage", hidden=(8, 4), learning_rate=1e-3, epochs=7
-    )
-    assert load_train_settings(settings, seed=2) == load_train_settings(file, epochs=7, seed=2)
-    assert load_train_settings() == TrainSettings()
-    refused(
-        "settings 'nowhere' are unknown", load_train_settings, "nowhere", error=UnknownNameError
-    )
-
-
-def test_impossible_settings_are_one_clear_error(tmp_path):
-    for text, message in [
-        ("target: joy", "target is 'joy'"),
-        ("test_share: 0.9", "test_share is 0.9"),
-        ("hidden: [1, 1, 1, 1, 1, 1, 1, 1, 1]", "at most 8"),
-    ]:
-        file = tmp_path / "mine.yaml"
-        file.write_text(text)
-        refused(message, load_train_settings, file, error=ConfigError)

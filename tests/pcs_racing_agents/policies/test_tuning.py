@@ -18,7 +18,7 @@ from pcs_racing.race.races import RaceSetup, start_races, winners
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.policies import TuningConfig, tune
 from pcs_racing_agents.policies import tuning as module
-from pcs_racing_agents.policies.tuning import beats_start, fitness, policy_text
+from pcs_racing_agents.policies.tuning import beats_start, fitness
 
 pytest.importorskip("cma")
 
@@ -120,12 +120,6 @@ def test_a_stopped_run_goes_on_with_the_same_result_on_any_workers(tuned, tmp_pa
     assert files(tmp_path / "a") == files(tuned[1])
 
 
-def test_a_finished_run_races_nothing_again(tuned, monkeypatch):
-    monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
-    again = tune(TINY, tuned[1])
-    assert again.check == tuned[0].check
-
-
 def test_crashes_beyond_the_limit_cost_more_than_the_races_that_they_lose():
     found = SimpleNamespace(score=np.array([0.6, 0.6, 0.5]), own_crash=np.array([0.1, 0.3, 0.2]))
     assert fitness(found, 0.2) == pytest.approx([0.6, 0.3, 0.5])
@@ -135,12 +129,6 @@ def test_crashes_beyond_the_limit_cost_more_than_the_races_that_they_lose():
         score=np.array([0.5, 0.5, 0.6, 0.6]), own_crash=np.array([0.1, 0.0, 0.3, 0.2])
     )
     assert beats_start(better, 0.2).tolist() == [False, False, False, True]
-
-
-def test_a_policy_as_text_is_the_same_policy_to_four_digits():
-    policy = racer("lattice:pace=1.23456,side_margin=0.1")
-    again = racer(policy_text(policy.planner, policy.parameters))
-    np.testing.assert_allclose(again.parameters, policy.parameters, rtol=1e-3, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -168,21 +156,6 @@ def test_a_policy_as_text_is_the_same_policy_to_four_digits():
 )
 def test_impossible_settings_are_refused(changes, message):
     refused(message, replace, TINY, **changes)
-
-
-def test_a_folder_with_something_else_is_refused_before_any_race(tmp_path, monkeypatch):
-    monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
-    (tmp_path / "notes.txt").write_text("mine")
-    refused("holds notes.txt but no job.yaml", tune, TINY, tmp_path)
-    refused("Nowhere", tune, replace(TINY, tracks=("Nowhere",)), tmp_path / "new")
-    assert not (tmp_path / "new").exists()
-
-
-def test_a_folder_of_another_tuning_is_refused_before_any_race(tuned, monkeypatch):
-    monkeypatch.setattr("pcs_racing_agents.policies.evaluate.advance", None)
-    before = files(tuned[1])
-    refused("generations", tune, replace(TINY, generations=6), tuned[1])
-    assert files(tuned[1]) == before
 
 
 def test_the_command(tmp_path, run):

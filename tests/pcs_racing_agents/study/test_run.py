@@ -11,7 +11,7 @@ from repository import load_tool
 from pcs_racing import InputError
 from pcs_racing.base.errors import ConfigError, UnknownNameError
 from pcs_racing.base.settings import plain_settings
-from pcs_racing_agents.agents.fits import load_fit, save_fit
+from pcs_racing_agents.agents.blind import load_fit, save_fit
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.networks import load_network

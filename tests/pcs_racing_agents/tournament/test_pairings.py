@@ -15,7 +15,9 @@ from pcs_racing_agents.tournament import (
     play_pairing,
     play_pairings,
     repeat_race,
-    runner,
+)
+from pcs_racing_agents.tournament import (
+    pairings as module,
 )
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}
@@ -102,7 +104,7 @@ def test_the_races_are_the_same_in_blocks_in_a_job_and_together_with_others(
         for ego in ("random-moves", "never-switch", "random-policy")
     ]
     expected = [list(play_pairing(pairing)) for pairing in pairings]
-    monkeypatch.setattr("pcs_racing_agents.tournament.runner.BLOCK", 20)
+    monkeypatch.setattr("pcs_racing_agents.tournament.pairings.BLOCK", 20)
     assert [list(races) for races in play_pairings(pairings)] == expected
     counts: list[tuple[int, int]] = []
     for _ in range(2):
@@ -125,9 +127,9 @@ def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, mon
     pairing = cross_pairing(contest, zoo["random-moves"], zoo["lane-switcher:any"], **SIZE).take(
         [0, 1, 2]
     )
-    monkeypatch.setattr(runner, "BLOCK", 4)
+    monkeypatch.setattr(module, "BLOCK", 4)
     for egos, ends in ((1, [(0, 3)]), (2, [(0, 2), (2, 3)]), (5, [(0, 1), (1, 2), (2, 3)])):
-        blocks = list(runner._blocks(7, [pairing] * egos, False, hashed=False))
+        blocks = list(module._blocks(7, [pairing] * egos, False, hashed=False))
         assert [(block.group, block.first, block.last) for block in blocks] == [
             (7, *pair) for pair in ends
         ]
@@ -153,10 +155,10 @@ def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, mon
         ([pairing] * 2, False)
     ]
     tasks = [
-        block[0] for group, seen in groups for block in runner._blocks(0, group, seen, hashed=True)
+        block[0] for group, seen in groups for block in module._blocks(0, group, seen, hashed=True)
     ]
     assert len(set(tasks)) == len(tasks) == 2 * len(changed) + 2
-    assert next(runner._blocks(3, [replace(pairing, seed=1)], False, hashed=True))[0] == tasks[0]
+    assert next(module._blocks(3, [replace(pairing, seed=1)], False, hashed=True))[0] == tasks[0]
 
 
 def test_observations_are_kept_where_they_are_asked_for(contest, zoo, tmp_path):

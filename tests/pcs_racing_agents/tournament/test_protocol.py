@@ -10,7 +10,7 @@ from zoo_games import toy_archive
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.study.results import open_results
+from pcs_racing_agents.study.study import open_results
 from pcs_racing_agents.tournament import ProtocolConfig, load_protocol, play_protocol
 from pcs_racing_agents.tournament.protocol import protocol_scores
 

@@ -18,9 +18,9 @@ from pcs_racing.race.replay import ReplayEvent
 from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
+from pcs_racing_agents.policies.picture import archive_picture, in_units
 from pcs_racing_agents.tournament import Pairing
 from pcs_racing_agents.watch.explain import explain_race, value_unit
-from pcs_racing_agents.watch.pcs_picture import archive_picture, in_units
 from pcs_racing_agents.watch.pictures import explanation_picture
 from pcs_racing_agents.watch.words import lead_words, story, why
 
