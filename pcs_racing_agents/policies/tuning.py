@@ -52,7 +52,7 @@ from pcs_racing_agents.policies.search import CubeCMAES
 CRASH_PRICE = 3.0
 """Lost races that an own crash beyond the limit is worth, besides the race that it loses."""
 FINALISTS = 8  # means of generations that race again
-CHOICE_STARTS = 4  # times the start lines of the search, for the champion of an archive
+CHOICE_STARTS = 4  # times the start lines of the search, at least
 MIN_PARAMETERS = 2  # of CMA-ES
 
 TUNING_TRACKS = ("Tarnfjord", "Brackwater", "Pipkin", "Kestrelheim", "Quillburg")
@@ -294,7 +294,8 @@ class TuningRun:
         """
         config = self.config
         tracks = (*config.tracks, *config.held_out)
-        finalists, found = self._choice(means, tracks, config.check_starts)
+        starts = max(config.check_starts, CHOICE_STARTS * config.starts)
+        finalists, found = self._choice(means, tracks, starts)
         value, beats = (of(found, config.crash_limit)[1:] for of in (fitness, beats_start))
         return np.asarray(finalists[1:][np.lexsort((value, beats))[-1]])
 
