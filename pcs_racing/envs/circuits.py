@@ -89,19 +89,31 @@ class Circuits:
         turn = int(self._past[row]) // settings.episodes + shift
         return int(random_bits(self._keys[row : row + 1], turn)[0, 0] % np.uint64(settings.count))
 
-    def get_state(self) -> tuple[NDArray[Any], ...]:
-        """Return copies of all variables."""
-        return self.number.copy(), self._keys.copy(), self._past.copy()
+    @property
+    def _identity(self) -> str:
+        """Content hashes of the listed tracks, or the settings of random tracks."""
+        if self._builder is not None:
+            return str(self._builder.settings)
+        return " ".join(track.content_hash or track.name for track in self._listed)
 
-    def check_state(self, state: tuple[NDArray[Any], ...]) -> None:
+    def get_state(self) -> tuple[Any, ...]:
+        """Return copies of all variables, and the identity of the tracks."""
+        return self.number.copy(), self._keys.copy(), self._past.copy(), self._identity
+
+    def check_state(self, state: tuple[Any, ...]) -> None:
         """Refuse a state that `get_state` can't have returned; its shapes are checked before."""
+        if state[3] != self._identity:
+            raise InputError(
+                "the state's circuits have other content hashes than the circuits of this"
+                " environment; use what get_state returned in an environment of equal arguments"
+            )
         last = len(self._listed) - 1 if self._builder is None else self._builder.settings.count - 1
         check_within("the state's circuits", state[0], 0, last)
         check_within("the state's episodes on a circuit", state[2], -1, MAX_STEPS)
 
-    def set_state(self, state: tuple[NDArray[Any], ...]) -> None:
+    def set_state(self, state: tuple[Any, ...]) -> None:
         """Continue from a state of `get_state`."""
-        self.number[:], self._keys[:], self._past[:] = state
+        self.number[:], self._keys[:], self._past[:], _ = state
 
     def close(self) -> None:
         """Stop building tracks."""

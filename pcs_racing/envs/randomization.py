@@ -22,6 +22,7 @@ from pcs_racing.car.vehicle import (
 from pcs_racing.envs.batch import FREE, Generators, Reward, Rows, check_part, check_within
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.draws import (
+    PARAMETERS,
     Randomization,
     as_number,
     cars_at_ends,
@@ -332,6 +333,7 @@ class EpisodeRandomization:
         late = max(car.opponent_delay for car in (*self.cars, self.ranges.max_delays))
         seen_late = vehicles[..., OPPONENT_DELAY]
         check_within("the state's opponent delays", seen_late, 0, round(late / COMMAND_PERIOD))
+        self._check_cars(vehicles)
         self.circuits.check_state(circuits)
         tracks = [self.circuits.track(int(number)) for number in circuits[0]]
         for row, own in enumerate(boxes):
@@ -344,6 +346,18 @@ class EpisodeRandomization:
             _with_obstacles(track, own) if len(own) else track
             for track, own in zip(tracks, boxes, strict=True)
         ]
+
+    def _check_cars(self, vehicles: NDArray[np.float64]) -> None:
+        """Refuse cars with another value of a parameter that is not drawn."""
+        drawn = {*self.drawn, *(["inertia"] if "m" in self.drawn else [])}
+        for column, name in enumerate(PARAMETERS):  # in the order of a row
+            found = vehicles[..., column]
+            own = np.array([car.as_row()[column] for car in self.cars])
+            if name not in drawn and (found != own).any():
+                raise InputError(
+                    f"the state's cars have {name} {found[found != own][0]:g}, this environment's"
+                    f" {own[0]:g}; use what get_state returned in an environment of equal arguments"
+                )
 
     def set_state(self, state: tuple[Any, ...], tracks: Sequence[Track]) -> None:
         """Continue from a state of `get_state`, on the tracks returned by `check_state`."""

@@ -30,6 +30,8 @@ from pcs_racing.planners.racers import Racer, Reader, Request, own_name
 
 MAX_BYTES = 50_000_000
 ACTIVATIONS = ("Tanh", "ReLU")
+_TORCH = "torch.nn.modules.activation"
+_FLATTEN = "<class 'stable_baselines3.common.torch_layers.FlattenExtractor'>"
 SCALE_FILE = "pcs_racing_scale.json"
 """Name in a zip of the scale of observations (:func:`save_model`)."""
 
@@ -58,7 +60,7 @@ class PolicyTraits(NamedTuple):
     """Traits of a policy that decide which function its tensors are."""
 
     module: str  #: Module of the policy's class.
-    activation: str | None  #: Name of the activation function; None for the default.
+    activation: str | None  #: Name of the activation class; None for the default.
     extractor: bool  #: True if it has a feature extractor of its own.
     noise_by_state: bool  #: True for ``use_sde``.
     squash: bool  #: True for ``squash_output``.
@@ -173,27 +175,23 @@ def _normalizers(path: Path) -> list[Path]:
 def _written_traits(settings: Mapping[str, Any]) -> PolicyTraits:
     """Return the traits of a policy from the readable texts of a file."""
     written = settings.get("policy_class")
-    kwargs = settings.get("policy_kwargs")
+    module = str(written.get("__module__", "")) if isinstance(written, dict) else ""
+    return _traits(module, settings.get("policy_kwargs"), settings.get("use_sde"))
+
+
+def _traits(module: str, kwargs: Any, noise_by_state: Any) -> PolicyTraits:
+    """Return the traits of a policy, from its arguments or their texts in a file."""
     kwargs = kwargs if isinstance(kwargs, dict) else {}
-    found = re.search(r"torch\.nn\.modules\.activation\.(\w+)", str(kwargs.get("activation_fn")))
-    return PolicyTraits(
-        str(written.get("__module__", "")) if isinstance(written, dict) else "",
-        found.group(1) if found else None,
-        "features_extractor_class" in kwargs,
-        settings.get("use_sde") is True,
-        kwargs.get("squash_output") is True,
+    written, extractor = (
+        str(kwargs.get(key, "")) for key in ("activation_fn", "features_extractor_class")
     )
-
-
-def _traits(model: Any) -> PolicyTraits:
-    """Return the traits of the policy of a model in memory."""
-    kwargs = getattr(model, "policy_kwargs", None) or {}
-    activation = getattr(kwargs.get("activation_fn"), "__name__", None)
+    found = re.search(r"'([\w.]+)'", written)
+    activation = (found.group(1) if found else written).removeprefix(f"{_TORCH}.")
     return PolicyTraits(
-        type(model.policy).__module__,
-        activation,
-        "features_extractor_class" in kwargs,
-        getattr(model, "use_sde", False) is True,
+        module,
+        activation or None,
+        extractor not in ("", _FLATTEN),
+        noise_by_state is True,
         kwargs.get("squash_output") is True,
     )
 
@@ -247,9 +245,12 @@ def frozen_model(model: Any, name: str) -> Sb3Policy:
     if not is_sb3(model):
         raise InputError(f"a {type(model).__name__} is no model of Stable-Baselines3")
     env = model.get_env()
-    frozen = replace(
-        actor_of(name, model.policy.state_dict(), _traits(model)), scale=_scale_of(env)
+    traits = _traits(
+        type(model.policy).__module__,
+        getattr(model, "policy_kwargs", None),
+        getattr(model, "use_sde", False),
     )
+    frozen = replace(actor_of(name, model.policy.state_dict(), traits), scale=_scale_of(env))
     _compare(model, frozen, name)
     return frozen
 

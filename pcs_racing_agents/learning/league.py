@@ -133,10 +133,12 @@ class League:
         if not is_sb3(model):
             raise InputError(f"a {type(model).__name__} is no model of Stable-Baselines3")
         copies = [member for member in self.members if member.is_copy]
-        number = 1 + max((int(one.name.removeprefix("self-")) for one in copies), default=0)
-        name = f"self-{number:04d}"
-        drive_arguments_of(model, name)  # refuses a model of moves
+        drive_arguments_of(model, "copy")  # refuses a model of moves
         folder = _make_folder(folder)
+        # The copies of another league in the folder stay as they are.
+        taken = {one.name for one in copies} | {one.stem for one in folder.glob("self-????.zip")}
+        number = 1 + max((int(one[5:]) for one in taken if one[5:].isdigit()), default=0)
+        name = f"self-{number:04d}"
         save_model(folder / name, model)
         left = copies[: max(0, len(copies) + 1 - max_copies)]
         stays = [one for one in self.members if one not in left]

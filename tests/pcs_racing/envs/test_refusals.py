@@ -398,6 +398,26 @@ def test_a_state_with_one_wrong_leaf_is_refused_and_changes_nothing(kind, argume
     env.set_state(other)
 
 
+@pytest.mark.parametrize("kind", SINGLE)
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"vehicle": {"mu": 0.8}}, "the state's cars have mu 0.8, this environment's 1.0489"),
+        (
+            {"vehicle": [{}, {"lf": 0.2}]},
+            "the state's cars have lf 0.2, this environment's 0.15875",
+        ),
+        ({"track": "Brackwater"}, "the state's circuits have other content hashes"),
+    ],
+    ids=["friction", "second", "circuit"],
+)
+def test_a_state_of_other_cars_or_circuits_is_refused(kind, change, said):
+    drawn = {"track": "Pipkin", "randomize": {"m": [3.0, 4.0]}}
+    state = begun(kind(**drawn | change)).get_state()
+    refused(said, kind(**drawn).set_state, state)
+    kind(**drawn | change).set_state(state)
+
+
 def test_unknown_agents_and_states_of_another_number_are_refused():
     refused(
         "agent 'car_2' is unknown; the agents are car_0, car_1",

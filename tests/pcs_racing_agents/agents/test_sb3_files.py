@@ -25,6 +25,7 @@ sb3, torch, gym = (
 )
 vec = sb3.common.vec_env
 RIVAL = "lattice:pace=0.3"
+FLATTEN = sb3.common.torch_layers.FlattenExtractor
 SMALL = {"n_steps": 4, "batch_size": 4}
 KINDS = [
     ("PPO", SMALL),
@@ -35,7 +36,27 @@ KINDS = [
     ("SAC", {"buffer_size": 9, "policy_kwargs": {"net_arch": [8]}}),
     ("TD3", {"buffer_size": 9, "policy_kwargs": {"net_arch": [5, 6, 7]}}),
     ("DDPG", {"buffer_size": 9}),
+    ("PPO", {**SMALL, "policy_kwargs": {"net_arch": []}}),
+    ("PPO", {**SMALL, "policy_kwargs": {"net_arch": {"pi": [19, 3], "vf": [4]}}}),
+    ("PPO", {**SMALL, "policy_kwargs": {"share_features_extractor": False}}),
+    ("PPO", {**SMALL, "policy_kwargs": {"features_extractor_class": FLATTEN}}),
+    ("A2C", {"use_sde": True, "policy_kwargs": {"squash_output": True}}),
+    ("SAC", {"buffer_size": 9, "policy_kwargs": {"activation_fn": torch.nn.Tanh}}),
 ]
+
+
+class Half(FLATTEN):
+    """An extractor of features of one's own."""
+
+    def forward(self, observations):
+        return 0.5 * super().forward(observations)
+
+
+class ReLU(torch.nn.Module):
+    """An activation function of one's own, with the name of another one."""
+
+    def forward(self, values):
+        return values * torch.sigmoid(values)
 
 
 def drive(**arguments):
@@ -96,15 +117,8 @@ def test_a_zip_of_duel_moves_as_the_model_predicts(tmp_path, kind, more):
     [
         ("PPO", {"policy_kwargs": {"activation_fn": torch.nn.ELU}}, "the activation is ELU"),
         ("SAC", {"use_sde": True, "buffer_size": 9}, "trained with use_sde, which clips its mean"),
-        (
-            "PPO",
-            {
-                "policy_kwargs": {
-                    "features_extractor_class": sb3.common.torch_layers.FlattenExtractor
-                }
-            },
-            "a feature extractor of its own",
-        ),
+        ("PPO", {"policy_kwargs": {"activation_fn": ReLU}}, r"the activation is .*test_sb3_files"),
+        ("PPO", {"policy_kwargs": {"features_extractor_class": Half}}, "a feature extractor"),
     ],
 )
 def test_a_policy_that_is_not_plain_layers_is_refused_by_its_cause(tmp_path, kind, more, message):

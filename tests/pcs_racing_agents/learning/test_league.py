@@ -185,6 +185,8 @@ def test_a_copy_is_the_same_after_its_file_and_does_not_learn_on(model, tmp_path
     np.testing.assert_array_equal(copied_races(load_league(folder)), before)
     later = load_league(folder).with_copy(model, folder)
     assert not np.array_equal(copied_races(League(later.members[-1:])), before)
+    make_league(ROOKIES).with_copy(model, folder)  # another training, killed before it saved
+    np.testing.assert_array_equal(copied_races(load_league(folder)), before)
 
 
 def test_the_oldest_copy_leaves(model, tmp_path):
