@@ -13,13 +13,14 @@ import os
 import re
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from pcs_racing.base.settings import listed_settings
 from pcs_racing.base.typing import ObservationElement
 from pcs_racing.envs.game_batch import GameOptions
-from pcs_racing.game.config import GameConfig
+from pcs_racing.race.config import Rules
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 
@@ -144,7 +145,8 @@ def _arguments(options: Any) -> list[str]:
     """Return lines about the arguments of an environment, from its configuration."""
     listed = listed_settings(options)
     if issubclass(options, GameOptions):
-        listed += listed_settings(GameConfig, "race")
+        others = {one.name for one in fields(Rules)} - {*options.defaults()}
+        listed += listed_settings(Rules, *others)
     return listed
 
 

@@ -39,9 +39,7 @@ def main() -> None:
     parser.add_argument(
         "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
-    parser.add_argument(
-        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
-    )
+    parser.add_argument("--rules", default="contest", help="rules: paper, contest or a YAML file")
     parser.add_argument("--archive", default="default", help="archive that the agents move in")
     parser.add_argument(
         "--agents", nargs="+", default=AGENTS, help="names, or name:option=value,..."

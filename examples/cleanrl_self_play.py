@@ -41,7 +41,7 @@ def make_agent(spec):
     """Return the trained agent; the tournament calls this function."""
     from pcs_racing_agents.agents import TorchPolicy
 
-    actor = network(len(spec.elements), spec.offered, 0.01)
+    actor = network(len(spec.observation_elements), spec.offered, 0.01)
     load_model(actor, OUT / "actor.safetensors")
     return TorchPolicy(actor, "cleanrl-self-play")
 

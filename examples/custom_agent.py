@@ -12,9 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pcs_racing import load_track
-from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec, observing, register_agent
-from pcs_racing_agents.tournament import game_rules, play_tournament, show_progress
+from pcs_racing import load_track, make_game
+from pcs_racing.game import RaceGame
+from pcs_racing_agents.agents import Agent, observing, register_agent
+from pcs_racing_agents.tournament import play_tournament, show_progress
 
 
 # 1. A strategy: probabilities of the moves (B, M) for observations (B, D). A dataclass can be sent
@@ -37,7 +38,7 @@ class CatchUp:
         return np.eye(len(self.moves))[wanted]
 
 
-def catch_up(spec: GameSpec, *, name: str = "catch-up", seed: int = 0) -> Agent:
+def catch_up(spec: RaceGame, *, name: str = "catch-up", seed: int = 0) -> Agent:
     """Raise aggressiveness behind a restrained opponent, and restraint in the lead."""
     return Agent(name, CatchUp(spec.moves), spec, seed)
 
@@ -63,17 +64,15 @@ def main() -> None:
     parser.add_argument(
         "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
-    parser.add_argument(
-        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
-    )
+    parser.add_argument("--rules", default="contest", help="rules: paper, contest or a YAML file")
     parser.add_argument("--races", type=int, default=60, help="races of each pair, even")
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of start lines, start policies and noise"
     )
     arguments = parser.parse_args()
 
-    rules = game_rules(arguments.rules)
-    mine = catch_up(make_game_spec("default", rules))
+    rules = arguments.rules
+    mine = catch_up(make_game(None, "default", rules))
 
     # 3. A registered agent has a name, like the agents of the zoo. An installed package declares it
     #    as an entry point "pcs_racing.agents" instead, also for the command line.

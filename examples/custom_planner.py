@@ -13,7 +13,7 @@ import argparse
 
 import numpy as np
 
-from pcs_racing import load_race_config, load_track, run_races
+from pcs_racing import load_rules, load_track, run_races
 from pcs_racing.game import ITTC, ITTC_SAMPLES
 from pcs_racing.planners import (
     KAPPA,
@@ -104,9 +104,7 @@ def main() -> None:
     parser.add_argument(
         "--track", default="Larkmoor", help="name of a shipped track or a map folder"
     )
-    parser.add_argument(
-        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
-    )
+    parser.add_argument("--rules", default="contest", help="rules: paper, contest or a YAML file")
     parser.add_argument(
         "--pace", type=float, default=0.6, help="pace of both planners, from 0 to 1"
     )
@@ -116,7 +114,7 @@ def main() -> None:
 
     register_planner(CAUTIOUS)
     track = load_track(arguments.track)
-    config = load_race_config(arguments.rules)
+    config = load_rules(arguments.rules)
     opponent = get_planner("lattice").policy({"pace": arguments.pace})
     print(
         f"{track.name}, {config.name}: {arguments.races} races against the lattice planner at pace"

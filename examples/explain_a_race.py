@@ -26,9 +26,7 @@ def main() -> None:
     parser.add_argument(
         "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
-    parser.add_argument(
-        "--rules", default="paper", help="race rules: paper, contest or a YAML file"
-    )
+    parser.add_argument("--rules", default="paper", help="rules: paper, contest or a YAML file")
     parser.add_argument("--archive", default="default", help="archive that the agents move in")
     parser.add_argument("--ego", default="cfr-argmax", help="agent in car 0")
     parser.add_argument("--opponent", default="never-switch", help="agent in car 1")
@@ -51,7 +49,7 @@ def main() -> None:
 
     # 1. A race drawn by the seed; both cars drive their start policies for a step, without moves.
     first = np.random.default_rng(arguments.seed).integers(len(game.archive), size=2)
-    start = draw_starts(game.track, game.setup.config, 1, arguments.seed)
+    start = draw_starts(game.track, game.setup.rules, 1, arguments.seed)
     key = race_seeds(arguments.seed, 1)  # of the noise
     state = game.reset(key, policies=first, starts=start)
     print(
@@ -84,7 +82,7 @@ def main() -> None:
     recording = repeat_race(Pairing(game, *cars, first[None], start, key), 0)
     assert recording.played.lead[0] == state.race.lead[0]  # identical
     print(recording.replay.outcome)
-    replay = watch.mark_moves(recording.replay, recording.played, game.moves, game.config.ends)
+    replay = watch.mark_moves(recording.replay, recording.played, game.moves, game.rules.ends)
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("page:", save_replay(replay, arguments.out / "race.html"))
 

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from pcs_racing.game import duplicate_moves
-from pcs_racing_agents.agents import GameSpec, observing
+from pcs_racing.game import RaceGame, duplicate_moves
+from pcs_racing_agents.agents import observing
 
 try:
     import torch
@@ -43,7 +43,7 @@ class MaskedAgent:
     """A model of sb3-contrib without its environment: the observation gives the mask."""
 
     policy: Any  # the network: its weights identify the agent
-    spec: GameSpec
+    spec: RaceGame
     name: str = "maskable-ppo"
 
     def act(self, observations: np.ndarray, turn: Any = None) -> np.ndarray:
@@ -55,7 +55,7 @@ class MaskedAgent:
         return self.policy.predict(observations, deterministic=True, action_masks=masks)[0]
 
 
-def make_agent(spec: GameSpec) -> MaskedAgent:
+def make_agent(spec: RaceGame) -> MaskedAgent:
     """Return the trained agent; the tournament calls this function."""
     return MaskedAgent(MaskablePPO.load(OUT / "model.zip", device="cpu").policy, spec)
 

@@ -38,7 +38,7 @@ def main() -> None:
         "--track", default="Tarnfjord", help="name of a shipped track or a map folder"
     )
     parser.add_argument("--opponent", default="lattice:pace=0.3", help="planner in the other car")
-    parser.add_argument("--rules", default="paper", help="race rules: a preset or a YAML file")
+    parser.add_argument("--rules", default="paper", help="rules: a name or a YAML file")
     parser.add_argument("--races", type=int, default=3, help="number of races")
     parser.add_argument("--seed", type=int, default=0, help="seed of the first race")
     arguments = parser.parse_args()

@@ -10,7 +10,7 @@ most overtakes.
 import argparse
 from pathlib import Path
 
-from pcs_racing import load_race_config, load_track, save_replay
+from pcs_racing import load_rules, load_track, save_replay
 from pcs_racing.planners import Policy, get_planner
 from pcs_racing_agents.tournament import (
     RaceRow,
@@ -36,7 +36,7 @@ def policies() -> list[Policy]:
 def main() -> None:
     arguments = parse()
     track = load_track(arguments.track)
-    config = load_race_config(arguments.rules, duration=arguments.duration)
+    config = load_rules(arguments.rules, duration=arguments.duration)
     tournament = play_tournament(
         track,
         policies(),
@@ -69,7 +69,7 @@ def parse() -> argparse.Namespace:
     )
     option = parser.add_argument
     option("--track", default="Tarnfjord", help="name of a shipped track or a map folder")
-    option("--rules", default="contest", help="race rules: paper, contest or a YAML file")
+    option("--rules", default="contest", help="rules: paper, contest or a YAML file")
     option("--races", type=int, default=60, help="races of each pair, even")
     option("--duration", type=float, default=40.0, help="length of a race in s")
     option("--seed", type=int, default=0, help="seed of start lines and noise")

@@ -35,7 +35,7 @@ class Expert:
         self.batch = env.unwrapped.batch
         setup, cars = self.batch.setup, self.batch.cars
         # The policy drives all cars of this copy of the race; only the command of car 0 is used.
-        self.setup = game.RaceSetup(setup.track, setup.config, (policy.planner,) * cars)
+        self.setup = game.RaceSetup(setup.track, setup.rules, (policy.planner,) * cars)
         self.theta = game.pad_parameters([policy] * cars, self.setup.theta_size)[None]
 
     def begin(self) -> None:
@@ -109,9 +109,7 @@ def main() -> None:
     parser.add_argument(
         "--track", default="Brackwater", help="name of a shipped track or a map folder"
     )
-    parser.add_argument(
-        "--rules", default="paper", help="race rules: paper, contest or a YAML file"
-    )
+    parser.add_argument("--rules", default="paper", help="rules: paper, contest or a YAML file")
     parser.add_argument("--races", type=int, default=10, help="number of races")
     parser.add_argument("--duration", type=float, default=40.0, help="length of a race in s")
     parser.add_argument("--beams", type=int, default=0, help="lidar beams of an observation")

@@ -31,7 +31,7 @@ parser.add_argument("--track", default="Brackwater", help="name of a shipped tra
 parser.add_argument(
     "--archive", default="contest", help="archive of policies that both cars drive with"
 )
-parser.add_argument("--rules", default="contest", help="race rules: paper, contest or a YAML file")
+parser.add_argument("--rules", default="contest", help="rules: paper, contest or a YAML file")
 parser.add_argument("--games", type=int, default=500, help="test games against each opponent")
 parser.add_argument("--seed", type=int, default=0, help="seed of all random numbers")
 arguments = parser.parse_args()

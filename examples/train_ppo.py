@@ -148,7 +148,7 @@ def parse() -> argparse.Namespace:
     option("--steps", type=int, default=60_000, help="training moves")
     option("--track", default="Brackwater", help="name of a shipped track or a map folder")
     option("--archive", default="contest", help="archive of policies that both cars drive with")
-    option("--rules", default="contest", help="race rules: paper, contest or a YAML file")
+    option("--rules", default="contest", help="rules: paper, contest or a YAML file")
     option(
         "--opponent",
         default="never-switch",

@@ -10,7 +10,7 @@ planner.
 import argparse
 from pathlib import Path
 
-from pcs_racing import load_race_config, load_track, racer, record_race, save_replay
+from pcs_racing import load_rules, load_track, racer, record_race, save_replay
 from pcs_racing.game import write_gif
 
 
@@ -23,9 +23,7 @@ def main() -> None:
     )
     parser.add_argument("--ego", default="lattice:pace=0.7,overtaking=0.5", help="policy of car 0")
     parser.add_argument("--opponent", default="lattice:pace=0.4", help="policy of car 1")
-    parser.add_argument(
-        "--rules", default="contest", help="race rules: paper, contest or a YAML file"
-    )
+    parser.add_argument("--rules", default="contest", help="rules: paper, contest or a YAML file")
     parser.add_argument("--duration", type=float, default=40.0, help="length of the race in s")
     parser.add_argument("--seed", type=int, default=0, help="seed of the start and the noise")
     parser.add_argument(
@@ -35,7 +33,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     track = load_track(arguments.track)
-    config = load_race_config(arguments.rules, duration=arguments.duration)
+    config = load_rules(arguments.rules, duration=arguments.duration)
     ego, opponent = racer(arguments.ego), racer(arguments.opponent)
     replay = record_race(track, ego, opponent, config, seed=arguments.seed)
     for event in replay.events:

@@ -13,7 +13,7 @@ from .planners.racers import racer as racer
 from .planners.registry import register_planner as register_planner
 from .race.config import CONTEST as CONTEST
 from .race.config import PAPER as PAPER
-from .race.config import load_race_config as load_race_config
+from .race.config import load_rules as load_rules
 from .race.races import run_field as run_field
 from .race.races import run_races as run_races
 from .race.recording import record_race as record_race
@@ -31,7 +31,7 @@ __all__ = [
     "envs",
     "game",
     "load_archive",
-    "load_race_config",
+    "load_rules",
     "load_track",
     "make_game",
     "parallel_env",

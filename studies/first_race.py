@@ -10,7 +10,7 @@ pcs_racing_agents/cli/race.py; start places that change may need other planners.
 
 import argparse
 
-from pcs_racing import load_race_config, load_track, racer, run_races
+from pcs_racing import load_rules, load_track, racer, run_races
 from pcs_racing_agents.cli.options import DEFAULT_TRACK
 from pcs_racing_agents.cli.race import EGO, OPPONENT
 
@@ -31,7 +31,7 @@ def main() -> None:
         "--seeds", type=int, default=30, help="try seeds 0 to this number, less one"
     )
     arguments = parser.parse_args()
-    track, config = load_track(arguments.track), load_race_config(arguments.rules)
+    track, config = load_track(arguments.track), load_rules(arguments.rules)
     ego, opponent = racer(arguments.ego), racer(arguments.opponent)
     crashes, found = 0, []
     for seed in range(arguments.seeds):

@@ -25,7 +25,7 @@ from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     ArchiveName,
     Circuits,
-    Rules,
+    RaceOptions,
     Workers,
     archive_for,
 )
@@ -122,7 +122,7 @@ def run(
     policies: Annotated[
         Sequence[str], Option(f"a pool of your own instead of an archive: {POLICY_HELP}", "POLICY")
     ] = (),
-    rules: Rules,
+    rules: RaceOptions,
     races: Annotated[int, Option(f"races of each pair; a multiple of {2 * FOLDS}")] = 64,
     out: Annotated[
         Path,
@@ -133,7 +133,7 @@ def run(
     """Race all pairs of a pool of policies, and print the value of knowing the opponent."""
     if races % (2 * FOLDS):
         raise InputError(f"races is {races}; it must be a multiple of {2 * FOLDS}")
-    config = rules.config()
+    config = rules.read()
     source = archive_for(archive, config)
     plan = plan_tournament(
         [load_track(name) for name in track],

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from pcs_racing.base.typing import Floats
 from pcs_racing.planners.registry import parse_policy
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.policies.evaluate import draw_scenarios, race_points, race_policies
 
@@ -52,7 +52,7 @@ def judge(
     scenarios = draw_scenarios(
         parsed[0].planner.name,
         tracks,
-        load_race_config(rules, duration=40.0),
+        load_rules(rules, duration=40.0),
         rivals=tuple(opponents),
         starts=races // 2,
         seed=SEED,

@@ -13,14 +13,12 @@ from pcs_racing.game.archive_files import load_archive
 from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
 from pcs_racing.track.loading import load_track
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import earlier, lead, opponent, own
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
 from pcs_racing_agents.cli.commands import Option, command
-from pcs_racing_agents.cli.options import Circuits, Rules, output_folder
+from pcs_racing_agents.cli.options import Circuits, RaceOptions, output_folder
 from pcs_racing_agents.tournament.pairings import cross_pairing
-from pcs_racing_agents.tournament.plan import game_rules
 
 Labels = NDArray[np.int64]
 HEAD = (
@@ -130,17 +128,17 @@ def run(
     ),
     track: Circuits = ("Tarnfjord", "Brackwater"),
     archive: Annotated[str, Option("archive: its name or folder", "A")] = "default",
-    rules: Rules,
+    rules: RaceOptions,
     out: Annotated[Path, Option("folder for reading.csv", "DIR")],
 ) -> None:
     """Race agents against policies that stay, and tell how well the opponent's place predicts their
     moves.
     """
-    spec = make_game_spec(load_archive(archive), game_rules(rules.config()))
+    spec = make_game(None, load_archive(archive), rules.read())
     egos, rival = [competitor(name, spec) for name in agents], competitor("never-switch", spec)
     lines: list[tuple[object, ...]] = [HEAD]
     for name in track:
-        game = make_game(load_track(name), spec.archive, spec.config)
+        game = make_game(load_track(name), spec.archive, spec.rules)
         pairing = cross_pairing(
             game, egos[0], rival, egos=12, opponents=24, lines=3, seed=rules.seed
         )

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pcs_racing import load_race_config
+from pcs_racing import load_rules
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.planner import Parameter, Planner
@@ -43,11 +43,11 @@ def placed(track, places, speeds=None, planner=HOLD, vehicles=None, **rules):
     speeds = [0.0] * count if speeds is None else speeds
     setup = RaceSetup(
         track,
-        load_race_config("paper", **rules),
+        load_rules("paper", **rules),
         (planner,) * count,
         vehicles or (F1TENTH,) * count,
     )
-    state = empty_state(1, setup.memory_size, count, setup.config.laps)
+    state = empty_state(1, setup.memory_size, count, setup.rules.laps)
     for car, (s, d, *turned) in enumerate(places):
         x, y, psi = track.to_cartesian([s, d])
         state.cars[0, car, [X, Y, V, PSI]] = x, y, speeds[car], psi + sum(turned)

@@ -143,7 +143,7 @@ def test_a_policy_races_at_places_without_a_game(row, text_of):
     if POLICIES[row] is PolicySet:
         refused("has 20 policies; name one of them", policy_racer, text)
         return
-    track, short = load_track("Tarnfjord"), pcs_racing.load_race_config(CONTEST, duration=1.0)
+    track, short = load_track("Tarnfjord"), pcs_racing.load_rules(CONTEST, duration=1.0)
     ends = [
         run_races(track, one, "stanley", short).state.cars for one in (text, racer(text), [text])
     ]
@@ -249,11 +249,11 @@ def test_an_object_is_the_same_racer_at_all_places(row, models, game):
     assert found[0].name == found[2].name == "it"
     assert [isinstance(one, Policy | PolicySet) for one in found] == [drives] * 3
     if drives:
-        short = pcs_racing.load_race_config(CONTEST, duration=1.0)
+        short = pcs_racing.load_rules(CONTEST, duration=1.0)
         assert run_races(game.track, given, "stanley", short).state.tick[0] > 0
         return
     refused("is an agent, which moves", run_races, game.track, given, "lattice")
-    env = DuelEnv(track=game.track, opponent=given, step_seconds=0.5, moves=4)
+    env = DuelEnv(track=game.track, opponent=given, steps=(0.5,) * 5)
     env.reset(seed=1)
     *_, info = env.step(1)
     assert 0 <= info["opponent_move"] < 5
@@ -276,4 +276,9 @@ def test_an_onnx_file_drives_and_moves_as_the_model(models, text_of, game):
     np.testing.assert_array_equal(
         agent.model.predict(seen)[0], duel.predict(seen, deterministic=True)[0]
     )
-    refused("made for games of 4 moves", racer, text_of("duel.onnx"), make_game("Pipkin", moves=3))
+    refused(
+        "made for games of 4 moves",
+        racer,
+        text_of("duel.onnx"),
+        make_game("Pipkin", steps=(8.0,) * 4),
+    )

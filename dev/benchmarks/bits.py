@@ -146,8 +146,8 @@ def lidar(folders: list[Path]) -> Digests:
 
 
 def races(folders: list[Path]) -> Digests:
-    """Ten races of every planner under both presets: all states at the end."""
-    from pcs_racing import load_race_config, load_track, racer
+    """Ten races of every planner under both rules: all states at the end."""
+    from pcs_racing import load_rules, load_track, racer
     from pcs_racing.race.races import (
         RaceSetup,
         advance,
@@ -159,8 +159,8 @@ def races(folders: list[Path]) -> Digests:
 
     ego, track = racer("lattice"), load_track("Quillburg")
     rivals = {text: racer(text) for text in PLANNERS}
-    for preset in ("paper", "contest"):
-        config = load_race_config(preset)
+    for rules in ("paper", "contest"):
+        config = load_rules(rules)
         for name, rival in rivals.items():
             setup = RaceSetup(track, config, (ego.planner, rival.planner))
             state = start_races(setup, draw_starts(track, config, 10, 0), race_seeds(0, 10))
@@ -168,7 +168,7 @@ def races(folders: list[Path]) -> Digests:
                 pad_parameters([ego, rival], setup.theta_size), (10, 2, setup.theta_size)
             ).copy()
             advance(setup, state, theta, config.ticks)
-            yield f"races, {preset}, {name}", tuple(state)
+            yield f"races, {rules}, {name}", tuple(state)
 
 
 def environments(folders: list[Path]) -> Digests:

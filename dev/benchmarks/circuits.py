@@ -1,6 +1,6 @@
 """How races begin and end on any circuit, loaded from its picture and yaml file alone.
 
-On every circuit and under both presets, lattice policies race each other whose paces are drawn
+On every circuit and under both rules, lattice policies race each other whose paces are drawn
 evenly from 0 to 1. The races come in pairs: the same two policies on the same start line, with the
 sides swapped. Nothing is configured: speed range and start places come from the calibration that
 the package does by itself.
@@ -24,7 +24,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.calibration import calibration_of
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.track.map_files import parse_map
 from pcs_racing.track.maps import find_map, find_shipped, list_tracks, read_bytes
 from pcs_racing.track.track import Track
@@ -32,7 +32,7 @@ from pcs_racing.track.track import Track
 EARLY = 2.0  # s
 COLUMNS = (
     "track",
-    "preset",
+    "rules",
     "length",
     "speeds",
     "spacing",
@@ -62,7 +62,7 @@ def drawn_pace(rng: np.random.Generator) -> Policy:
     return LATTICE.policy({"pace": float(rng.uniform())})
 
 
-def measure(track: Track, config: RaceConfig, races: int, seed: int) -> dict[str, object]:
+def measure(track: Track, config: Rules, races: int, seed: int) -> dict[str, object]:
     """A row of the table."""
     begin = time.perf_counter()
     calibration = calibration_of(track, config)
@@ -74,7 +74,7 @@ def measure(track: Track, config: RaceConfig, races: int, seed: int) -> dict[str
     won = result.winner >= 0
     return {
         "track": track.name,
-        "preset": config.name,
+        "rules": config.name,
         "length": f"{track.length:.0f}",
         "speeds": "{:.2f}-{:.2f}".format(*calibration.speed_range),
         "spacing": f"{calibration.start_spacing:g}",
@@ -91,10 +91,10 @@ def misses(row: dict[str, object]) -> list[str]:
     if row["early"] == "refused":
         return ["refused"]
     early, crash, left = (float(str(row[key])) for key in ("early", "crash", "left wins"))
-    most_early, fewest, most = AIMS[str(row["preset"])]
+    most_early, fewest, most = AIMS[str(row["rules"])]
     found = [] if early <= most_early else [f"early > {most_early:g}"]
     found += [] if fewest <= crash <= most else [f"crash outside {fewest:g}-{most:g}"]
-    found += [] if row["preset"] != "paper" or 0.45 <= left <= 0.55 else ["left outside .45-.55"]
+    found += [] if row["rules"] != "paper" or 0.45 <= left <= 0.55 else ["left outside .45-.55"]
     return found
 
 
@@ -107,7 +107,7 @@ def main() -> None:
     )
     parser.add_argument("--only", nargs="+", help="names of circuits")
     parser.add_argument(
-        "--races", type=int, default=1000, help="races of a circuit and preset (default 1000)"
+        "--races", type=int, default=1000, help="races of a circuit and rules (default 1000)"
     )
     parser.add_argument(
         "--seed", type=int, default=1, help="of policies, start lines and noise (default 1)"
@@ -130,7 +130,7 @@ def main() -> None:
                 except InputError as error:
                     row = dict.fromkeys(COLUMNS, "") | {
                         "track": track.name,
-                        "preset": config.name,
+                        "rules": config.name,
                         "early": "refused",
                     }
                     print(error, file=sys.stderr)

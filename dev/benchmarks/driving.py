@@ -36,7 +36,7 @@ from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.race.calibration import calibration_of
-from pcs_racing.race.config import PRESETS, RaceConfig
+from pcs_racing.race.config import KNOWN_RULES, Rules
 from pcs_racing.race.driving import BareField, advance, kernel_settings
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import KAPPA, SPEED, X, Y
@@ -95,7 +95,7 @@ class Alone:
         self.track, self.planner = track, planner
         self.theta = np.zeros((races, 2, max(1, len(planner.parameters))))
         self.theta[:, :, : len(planner.parameters)] = planner.default if theta is None else theta
-        config = RaceConfig(steering_noise=noise)
+        config = Rules(steering_noise=noise)
         self.settings = kernel_settings(config, (scale, scale + 1e-6))._replace(ittc_horizon=0.0)
         self.state = empty_state(races, planner.memory_total)
         self.state.seed[:] = race_seeds(0, races)
@@ -204,7 +204,7 @@ def grip(track: Track) -> Row:
 
 
 def score(
-    track: Track, egos: list[Policy], rival: Policy, config: RaceConfig, each: int, seed: int
+    track: Track, egos: list[Policy], rival: Policy, config: Rules, each: int, seed: int
 ) -> dict[str, Floats]:
     """Return means over an ego's races: won, own crashes, won from the rear slot, overtakes."""
     result = run_races(
@@ -278,7 +278,7 @@ def search(tracks: list[Track]) -> list[Row]:
 
 def default(track: Track) -> Row:
     row: Row = {}
-    for name, config in PRESETS.items():
+    for name, config in KNOWN_RULES.items():
         found = score(track, [LATTICE.policy()], PURE_PURSUIT.policy(), config, FRESH_RACES, 5)
         row |= {name: found["score"][0], f"{name}: own": found["own"][0]}
     return row

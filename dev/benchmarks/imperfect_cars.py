@@ -17,7 +17,7 @@ import numpy as np
 from pcs_racing import load_track, run_races
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams, load_vehicle
 from pcs_racing.planners.racers import policy_racer
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.statistics import clustered_mean
 
@@ -61,7 +61,7 @@ class Races:
         """Return a row for each race: score, own crash, the rival's, overtakes, speed, line."""
         circuit = load_track(str(self.maps / track) if track in REAL else track)
         policies = [policy_racer(text) for text in (ego, rival)]
-        config = load_race_config(rules)
+        config = load_rules(rules)
         # Weights, rules, cars or circuits that changed are other races.
         mark = fingerprint(policies, config, circuit.content_hash, SEED, *vehicles)[:12]
         pair = f"{ego} {rival}".replace("/", "-")

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pcs_racing import load_race_config, load_track, racer, run_races
+from pcs_racing import load_rules, load_track, racer, run_races
 
 REPEATS = 8
 
@@ -44,7 +44,7 @@ import sys, time
 import numpy as np
 import pcs_racing
 track, races = pcs_racing.load_track(sys.argv[1]), int(sys.argv[2])
-config, lattice = pcs_racing.load_race_config("paper"), pcs_racing.racer("lattice")
+config, lattice = pcs_racing.load_rules("paper"), pcs_racing.racer("lattice")
 texts = [f"lattice:pace={pace:.3f}" for pace in np.linspace(0.05, 0.95, races)]
 paces = [pcs_racing.racer(text) for text in texts]
 def run():
@@ -107,7 +107,7 @@ def main() -> None:
             " as fast"
         )
         return
-    track, config, races = load_track(arguments.track), load_race_config("paper"), arguments.races
+    track, config, races = load_track(arguments.track), load_rules("paper"), arguments.races
     paces = [racer(f"lattice:pace={pace:.3f}") for pace in np.linspace(0.05, 0.95, races)]
     lattice = racer("lattice")
 

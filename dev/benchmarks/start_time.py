@@ -20,7 +20,7 @@ FIRST_RACE = """
 import time
 import pcs_racing
 track, lattice = pcs_racing.load_track("Tarnfjord"), pcs_racing.racer("lattice")
-paper = pcs_racing.load_race_config("paper")
+paper = pcs_racing.load_rules("paper")
 pcs_racing.run_races(track, [lattice], lattice, paper, seed=0, threads=1)
 print(time.process_time())
 """

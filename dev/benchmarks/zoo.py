@@ -25,7 +25,7 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.players import ask_moves
 from pcs_racing.game.state import take_games
 from pcs_racing.planners.planner import PolicySet
-from pcs_racing_agents.agents import Agent, make_game_spec, names
+from pcs_racing_agents.agents import Agent, names
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.agents.zoo import build
@@ -52,17 +52,17 @@ SEED = 8_000_000  # other races than in any study
 
 def measure(archive: str, race: str, races: int, out: Path) -> list[Measured]:
     """Everything about the agents of one game."""
-    spec = make_game_spec(archive, race)
+    spec = make_game(None, archive, race)
     agents = {}
     for name in (*names(archive, race), *PLANNERS):
         try:
             agents[name] = build(name, spec)
         except UnknownNameError as error:
             print(f"not measured: {error}")
-    games = [make_game(load_track(track), spec.archive, spec.config) for track in TRACKS[race]]
+    games = [make_game(load_track(track), spec.archive, spec.rules) for track in TRACKS[race]]
     # The same starts and seeds for every agent, so that differences of scores are differences of
     # agents.
-    schedules = [draw_schedule(game.track, spec.config.race_rules, races, SEED) for game in games]
+    schedules = [draw_schedule(game.track, spec.rules.for_game, races, SEED) for game in games]
     settings = {"archive": spec.archive.content_hash, "race": race, "races": races, "seed": SEED}
     tables = []
     with open_job(out / f"{archive}-{race}", "zoo", settings) as job:
@@ -118,7 +118,7 @@ def cost(game: Any, agent: Any) -> tuple[float, float]:
     if isinstance(agent, PolicySet):
         # A fixed policy plans within the race: cost of whole races, divided by their plans.
         policies = [agent.policies[i % len(agent.policies)] for i in range(16)]
-        rules = game.setup.config
+        rules = game.setup.rules
         spent = _seconds(lambda: run_races(game.track, policies, policies[::-1], rules, threads=1))
         return 1e6 * spent / (2 * len(policies) * rules.seconds / 0.1), np.nan
     state = game.reset(games=500, seed=0)
@@ -163,8 +163,8 @@ def main() -> None:
         found += measure(archive, race, arguments.races, arguments.out)
     for one in found:
         print(
-            f"{one.race:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f} us"
-            f" {one.sha256[:12]}"
+            f"{one.rules:8s} {one.agent:24s} {one.score:.3f} {one.rating:+5.0f} {one.one_us:8.1f}"
+            f" us {one.sha256[:12]}"
         )
     if arguments.write:
         print(zoo_page.write_measurements(found))

@@ -8,7 +8,7 @@ whenever the site is built (``docs/site_pages.py``).
 from pathlib import Path
 
 from pcs_racing import load_track
-from pcs_racing.race.config import PRESETS
+from pcs_racing.race.config import KNOWN_RULES
 from pcs_racing.track.building.raceline import lap_time
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.map_files import read_map
@@ -30,7 +30,7 @@ its name. You can also [import a map of your own](../bring_a_map.md).
 - **width**: width of the drivable surface;
 - **speed**: smallest and largest speed of the race line;
 - **pace**: the scales of this speed that the parameter values "pace 0" and "pace 1" mean under the
-  rules of each preset ([definition](../bring_a_map.md#speed-range-and-start-positions)).
+  rules of each name ([definition](../bring_a_map.md#speed-range-and-start-positions)).
 """
 
 
@@ -43,7 +43,7 @@ def circuits_page() -> str:
         "width",
         "lap",
         "speed",
-        *(f"pace, {preset}" for preset in PRESETS),
+        *(f"pace, {rules}" for rules in KNOWN_RULES),
     ]
     lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     lines += [
@@ -59,7 +59,7 @@ def figures(track: Track, info: dict) -> list[str]:
     """Return the figures of a circuit, as the table has them."""
     speed = track.line[:, SPEED]
     lap = lap_time(speed, track.arrays.ds)
-    paces = [track.calibration[preset].speed_range for preset in PRESETS]
+    paces = [track.calibration[rules].speed_range for rules in KNOWN_RULES]
     return [
         f"{track.length:.0f} m",
         f"{info['width']:.1f} m",

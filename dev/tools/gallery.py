@@ -21,7 +21,7 @@ from PIL import Image
 from pcs_racing import CONTEST, load_track, racer, record_race
 from pcs_racing.base.files import write_atomically
 from pcs_racing.planners.registry import get_planner, planner_names
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.frames import replay_frames, write_gif
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
@@ -36,7 +36,7 @@ SEED = 1
 RACES = 300
 MAX_GIF = 600_000  # bytes of a GIF
 # For the sheet of planners: they begin 4 m behind a car with 0.6 of their speed.
-BEHIND = RaceConfig(
+BEHIND = Rules(
     start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.66, 1.1), steering_noise=0.01
 )
 
@@ -120,7 +120,7 @@ SCENES = {
 HEAD = """# Gallery
 
 A rule selects the scenes. On each circuit the races 0, 1, 2, ...
-of seed {seed} are simulated under the rules of the preset `contest`, between
+of seed {seed} are simulated under the rules of the rules `contest`, between
 `{fast}` (fast, blue) and `{slow}` (slow, orange).
 The first race with a scene of a kind gives its GIF. It plays at the speed of the race, and its
 clock begins with the clip. The arrow, or the mark ahead of a car, shows which way the car drives.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from annotated_types import Interval
 
-from pcs_racing import InputError, load_race_config
+from pcs_racing import InputError, load_rules
 from pcs_racing.envs import DriveEnv
 from pcs_racing.envs.draws import PARAMETERS
 from pcs_racing.envs.drive import DriveVectorEnv
@@ -49,7 +49,7 @@ def main() -> None:
         given: dict[str, Any] = {
             "track": "Tarnfjord",
             "opponent": None,
-            "rules": load_race_config("paper", contact="stop"),
+            "rules": load_rules("paper", contact="stop"),
             "randomize": draws_of(rng),
         }
         envs = [DriveVectorEnv(together, threads=threads, **given) for threads in (1, 2)]

@@ -29,7 +29,7 @@ def ship(study: Study, checkout: Path, **others: Path) -> list[Path]:
 
     ``others``: folders of networks from outside the study, by their kind in the zoo.
     """
-    stem = f"{study.spec.archive.name}-{study.spec.race}"
+    stem = f"{study.spec.archive.name}-{study.spec.rules.name}"
     data = checkout / "pcs_racing_agents" / "data"
     folders = {kind: study.network(kind) for kind in ("regret", "nash")}
     folders["self-play"] = study.network("sampled-cfr")

@@ -14,7 +14,7 @@ from annotated_types import Interval, Len, MinLen
 
 import pcs_racing_agents
 from pcs_racing.base.settings import DIFFERENT, OneOf, Settings, options_of, split
-from pcs_racing.race.config import PRESETS, RaceConfig
+from pcs_racing.race.config import KNOWN_RULES, Rules
 from pcs_racing_agents.learning.ppo import PPOSettings
 from pcs_racing_agents.learning.responses import PSROSettings, ResponseSettings
 from pcs_racing_agents.learning.self_play import SelfPlaySettings
@@ -29,12 +29,19 @@ KINDS: dict[str, type[Settings]] = {
     "ppo": PPOSettings,
     "protocol": ProtocolConfig,
     "psro": PSROSettings,
-    "race": RaceConfig,
     "response": ResponseSettings,
+    "rules": Rules,
     "self-play": SelfPlaySettings,
     "study": StudyConfig,
     "train": TrainSettings,
 }
+
+BASE = {
+    "enum": list(KNOWN_RULES),
+    "description": "Rules that give the defaults.",
+    "default": "paper",
+}
+"""Schema of the key ``rules`` of rules."""
 
 
 def schema_of_kind(kind: Any, notes: Iterable[Any]) -> dict[str, Any]:
@@ -78,8 +85,8 @@ def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
         kind = option.kind
         nested = isinstance(kind, type) and issubclass(kind, Settings)
         schema = schema_of(kind) if nested else schema_of_kind(kind, option.notes)
-        if kind is RaceConfig:
-            schema = {"anyOf": [{"type": "string"}, schema]}
+        if kind is Rules:
+            schema = {"anyOf": [{"type": "string"}, schema_of(kind, rules=BASE)]}
         if option.default is None:
             schema = {"anyOf": [schema, {"type": "null"}]}
         properties[name] = {**schema, "description": option.meaning}
@@ -92,12 +99,7 @@ def schema_of(cls: type[Settings], **more: Any) -> dict[str, Any]:
 def schemas() -> dict[str, str]:
     """Return the text of each schema by its kind."""
     made = {kind: schema_of(cls) for kind, cls in KINDS.items()}
-    base = {
-        "enum": list(PRESETS),
-        "description": "Rules that give the defaults.",
-        "default": "paper",
-    }
-    made["race"]["properties"]["rules"] = base
+    made["rules"]["properties"]["rules"] = BASE
     front, spread = (schema_of(type(config)) for config in SELECTIONS.values())
     made["archive"] = {"anyOf": [front, {**spread, "required": ["selection"]}]}
     first = {"$schema": "https://json-schema.org/draft/2020-12/schema"}

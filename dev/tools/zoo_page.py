@@ -69,7 +69,7 @@ def zoo_page() -> str:
                 f"### `{CONSTANT}`",
                 "Makes the same move at every step; one agent for each move.",
             ]
-    every = [one for one in measurements().values() if (one.archive, one.race) in SHIPPED_GAMES]
+    every = [one for one in measurements().values() if (one.archive, one.rules) in SHIPPED_GAMES]
     if every:
         races = max(one.races for one in every)
         blocks.append(
@@ -84,7 +84,7 @@ def zoo_page() -> str:
             ).strip()
         )
     for archive, race in SHIPPED_GAMES:
-        rows = [one for one in every if (one.archive, one.race) == (archive, race)]
+        rows = [one for one in every if (one.archive, one.rules) == (archive, race)]
         blocks.append(f"### Archive `{archive}`, {race} race")
         blocks.append("\n".join(_lines(rows)) if rows else "Not measured yet.")
     return "\n\n".join(blocks) + "\n"

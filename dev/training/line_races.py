@@ -51,7 +51,7 @@ from pcs_racing.planners.planner import Parameter, Planner, Policy
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.calibrating import hazard_scan
 from pcs_racing.race.conditions import AS_THE_SETUP, vehicle_rows
-from pcs_racing.race.config import CONTEST, RaceConfig
+from pcs_racing.race.config import CONTEST, Rules
 from pcs_racing.race.driving import pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup, start_lines
@@ -95,9 +95,9 @@ WIDTHS = (2.2, 2.0, 3.0)  # m
 RULES = (
     CONTEST,
     CONTEST,
-    RaceConfig(**vars(CONTEST) | {"start": "side-by-side", "start_spacing": 0.62}),
+    Rules(**vars(CONTEST) | {"start": "side-by-side", "start_spacing": 0.62}),
     CONTEST,
-    RaceConfig(**vars(CONTEST) | {"start_gap": 5.0}),
+    Rules(**vars(CONTEST) | {"start_gap": 5.0}),
 )
 
 LEARNER = Planner(name="learner", parameters=(), memory_size=MEMORY)
@@ -377,7 +377,7 @@ class Group:
     """Races on one circuit against one family of opponents."""
 
     def __init__(
-        self, circuit: Circuit, family: str, rules: RaceConfig, cars: int, seed: int,
+        self, circuit: Circuit, family: str, rules: Rules, cars: int, seed: int,
         league: "League", ranges: Randomization,
     ) -> None:  # fmt: skip
         self.family, self.number = family, list(FAMILIES).index(family)
@@ -469,7 +469,7 @@ def start_states(
     starts = Starts(rng.choice(lines, STARTS), np.arange(STARTS) % 2)
     state = place_on_grid(
         setup.track,
-        setup.config,
+        setup.rules,
         setup.start_spacing,
         setup.speed_range[0],
         setup.vehicles,

@@ -27,7 +27,7 @@ from pcs_racing.envs import GYMNASIUM_IDS, RecordRaces
 gym.register_envs(pcs_racing)
 
 SHORT = {
-    "pcs_racing/Duel-v1": {"step_seconds": 0.4, "moves": 2},
+    "pcs_racing/Duel-v1": {"steps": (0.4,) * 3},
     "pcs_racing/Drive-v1": {"duration": 0.5},
     "pcs_racing/Avoidance-v0": {"duration": 0.5},
 }
@@ -72,8 +72,7 @@ def film(folder: Path) -> None:
     look = {
         "render_mode": "rgb_array_list",
         "render_size": (240, 160),
-        "moves": 2,
-        "step_seconds": 2.0,
+        "steps": (2.0,) * 3,
     }
     env = RecordRaces(gym.make("pcs_racing/Duel-v1", **look), str(folder / "wrapper"))
     play(env)

@@ -17,7 +17,7 @@ import pcs_racing  # noqa: F401  registers the environments
 from pcs_racing.envs import PETTINGZOO_IDS
 
 SHORT = {
-    "pcs_racing/head_to_head-v1": {"step_seconds": 0.4, "moves": 2},
+    "pcs_racing/head_to_head-v1": {"steps": (0.4,) * 3},
     "pcs_racing/drive_head_to_head-v0": {"duration": 0.5},
 }
 

@@ -22,8 +22,7 @@ from safetensors.numpy import save as save_tensors
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
-
-Floats = NDArray[np.float32]
+from pcs_racing.base.typing import Singles
 
 MAX_WEIGHTS = 4_000_000
 MAX_LAYERS = 16
@@ -72,7 +71,7 @@ class DenseLayers:
         """Widths of the hidden layers."""
         return self.sizes[1:-1]
 
-    def flat(self) -> Floats:
+    def flat(self) -> Singles:
         """Return all numbers as one vector.
 
         For each layer: its biases, then for each input the weights to all outputs.
@@ -80,10 +79,10 @@ class DenseLayers:
         return flat_layers(zip(self.weights, self.biases, strict=True))
 
     @cached_property
-    def _compiled(self) -> tuple[Floats, NDArray[np.int64]]:
+    def _compiled(self) -> tuple[Singles, NDArray[np.int64]]:
         return self.flat(), np.array(self.sizes)
 
-    def forward(self, inputs: Floats, *, tanh: bool = False, squash: bool = False) -> Floats:
+    def forward(self, inputs: Singles, *, tanh: bool = False, squash: bool = False) -> Singles:
         """Return outputs, shape (..., A), of inputs, shape (..., D).
 
         A tanh or a ReLU follows each layer but the last, and ``squash`` adds a tanh after the last.
@@ -97,7 +96,7 @@ class DenseLayers:
         return out.reshape(*inputs.shape[:-1], sizes[-1])
 
 
-def flat_layers(layers: Iterable[tuple[Floats, Floats]]) -> Floats:
+def flat_layers(layers: Iterable[tuple[Singles, Singles]]) -> Singles:
     """Return the numbers of layers (weight, bias) of any shapes as one vector, in the order of
     `DenseLayers.flat`.
     """
@@ -111,7 +110,7 @@ def weight_count(sizes: Sequence[int]) -> int:
     return sum((below + 1) * above for below, above in pairwise(sizes))
 
 
-def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Floats:
+def _array(name: str, values: ArrayLike, shape: tuple[int, ...]) -> Singles:
     with np.errstate(over="ignore"):  # infinity is refused below
         array = np.array(values, np.float32)
     if array.shape != shape:
@@ -182,7 +181,7 @@ def dense_rows(rows, flat, sizes, tanh, squash, scratch, out):
 # Files
 
 
-def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = None) -> bytes:
+def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Singles] | None = None) -> bytes:
     """Return the content of a safetensors file: ``layers.N.weight``, ``layers.N.bias`` and other
     tensors by name.
     """
@@ -192,10 +191,10 @@ def layers_to_bytes(layers: DenseLayers, others: Mapping[str, Floats] | None = N
     return save_tensors({key: np.ascontiguousarray(value) for key, value in tensors.items()})
 
 
-def tensors_from_bytes(file: Path, content: bytes) -> dict[str, Floats]:
+def tensors_from_bytes(file: Path, content: bytes) -> dict[str, Singles]:
     """Return the float32 tensors of a safetensors file by name; ``file`` is for messages."""
     try:
-        tensors: dict[str, Floats] = load_tensors(content)
+        tensors: dict[str, Singles] = load_tensors(content)
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{file} is no safetensors file of numbers: {error}") from None
     for key, tensor in tensors.items():
@@ -206,7 +205,7 @@ def tensors_from_bytes(file: Path, content: bytes) -> dict[str, Floats]:
 
 def layers_from_bytes(
     file: Path, content: bytes, hidden: Any, others: Collection[str] = ()
-) -> tuple[DenseLayers, dict[str, Floats]]:
+) -> tuple[DenseLayers, dict[str, Singles]]:
     """Read the output of :func:`layers_to_bytes`: the layers, and the other tensors by name.
 
     ``hidden`` lists the widths of the hidden layers in the manifest, and ``others`` the names of

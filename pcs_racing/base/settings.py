@@ -300,17 +300,18 @@ def load_settings(
         _check_keys(kind, default, changes, "the arguments")
         made = default if source is None else source
         return replace(made, **changes) if changes else made
+    noun = kind if kind.endswith("s") else f"{kind} settings"
     if not isinstance(source, str | os.PathLike):
         raise ConfigError(
-            f"{kind} settings are {source!r:.80}; use a name, a mapping or the path of a YAML file"
+            f"{noun} are {source!r:.80}; use a name, a mapping or the path of a YAML file"
         )
     place = known.get(source, Path(source)) if isinstance(source, str) else Path(source)
     if not isinstance(place, str | os.PathLike):
         return load_settings(kind, default, place, **changes)
     if not os.path.isfile(place):
         raise UnknownNameError(
-            f"{kind} settings {str(source)!r} are unknown; use {', '.join(known) or 'none'} or the"
-            f" path of a YAML file{did_you_mean(source, known)}"
+            f"{noun} {str(source)!r} are unknown; use {', '.join(known) or 'none'} or the path of a"
+            f" YAML file{did_you_mean(source, known)}"
         )
     values = read_settings(place)
     if base_key is not None and base_key in values:

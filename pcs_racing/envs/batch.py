@@ -20,7 +20,7 @@ from pcs_racing.base.checks import as_array, check_whole
 from pcs_racing.base.errors import InputError
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
 from pcs_racing.race.state import CAR_CRASH, LAPS, RaceState, empty_state
@@ -196,7 +196,7 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
 
     Progress is counted from the front car.
     """
-    state = empty_state(len(poses), setup.memory_size, len(setup.vehicles), setup.config.laps)
+    state = empty_state(len(poses), setup.memory_size, len(setup.vehicles), setup.rules.laps)
     state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
     state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
     state.cars[:, :, _vehicle.V] = poses[..., 3]
@@ -259,20 +259,18 @@ def check_within(name: str, values: NDArray[Any], low: float, high: ArrayLike) -
         raise InputError(f"{name} holds {values[wrong][0]}; it must be from {low:g} to {end:g}")
 
 
-def check_races(
-    name: str, races: RaceState, config: RaceConfig, lengths: NDArray[np.float64]
-) -> None:
+def check_races(name: str, races: RaceState, rules: Rules, lengths: NDArray[np.float64]) -> None:
     """Refuse races with a number out of its range; ``lengths`` are the track lengths, m."""
     for part, low, high in (
-        ("tick", 0, config.ticks),
+        ("tick", 0, rules.ticks),
         ("crash", 0, CAR_CRASH),
         ("contact", 0, CAR_CRASH),
         ("fault", 0, 127),
         ("leader", -1, races.number - 1),
-        ("overtakes", 0, config.ticks),
+        ("overtakes", 0, rules.ticks),
     ):
         check_within(f"{name}.{part}", getattr(races, part), low, high)
-    check_within(f"{name}.laps", races.laps[..., LAPS], 0, config.ticks)
+    check_within(f"{name}.laps", races.laps[..., LAPS], 0, rules.ticks)
     check_within(f"{name}.frenet", races.frenet[..., 0], 0.0, lengths[:, None])
     # A car that moves by more than the grid in a step would be looked up outside of it.
     for column in (_vehicle.DELTA, _vehicle.V, _vehicle.PSI_DOT, _vehicle.BETA):

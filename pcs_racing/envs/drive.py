@@ -1,9 +1,8 @@
 """Control-level environments: one car alone or against others, or an agent in each car."""
 
-from typing import Any, Unpack
+from typing import Any
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
@@ -11,9 +10,7 @@ from pettingzoo.utils import parallel_to_aec
 from pcs_racing.base.errors import InputError
 from pcs_racing.envs.drive_batch import DriveBatch
 from pcs_racing.envs.drive_options import (
-    DriveArguments,
     DriveOptions,
-    HeadToHeadArguments,
     HeadToHeadOptions,
     rivals_of,
 )
@@ -67,14 +64,14 @@ class DriveEnv(ScalarEnv):
     minus ``rivalry`` (0) times the progress of the opponent (the mean of several opponents). In the
     step of a crash by the agent's own fault, into a wall or a car, ``-crash_penalty`` (-10) is
     added. With ``rivalry=1`` the return is the lead. At the end of a race, ``win_reward`` (0) is
-    added for a win and subtracted for a defeat. The preset determines the winner after a crash. A
+    added for a win and subtracted for a defeat. The rules determine the winner after a crash. A
     single car gets no ``win_reward``. The argument ``reward`` gives another reward.
 
     ## Starting State
 
-    The environment's generator draws a start line and the side (or the order, if the preset
+    The environment's generator draws a start line and the side (or the order, if the rules
     staggers the cars), the opponent if there are several, and the key of the race's noise: the
-    steering disturbance of the preset "contest" and the noise of the lidar. Cars start at up to
+    steering disturbance of the rules "contest" and the noise of the lidar. Cars start at up to
     4 m/s.
 
     ``reset(options=...)`` takes these options and refuses others:
@@ -141,9 +138,6 @@ class DriveEnv(ScalarEnv):
     batch_type = DriveBatch
     options_type = DriveOptions
 
-    def __init__(self, **arguments: Unpack[DriveArguments]) -> None:
-        super().__init__(**arguments)
-
 
 class DriveVectorEnv(BatchVectorEnv):
     """Vector environment of :class:`DriveEnv`, with the same numbers for the same seeds.
@@ -162,23 +156,6 @@ class DriveVectorEnv(BatchVectorEnv):
 
     batch_type = DriveBatch
     options_type = DriveOptions
-
-    def __init__(
-        self,
-        num_envs: int | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        **arguments: Unpack[DriveArguments],
-    ) -> None:
-        super().__init__(
-            num_envs,
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            **arguments,
-        )
 
 
 def _count_agents(options: HeadToHeadOptions) -> int:
@@ -272,11 +249,6 @@ class DriveHeadToHeadEnv(ParallelBatchEnv):
     batch: DriveBatch
     options_type = HeadToHeadOptions
 
-    def __init__(
-        self, *, max_cycles: int | None = None, **arguments: Unpack[HeadToHeadArguments]
-    ) -> None:
-        super().__init__(max_cycles=max_cycles, **arguments)
-
     def _count_players(self, options: HeadToHeadOptions) -> int:
         return _count_agents(options)
 
@@ -303,23 +275,6 @@ class DriveHeadToHeadVectorEnv(BatchVectorEnv):
     options_type = HeadToHeadOptions
     players = 2
 
-    def __init__(
-        self,
-        num_envs: int | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        **arguments: Unpack[HeadToHeadArguments],
-    ) -> None:
-        super().__init__(
-            num_envs,
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            **arguments,
-        )
-
     def _count_players(self, options: HeadToHeadOptions) -> int:
         if options.opponent is not None:
             raise InputError(
@@ -333,7 +288,7 @@ parallel_env = DriveHeadToHeadEnv
 
 
 def env(
-    *, max_cycles: int | None = None, **arguments: Unpack[HeadToHeadArguments]
+    *, max_cycles: int | None = None, **arguments: Any
 ) -> AECEnv[str, NDArray[np.float32], Any]:
     """Make the same environment with PettingZoo's AEC interface.
 

@@ -66,7 +66,7 @@ from pcs_racing.envs.infos import (
 from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import EpisodeRandomization
 from pcs_racing.race.conditions import RaceConditions, Share, runs_of
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.config import load_rules
 from pcs_racing.race.driving import (
     advance,
     default_threads,
@@ -139,14 +139,14 @@ def drive_rules(
     cars, track = players + len(given), randomization.circuits.track(0)
     changes = {name: getattr(options, name) for name in ("start_lines", "duration", "laps")}
     changes = {name: value for name, value in changes.items() if value is not None}
-    config = load_race_config(options.rules, **changes)
+    config = load_rules(options.rules, **changes)
 
     def make_game() -> "RaceGame":
         from pcs_racing.game.archive_files import load_archive
-        from pcs_racing.game.config import load_game_config
         from pcs_racing.game.rules import RaceGame
+        from pcs_racing.race.config import load_rules
 
-        rules = load_game_config(options.rules)
+        rules = load_rules(options.rules)
         return RaceGame(
             track, load_archive(options.archive), rules, vehicles=randomization.cars[:2]
         )
@@ -224,7 +224,7 @@ class Circuit(NamedTuple):
 def make_circuit(rules: DriveRules, track: Track, randomization: EpisodeRandomization) -> Circuit:
     """Return the data of a track, on whose grid all drawn cars fit."""
     setup = replace(rules.setup, track=track)
-    lines = start_lines(track, setup.config, 0, split="train")
+    lines = start_lines(track, setup.rules, 0, split="train")
     randomization.check_bodies(setup, lines)
     count = places_of_grid(rules.cars)
     places = Starts(np.repeat(lines, count), np.tile(np.arange(count), len(lines)))
@@ -262,7 +262,7 @@ class DriveBatch:
         self.rules = rules = drive_rules(options, players, self.randomization)
         self.setup, self.elements, self.opponents = rules.setup, rules.elements, rules.opponents
         #: Number of steps of an episode without an early end.
-        self.horizon = -(-self.setup.config.ticks // options.ticks)
+        self.horizon = -(-self.setup.rules.ticks // options.ticks)
         #: Number of steps in a second of racing.
         self.frame_rate = max(1, round(1.0 / options.time_step))
         self.codes: Mapping[str, Mapping[int, str]] = {
@@ -532,7 +532,7 @@ class DriveBatch:
         """Add the reward of a win, or of a defeat, in races that are over."""
         rows = np.flatnonzero((results.terminated | results.truncated)[:: self.players])
         if len(rows):
-            winner = winners(self.setup.config, take(self.state, rows))[:, None]
+            winner = winners(self.setup.rules, take(self.state, rows))[:, None]
             won = np.where(winner == np.arange(self.players), 1.0, -1.0) * (winner >= 0)
             rewards = results.reward.reshape(-1, self.players)
             rewards[rows] += float(self.options.win_reward) * won
@@ -544,7 +544,7 @@ class DriveBatch:
         count = self.episodes * self.players
         ended, late = np.empty(count, np.bool_), np.empty(count, np.bool_)
         observations = np.empty((count, len(self.elements)), np.float32)
-        if self.setup.config.contact != "end":
+        if self.setup.rules.contact != "end":
             self._paid[:] = self.state.fault
         return StepResults(
             self.state.progress.copy(), self._paid, np.empty(count), ended, late, observations
@@ -597,7 +597,7 @@ class DriveBatch:
 
         A single car wins if it reaches the end; in a race with laps it loses without all laps.
         """
-        state, config = self.state, self.setup.config
+        state, config = self.state, self.setup.rules
         result = np.zeros((self.episodes, self.players), np.int64)
         # In most steps no race is over, and the winners are not needed.
         over = state.over | (state.tick >= config.ticks)
@@ -620,9 +620,9 @@ class DriveBatch:
         info = race_info(self.state, race, car, blamed)
         over = (
             any(self.state.crash[race].tolist())
-            or self.state.tick.item(race) >= self.setup.config.ticks
+            or self.state.tick.item(race) >= self.setup.rules.ticks
         )
-        if (laps := self.setup.config.laps) is not None:
+        if (laps := self.setup.rules.laps) is not None:
             over = over or self.state.laps[race, :, LAPS].max() >= laps
         info["result"] = int(self._outcomes()[race, car]) if over else int(Result.RUNNING)
         info["opponent"] = self.drawn.item(race) if self.opponents else -1
@@ -682,7 +682,7 @@ class DriveBatch:
         check_weights(state[5], self.weights)
         tracks = self.randomization.check_state(state[4])
         lengths = np.array([track.length for track in tracks])
-        check_races("the state's races", state[0], self.setup.config, lengths)
+        check_races("the state's races", state[0], self.setup.rules, lengths)
         check_within("the state's opponents", state[1], 0, max(1, len(self.opponents)) - 1)
         if self._moving is not None:
             self._moving.check_state(state[3], lengths)

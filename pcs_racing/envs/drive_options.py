@@ -3,7 +3,6 @@ observations.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -20,13 +19,13 @@ from pcs_racing.base.typing import ObservationElement as Element
 from pcs_racing.car.lidar_kernel import FIELD_OF_VIEW, MAX_BEAMS, MAX_RANGE, Beams
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.envs.drive_kernel import Limits, Sight
-from pcs_racing.envs.randomization import EpisodeArguments, EpisodeOptions
-from pcs_racing.race.config import DT, MAX_LAPS, RaceConfig
+from pcs_racing.envs.randomization import EpisodeOptions
+from pcs_racing.race.config import DT, MAX_LAPS, Rules
 from pcs_racing.race.state import MAX_CARS
 from pcs_racing.track.track import Track
 
 if TYPE_CHECKING:
-    from pcs_racing.game.archive import PolicyArchive
+    pass
 
 SEE_OPPONENT = ("never", "in sight", "always")
 """When the opponent is observed; each at the index that the kernel knows it by."""
@@ -84,41 +83,6 @@ def rivals_of(opponent: Any, opponents: Any) -> tuple[Any, ...]:
     return () if len(given) == 1 and given[0] is None else given
 
 
-class DriveArguments(EpisodeArguments, total=False):
-    """Types of the arguments of :class:`DriveOptions`, for editors."""
-
-    opponent: Any
-    opponents: Sequence[Any] | None
-    rules: str | Path | RaceConfig
-    duration: float | None
-    laps: int | None
-    time_step: float
-    min_speed: float
-    top_speed: float
-    normalized: bool
-    beams: int
-    fov: float
-    max_range: float
-    look_ahead: Sequence[float]
-    own_state: bool
-    own_pose: bool
-    see_opponent: str
-    time_left: bool
-    normalize: bool
-    progress_reward: float
-    rivalry: float
-    crash_penalty: float
-    win_reward: float
-    start_lines: int
-    archive: "str | Path | PolicyArchive"
-
-
-class HeadToHeadArguments(DriveArguments, total=False):
-    """Types of the arguments of :class:`HeadToHeadOptions`, for editors."""
-
-    cars: int
-
-
 Rival = Annotated[
     Any,
     ANYTHING,
@@ -151,8 +115,8 @@ class DriveOptions(EpisodeOptions):
         " `opponent` in the infos is -1 if there are several.",
     ] = None
     rules: Annotated[
-        str | Path | RaceConfig,
-        Checked(partial(_source, kind=RaceConfig)),
+        str | Path | Rules,
+        Checked(partial(_source, kind=Rules)),
         'Rules of the race: "paper", "contest", a YAML file or a configuration.',
     ] = "paper"
     duration: Annotated[

@@ -1,16 +1,14 @@
 """Strategy-level environment: moves of one car against an opponent, or of both cars."""
 
-from typing import Any, ClassVar, Unpack
+from typing import Any, ClassVar
 
 import numpy as np
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from pettingzoo import AECEnv
 from pettingzoo.utils import parallel_to_aec
 
 from pcs_racing.envs.game_batch import (
     DrivenStep,
-    GameArguments,
     GameBatch,
     GameOptions,
     TwoPlayerOptions,
@@ -117,7 +115,7 @@ class DuelEnv(OverGames, ScalarEnv):
 
     ## Arguments
 
-    :class:`pcs_racing.envs.game_batch.GameOptions` and :class:`pcs_racing.game.GameConfig` list
+    :class:`pcs_racing.envs.game_batch.GameOptions` and :class:`pcs_racing.game.Rules` list
     them; all are given by name.
 
     ## Vectorized environment
@@ -136,9 +134,6 @@ class DuelEnv(OverGames, ScalarEnv):
 
     metadata: dict[str, Any] = ScalarEnv.metadata | {"render_modes": [*MODES, FILM]}
     _unseen: tuple[DrivenStep, ...] = ()  # steps not yet returned by `render`
-
-    def __init__(self, **arguments: Unpack[GameArguments]) -> None:
-        super().__init__(**arguments)
 
     @property
     def opponents(self) -> list[Opponent]:
@@ -182,23 +177,6 @@ class DuelVectorEnv(OverGames, BatchVectorEnv):
     >>> observations.shape
     (4, 31)
     """
-
-    def __init__(
-        self,
-        num_envs: int | None = None,
-        *,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        max_episode_steps: int | None = None,
-        threads: int | None = None,
-        **arguments: Unpack[GameArguments],
-    ) -> None:
-        super().__init__(
-            num_envs,
-            autoreset_mode=autoreset_mode,
-            max_episode_steps=max_episode_steps,
-            threads=threads,
-            **arguments,
-        )
 
     def action_masks(self) -> NDArray[np.bool_]:
         """Return the mask of valid moves, shape (num_envs, M), for sb3-contrib's MaskablePPO."""
@@ -271,18 +249,13 @@ class HeadToHeadEnv(OverGames, ParallelBatchEnv):
     metadata: dict[str, Any] = ParallelBatchEnv.metadata | {"name": "head_to_head_v1"}
     options_type: ClassVar[type[GameOptions]] = TwoPlayerOptions
 
-    def __init__(
-        self, *, max_cycles: int | None = None, **arguments: Unpack[GameArguments]
-    ) -> None:
-        super().__init__(max_cycles=max_cycles, **arguments)
-
 
 parallel_env = HeadToHeadEnv
 """PettingZoo's name for the constructor of a parallel environment."""
 
 
 def env(
-    *, max_cycles: int | None = None, **arguments: Unpack[GameArguments]
+    *, max_cycles: int | None = None, **arguments: Any
 ) -> AECEnv[str, NDArray[np.float32], int | None]:
     """Make the same environment with PettingZoo's AEC interface.
 

@@ -1,7 +1,7 @@
 """Batch of games for the strategy-level environments."""
 
 import copy
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
@@ -46,20 +46,17 @@ from pcs_racing.envs.opponents import (
 )
 from pcs_racing.envs.origins import mark
 from pcs_racing.envs.randomization import (
-    EpisodeArguments,
     EpisodeOptions,
     EpisodeRandomization,
 )
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.identity import game_identity
 from pcs_racing.game.moves import check_moves
 from pcs_racing.game.rules import OUTSIDE, RaceGame
 from pcs_racing.game.starting import check_policies
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.config import DT, RaceConfig
+from pcs_racing.race.config import DT, PAPER, Rules, load_rules
 from pcs_racing.race.driving import advance
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.start_grid import Starts
@@ -78,23 +75,17 @@ class DrivenStep(NamedTuple):
     moves: NDArray[np.int64]  #: shape (2,): Moves at the start of the step.
 
 
-class GameArguments(EpisodeArguments, total=False):
-    """Types of the arguments of :class:`GameOptions` and of the rules, for editors."""
-
-    archive: PolicyArchive | str | Path
-    opponent: Any
-    rules: GameConfig | RaceConfig | str | Path
-    deterministic_opponent: bool
-    moves: int
-    step_seconds: float
-    first_steps: Sequence[float]
-    epsilon: float | Sequence[float]
-    stay: bool
-    characteristics: Sequence[str] | None
-    mask_duplicates: bool
-    utility: str
-    fault_penalty: float
-    discount: float
+GAME_RULES = (
+    "steps",
+    "epsilon",
+    "stay",
+    "utility",
+    "fault_penalty",
+    "discount",
+    "characteristics",
+    "mask_duplicates",
+)
+"""Fields of the rules that are arguments of the environments, too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +111,7 @@ class GameOptions(EpisodeOptions):
         " a second agent in car 1, where the environment has one.",
     ] = "random-moves"
     rules: Annotated[
-        GameConfig | RaceConfig | str | Path,
+        Rules | str | Path,
         ANYTHING,
         'Rules: "paper", "contest", a YAML file or a configuration.',
     ] = "paper"
@@ -130,10 +121,9 @@ class GameOptions(EpisodeOptions):
     ] = True
 
     @classmethod
-    def names(cls) -> list[str]:
-        """Return the names of all arguments: own fields and fields of the rules."""
-        rules = [one.name for one in fields(GameConfig) if one.name != "race"]
-        return [*super().names(), *rules]
+    def defaults(cls) -> dict[str, Any]:
+        """Return the defaults of own fields, and of fields of the rules."""
+        return super().defaults() | {name: getattr(PAPER, name) for name in GAME_RULES}
 
     @classmethod
     def read(cls, arguments: Mapping[str, Any]) -> Self:
@@ -141,7 +131,7 @@ class GameOptions(EpisodeOptions):
         own = {one.name for one in fields(cls)}
         options = cls(**{name: value for name, value in arguments.items() if name in own})
         rules = {name: value for name, value in arguments.items() if name not in own}
-        return replace(options, rules=load_game_config(options.rules, **rules))
+        return replace(options, rules=load_rules(options.rules, **rules))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +173,7 @@ class GameBatch:
         self.episodes, self.players = int(episodes), players
         self.randomization = EpisodeRandomization(self.episodes, options)
         self._archive = load_archive(options.archive)
-        self._rules = load_game_config(options.rules)
+        self._rules = load_rules(options.rules)
         #: Game and opponents on a track, by the track's number.
         self.game_on = lru_cache(maxsize=KEPT + self.episodes)(self._make_game)
         # The game on the first track; the rules are the same on the other tracks.
@@ -197,12 +187,12 @@ class GameBatch:
             **self.randomization.codes,
         }
         self.elements: tuple[ObservationElement, ...] = self.game.observation_elements
-        self.horizon = self.game.config.moves  #: Steps of an episode.
+        self.horizon = self.game.rules.moves  #: Steps of an episode.
         low, high = (
             np.array([getattr(e, end) for e in self.elements], np.float32)
             for end in ("low", "high")
         )
-        origin = {"game": game_identity(self.game)._asdict()}
+        origin = {"game": self.game.identity._asdict()}
         self.observation_space = mark(spaces.Box(low, high, dtype=np.float32), "duel", origin)
         self.action_space = mark(spaces.Discrete(self.game.offered), "duel", origin)
         self.state: GameState | None = None  #: State of the games; None before the first `restart`.
@@ -427,7 +417,7 @@ class GameBatch:
         if step.begun is None:
             return
         game, conditions = self.game_of(0), self.randomization.conditions(self._rows[:1])
-        race, ends = step.begun.copy(), game.config.end_ticks
+        race, ends = step.begun.copy(), game.rules.end_ticks
         trail: list[NDArray[np.float64]] = []
         left = int(ends[np.searchsorted(ends, race.tick[0], side="right")] - race.tick[0])
         while left > 0:
@@ -446,7 +436,7 @@ class GameBatch:
         state = self.started()
         # The first step was driven at the reset, from the grid; the key reproduces the grid.
         if self._begun is not None:
-            if self.game.config.end_ticks[0] == 0:
+            if self.game.rules.end_ticks[0] == 0:
                 return None  # no step driven yet
             key, start = self._begun
             conditions = self.randomization.conditions(self._rows[:1])
@@ -544,9 +534,7 @@ class GameBatch:
     def _blank(self) -> GameState:
         """Return an empty state of the games."""
         return self.game.empty_state(
-            empty_state(
-                self.episodes, self.game.setup.memory_size, laps=self.game.setup.config.laps
-            )
+            empty_state(self.episodes, self.game.setup.memory_size, laps=self.game.setup.rules.laps)
         )
 
     def close(self) -> None:

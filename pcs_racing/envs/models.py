@@ -6,8 +6,6 @@ it. One call of a model serves all its due cars in a batch of races.
 
 import hashlib
 import inspect
-import json
-import re
 import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -30,10 +28,11 @@ from pcs_racing.envs.drive_options import (
     samples_ahead,
     shares,
 )
-from pcs_racing.envs.origins import origin_text, read_origin
+from pcs_racing.envs.origins import check_origin, origin_text, read_origin
 from pcs_racing.game.players import model_agent
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.racers import Racer, Reader, Request, own_name
+from pcs_racing.planners.shipped import split_options
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.state import MAX_CARS, RaceState
 from pcs_racing.track.loading import load_track
@@ -267,13 +266,9 @@ def origin_of(
 def _parse_like(text: str) -> dict[str, Any]:
     """Return the environment of a text such as ``drive:beams=27,look_ahead=[0, 2]``."""
     environment, _, rest = text.partition(":")
-    values: dict[str, Any] = {"environment": environment}
-    for option in re.split(r",(?![^\[]*\])", rest) if rest else []:
-        key, equals, value = option.partition("=")
-        if not equals:
-            raise InputError(f"like is {text!r}; {option!r} is not of the form argument=value")
-        values[key.strip()] = parse_yaml("like", value.encode())
-    return read_origin(json.dumps(values), f"like {text!r}")
+    options = split_options(f"like={text}", rest) if rest else {}
+    values = {name: parse_yaml("like", value.encode()) for name, value in options.items()}
+    return check_origin({"environment": environment, **values}, f"like {text!r}")
 
 
 def needs_like(name: str) -> InputError:
@@ -293,7 +288,7 @@ def read_model(request: Request) -> Racer | None:
         shape = getattr(getattr(given, "action_space", None), "shape", None)
         drives = shape == (2,) if origin is None else origin["environment"] == "drive"
         if not drives:
-            return model_agent(given, name, origin and origin.get("game"), request.rules)
+            return model_agent(given, name, origin and origin.get("game"), request.asked_game)
     elif module_outputs(given) is None and not inspect.isroutine(given):
         return None
     return model_policy(given, name=name, like=request.like)

@@ -27,7 +27,7 @@ from pcs_racing.planners.calling import call_control, call_plan
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import parse_policy
 from pcs_racing.planners.view import PATH_COLUMNS, PATH_POINTS, VIEW_SIZE
-from pcs_racing.race.config import CONTROL_EVERY, DT, PLAN_EVERY, RaceConfig, load_race_config
+from pcs_racing.race.config import CONTROL_EVERY, DT, PLAN_EVERY, Rules, load_rules
 from pcs_racing.race.kernel import fill_view
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.state import empty_state
@@ -87,7 +87,7 @@ class PolicyOnCar:
         Policy of a compiled planner.
     track : Track, str or path
         Track, name of a shipped track, or map folder.
-    rules : RaceConfig, str or path
+    rules : Rules, str or path
         Rules with the speed range of the policies.
     vehicle : VehicleParams, mapping, str or path
         Vehicle of both cars (:func:`pcs_racing.car.vehicle.load_vehicle`). The measured states have
@@ -116,7 +116,7 @@ class PolicyOnCar:
         policy: Policy | str,
         track: Track | str | PathLike[str],
         *,
-        rules: RaceConfig | str | Path = "paper",
+        rules: Rules | str | Path = "paper",
         vehicle: VehicleParams | Mapping[str, Any] | str | PathLike[str] = F1TENTH,
     ) -> None:
         policy = parse_policy(policy) if isinstance(policy, str) else policy
@@ -132,7 +132,7 @@ class PolicyOnCar:
             )
         self.policy, self.track = policy, track if isinstance(track, Track) else load_track(track)
         cars = (load_vehicle(vehicle),) * 2
-        self._setup = RaceSetup(self.track, load_race_config(rules), (planner, planner), cars)
+        self._setup = RaceSetup(self.track, load_rules(rules), (planner, planner), cars)
         self._vehicles = np.stack([car.as_row() for car in cars])
         self._vehicles[:, LIDAR_NOISE : OPPONENT_LOST + 1] = 0.0  # all errors and delays of sensors
         self._states = {count: empty_state(1, 0, count) for count in (1, 2)}

@@ -76,8 +76,8 @@ def _opponent(given: Any, weight: float, game: Any, like: Any) -> Opponent:
 
 def check_games(name: str, games: GameState, game: RaceGame, lengths: NDArray[np.float64]) -> None:
     """Refuse games with a number out of its range; ``lengths`` are the track lengths, m."""
-    check_races(f"{name}.race", games.race, game.config.race, lengths)
-    check_within(f"{name}.step", games.step, 0, game.config.moves)
+    check_races(f"{name}.race", games.race, game.rules, lengths)
+    check_within(f"{name}.step", games.step, 0, game.rules.moves)
     check_within(f"{name}.policy", games.policy, OUTSIDE, len(game.archive) - 1)
     between = (games.race.tick % CONTROL_EVERY != 0) & ~games.race.crashed
     if between.any():
@@ -130,7 +130,7 @@ class MovingOpponents:
 
     def __init__(self, episodes: int, game: RaceGame) -> None:
         self.game = game
-        blank = empty_state(episodes, game.setup.memory_size, laps=game.setup.config.laps)
+        blank = empty_state(episodes, game.setup.memory_size, laps=game.setup.rules.laps)
         self._games = game.empty_state(blank)
         self._games.policy[:] = OUTSIDE
         self._before = blank.copy()  # state at the start of each game's current step
@@ -164,7 +164,7 @@ class MovingOpponents:
         # The races belong to the Drive batch; the games only add the moves.
         games = self._games._replace(race=races)
         due = (games.policy[:, 1] != OUTSIDE) & ~self.game.done(games)
-        rows = np.flatnonzero(due & (races.tick >= self.game.config.end_ticks[games.step]))
+        rows = np.flatnonzero(due & (races.tick >= self.game.rules.end_ticks[games.step]))
         if len(rows) == 0:
             return
         # Only finished steps are measured: other games are in the middle of a step.
@@ -199,7 +199,7 @@ class MovingOpponents:
         name = "the state's moves of the opponent"
         check_part(name, state, (self._games, self._before, [FREE] * len(self._memories)))
         check_games(name, state[0], self.game, lengths)
-        check_races(name, state[1], self.game.config.race, lengths)
+        check_races(name, state[1], self.game.rules, lengths)
 
     def set_state(self, state: tuple[GameState, RaceState, list[Any]]) -> None:
         """Continue from a state of `get_state`."""

@@ -33,14 +33,19 @@ def origin_text(owner: Any) -> str | None:
 
 
 def read_origin(text: str, owner: str) -> dict[str, Any]:
-    """Return the mapping of an origin."""
+    """Return the mapping of an origin's text."""
     try:
         values = json.loads(text) if len(text) <= MAX_LENGTH else None
     except ValueError:
         values = None
+    return check_origin(values, owner)
+
+
+def check_origin(values: Any, owner: str) -> dict[str, Any]:
+    """Return an origin; refuse other values."""
     if not isinstance(values, dict) or values.get("environment") not in ("drive", "duel"):
         raise InputError(
-            f"{owner}: the environment of its training is {text!r:.80}; it must be drive or duel,"
+            f"{owner}: the environment of its training is {values!r:.80}; it must be drive or duel,"
             " with arguments"
         )
     return values

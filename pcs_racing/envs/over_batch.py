@@ -1,6 +1,7 @@
 """Common base of all environments: views of a batch."""
 
 import copy
+import inspect
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
@@ -50,16 +51,22 @@ class OverBatch:
     _renderer: "Renderer | None" = None
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Show the arguments as attributes that can be read, and not set."""
+        """Show the arguments in the signature, and as attributes that can be read, and not set."""
         super().__init_subclass__(**kwargs)
-        names = cls.options_type.names() if hasattr(cls, "options_type") else ()
-        for name in names:
+        named = cls.options_type.defaults() if hasattr(cls, "options_type") else {}
+        for name in named:
             if name != "render_mode" and not hasattr(cls, name):
                 setattr(cls, name, property(attrgetter(f"options.{name}"), partial(refuse, name)))
+        own = inspect.signature(cls.__init__).parameters
+        first = [one for name, one in own.items() if name not in ("self", "arguments")]
+        kind = inspect.Parameter.KEYWORD_ONLY
+        options = [inspect.Parameter(name, kind, default=value) for name, value in named.items()]
+        if "arguments" in own:
+            cls.__signature__ = inspect.Signature([*first, *options])  # type: ignore[attr-defined]
 
     def _configure(self, arguments: Mapping[str, Any], **own: Any) -> None:
         """Make the batch from the arguments of the configuration; ``own`` are all others."""
-        known = self.options_type.names()
+        known = self.options_type.defaults()
         for name in arguments:
             if name not in known:
                 raise unknown_argument(type(self).__name__, name, [*own, *known])

@@ -10,7 +10,7 @@ from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError, MapError
 from pcs_racing.base.settings import OneOf, Settings
-from pcs_racing.race.config import PRESETS, RaceConfig
+from pcs_racing.race.config import KNOWN_RULES, Rules
 from pcs_racing.race.start_grid import PLACE_EVERY, stretches_of
 from pcs_racing.track.building.tracks import build_track
 from pcs_racing.track.frenet import KAPPA
@@ -90,7 +90,7 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
                 made.raceline,
             )
             track.calibration.update(
-                {name: _calibration(track, preset) for name, preset in PRESETS.items()}
+                {name: _calibration(track, rules) for name, rules in KNOWN_RULES.items()}
             )
         except MapError as error:
             refusal = error
@@ -99,7 +99,7 @@ def random_circuit(settings: RandomCircuits, index: int) -> Track:
     raise MapError(f"no circuit came of {settings} in {TRIES} attempts: {refusal}")
 
 
-def _calibration(track: Track, preset: RaceConfig) -> Calibration:
+def _calibration(track: Track, rules: Rules) -> Calibration:
     kappa = np.abs(track.arrays.line[:, KAPPA])
     places = np.arange(0.0, track.length, PLACE_EVERY)
     steps = np.arange(-BEFORE, AHEAD, PLACE_EVERY)
@@ -108,9 +108,7 @@ def _calibration(track: Track, preset: RaceConfig) -> Calibration:
     fit = bend < BENDS
     if not fit.any():
         raise MapError(f"track {track.name!r} has no straight to start from")
-    return Calibration(
-        SPEED_RANGES[preset.name], preset.start_spacing, {"front": stretches_of(fit)}
-    )
+    return Calibration(SPEED_RANGES[rules.name], rules.start_spacing, {"front": stretches_of(fit)})
 
 
 class CircuitBuilder:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, Any, Self, TypedDict
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from pcs_racing.car.vehicle import (
     load_vehicle,
     load_vehicles,
 )
-from pcs_racing.envs.batch import FREE, Generators, Reward, Rows, check_part, check_within
+from pcs_racing.envs.batch import FREE, Generators, Rows, check_part, check_within
 from pcs_racing.envs.circuits import Circuits
 from pcs_racing.envs.draws import (
     PARAMETERS,
@@ -57,19 +57,6 @@ def _function(name: str, value: Any) -> Any:
     if value is not None and not callable(value):
         raise ConfigError(f"{name} is {value!r:.80}; it must be a function of a step")
     return value
-
-
-class EpisodeArguments(TypedDict, total=False):
-    """Types of the arguments that all environments share, for editors."""
-
-    track: Any
-    vehicle: Any
-    randomize: Any
-    obstacles: Any
-    reward: Reward | None
-    render_mode: str | None
-    view: str
-    render_size: tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +118,9 @@ class EpisodeOptions(Settings):
     )
 
     @classmethod
-    def names(cls) -> list[str]:
-        """Return the names of all arguments."""
-        return [one.name for one in fields(cls)]
+    def defaults(cls) -> dict[str, Any]:
+        """Return the defaults of all arguments by name."""
+        return {one.name: one.default for one in fields(cls)}
 
     @classmethod
     def read(cls, arguments: Mapping[str, Any]) -> Self:

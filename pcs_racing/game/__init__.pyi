@@ -7,16 +7,13 @@ from .characteristics import Segment as Segment
 from .characteristics import get_characteristics as get_characteristics
 from .characteristics import measure as measure
 from .characteristics import register_characteristic as register_characteristic
-from .config import GameConfig as GameConfig
-from .config import load_game_config as load_game_config
-from .identity import game_identity as game_identity
 from .kit import CONTROL_EVERY as CONTROL_EVERY
 from .kit import DT as DT
 from .kit import ITTC as ITTC
 from .kit import ITTC_SAMPLES as ITTC_SAMPLES
-from .kit import RaceConfig as RaceConfig
 from .kit import RaceSetup as RaceSetup
 from .kit import RaceState as RaceState
+from .kit import Rules as Rules
 from .kit import advance as advance
 from .kit import draw_starts as draw_starts
 from .kit import pad_parameters as pad_parameters
@@ -36,23 +33,20 @@ __all__ = [
     "ITTC",
     "ITTC_SAMPLES",
     "Characteristic",
-    "GameConfig",
     "GameState",
     "PolicyArchive",
-    "RaceConfig",
     "RaceGame",
     "RaceSetup",
     "RaceState",
+    "Rules",
     "Segment",
     "advance",
     "ask_moves",
     "draw_starts",
     "duplicate_moves",
-    "game_identity",
     "get_characteristics",
     "list_archives",
     "load_archive",
-    "load_game_config",
     "make_game",
     "measure",
     "move_table",

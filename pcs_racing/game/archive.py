@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from pcs_racing.base.checks import (
     check_facts,
     check_names,
     check_text,
-    check_whole_array,
+    check_whole,
 )
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.typing import Floats, Indices
@@ -29,16 +29,6 @@ from pcs_racing.planners.registry import get_planner, parse_policy
 
 MAX_COORDINATE = 1e9
 """Max parameter or coordinate of an archive; sums of their squares stay finite."""
-
-
-class Explored(NamedTuple):
-    """Policies evaluated during the synthesis of an archive: the source of "random policies"."""
-
-    parameters: Floats  #: shape (E, P)
-    #: shape (E, G): Coordinates in the characteristics' units, as measured during the synthesis.
-    coordinates: Floats
-    #: shape (E,): Share of races ended by a crash of the policy's own fault.
-    own_crash: Floats | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +63,7 @@ class PolicyArchive:
     #: Settings of the synthesis: texts and numbers by name. ``segment_seconds`` is the length of a
     #: race segment; the coordinates are means over segments.
     settings: Mapping[str, str | int | float | bool] = field(default_factory=dict)
-    preset: str = "paper"  #: Name of the rules of the measured races.
+    rules: str = "paper"  #: Name of the rules of the measured races.
     spread: Floats | None = None  #: shape (K, G): Standard errors of the coordinates.
     #: shape (K,): Share of the measured races ended by a crash of the policy's own fault, 0 to 1.
     own_crash: Floats | None = None
@@ -81,7 +71,7 @@ class PolicyArchive:
     explored_own_crash: Floats | None = None
 
     def __post_init__(self) -> None:
-        for key in ("name", "planner", "preset"):
+        for key in ("name", "planner", "rules"):
             check_text(f"an archive's {key}", getattr(self, key))
         where = f"archive {self.name!r}"
         for key in ("parameter_names", "characteristics"):
@@ -132,14 +122,14 @@ class PolicyArchive:
         return len(self.parameters)
 
     def __repr__(self) -> str:
-        """Show the number of policies, the axes with their correlation, and the preset."""
+        """Show the number of policies, the axes with their correlation, and the rules."""
         axes = ", ".join(self.characteristics)
         if len(self.characteristics) > 1:
             together = ", ".join(f"{value:+.2f}" for value in self.correlations.values())
             axes += f" (correlation {together})"
         return (
-            f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, preset"
-            f" {self.preset!r}>"
+            f"<PolicyArchive {self.name!r}: {len(self)} {self.planner} policies, {axes}, rules"
+            f" {self.rules!r}>"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -250,31 +240,17 @@ class PolicyArchive:
 
     def policy(self, index: int) -> Policy:
         """Return one of the policies, named after the archive and its index."""
-        at = int(check_whole_array("policy index", index, (), minimum=0, maximum=len(self) - 1))
-        return Policy(
-            get_planner(self.planner), self.complete(self.parameters[[at]])[0], f"{self.name}[{at}]"
-        )
+        return self._policy("policy", self.parameters, index, self.name)
 
     def explored_policy(self, index: int) -> Policy:
-        """Return one of the explored policies."""
-        explored: Any = self.explored_parameters
-        at = int(
-            check_whole_array(
-                "explored policy index", index, (), minimum=0, maximum=len(explored) - 1
-            )
-        )
-        return Policy(
-            get_planner(self.planner),
-            self.complete(explored[[at]])[0],
-            f"{self.name}:explored[{at}]",
-        )
+        """Return one of the policies evaluated during the synthesis."""
+        where = f"{self.name}:explored"
+        return self._policy("explored policy", self.explored_parameters, index, where)
 
-    @property
-    def explored(self) -> Explored:
-        """All policies evaluated during the synthesis; may be empty."""
-        return Explored(
-            self.explored_parameters, self.explored_coordinates, self.explored_own_crash
-        )
+    def _policy(self, noun: str, parameters: Floats, index: int, where: str) -> Policy:
+        at = check_whole(f"{noun} index", index, 0, len(parameters) - 1)
+        theta = self.complete(parameters[[at]])[0]
+        return Policy(get_planner(self.planner), theta, f"{where}[{at}]")
 
     def select(self, by: str = "middle") -> int:
         """Return the index of the policy with the max of a characteristic.

@@ -13,7 +13,7 @@ from pcs_racing.base.files import shipped_folder, unpack_arrays
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.planners.registry import get_planner
 
-_TEXTS = ("name", "planner", "preset")
+_TEXTS = ("name", "planner", "rules")
 _NAMES = ("parameter_names", "characteristics")
 _ARRAYS = (
     "parameters",

@@ -1,14 +1,12 @@
 """Identity of a game: archive, moves and observations of a network, an agent, a fit or a tree."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
+from pcs_racing.base.checks import check_names, check_text, check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.config import GameConfig
-from pcs_racing.game.moves import STAY, move_names
-from pcs_racing.game.observation import observation_elements
+from pcs_racing.game.moves import STAY
+from pcs_racing.race.config import check_epsilon
 
 
 class GameIdentity(NamedTuple):
@@ -25,33 +23,29 @@ class GameIdentity(NamedTuple):
     epsilon: tuple[float, ...]  #: Lengths of the moves, in units of the archive's range.
     archive: str  #: Name of the archive of policies.
     archive_sha256: str  #: Hash of the archive, :attr:`pcs_racing.game.PolicyArchive.content_hash`.
-    preset: str  #: Name of the rules of the race.
+    rules: str  #: Name of the rules.
     decisions: int = 0  #: Number of moves of each player.
 
 
-class _HasRules(Protocol):
-    """A game, or an archive with rules; the archive has the axes of the game."""
-
-    @property
-    def archive(self) -> PolicyArchive: ...
-
-    @property
-    def config(self) -> GameConfig: ...
+def plain_identity(identity: GameIdentity) -> dict[str, Any]:
+    """Return the recorded values of an identity, for a manifest."""
+    values = {key: value for key, value in identity._asdict().items() if value}
+    return {key: list(one) if isinstance(one, tuple) else one for key, one in values.items()}
 
 
-def game_identity(game: _HasRules) -> GameIdentity:
-    """Return the identity of a game, or of an agent's archive and rules."""
-    archive, config = game.archive, game.config
-    names = move_names(archive, config.epsilon)
-    elements = observation_elements(get_characteristics(archive.characteristics), config.moves)
+def read_identity(values: Mapping[str, Any]) -> GameIdentity:
+    """Return the identity of a game from plain values, such as a manifest's."""
+    for key in ("epsilon", "archive", "archive_sha256", "rules"):
+        if key not in values:
+            raise InputError(f"a description of a game lacks {key!r}")
     return GameIdentity(
-        elements=tuple(element.name for element in elements),
-        moves=names if config.stay else names[:-1],
-        epsilon=config.epsilon if isinstance(config.epsilon, tuple) else (config.epsilon,),
-        archive=archive.name,
-        archive_sha256=archive.content_hash,
-        preset=config.race.name,
-        decisions=config.moves,
+        elements=check_names("elements", values["elements"]) if "elements" in values else (),
+        moves=check_names("moves", values["moves"]) if "moves" in values else (),
+        epsilon=check_epsilon(values["epsilon"]),
+        archive=check_text("archive", values["archive"]),
+        archive_sha256=check_text("archive_sha256", values["archive_sha256"]),
+        rules=check_text("rules", values["rules"]),
+        decisions=check_whole("decisions", values.get("decisions", 0), 0),
     )
 
 
@@ -60,9 +54,9 @@ def check_same_game(
 ) -> None:
     """Check that two games have the same number of moves, observations, moves and archive.
 
-    The other game may have the move "stay" in addition. The preset and the archive's name may
-    differ: an artifact made under other rules of the race may be tried. The owners name the
-    artifacts or games in the message.
+    The move "stay" is not compared: a player may always stay, and one that never stays plays the
+    same game. The names of rules and archive may differ: an artifact made under other rules may be
+    tried. The owners name the artifacts or games in the message.
     """
     if own.decisions and other.decisions and own.decisions != other.decisions:
         raise InputError(
@@ -73,11 +67,9 @@ def check_same_game(
         raise InputError(
             f"{owner} {_difference(own.elements, other.elements, 'sees', other_owner)}"
         )
-    # The move "stay" can always be offered: a player that never stays plays the same game.
-    if own.moves and other.moves not in (own.moves, (*own.moves, STAY)):
-        raise InputError(
-            f"{owner} {_difference(own.moves, other.moves, 'values moves', other_owner)}"
-        )
+    mine, theirs = (tuple(one for one in game.moves if one != STAY) for game in (own, other))
+    if own.moves and mine != theirs:
+        raise InputError(f"{owner} {_difference(mine, theirs, 'values moves', other_owner)}")
     if own.epsilon != other.epsilon:
         raise InputError(
             f"{owner} was made for moves of epsilon {_list(own.epsilon)}; {other_owner} has"

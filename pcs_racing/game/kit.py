@@ -3,7 +3,7 @@
 from pcs_racing.base.seeds import race_seeds as race_seeds
 from pcs_racing.race.config import CONTROL_EVERY as CONTROL_EVERY
 from pcs_racing.race.config import DT as DT
-from pcs_racing.race.config import RaceConfig as RaceConfig
+from pcs_racing.race.config import Rules as Rules
 from pcs_racing.race.driving import advance as advance
 from pcs_racing.race.driving import pad_parameters as pad_parameters
 from pcs_racing.race.frames import write_gif as write_gif

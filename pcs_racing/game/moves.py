@@ -10,13 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.base.checks import as_array, is_flag, is_number
+from pcs_racing.base.checks import as_array, is_flag
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive import PolicyArchive
-
-EPSILON = 0.5
-"""Default length of a move: half of the archive's range on an axis."""
+from pcs_racing.race.config import EPSILON, check_epsilon
 
 STAY = "stay"
 """Name of the last move, which keeps the policy."""
@@ -95,24 +93,6 @@ def duplicate_moves(table: Indices) -> NDArray[np.bool_]:
     """
     same = table[:, :, None] == table[:, None, :]
     return np.triu(same, 1).any(axis=1)
-
-
-def check_epsilon(epsilon: Any) -> tuple[float, ...]:
-    """Return the step sizes of the moves as a tuple of different positive numbers."""
-    several = isinstance(epsilon, list | tuple) or (
-        isinstance(epsilon, np.ndarray) and epsilon.ndim == 1
-    )
-    given = list(epsilon) if several else [epsilon]
-    lengths = [
-        length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length
-        for length in given
-    ]
-    steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
-    if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):
-        raise InputError(
-            f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones"
-        )
-    return steps
 
 
 def check_moves(

@@ -21,7 +21,7 @@ from pcs_racing.base.errors import InputError, one_line
 from pcs_racing.base.seeds import GOLDEN, scramble_one
 from pcs_racing.base.typing import Indices
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
+from pcs_racing.game.identity import check_same_game, read_identity
 from pcs_racing.game.moves import STAY, check_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
@@ -150,28 +150,22 @@ RANDOM_MOVES = "random-moves"
 ALWAYS = "always-"
 
 
-def always(spec: Any, move: str, *, name: str | None = None, seed: int = 0) -> ConstantPlayer:
-    """Return an agent that makes the same move at every step.
-
-    ``spec`` is a game, or an archive with rules.
-    """
-    names = spec.moves
-    plain = ["".join(one.split()) for one in names]
-    wanted = "".join(move.split())
-    if wanted not in plain:
-        raise InputError(f"{move!r} is no move; the moves are {', '.join(names)}")
-    chances = np.eye(len(names))[plain.index(wanted)]
-    return ConstantPlayer(name or f"{ALWAYS}{wanted}", tuple(chances.tolist()), seed)
+def always(game: RaceGame, move: str, *, name: str | None = None, seed: int = 0) -> ConstantPlayer:
+    """Return an agent that makes the same move at every step."""
+    index = game.move(move)
+    chances = np.eye(len(game.moves))[index]
+    plain = "".join(game.moves[index].split())
+    return ConstantPlayer(name or f"{ALWAYS}{plain}", tuple(chances.tolist()), seed)
 
 
-def never_switch(spec: Any, *, name: str = NEVER_SWITCH, seed: int = 0) -> ConstantPlayer:
+def never_switch(game: RaceGame, *, name: str = NEVER_SWITCH, seed: int = 0) -> ConstantPlayer:
     """Return an agent that keeps its initial policy: the paper's non-GT agent."""
-    return always(spec, STAY, name=name, seed=seed)
+    return always(game, STAY, name=name, seed=seed)
 
 
-def random_moves(spec: Any, *, name: str = RANDOM_MOVES, seed: int = 0) -> ConstantPlayer:
+def random_moves(game: RaceGame, *, name: str = RANDOM_MOVES, seed: int = 0) -> ConstantPlayer:
     """Return an agent that draws each move uniformly among the moves that the rules offer."""
-    count, offered = len(spec.moves), spec.offered
+    count, offered = len(game.moves), game.offered
     return ConstantPlayer(name, (1.0 / offered,) * offered + (0.0,) * (count - offered), seed)
 
 
@@ -247,18 +241,14 @@ def competitor(
 
 
 def read_player(request: Request) -> Racer | None:
-    """Return a constant player, a policy of an archive, or an agent in memory.
-
-    The rules of a request, a game or an archive with rules, have an ``archive``, a ``config``,
-    ``moves`` and the number of ``offered`` moves.
-    """
+    """Return a constant player, a policy of an archive, or an agent in memory."""
     given, text = request.given, request.text
     if text == NEVER_SWITCH:
-        return never_switch(request.rules, seed=request.seed)
+        return never_switch(request.asked_game, seed=request.seed)
     if text == RANDOM_MOVES:
-        return random_moves(request.rules, seed=request.seed)
+        return random_moves(request.asked_game, seed=request.seed)
     if text.startswith(ALWAYS):
-        return always(request.rules, text.removeprefix(ALWAYS), seed=request.seed)
+        return always(request.asked_game, text.removeprefix(ALWAYS), seed=request.seed)
     place = re.fullmatch(r"(.+)\[(\d{1,9})\]", text)
     if place:
         return load_archive(place[1]).policy(int(place[2]))
@@ -286,31 +276,11 @@ def _inputs(function: Any) -> int:
 PLAYERS = Reader(read_player, lambda: (NEVER_SWITCH, RANDOM_MOVES))
 
 
-def model_agent(model: Any, name: str, arguments: Any, rules: Any) -> ModelAgent:
-    """Return the agent of a model that was trained in a game with these arguments of its space.
-
-    The game of the training must be the game of the rules.
-    """
-    if arguments is not None:
-        identity = game_identity(rules)._replace(moves=rules.moves)
-        check_same_game(read_identity(arguments), identity, f"model {name!r}")
+def model_agent(model: Any, name: str, origin: Any, game: RaceGame) -> ModelAgent:
+    """Return the agent of a model; ``origin`` is the game of its training, as plain values."""
+    if origin is not None:
+        check_same_game(read_identity(origin), game.identity, f"model {name!r}")
     return ModelAgent(name, model)
-
-
-def read_identity(values: Any) -> GameIdentity:
-    """Return the identity of a game from plain values, such as a mapping of JSON."""
-    try:
-        return GameIdentity(
-            elements=tuple(map(str, values["elements"])),
-            moves=tuple(map(str, values["moves"])),
-            epsilon=tuple(map(float, values["epsilon"])),
-            archive=str(values["archive"]),
-            archive_sha256=str(values["archive_sha256"]),
-            preset=str(values["preset"]),
-            decisions=int(values["decisions"]),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"a description of a game lacks {error}") from None
 
 
 def check_competitor(game: RaceGame, competitor: Competitor) -> None:

@@ -16,7 +16,7 @@
 6. **Reward.** Paid at the end, zero-sum: :meth:`RaceGame.reward` and
    :func:`pcs_racing.game.reward.reward`.
 
-The numbers are settings (:class:`pcs_racing.game.config.GameConfig`). Environments, game trees and
+The numbers are settings (:class:`pcs_racing.race.config.Rules`). Environments, game trees and
 tournaments all play through :class:`RaceGame`: functions from one :class:`GameState` to the next,
 for many games at once.
 """
@@ -35,7 +35,7 @@ from pcs_racing.base.typing import Floats, Indices, ObservationElement
 from pcs_racing.car.vehicle import F1TENTH, VehicleParams
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Characteristic, Segment, get_characteristics, measure
-from pcs_racing.game.config import GameConfig
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.moves import check_moves, duplicate_moves, move_names, move_table
 from pcs_racing.game.observation import (
     HIGH,
@@ -54,6 +54,7 @@ from pcs_racing.game.state import GameState, put_games
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
+from pcs_racing.race.config import PAPER, Rules
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
@@ -65,16 +66,14 @@ OUTSIDE = -1
 
 REDRAWS = 20  # max redraws of a game that ends before the first move
 
-PAPER_GAME = GameConfig()
-
 
 @dataclass(frozen=True, eq=False)
 class RaceGame:
-    """Game on one track with one archive."""
+    """Game with one archive on one track, or on any track: the game that an agent is made for."""
 
-    track: Track
+    track: Track  #: Track; None for any track, without starts and races.
     archive: PolicyArchive  #: Archive of both players' policies.
-    config: GameConfig = PAPER_GAME  #: Rules of the game.
+    rules: Rules = PAPER  #: Rules of the game.
     #: Planner of car 1 for policies from outside the archive (``reset(opponents=...)``); by default
     #: the archive's planner.
     opponent_planner: Planner | str | None = None
@@ -88,13 +87,11 @@ class RaceGame:
     max_delays: VehicleParams = F1TENTH
 
     def __post_init__(self) -> None:
-        if (
-            self.config.characteristics is not None
-            and self.config.characteristics != self.archive.characteristics
-        ):
-            object.__setattr__(self, "archive", self.archive.project(self.config.characteristics))
+        axes = self.rules.characteristics
+        if axes is not None and axes != self.archive.characteristics:
+            object.__setattr__(self, "archive", self.archive.project(axes))
         # Reject unknown planners and a track without start lines here, not when games begin.
-        _ = self.start_lines
+        _ = self.rules.end_ticks if self.track is None else self.start_lines
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the fields of the game, not the values derived from them."""
@@ -112,14 +109,14 @@ class RaceGame:
 
     @cached_property
     def setup(self) -> RaceSetup:
-        """Track, race rules and planners, as input of :func:`pcs_racing.race.driving.advance`."""
+        """Track, rules and planners, as input of :func:`pcs_racing.race.driving.advance`."""
         family = self.archive.family()
         first, second = (
             get_planner(planner) if isinstance(planner, str) else planner or family
             for planner in (self.ego_planner, self.opponent_planner)
         )
         return RaceSetup(
-            self.track, self.config.race_rules, (first, second), self.vehicles, self.max_delays
+            self.track, self.rules.for_game, (first, second), self.vehicles, self.max_delays
         )
 
     @cached_property
@@ -138,7 +135,7 @@ class RaceGame:
     @cached_property
     def table(self) -> Indices:
         """Policy that each move leads to from every policy, shape (K, M)."""
-        return move_table(self.archive, self.config.epsilon)
+        return move_table(self.archive, self.rules.epsilon)
 
     @cached_property
     def points(self) -> Floats:
@@ -151,23 +148,50 @@ class RaceGame:
     def start_lines(self) -> Floats:
         """Arc lengths of the start lines of :meth:`reset`, m; train places, which no table uses."""
         return start_lines(
-            self.track, self.setup.config, np.random.SeedSequence(0, spawn_key=(0,)), split="train"
+            self.track, self.setup.rules, np.random.SeedSequence(0, spawn_key=(0,)), split="train"
         )
+
+    @cached_property
+    def identity(self) -> GameIdentity:
+        """Identity of the game, with the moves that the rules offer."""
+        epsilon = self.rules.epsilon
+        return GameIdentity(
+            elements=tuple(element.name for element in self.observation_elements),
+            moves=self.moves[: self.offered],
+            epsilon=epsilon if isinstance(epsilon, tuple) else (epsilon,),
+            archive=self.archive.name,
+            archive_sha256=self.archive.content_hash,
+            rules=self.rules.name,
+            decisions=self.rules.moves,
+        )
+
+    @property
+    def anywhere(self) -> "RaceGame":
+        """Game on any track, with the archive's planner."""
+        return RaceGame(None, self.archive, self.rules)  # type: ignore[arg-type]
 
     @cached_property
     def moves(self) -> tuple[str, ...]:
         """Names of the M moves; the last one is "stay"."""
-        return move_names(self.archive, self.config.epsilon)
+        return move_names(self.archive, self.rules.epsilon)
+
+    def move(self, name: str) -> int:
+        """Return the index of a move by its name, with or without spaces."""
+        plain = ["".join(one.split()) for one in self.moves]
+        wanted = "".join(str(name).split())
+        if wanted not in plain:
+            raise InputError(f"{name!r} is no move; the moves are {', '.join(self.moves)}")
+        return plain.index(wanted)
 
     @property
     def offered(self) -> int:
         """Number of first moves that the rules offer: all, or all but "stay"."""
-        return len(self.moves) - (not self.config.stay)
+        return len(self.moves) - (not self.rules.stay)
 
     @cached_property
     def observation_elements(self) -> tuple[ObservationElement, ...]:
         """Name, unit, bounds and meaning of each of the D numbers of an observation."""
-        return observation_elements(self.characteristics, self.config.moves)
+        return observation_elements(self.characteristics, self.rules.moves)
 
     # Start
 
@@ -201,7 +225,7 @@ class RaceGame:
             Policies of the cars at the start of each game; -1 draws a policy uniformly from the
             archive.
         starts : Starts, optional
-            Start positions of the cars; by default drawn from ``config.race.start_lines`` lines
+            Start positions of the cars; by default drawn from ``rules.start_lines`` lines
             and both sides.
         opponents : Policy or sequence of B (Policy or None), optional
             Policies of car 1 from outside the archive, all of ``opponent_planner``; the moves of
@@ -279,7 +303,7 @@ class RaceGame:
         state.policy[:] = policy
         state.theta[:] = self.theta(policy)
         state.theta[outside] = theta[outside]
-        if self.config.end_ticks[0] > 0:
+        if self.rules.end_ticks[0] > 0:
             estimates = self.drive(state.race, state.theta, conditions)
         else:
             estimates = self.measure(state.race, state.race)
@@ -311,7 +335,7 @@ class RaceGame:
 
     def empty_state(self, races: RaceState) -> GameState:
         """Return games with these races on the grid; every other number is 0."""
-        games, steps, axes = races.races, self.config.moves + 1, len(self.characteristics)
+        games, steps, axes = races.races, self.rules.moves + 1, len(self.characteristics)
         return GameState(
             race=races,
             step=np.zeros(games, np.int64),
@@ -368,7 +392,7 @@ class RaceGame:
         With ``mask_duplicates`` it excludes moves with the same target as "stay" or an earlier
         move.
         """
-        if not self.config.mask_duplicates:
+        if not self.rules.mask_duplicates:
             return np.ones((state.games, 2, self.offered), np.bool_)
         allowed = ~self._duplicates[state.policy]
         allowed[state.policy == OUTSIDE] = True
@@ -387,7 +411,7 @@ class RaceGame:
         """Return whether each game is over, shape (B,): all moves made and driven, or the race
         ended before, by a crash or by its laps.
         """
-        return (state.step >= self.config.moves) | state.race.over
+        return (state.step >= self.rules.moves) | state.race.over
 
     def fault(self, state: GameState) -> NDArray[np.bool_]:
         """Return whether each car is to blame for the crash that ended its game, shape (B, 2)."""
@@ -398,7 +422,7 @@ class RaceGame:
         over = self.done(state)
         if not over.any():
             return np.full(state.games, -1, np.int8)
-        return np.where(over, winners(self.config.race, state.race), -1).astype(np.int8)
+        return np.where(over, winners(self.rules, state.race), -1).astype(np.int8)
 
     def reward(self, state: GameState) -> Floats:
         """Return the reward of each car, shape (B, 2).
@@ -407,7 +431,7 @@ class RaceGame:
         """
         over, both = self.done(state), np.zeros((state.games, 2))
         if over.any():
-            both[:, 0] = np.where(over, reward(self.config, state.race, state.step), 0.0)
+            both[:, 0] = np.where(over, reward(self.rules, state.race, state.step), 0.0)
             both[:, 1] = 0.0 - both[:, 0]
         return both
 
@@ -434,7 +458,7 @@ class RaceGame:
         before = races._replace(
             progress=races.progress.copy(), sums=races.sums.copy(), tick=races.tick.copy()
         )
-        ends = self.config.end_ticks
+        ends = self.rules.end_ticks
         lengths = (
             np.append(ends, ends[-1])[np.searchsorted(ends, races.tick, side="right")] - races.tick
         )
@@ -470,8 +494,8 @@ class RaceGame:
 
     def measure(self, before: RaceState, after: RaceState) -> Floats:
         """Return the cars' measured coordinates (normalised) over one step, shape (B, 2, G)."""
-        segment = Segment.between(before, after, self.config.step_seconds)
-        so_far = Segment.so_far(after, self.config.step_seconds)
+        segment = Segment.between(before, after, self.rules.step_seconds)
+        so_far = Segment.so_far(after, self.rules.step_seconds)
         points = self.archive.normalise(measure(segment, self.characteristics, so_far))
         return np.minimum(np.maximum(points, LOW), HIGH)  # in a third of the time of np.clip
 

@@ -1,5 +1,6 @@
 """Learned planners from folders, whatever their kind."""
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,38 +14,41 @@ from pcs_racing.planners.racers import Reader, Request
 from pcs_racing.planners.registry import policy_of
 from pcs_racing.planners.shipped import split_name
 
-LOADERS = {
-    f"format: pcs-racing {LIDAR_FORMAT.noun}": load_lidar_planner,
-    f"format: pcs-racing {LINE_FORMAT.noun}": load_line_planner,
-}
+LOADERS = {LIDAR_FORMAT.noun: load_lidar_planner, LINE_FORMAT.noun: load_line_planner}
+"""Loaders of learned planners by the kind of their folders."""
 
 
-def is_planner_folder(place: str | Path) -> bool:
-    """Return whether a place is a folder with a manifest."""
-    return (Path(place) / MANIFEST).is_file()
+def folder_kind(folder: str | Path) -> str:
+    """Return the kind of a folder: the format that its manifest begins with, or else its line.
+
+    It is empty without a manifest.
+    """
+    file = Path(folder) / MANIFEST
+    if not file.is_file():
+        return ""
+    content = read_limited(file, MAX_YAML, "a manifest", InputError)
+    line = content.decode("utf-8", "replace").partition("\n")[0].strip()
+    return line.removeprefix("format: pcs-racing ")
 
 
-def folder_format(folder: str | Path) -> str:
-    """Return the first line of a folder's manifest, which names the format of the folder."""
-    content = read_limited(Path(folder) / MANIFEST, MAX_YAML, "a manifest", InputError)
-    return content.decode("utf-8", "replace").partition("\n")[0].strip()
+def wrong_kind(folder: Path, kind: str, known: Iterable[str]) -> InputError:
+    """Return the error for a folder of another kind."""
+    found = f"a folder of {kind!r:.80}" if kind else "no folder with a manifest"
+    return InputError(f"{folder} is {found}; it must be of {', '.join(known)}")
 
 
 def load_planner(folder: str | Path) -> Planner:
     """Return the learned planner of a folder; its name is the folder."""
-    first = folder_format(folder)
-    if first not in LOADERS:
-        raise InputError(
-            f"{Path(folder) / MANIFEST} begins with {first[:80]!r}; a learned planner's begins with"
-            f" one of {', '.join(map(repr, LOADERS))}"
-        )
-    return replace(LOADERS[first](folder), name=str(folder))
+    kind = folder_kind(folder)
+    if kind not in LOADERS:
+        raise wrong_kind(Path(folder), kind, LOADERS)
+    return replace(LOADERS[kind](folder), name=str(folder))
 
 
 def read_learned(request: Request) -> Policy | None:
     """Return the policy of a trained planner's folder."""
     place = split_name(request.text)[0]
-    if not place or not is_planner_folder(place) or folder_format(place) not in LOADERS:
+    if not place or folder_kind(place) not in LOADERS:
         return None
     return policy_of(load_planner(place), request.text)
 

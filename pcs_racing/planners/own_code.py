@@ -63,7 +63,8 @@ def _made(place: str, name: str, request: Request) -> Any:
     if not callable(made) or isinstance(made, Policy):
         return made
     parameters = inspect.signature(made).parameters.values()
-    return made(request.rules) if any(one.default is one.empty for one in parameters) else made()
+    needs_game = any(one.default is one.empty for one in parameters)
+    return made(request.asked_game) if needs_game else made()
 
 
 def _imported(place: str) -> Any:

@@ -134,10 +134,8 @@ class Planner:
         """Return the indices of parameters in ``theta``, by name."""
         for name in names:
             if name not in self.parameter_names:
-                raise UnknownNameError(
-                    f"planner {self.name!r} has no parameter {name!r}; it has"
-                    f" {', '.join(self.parameter_names)}"
-                )
+                known = choices(name, self.parameter_names)
+                raise UnknownNameError(f"planner {self.name!r} has no parameter {name!r}; {known}")
         return np.array([self.parameter_names.index(name) for name in names], np.int64)
 
     def without(self, fixed: Sequence[str]) -> tuple[str, ...]:

@@ -13,8 +13,7 @@ import difflib
 from collections.abc import Callable, Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
-from importlib.metadata import EntryPoints, entry_points
+from functools import cached_property
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
@@ -24,6 +23,7 @@ import numpy as np
 from pcs_racing.base.checks import check_text
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.planners.planner import Policy, PolicySet
+from pcs_racing.planners.shipped import declared, load_place
 
 READERS = (
     "pcs_racing.planners.registry:PLANNERS",
@@ -58,7 +58,7 @@ class Request:
         return self.given if isinstance(self.given, str) else ""
 
     @cached_property
-    def rules(self) -> Any:
+    def asked_game(self) -> Any:
         """Game of the place; an agent is refused at a place without a game."""
         if self.game is None:
             raise InputError(
@@ -105,7 +105,7 @@ def racer(
 
         Or one of these objects: a policy, planner, agent, model, torch module or function, or a
         driver with ``plan``.
-    game : RaceGame, GameSpec or function, optional
+    game : RaceGame or function, optional
         Game of the agents; a function makes it at its first use. Without a game only policies race.
     code : bool
         True to run the code that a text names. Never for a text from a file.
@@ -143,7 +143,7 @@ def policy_racer(given: Any, code: bool = False, *, like: Any = None) -> Policy:
         return found
     if isinstance(found, PolicySet):
         raise InputError(f"{found.name!r} has {len(found.policies)} policies; name one of them")
-    Request(given).rules  # noqa: B018 refuses an agent
+    Request(given).asked_game  # noqa: B018 refuses an agent
     raise _no_racer(given)
 
 
@@ -174,19 +174,9 @@ def known_names() -> list[str]:
 
 def _readers() -> Iterator[Reader]:
     yield from map(resolve_name, READERS)
-    for point in _declared():
-        try:
-            yield point.load()
-        except Exception as error:  # any error of a third-party module at its import
-            raise InputError(
-                f"the racers {point.name!r} can't be loaded from {point.value}: {error}"
-            ) from error
+    for name, place in declared(ENTRY_POINTS).items():
+        yield load_place(f"the racers {name!r}", place)
     yield from map(resolve_name, LAST_READERS)
-
-
-@lru_cache(maxsize=1)
-def _declared() -> EntryPoints:
-    return entry_points(group=ENTRY_POINTS)
 
 
 def _unknown(text: str) -> UnknownNameError:

@@ -6,15 +6,20 @@ calls :func:`register_planner`. A planner is imported at the first use of its na
 """
 
 import copyreg
-from functools import lru_cache
-from importlib.metadata import entry_points
 from pkgutil import resolve_name
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.planner import Planner, Policy, PolicySet
 from pcs_racing.planners.racers import Reader, Request
-from pcs_racing.planners.shipped import SHIPPED, split_name
+from pcs_racing.planners.shipped import (
+    SHIPPED,
+    check_new_name,
+    declared,
+    load_place,
+    split_name,
+    split_options,
+)
 
 ENTRY_POINTS = "pcs_racing.planners"
 """Entry point group of the planners of a distribution: ``name = "package.module:PLANNER"``."""
@@ -32,20 +37,14 @@ def register_planner(planner: Planner | str, *, name: str | None = None) -> None
     """
     if isinstance(planner, Planner):
         name = planner.name
-    # The name of a file is its path, with any characters.
-    if (
-        not isinstance(name, str)
-        or not name
-        or (name[-3:] != ".py" and any(sign in name for sign in ":=, \t\n"))
-    ):
-        raise InputError(f"planner name {name!r} must be text without ':', '=', ',' and spaces")
-    if isinstance(planner, Planner):
         taken = name in planner_names() and get_planner(name) is not planner
-        _planners.setdefault(name, planner)
     else:
-        taken = _places.setdefault(name, planner) != planner
-    if taken:
-        raise InputError(f"there is a planner {name!r} already; give yours another name")
+        taken = _places.get(str(name), planner) != planner
+    # The name of a file is its path, with any characters.
+    own_file = isinstance(name, str) and name.endswith(".py")
+    check_new_name("planner", "file" if own_file else name, taken)
+    names: dict[Any, Any] = _planners if isinstance(planner, Planner) else _places
+    names.setdefault(name, planner)
 
 
 def planner_names() -> list[str]:
@@ -59,10 +58,7 @@ def get_planner(name: str) -> Planner:
         if name not in _declared():
             raise UnknownNameError(f"planner {name!r} is unknown; {choices(name, planner_names())}")
         place = _declared()[name]
-        try:
-            planner = resolve_name(place)
-        except Exception as error:  # any error from the import of a third-party module
-            raise InputError(f"planner {name!r} can't be loaded from {place}: {error}") from error
+        planner = load_place(f"planner {name!r}", place)
         if not isinstance(planner, Planner):
             raise InputError(
                 f"planner {name!r}: {place} is of type {type(planner).__name__}; it must be a"
@@ -93,21 +89,10 @@ def policy_of(planner: Planner, text: str) -> Policy:
         return planner.policy(name=name)
     if "=" not in rest:
         return planner.policy(rest, name=f"{name}:{rest}")
-    settings = rest.split(",")
-    variant = None if "=" in settings[0] else settings.pop(0)
-    base = planner.policy(variant)
-    values: dict[str, float] = {}
-    for setting in settings:
-        key, equals, value = setting.partition("=")
-        if not equals:
-            raise InputError(f"policy {text!r}: {setting!r} is not of the form parameter=value")
-        if key not in planner.parameter_names:
-            suggestion = choices(key, planner.parameter_names)
-            raise UnknownNameError(
-                f"policy {text!r}: planner {planner.name!r} has no parameter {key!r}; {suggestion}"
-            )
-        if key in values:
-            raise InputError(f"policy {text!r} sets parameter {key!r} twice")
+    first, _, others = rest.partition(",")
+    variant, settings = (None, rest) if "=" in first else (first, others)
+    base, values = planner.policy(variant), {}
+    for key, value in split_options(text, settings).items():
         try:
             values[key] = float(value)
         except ValueError:
@@ -118,12 +103,7 @@ def policy_of(planner: Planner, text: str) -> Policy:
 
 def _declared() -> dict[str, str]:
     """Return the import paths of declared planners, by name."""
-    return {**_entry_points(), **_places}
-
-
-@lru_cache(maxsize=1)
-def _entry_points() -> dict[str, str]:
-    return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
+    return {**declared(ENTRY_POINTS), **_places}
 
 
 def _by_place(planner: Planner) -> Any:

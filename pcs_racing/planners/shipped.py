@@ -1,6 +1,15 @@
-"""Names of the planners of this package, without their code, which takes a second to import."""
+"""Names of racers: of the planners of this package, and of distributions; texts with options.
+
+The code of the planners takes a second to import.
+"""
 
 import re
+from functools import cache
+from importlib.metadata import entry_points
+from pkgutil import resolve_name
+from typing import Any
+
+from pcs_racing.base.errors import InputError
 
 SHIPPED = {
     "alpha-racer": "pcs_racing.planners.field.alpha_racer:ALPHA_RACER",
@@ -32,3 +41,36 @@ def split_name(text: str) -> tuple[str, str, str]:
     file = re.match(r"\s*((?:[A-Za-z]:[\\/])?[^:]*\.py)\s*(?:(:)(.*))?$", text, re.DOTALL)
     name, separator, rest = file.groups("") if file else text.partition(":")
     return name.strip(), separator, rest
+
+
+def split_options(text: str, rest: str) -> dict[str, str]:
+    """Return the values of the options in the rest of a text, ``name=value,...``, by name."""
+    values: dict[str, str] = {}
+    for option in re.split(r",(?![^\[]*\])", rest):
+        name, equals, value = (part.strip() for part in option.partition("="))
+        if not equals or name in values:
+            raise InputError(f"{text!r}: {option!r} is not of the form name=value, each name once")
+        values[name] = value
+    return values
+
+
+def check_new_name(noun: str, name: Any, taken: bool) -> None:
+    """Refuse a name that no text can hold, or that is taken."""
+    if not isinstance(name, str) or not name or any(sign in name for sign in ":=, \t\n"):
+        raise InputError(f"{noun} name {name!r} must be text without ':', '=', ',' and spaces")
+    if taken:
+        raise InputError(f"there is a {noun} {name!r} already; give yours another name")
+
+
+@cache
+def declared(group: str) -> dict[str, str]:
+    """Return the places that distributions declare in an entry point group, by name."""
+    return {point.name: point.value for point in entry_points(group=group)}
+
+
+def load_place(what: str, place: str) -> Any:
+    """Return the object at a place, ``"package.module:NAME"``, of any distribution."""
+    try:
+        return resolve_name(place)
+    except Exception as error:  # any error in the import of a third-party module
+        raise InputError(f"{what} can't be loaded from {place}: {error}") from error

@@ -15,7 +15,7 @@ from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import REFERENCE
-from pcs_racing.race.config import DT, RaceConfig
+from pcs_racing.race.config import DT, Rules
 from pcs_racing.race.contacts import END
 from pcs_racing.race.driving import BareField, advance, kernel_settings, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
@@ -44,7 +44,7 @@ class CalibrationReport:
     """A calibration, and the hazard scan that its speed range was read off."""
 
     track: str  #: Name of the circuit.
-    preset: str  #: Name of the race configuration.
+    rules: str  #: Name of the rules.
     scales: tuple[float, ...]  #: Speed scales driven: up to the first whose hazard is too large.
     #: Probability that a car alone crashes within 40 s at each of them, made non-decreasing.
     hazard: tuple[float, ...]
@@ -58,7 +58,7 @@ class CalibrationReport:
             for side, stretches in self.calibration.start_places.items()
         )
         lines = [
-            f"{self.track}, {self.preset}: speed range {low:.2f} to {high:.2f}",
+            f"{self.track}, {self.rules}: speed range {low:.2f} to {high:.2f}",
             f"start places: {', '.join(counts)}; cars {self.calibration.start_spacing:g} m apart",
             "scale  own crash per 40 s",
         ]
@@ -69,16 +69,16 @@ class CalibrationReport:
         return "\n".join(lines)
 
 
-def _scan_settings(config: RaceConfig, speed_range: tuple[float, float]) -> KernelSettings:
+def _scan_settings(rules: Rules, speed_range: tuple[float, float]) -> KernelSettings:
     """Settings under which a crash ends a race, whatever it does under the rules: crashes are what
     is counted.
     """
-    return kernel_settings(config, speed_range)._replace(contact=END, most_faults=0)
+    return kernel_settings(rules, speed_range)._replace(contact=END, most_faults=0)
 
 
 def hazard_scan(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     scales: Sequence[float] = SCALES,
     *,
     cars: int = 80,
@@ -101,7 +101,7 @@ def hazard_scan(
     theta = np.ascontiguousarray(np.broadcast_to(theta[:, None], (races, 2, theta.shape[1])))
     hazards: list[float] = []
     for scale in scales:
-        settings = _scan_settings(config, (scale, scale + 1e-6))._replace(
+        settings = _scan_settings(rules, (scale, scale + 1e-6))._replace(
             end_tick=round(100.0 * seconds), ittc_horizon=0.0
         )
         state = empty_state(races, REFERENCE.memory_total)
@@ -128,23 +128,23 @@ def hazard_scan(
 
 
 def calibrate(
-    track: Track, config: RaceConfig, *, cars: int = SCAN_CARS, seed: int = 0
+    track: Track, rules: Rules, *, cars: int = SCAN_CARS, seed: int = 0
 ) -> CalibrationReport:
     """Find the speed range of a circuit for a race configuration, and the places to start from.
 
     Pace 1 is the scale at which a car alone crashes in 50 % of 40 s, and pace 0 lies 0.40 below.
-    Without steering noise (preset ``paper``) the hazard is nearly a step: there pace 1 is the scale
+    Without steering noise (rules ``paper``) the hazard is nearly a step: there pace 1 is the scale
     of 10 %, and pace 0 lies 0.30 below; both are lowered in steps of 0.05 until pairs of cars
     rarely crash, and a line says where that can't be met. No pace asks for more than the friction
     of the tyres: the vehicle model would give it, a road would not.
 
     Start places are those from which pairs of drivers get away (`pcs_racing.race.start_places`).
-    Where none is left with the configuration's distance across the track, the nearest distance that
+    Where none is left with the rules' distance across the track, the nearest distance that
     works is taken. A circuit that is too tight for these cars is an error.
     """
-    noisy = config.steering_noise > 0.0
+    noisy = rules.steering_noise > 0.0
     allowed = HAZARD_WITH_NOISE if noisy else HAZARD_WITHOUT_NOISE
-    hazard = np.maximum.accumulate(hazard_scan(track, config, cars=cars, seed=seed, enough=allowed))
+    hazard = np.maximum.accumulate(hazard_scan(track, rules, cars=cars, seed=seed, enough=allowed))
     scales = np.array(SCALES[: len(hazard)])
     if hazard[0] > allowed:
         raise InputError(
@@ -156,27 +156,27 @@ def calibrate(
 
     def settings_at(step: int) -> KernelSettings:
         top = round(float(high - step * PAIR_STEP), 2)
-        return _scan_settings(config, (round(float(high - step * PAIR_STEP - width), 2), top))
+        return _scan_settings(rules, (round(float(high - step * PAIR_STEP - width), 2), top))
 
-    fit = fit_places(track, config, settings_at(0), _spacings(config))
-    step, crashes = 0, 0.0 if noisy else crashes_of_pairs(track, config, settings_at(0), *fit)
+    fit = fit_places(track, rules, settings_at(0), _spacings(rules))
+    step, crashes = 0, 0.0 if noisy else crashes_of_pairs(track, rules, settings_at(0), *fit)
     # Without noise, speeds that are safe for a car alone may not be safe in pairs: then the range
     # falls.
     while crashes > ALLOWED_OF_PAIRS and step < PAIR_STEPS:
         step += 1
-        crashes = crashes_of_pairs(track, config, settings_at(step), *fit)
+        crashes = crashes_of_pairs(track, rules, settings_at(step), *fit)
     if step > 0:
-        fit = fit_places(track, config, settings_at(step), _spacings(config))
+        fit = fit_places(track, rules, settings_at(step), _spacings(rules))
     if crashes > CRASH_AIM:
         say(
             f"track {track.name!r}: two cars crash in {crashes:.0%} of the races of"
-            f" {config.name!r}, in more than the aim of {CRASH_AIM:.0%}, even with speeds lowered"
+            f" {rules.name!r}, in more than the aim of {CRASH_AIM:.0%}, even with speeds lowered"
             f" by {step * PAIR_STEP:g} of the speed profile"
         )
     speed_range = (settings_at(step).speed_low, settings_at(step).speed_high)
     return CalibrationReport(
         track.name,
-        config.name,
+        rules.name,
         tuple(scales.tolist()),
         tuple(np.round(hazard, 4).tolist()),
         Calibration(speed_range, *fit),
@@ -184,23 +184,23 @@ def calibrate(
 
 
 def find_places(
-    track: Track, config: RaceConfig, preset: RaceConfig, speed_range: tuple[float, float]
+    track: Track, rules: Rules, known: Rules, speed_range: tuple[float, float]
 ) -> Calibration:
-    """Find the start places of a configuration with the speed range of its preset."""
-    settings = _scan_settings(preset, speed_range)
-    return Calibration(speed_range, *fit_places(track, config, settings, [config.start_spacing]))
+    """Find the start places for rules, with the speed range of the shipped rules."""
+    settings = _scan_settings(known, speed_range)
+    return Calibration(speed_range, *fit_places(track, rules, settings, [rules.start_spacing]))
 
 
-def _spacings(config: RaceConfig) -> list[float]:
+def _spacings(rules: Rules) -> list[float]:
     """The usual distance across the track, then others, the nearest first, the wider one of two
     that are as near.
     """
     steps = sorted(range(-SPACING_STEPS, SPACING_STEPS + 1), key=lambda step: (abs(step), -step))
-    spacings = [round(config.start_spacing + step * SPACING_STEP, 3) for step in steps]
+    spacings = [round(rules.start_spacing + step * SPACING_STEP, 3) for step in steps]
     return [
         spacing
         for spacing in spacings
-        if spacing >= NARROWEST[config.start] or spacing == config.start_spacing
+        if spacing >= NARROWEST[rules.start] or spacing == rules.start_spacing
     ]
 
 

@@ -1,8 +1,8 @@
-"""Calibration of a circuit for each race preset: its speed range and its start places.
+"""Calibration of a circuit for all shipped rules: its speed range and its start places.
 
-Shipped circuits carry their calibration. Any other circuit is calibrated by driving when a preset
-asks for it (:mod:`pcs_racing.race.calibrating`); the result is kept in the cache folder (see
-`pcs_racing.track.cache`) and depends on nothing but the circuit and the preset.
+Shipped circuits carry their calibration. Any other circuit is calibrated by driving when rules
+ask for it (:mod:`pcs_racing.race.calibrating`); the result is kept in the cache folder (see
+`pcs_racing.track.cache`) and depends on nothing but the circuit and the rules.
 """
 
 import json
@@ -14,66 +14,62 @@ import numpy as np
 from pcs_racing.base.code_cache import cache_folder
 from pcs_racing.base.errors import say
 from pcs_racing.base.files import parse_json
-from pcs_racing.race.config import CONTEST, PAPER, PRESETS, RaceConfig
+from pcs_racing.race.config import CONTEST, KNOWN_RULES, PAPER, Rules
 from pcs_racing.track.cache import CALIBRATION, cache_key, load_cached, store
 from pcs_racing.track.track import Calibration, Track, calibration_from_values, calibration_values
 
 
-def preset_of(config: RaceConfig) -> RaceConfig:
-    """The preset whose calibration serves a configuration: the one of its name, else one that is as
-    noisy.
+def known_rules(rules: Rules) -> Rules:
+    """Return the shipped rules whose calibration serves: those of the same name, else as noisy."""
+    return KNOWN_RULES.get(rules.name) or (CONTEST if rules.steering_noise > 0.0 else PAPER)
+
+
+def calibration_of(track: Track, rules: Rules) -> Calibration:
+    """Return the calibration of a circuit for rules: its own, a cached one, or a new one.
+
+    Rules take the calibration of the shipped rules that they change (:func:`known_rules`).
     """
-    return PRESETS.get(config.name) or (CONTEST if config.steering_noise > 0.0 else PAPER)
-
-
-def calibration_of(track: Track, config: RaceConfig) -> Calibration:
-    """The calibration of a circuit for a race configuration: the circuit's own, a cached one, or a
-    new one.
-
-    A configuration takes the calibration of the preset that it changes, or of one that is as noisy
-    (:func:`preset_of`).
-    """
-    preset = preset_of(config)
-    own = track.calibration.get(preset.name)
+    known = known_rules(rules)
+    own = track.calibration.get(known.name)
     if own is not None:
         return own
-    memo = (track.content_hash, preset.name)
+    memo = (track.content_hash, known.name)
     if memo not in _known:
 
         def find() -> Calibration:
             from pcs_racing.race.calibrating import calibrate
 
-            return calibrate(track, preset).calibration
+            return calibrate(track, known).calibration
 
-        _known[memo] = _cached(track, preset, "speeds and start places", find)
+        _known[memo] = _cached(track, known, "speeds and start places", find)
     return _known[memo]
 
 
-def starts_for(track: Track, config: RaceConfig) -> Calibration:
-    """The calibration that says where a configuration starts.
+def starts_for(track: Track, rules: Rules) -> Calibration:
+    """Return the calibration with the start places for rules.
 
-    It is the preset's if the configuration starts as its preset does; another kind of start is
-    tried out by driving, once, and kept in the cache.
+    It is the calibration of the shipped rules if these start alike; another kind of start is tried
+    by driving, once, and kept in the cache.
     """
-    calibration = calibration_of(track, config)
-    if start_layout(config) == start_layout(preset_of(config)):
+    calibration = calibration_of(track, rules)
+    if start_layout(rules) == start_layout(known_rules(rules)):
         return calibration
     # Speeds decide who gets away: a track of the same content may bring others.
     memo = (
         track.content_hash,
         calibration.speed_range,
-        preset_of(config).name,
-        *start_layout(config),
+        known_rules(rules).name,
+        *start_layout(rules),
     )
     if memo not in _known:
 
         def find() -> Calibration:
             from pcs_racing.race.calibrating import find_places
 
-            return find_places(track, config, preset_of(config), calibration.speed_range)
+            return find_places(track, rules, known_rules(rules), calibration.speed_range)
 
         _known[memo] = _cached(
-            track, config, f"places for a {config.start} start", find, calibration.speed_range
+            track, rules, f"places for a {rules.start} start", find, calibration.speed_range
         )
     return _known[memo]
 
@@ -81,14 +77,14 @@ def starts_for(track: Track, config: RaceConfig) -> Calibration:
 _known: dict[tuple[object, ...], Calibration] = {}
 
 
-def start_layout(config: RaceConfig) -> tuple[object, ...]:
-    """Kind of start, gap, distance across the track and speed of a configuration."""
-    return config.start, config.start_gap, config.start_spacing, config.start_speed
+def start_layout(rules: Rules) -> tuple[object, ...]:
+    """Return the kind of start, the gap, the distance across the track and the speed."""
+    return rules.start, rules.start_gap, rules.start_spacing, rules.start_speed
 
 
 def _cached(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     what: str,
     find: Callable[[], Calibration],
     speed_range: tuple[float, float] | None = None,
@@ -96,11 +92,11 @@ def _cached(
     """Take a calibration (for a given range of speeds) from the cache on disk, or make it, say so,
     and put it there.
     """
-    preset = preset_of(config)
-    rules = json.dumps(
-        [preset.name, preset.steering_noise, preset.noise_time, *start_layout(config), speed_range]
+    known = known_rules(rules)
+    text = json.dumps(
+        [known.name, known.steering_noise, known.noise_time, *start_layout(rules), speed_range]
     )
-    parts = {"track": track.content_hash.encode(), "rules": rules.encode()}
+    parts = {"track": track.content_hash.encode(), "rules": text.encode()}
     key = cache_key(parts, CALIBRATION)
     found = load_cached(CALIBRATION, key)
     if found is not None:
@@ -111,14 +107,14 @@ def _cached(
     folder = cache_folder()
     kept = f"once; kept in {folder}" if folder is not None else "there is no folder to keep it in"
     start = time.monotonic()
-    say(f"finding {what} of track {track.name!r} for {preset.name!r} by driving ({kept})")
+    say(f"finding {what} of track {track.name!r} for {known.name!r} by driving ({kept})")
     calibration = find()
     seconds = time.monotonic() - start
     low, high = calibration.speed_range
     moved = (
         ""
-        if calibration.start_spacing == config.start_spacing
-        else f", not {config.start_spacing:g} m,"
+        if calibration.start_spacing == rules.start_spacing
+        else f", not {rules.start_spacing:g} m,"
     )
     apart = f"cars start {calibration.start_spacing:g} m{moved} apart"
     say(

@@ -1,14 +1,18 @@
-"""The rules of one race on the track: start, noise, durations and what a crash costs."""
+"""Rules of races and of their game: start, noise, durations, crashes, moves and utility."""
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from annotated_types import Interval, MultipleOf
+from numpy.typing import NDArray
 
 from pcs_racing.base.checks import check_path, check_text, is_number
 from pcs_racing.base.errors import ConfigError, InputError
-from pcs_racing.base.settings import Checked, Settings, Text, load_settings
+from pcs_racing.base.settings import Checked, Names, OneOf, Settings, Text, load_settings
 
 # When the parts of a race take their turn, in steps of the simulation:
 DT = 0.01  # s, one simulation step
@@ -32,25 +36,63 @@ def _printable(name: str, value: Any) -> str:
     return str(value)
 
 
-def check_steps(name: str, value: Any, minimum: int = 2) -> tuple[float, ...]:
+def _steps(name: str, value: Any) -> tuple[float, ...]:
     """Return lengths of a game's steps: whole tenths of a second, in which plans are made; the
     first one may be 0.
     """
-    lengths = value if isinstance(value, list | tuple) else [None]
+    lengths = value if isinstance(value, list | tuple) else []
     whole_tenths = [
         is_number(one) and abs(10.0 * one - round(10.0 * one)) < 1e-9 for one in lengths
     ]
-    if len(lengths) < minimum or not all(whole_tenths):
+    if not 2 <= len(lengths) <= 101 or not all(whole_tenths):
         raise InputError(
-            f"{name} is {value!r:.80}; it must list {minimum} or more lengths in whole tenths"
-            " of 1 s"
+            f"{name} is {value!r:.80}; it must list 2 to 101 lengths in whole tenths of 1 s"
         )
     if any(not (0.1 <= one <= 600.0 or (k == 0 and one == 0.0)) for k, one in enumerate(lengths)):
         raise InputError(
             f"{name} is {value!r:.80}; steps last 0.1 to 600 s, and the first one may last 0"
         )
+    if sum(lengths) > MAX_SECONDS:
+        raise InputError(f"{name} is {value!r:.80}; a game lasts at most {MAX_SECONDS:.0f} s")
     return tuple(map(float, lengths))
 
+
+def check_epsilon(epsilon: Any) -> tuple[float, ...]:
+    """Return the step sizes of the moves as a tuple of different positive numbers."""
+    several = isinstance(epsilon, list | tuple) or (
+        isinstance(epsilon, np.ndarray) and epsilon.ndim == 1
+    )
+    given = list(epsilon) if several else [epsilon]
+    lengths = [
+        length.item() if isinstance(length, np.ndarray) and length.ndim == 0 else length
+        for length in given
+    ]
+    steps = tuple(float(length) for length in lengths if is_number(length) and 0.0 < length <= 10.0)
+    if not steps or len(steps) < len(lengths) or len(set(steps)) < len(steps):
+        raise InputError(
+            f"epsilon is {epsilon!r}; it must be a number in (0, 10], or several different ones"
+        )
+    return steps
+
+
+def _epsilon(_: str, value: Any) -> float | tuple[float, ...]:
+    """Return the step sizes of the moves: a number if there is a single one."""
+    steps = check_epsilon(value)
+    return steps[0] if len(steps) == 1 else steps
+
+
+EPSILON = 0.5
+"""Default length of a move: half of the archive's range on an axis."""
+
+UTILITIES = {
+    "lead": "lead in m at the horizon; after a crash 0 for both",
+    "lead-at-crash": "lead in m at the end of the race, crashes included",
+    "win": (
+        "1 for the winner and -1 for the other; 0 for a tie; after a crash as the race's crash_rule"
+        " says"
+    ),
+}
+"""Utilities of the outcome of a game for a car; the other car gets the negative."""
 
 MAX_LAPS = 100
 MAX_SECONDS = 3600.0
@@ -61,8 +103,11 @@ CONTACTS = ("end", "stop", "restart")
 
 
 @dataclass(frozen=True)
-class RaceConfig(Settings):
-    """Rules of a race; :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER` are the presets."""
+class Rules(Settings):
+    """Rules of races and games, such as :data:`PAPER`, :data:`CONTEST` and :data:`ROBORACER`.
+
+    The game is the game of Section V of the paper, with the choices left open there as options.
+    """
 
     name: Annotated[
         Text, Checked(_printable), "Name of the rules in archives, trees, networks and results."
@@ -93,7 +138,7 @@ class RaceConfig(Settings):
         float,
         Interval(ge=0.0, le=10.0),
         "Distance between their centres across the track, m; on a circuit where that is impossible,"
-        " a preset takes the nearest possible distance.",
+        " the shipped rules take the nearest possible distance.",
     ] = 0.9
     start_speed: Annotated[
         float, Interval(ge=0.0, le=15.0), "Speed at the start, m/s; not for rolling starts."
@@ -115,8 +160,8 @@ class RaceConfig(Settings):
     speed_range: Annotated[
         tuple[float, float] | None,
         Checked(_speed_range, "0.1 <= low < high <= 3"),
-        "Speed scales of pace 0 and pace 1; None for the circuit's calibrated range of this"
-        " preset.",
+        "Speed scales of pace 0 and pace 1; None for the circuit's calibrated range of these"
+        " rules.",
     ] = None
     crash_rule: Annotated[
         Literal["nobody", "fault-loses"],
@@ -151,13 +196,44 @@ class RaceConfig(Settings):
         Interval(ge=1, le=99),
         "Races per scored series of a tournament, from alternate sides: best of so many.",
     ] = 1
-    stay_move: Annotated[bool, "Whether the game offers a move that keeps the policy."] = False
     steps: Annotated[
         tuple[float, ...],
-        Checked(check_steps),
+        Checked(_steps),
         "Lengths of the steps of the game, s, with a move of both players between two of them;"
-        " after a first step of 0 s players move before the start.",
+        " after a first step of 0 s players move before the start. With a duration or laps, the"
+        " steps are stretched to the length of the race; else they are the length of a game.",
     ] = (8.0,) * 5
+    epsilon: Annotated[
+        float | tuple[float, ...],
+        Checked(_epsilon, "above 0 up to 10"),
+        "Length of a move, in units of the archive's range; each of several values has its own"
+        " moves.",
+    ] = EPSILON
+    stay: Annotated[bool, "Whether the game offers a move that keeps the policy."] = False
+    utility: Annotated[
+        str | None,
+        OneOf(UTILITIES),
+        'Utility of an outcome; None for "lead" (the paper), or "win" if the crash rule names a'
+        " loser.",
+    ] = None
+    fault_penalty: Annotated[
+        float,
+        Interval(ge=0.0, le=1e6),
+        "Utility that is transferred from the car at fault for a crash to the other car.",
+    ] = 0.0
+    discount: Annotated[
+        float,
+        Interval(ge=1e-6, le=1.0),
+        "Factor per move made: below 1 an early end of the game counts more.",
+    ] = 1.0
+    characteristics: Annotated[
+        Names | None,
+        "Axes of the game, out of the archive's; None for all of them.",
+    ] = None
+    mask_duplicates: Annotated[
+        bool,
+        "Whether the action mask rules out all but the first move to the same policy, and no-ops.",
+    ] = True
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -178,22 +254,60 @@ class RaceConfig(Settings):
         return min(LAP_SECONDS * (self.laps or 1), MAX_SECONDS)
 
     @property
-    def hashed_values(self) -> list[Any]:
-        """Values for a hash: races by time have the hash from before there were laps."""
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
-        values["duration"] = self.seconds
-        return [value for name, value in values.items() if name != "laps" or value is not None]
-
-    @property
     def ticks(self) -> int:
         """Length of a race in simulation steps of 0.01 s; max length with laps."""
         return round(self.seconds * 100.0)
 
+    @property
+    def moves(self) -> int:
+        """Number of moves of each player."""
+        return len(self.steps) - 1
 
-PAPER = RaceConfig()
+    @property
+    def payoff(self) -> str:
+        """Name of the utility of an outcome."""
+        return self.utility or ("lead" if self.crash_rule == "nobody" else "win")
+
+    @cached_property
+    def end_ticks(self) -> NDArray[np.int64]:
+        """Simulation step of 0.01 s at which each step of the game ends, shape (moves + 1,).
+
+        A move is made at all of them but the last.
+        """
+        parts = np.array([round(length * 10.0) for length in self.steps])
+        if self.duration is None and self.laps is None:
+            return np.cumsum(10 * parts)
+        # Whole tenths of a second, the time between two plans: a step of 8.1666 s would end
+        # between two plans.
+        parts //= np.gcd.reduce(parts)
+        unit, rest = divmod(self.ticks, 10 * int(parts.sum()))
+        if unit == 0 or rest:
+            raise InputError(
+                f"duration is {self.seconds:g} s; a game of {self.moves} moves lasts a multiple of"
+                f" {0.1 * int(parts.sum()):g} s"
+            )
+        return np.cumsum(10 * unit * parts)
+
+    @property
+    def ends(self) -> tuple[float, ...]:
+        """Time at which each step of the game ends, s."""
+        return tuple(float(tick) / 100.0 for tick in self.end_ticks)
+
+    @property
+    def step_seconds(self) -> float:
+        """Length of the last step of the game, s."""
+        return float(self.end_ticks[-1] - self.end_ticks[-2]) / 100.0
+
+    @property
+    def for_game(self) -> "Rules":
+        """Rules with the length of the game as the duration of a race."""
+        return replace(self, duration=self.ends[-1])
+
+
+PAPER = Rules()
 """The race of the paper: deterministic, side by side, a crash is a no-contest."""
 
-CONTEST = RaceConfig(
+CONTEST = Rules(
     name="contest",
     start="staggered",
     start_gap=1.4,
@@ -201,12 +315,12 @@ CONTEST = RaceConfig(
     steering_noise=0.02,
     crash_rule="fault-loses",
     aggressiveness="speed",
-    stay_move=True,
     steps=(0.0, 2.0, 6.0, 8.0, 8.0, 8.0, 8.0),
+    stay=True,
 )
 """The race in which adapting pays: staggered, disturbed, the car at fault loses."""
 
-ROBORACER = RaceConfig(
+ROBORACER = Rules(
     name="roboracer",
     start_spacing=0.62,
     start_speed=0.0,
@@ -216,28 +330,31 @@ ROBORACER = RaceConfig(
     contact="restart",
     most_faults=3,
     heats=3,
-    stay_move=True,
     steps=CONTEST.steps,
+    stay=True,
 )
 """Head-to-head races of the RoboRacer league: from rest, a car's width apart; three faults are too
 many; best of 3.
 """
 
-PRESETS = {preset.name: preset for preset in (PAPER, CONTEST, ROBORACER)}
+KNOWN_RULES = {rules.name: rules for rules in (PAPER, CONTEST, ROBORACER)}
+"""Shipped rules by name; each circuit has a calibration for each of them."""
 
 
-def load_race_config(source: str | Path | RaceConfig, **changes: Any) -> RaceConfig:
-    """Return rules of a race from a preset's name, a YAML file or other rules, with some fields
-    changed.
+def load_rules(source: str | Path | Mapping[str, Any] | Rules = "paper", **changes: Any) -> Rules:
+    """Return rules from a shipped name, a YAML file, a mapping or rules, with some fields changed.
 
-    A YAML file is a mapping of the fields of :class:`RaceConfig`; a field that is absent takes the
-    default, and ``rules`` names the preset that the defaults come from.
+    A file or mapping holds fields of :class:`Rules`; an absent field has its default, and ``rules``
+    names the shipped rules with the defaults.
 
     Examples
     --------
-    >>> load_race_config("contest", duration=16.0).start
+    >>> load_rules("contest", duration=16.0).start
     'staggered'
     """
-    if not isinstance(source, RaceConfig):
+    if isinstance(source, Mapping):
+        changes = {**source, **changes}
+        source = changes.pop("rules", "paper")
+    if not isinstance(source, Rules):
         check_path("rules", source, ConfigError)
-    return load_settings("race", PAPER, source, PRESETS, "rules", **changes)
+    return load_settings("rules", PAPER, source, KNOWN_RULES, "rules", **changes)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pcs_racing.base.checks import check_whole
 from pcs_racing.base.compilation import first_call
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError
@@ -17,7 +18,7 @@ from pcs_racing.car.vehicle import SPEED_DELAY, SPEED_NOISE, STEER_DELAY, Vehicl
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, held_command
 from pcs_racing.planners.view import VIEW_SIZE
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions, Share
-from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, RaceConfig
+from pcs_racing.race.config import CONTACTS, CONTROL_EVERY, DT, Rules
 from pcs_racing.race.kernel import ASKED, WORK_SIZE, KernelSettings, advance_races, fill_view
 from pcs_racing.race.state import RaceState
 from pcs_racing.race.steering import disturbed_speed
@@ -71,17 +72,17 @@ def default_threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def kernel_settings(config: RaceConfig, speed_range: tuple[float, float]) -> KernelSettings:
+def kernel_settings(rules: Rules, speed_range: tuple[float, float]) -> KernelSettings:
     """Return the numbers of a race configuration that the compiled loop needs."""
     return KernelSettings(
-        end_tick=config.ticks,
+        end_tick=rules.ticks,
         speed_low=speed_range[0],
         speed_high=speed_range[1],
-        noise_sd=float(config.steering_noise),
-        noise_keep=float(exponential(-CONTROL_EVERY * DT / config.noise_time)),
-        ittc_horizon=float(config.ittc_horizon),
-        contact=CONTACTS.index(config.contact),
-        most_faults=config.most_faults,
+        noise_sd=float(rules.steering_noise),
+        noise_keep=float(exponential(-CONTROL_EVERY * DT / rules.noise_time)),
+        ittc_horizon=float(rules.ittc_horizon),
+        contact=CONTACTS.index(rules.contact),
+        most_faults=rules.most_faults,
     )
 
 
@@ -155,8 +156,7 @@ def advance(
     conditions : RaceConditions
         Cars and tracks of single races.
     """
-    if ticks < 0:
-        raise InputError(f"ticks is {ticks}; it must be a number from 0")
+    ticks = check_whole("ticks", ticks, 0)
     settings = setup.settings if ittc else setup.settings._replace(ittc_horizon=0.0)
     cars = conditions.rows(setup.vehicles, state.races)
     runs = conditions.runs(setup.track, state.races)

@@ -21,9 +21,9 @@ from pcs_racing.car.vehicle import (
     load_vehicles,
 )
 from pcs_racing.planners.pursuit import COMMAND_SLOTS
-from pcs_racing.race.calibration import calibration_of, preset_of, start_layout, starts_for
+from pcs_racing.race.calibration import calibration_of, known_rules, start_layout, starts_for
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import DT, PAPER, RaceConfig, load_race_config
+from pcs_racing.race.config import DT, PAPER, Rules, load_rules
 from pcs_racing.race.driving import advance, kernel_settings, largest_theta, pad_parameters
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.sensing import history_size
@@ -51,7 +51,7 @@ class RaceSetup:
     """Constants of a batch of races: track, rules, and the planners and vehicles of 1 to 8 cars."""
 
     track: Track
-    config: RaceConfig
+    rules: Rules
     planners: "tuple[Planner, ...]"  #: Planner of each car that is not steered, in order.
     vehicles: tuple[VehicleParams, ...] = ()  #: Vehicle of each car; F1TENTH's if empty.
     #: Car with the max of each delay of the cars in races with their own cars
@@ -96,23 +96,23 @@ class RaceSetup:
 
     @cached_property
     def speed_range(self) -> tuple[float, float]:
-        """Speed scales of pace 0 and pace 1: the configuration's, else the track's calibration."""
-        return self.config.speed_range or calibration_of(self.track, self.config).speed_range
+        """Speed scales of pace 0 and pace 1: the rules', else the track's calibration."""
+        return self.rules.speed_range or calibration_of(self.track, self.rules).speed_range
 
     @cached_property
     def start_spacing(self) -> float:
         """Distance between the cars across the track at the start, m.
 
-        It is the feasible distance nearest to the configuration's.
+        It is the feasible distance nearest to the rules'.
         """
-        if start_layout(self.config) != start_layout(preset_of(self.config)):
-            return self.config.start_spacing
-        return calibration_of(self.track, self.config).start_spacing
+        if start_layout(self.rules) != start_layout(known_rules(self.rules)):
+            return self.rules.start_spacing
+        return calibration_of(self.track, self.rules).start_spacing
 
     @cached_property
     def settings(self) -> KernelSettings:
         """Numbers that the compiled loop needs."""
-        return kernel_settings(self.config, self.speed_range)
+        return kernel_settings(self.rules, self.speed_range)
 
 
 def queue_size(vehicles: Sequence[VehicleParams]) -> int:
@@ -122,26 +122,26 @@ def queue_size(vehicles: Sequence[VehicleParams]) -> int:
 
 
 def start_lines(
-    track: Track, config: RaceConfig, seed: int | np.random.SeedSequence, *, split: str = "test"
+    track: Track, rules: Rules, seed: int | np.random.SeedSequence, *, split: str = "test"
 ) -> NDArray[np.float64]:
-    """Return the arc lengths (m) of ``config.start_lines`` valid start lines, in random order.
+    """Return the arc lengths (m) of ``rules.start_lines`` valid start lines, in random order.
 
     Training games start from other places than test races
     (:func:`pcs_racing.race.start_grid.split_places`). Lines repeat if the track has fewer places.
     """
     rng = np.random.default_rng(seed)
-    known = starts_for(track, config)
+    known = starts_for(track, rules)
     sides = [split_places(places_of(stretches), split) for stretches in known.start_places.values()]
     if len(sides) == 2 and min(map(len, sides)) > 0:
         # Rounded up or down at random, so that no number of lines favours a side.
-        left = min(int(known.left_share * config.start_lines + rng.uniform()), config.start_lines)
-        wanted = [left, config.start_lines - left]
+        left = min(int(known.left_share * rules.start_lines + rng.uniform()), rules.start_lines)
+        wanted = [left, rules.start_lines - left]
     else:  # a side with a single place has no place in one split
-        wanted = [config.start_lines if len(side) > 0 else 0 for side in sides]
+        wanted = [rules.start_lines if len(side) > 0 else 0 for side in sides]
     chosen = np.concatenate(
         [_spread(side, number, rng) for side, number in zip(sides, wanted, strict=True)]
     )
-    return chosen[rng.permutation(config.start_lines)]
+    return chosen[rng.permutation(rules.start_lines)]
 
 
 def _spread(
@@ -154,19 +154,19 @@ def _spread(
 
 
 def draw_starts(
-    track: Track, config: RaceConfig, races: int, seed: int, *, split: str = "test", cars: int = 2
+    track: Track, rules: Rules, races: int, seed: int, *, split: str = "test", cars: int = 2
 ) -> Starts:
     """Draw the starts of a batch: random start lines, and both sides alternately on each line.
 
-    Race ``i`` starts on line ``(i // 2) % config.start_lines`` with side ``i % 2``, for any size of
+    Race ``i`` starts on line ``(i // 2) % rules.start_lines`` with side ``i % 2``, for any size of
     the batch. With more than two ``cars`` there are ``cars`` places instead of two sides.
     """
-    return starts_of(track, config, np.arange(races), seed, split=split, cars=cars)
+    return starts_of(track, rules, np.arange(races), seed, split=split, cars=cars)
 
 
 def starts_of(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     index: ArrayLike,
     seed: int,
     *,
@@ -175,7 +175,7 @@ def starts_of(
 ) -> Starts:
     """Return the starts of some races of the batch of :func:`draw_starts`, by their indices."""
     lines = start_lines(
-        track, config, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split
+        track, rules, np.random.SeedSequence(check_seed(seed), spawn_key=(0,)), split=split
     )
     index, places = np.asarray(index, np.int64), places_of_grid(cars)
     return Starts(lines[(index // places) % len(lines)], index % places)
@@ -192,10 +192,10 @@ def start_races(
         raise InputError(
             f"there are {len(starts)} starts but {len(seeds)} seeds; give one seed for each race"
         )
-    track, config, spacing = setup.track, setup.config, setup.start_spacing
+    track, rules, spacing = setup.track, setup.rules, setup.start_spacing
     slowest = setup.speed_range[0]
     state = place_on_grid(
-        track, config, spacing, slowest, setup.vehicles, starts, setup.memory_size, conditions
+        track, rules, spacing, slowest, setup.vehicles, starts, setup.memory_size, conditions
     )
     _check_delays(setup, conditions)
     state.seed[:] = seeds
@@ -234,7 +234,7 @@ def _check_delays(setup: RaceSetup, conditions: RaceConditions) -> None:
 class RaceResult:
     """Results of a batch of races."""
 
-    config: RaceConfig
+    rules: Rules
     state: RaceState  #: State at the end of every race.
     starts: Starts
 
@@ -251,7 +251,7 @@ class RaceResult:
     @property
     def winner(self) -> NDArray[np.int8]:
         """Car that won, shape (B,): see :func:`winners`."""
-        return winners(self.config, self.state)
+        return winners(self.rules, self.state)
 
     @property
     def order(self) -> NDArray[np.intp]:
@@ -288,7 +288,7 @@ def finishing_order(state: RaceState) -> NDArray[np.intp]:
     return np.lexsort((-state.progress, state.finish_time, _merit(state)), axis=-1)
 
 
-def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
+def pair_scores(rules: Rules, state: RaceState) -> NDArray[np.float64]:
     """Return each car's score against each other car, (B, N, N): win 1, tie 0.5, loss 0.
 
     Ratings take one race of N cars as the results of all its pairs. The rule is the same as in
@@ -297,7 +297,7 @@ def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
     merit = _merit(state)
     ahead = state.progress[:, :, None] - state.progress[:, None]
     better = np.where(np.abs(ahead) > TIE_WITHIN, np.sign(ahead), 0.0)
-    if config.laps is not None:
+    if rules.laps is not None:
         end, other = state.finish_time[:, :, None], state.finish_time[:, None]
         sooner = (end < other) * 1.0 - (end > other)
         better = np.where(np.isfinite(np.minimum(end, other)), sooner, better)
@@ -305,18 +305,18 @@ def pair_scores(config: RaceConfig, state: RaceState) -> NDArray[np.float64]:
     better[(merit[:, :, None] == 2) & (merit[:, None] == 2)] = 0.0
     apart = merit[:, None] - merit[:, :, None]
     better = np.where(apart != 0, np.sign(apart), better)
-    if config.crash_rule == "nobody":
+    if rules.crash_rule == "nobody":
         better[state.crashed] = 0.0
     return 0.5 + 0.5 * better
 
 
-def winners(config: RaceConfig, state: RaceState) -> NDArray[np.int8]:
+def winners(rules: Rules, state: RaceState) -> NDArray[np.int8]:
     """Return the winner of each race, -1 for a tie, a no-contest and a car alone, shape (B,).
 
     The winner is the car that beats all other cars: the car ahead at the end, the first car to end
     the last lap or, after a crash under the rule "fault-loses", the first car that is not at fault.
     """
-    scores = pair_scores(config, state)
+    scores = pair_scores(rules, state)
     won = (scores == 1.0).sum(axis=2) == max(1, state.number - 1)
     return np.where(won.any(axis=1), won.argmax(axis=1), -1).astype(np.int8)
 
@@ -325,7 +325,7 @@ def run_races(
     track: Track,
     egos: Drivers,
     opponents: Drivers,
-    rules: RaceConfig | str = PAPER,
+    rules: Rules | str = PAPER,
     *,
     seed: int = 0,
     starts: Starts | None = None,
@@ -339,8 +339,8 @@ def run_races(
     egos, opponents : Policy, str, model, or list of these
         Racers of car 0 and car 1 (:func:`pcs_racing.racer`), which are no agents; a single one
         drives in all races. Planners may differ between races.
-    rules : RaceConfig or str
-        Rules, also by the name of a preset or a file.
+    rules : Rules or str
+        Rules, also by name or from a file.
     seed : int
         Root of the start lines and of the noise of every race.
     starts : Starts, optional
@@ -371,7 +371,7 @@ def run_races(
 def run_field(
     track: Track,
     drivers: Sequence[Drivers],
-    rules: RaceConfig | str = PAPER,
+    rules: Rules | str = PAPER,
     *,
     seed: int = 0,
     starts: Starts | None = None,
@@ -383,7 +383,7 @@ def run_field(
     ``drivers`` holds for each car its policy, or its policies in all races. The other arguments are
     as in :func:`run_races`.
     """
-    config = rules_on(track, rules)
+    rules = rules_on(track, rules)
     vehicles = load_vehicles(vehicle, len(drivers))
     policies = [_policies(one) for one in drivers]
     given = [len(one) for one in policies if isinstance(one, list)]
@@ -394,7 +394,7 @@ def run_field(
         )
     cars = [one if isinstance(one, list) else [one] * races for one in policies]
     if starts is None:
-        starts = draw_starts(track, config, races, seed, cars=len(cars))
+        starts = draw_starts(track, rules, races, seed, cars=len(cars))
     if len(starts) != races:
         raise InputError(
             f"there are {races} races but {len(starts)} starts; give one start for each race"
@@ -406,24 +406,24 @@ def run_field(
         groups.setdefault(tuple(id(car[i].planner) for car in cars), []).append(i)
     parts: list[tuple[list[int], RaceState]] = []
     for members in groups.values():
-        setup = RaceSetup(track, config, tuple(car[members[0]].planner for car in cars), vehicles)
+        setup = RaceSetup(track, rules, tuple(car[members[0]].planner for car in cars), vehicles)
         state = start_races(setup, starts.take(members), seeds[members])
         theta = np.stack(
             [pad_parameters([car[i] for i in members], setup.theta_size) for car in cars], axis=1
         )
-        advance(setup, state, theta, config.ticks, threads=threads)
+        advance(setup, state, theta, rules.ticks, threads=threads)
         parts.append((members, state))
     # Joined states need memories of equal size: planners with less memory leave the rest 0.
     widest = max((state.memory.shape[2] for _, state in parts), default=0)
     joined = [_widen_memory(state, widest) for _, state in parts] or [
-        empty_state(0, 0, len(cars), config.laps)
+        empty_state(0, 0, len(cars), rules.laps)
     ]
     order = (
         np.argsort(np.concatenate([members for members, _ in parts]))
         if parts
         else np.array([], np.intp)
     )
-    return RaceResult(config, take(concatenate(joined), order), starts)
+    return RaceResult(rules, take(concatenate(joined), order), starts)
 
 
 def _policies(given: Drivers) -> "Policy | list[Policy]":
@@ -437,11 +437,11 @@ def _policies(given: Drivers) -> "Policy | list[Policy]":
     return [known[id(one)] for one in given]
 
 
-def rules_on(track: Track, rules: RaceConfig | str) -> RaceConfig:
+def rules_on(track: Track, rules: Rules | str) -> Rules:
     """Return the rules of races, also by name; refuse a track that is not loaded."""
     if not isinstance(track, Track):
         raise InputError(f"track is {track!r:.80}; it must be a Track, from load_track(name)")
-    return load_race_config(rules)
+    return load_rules(rules)
 
 
 def _widen_memory(state: RaceState, size: int) -> RaceState:

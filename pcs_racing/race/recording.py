@@ -25,7 +25,7 @@ from pcs_racing.race.config import (
     DT,
     PAPER,
     PLAN_EVERY,
-    RaceConfig,
+    Rules,
 )
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.kernel import fill_view
@@ -54,7 +54,7 @@ def record_race(
     track: Track,
     ego: Any,
     opponent: Any,
-    rules: RaceConfig | str = PAPER,
+    rules: Rules | str = PAPER,
     *,
     seed: int = 0,
     index: int = 0,
@@ -83,12 +83,12 @@ def record_race(
         Recording with 25 frames a second; it ends with the race, possibly in a crash.
     """
     check_whole("index", index, 0, LAST_INDEX)
-    config = rules_on(track, rules)
+    rules = rules_on(track, rules)
     others = opponent if isinstance(opponent, list | tuple) else [opponent]
     drivers = list(map(policy_racer, [ego, *others]))
     vehicles = load_vehicles(vehicle, len(drivers))
-    setup = RaceSetup(track, config, tuple(driver.planner for driver in drivers), vehicles)
-    start = starts_of(track, config, [int(index)], seed, cars=len(drivers))
+    setup = RaceSetup(track, rules, tuple(driver.planner for driver in drivers), vehicles)
+    start = starts_of(track, rules, [int(index)], seed, cars=len(drivers))
     theta = pad_parameters(drivers, setup.theta_size)[None]
     noise = race_seed(seed, int(index))
     names = tuple(driver.name for driver in drivers)
@@ -139,7 +139,7 @@ def record_drive(
         frame_dt=FRAME_EVERY * DT,
         plan_dt=PLAN_EVERY * DT,
         half_sizes=np.array([[0.5 * car.length, 0.5 * car.width] for car in setup.vehicles]),
-        outcome=_outcome(RaceResult(setup.config, state, start), names),
+        outcome=_outcome(RaceResult(setup.rules, state, start), names),
         cars=cars,
         progress=progress,
         ittc=np.array(log.ittc),
@@ -195,7 +195,7 @@ def _drive(
     ittc = None
     while True:
         tick = int(state.tick[0])
-        over = tick >= setup.config.ticks or bool(state.over[0])
+        over = tick >= setup.rules.ticks or bool(state.over[0])
         if over or tick % FRAME_EVERY == 0:
             log.cars.append(state.cars[0].copy())
             log.progress.append(state.progress[0].copy())
@@ -226,7 +226,7 @@ def _drive(
             if first:  # frames before the first sample also show it
                 log.ittc[:] = [ittc] * len(log.ittc)
         log.events.extend(_happened(state, overtakes, faults))
-        if setup.config.laps is not None:
+        if setup.rules.laps is not None:
             log.events.extend(_ended_laps(state, laps))
 
 
@@ -333,10 +333,10 @@ def _outcome(result: RaceResult, names: tuple[str, ...]) -> str:
     prize = f"{names[winner]} wins" if winner >= 0 else "nobody wins"
     if result.crashed[0]:
         guilty = " and ".join(names[car] for car in range(len(names)) if result.own_crash[0, car])
-        what = "crash" if result.config.contact == "end" else "out"
+        what = "crash" if result.rules.contact == "end" else "out"
         return f"{what} after {time:.1f} s, fault of {guilty or 'nobody'}: {prize}"
     finish = result.state.finish_time[0].min()
-    end = f"{time:.0f} s" if finish == np.inf else f"{result.config.laps} laps, {finish:.2f} s"
+    end = f"{time:.0f} s" if finish == np.inf else f"{result.rules.laps} laps, {finish:.2f} s"
     if len(names) == 1:
         return f"{progress[0]:.1f} m in {end}"
     return f"{prize} by {abs(lead):.1f} m after {end}" if winner >= 0 else f"a tie after {end}"

@@ -10,7 +10,7 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.positions import place_cars
 from pcs_racing.race.state import RaceState, empty_state
 from pcs_racing.track.frenet import LEFT, RIGHT, SPEED, X, Y
@@ -47,7 +47,7 @@ class Starts:
 
 def place_on_grid(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     spacing: float,
     slowest: float,
     vehicles: tuple[VehicleParams, ...],
@@ -77,12 +77,12 @@ def place_on_grid(
     if wrong.any():
         sides = "0 or 1" if places == 2 else f"from 0 to {places - 1}"
         raise InputError(f"start sides must be {sides}; found {starts.side[wrong][0]}")
-    state = empty_state(len(starts), memory_size, len(vehicles), config.laps)
+    state = empty_state(len(starts), memory_size, len(vehicles), rules.laps)
     # One row per race, one column per car.
     place = (starts.side[:, None] + np.arange(len(vehicles))) % places
-    row, gap = place, config.start_gap
-    if config.start == "side-by-side":
-        row, gap = place // 2, max(ROW, config.start_gap)
+    row, gap = place, rules.start_gap
+    if rules.start == "side-by-side":
+        row, gap = place // 2, max(ROW, rules.start_gap)
     behind = row * gap
     s = np.mod(starts.s[:, None] - behind, arrays.length)
     sample = arrays.line[(s / arrays.ds).astype(np.intp) % len(arrays.line)]
@@ -96,7 +96,7 @@ def place_on_grid(
     profile = slowest * sample[..., SPEED]
     state.cars[..., X], state.cars[..., Y] = pose[..., 0], pose[..., 1]
     state.cars[..., _vehicle.V] = (
-        profile if config.start == "rolling" else np.minimum(config.start_speed, profile)
+        profile if rules.start == "rolling" else np.minimum(rules.start_speed, profile)
     )
     state.cars[..., _vehicle.PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
     state.progress[:] = -behind

@@ -21,7 +21,7 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.lattice import REFERENCE
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import BareField, advance
 from pcs_racing.race.kernel import KernelSettings
 from pcs_racing.race.start_grid import (
@@ -78,7 +78,7 @@ def _pairs() -> Floats:
 
 def _race_from(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     settings: KernelSettings,
     spacing: float,
     places: Floats,
@@ -97,13 +97,13 @@ def _race_from(
         np.repeat(places, 2 * len(pairs)), np.tile(np.arange(2), len(places) * len(pairs))
     )
     theta = np.tile(np.repeat(pairs, 2, axis=0), (len(places), 1, 1))
-    state = _race(track, config, settings, spacing, starts, theta, first_key, threads)
+    state = _race(track, rules, settings, spacing, starts, theta, first_key, threads)
     return state, np.where(starts.side == 0, state.lead, -state.lead)
 
 
 def _race(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     settings: KernelSettings,
     spacing: float,
     starts: Starts,
@@ -113,9 +113,9 @@ def _race(
 ) -> RaceState:
     """Drive a race from each start with the parameters of its policies, shape (races, 2, P)."""
     cars = (F1TENTH, F1TENTH)
-    config = replace(config, laps=None)  # the settings say how long a race is
+    rules = replace(rules, laps=None)  # the settings say how long a race is
     state = place_on_grid(
-        track, config, spacing, settings.speed_low, cars, starts, REFERENCE.memory_total
+        track, rules, spacing, settings.speed_low, cars, starts, REFERENCE.memory_total
     )
     state.seed[:] = np.arange(first_key, first_key + len(starts), dtype=np.uint64)
     field, ticks = BareField(track, settings, (REFERENCE, REFERENCE), cars), settings.end_tick
@@ -125,7 +125,7 @@ def _race(
 
 def crashes_of_pairs(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     settings: KernelSettings,
     spacing: float,
     fit: Places,
@@ -146,13 +146,13 @@ def crashes_of_pairs(
         [[REFERENCE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
     )
     starts = Starts(np.repeat(places, 2), np.tile(np.arange(2), CRASH_PAIRS))
-    state = _race(track, config, settings, spacing, starts, np.repeat(theta, 2, axis=0), 0)
+    state = _race(track, rules, settings, spacing, starts, np.repeat(theta, 2, axis=0), 0)
     return float(state.crashed.mean())
 
 
 def drive_away(
     track: Track,
-    config: RaceConfig,
+    rules: Rules,
     settings: KernelSettings,
     spacing: float,
     *,
@@ -177,7 +177,7 @@ def drive_away(
     for first in range(0, len(places), BATCH):
         some = places[first : first + BATCH]
         state, left = _race_from(
-            track, config, settings, spacing, some, pairs, first * each, threads
+            track, rules, settings, spacing, some, pairs, first * each, threads
         )
         crashes[first : first + BATCH] = state.crashed.reshape(len(some), each).mean(axis=1)
         lead = np.sign(left).reshape(len(some), len(pairs), 2)
@@ -186,7 +186,7 @@ def drive_away(
 
 
 def fit_places(
-    track: Track, config: RaceConfig, settings: KernelSettings, spacings: Sequence[float]
+    track: Track, rules: Rules, settings: KernelSettings, spacings: Sequence[float]
 ) -> tuple[float, Places, float]:
     """Find the valid start places of a track, with the first feasible of several spacings (m).
 
@@ -197,11 +197,11 @@ def fit_places(
     other.
     """
     for spacing in spacings:
-        crashes, favour = drive_away(track, config, settings, spacing)
+        crashes, favour = drive_away(track, rules, settings, spacing)
         together = np.mean(
             [np.roll(crashes, shift) for shift in range(-NEIGHBOURS, NEIGHBOURS + 1)], axis=0
         )
-        abreast = config.start == "side-by-side"
+        abreast = rules.start == "side-by-side"
         sides = (
             {"left": favour > 0.0, "right": favour < 0.0}
             if abreast
@@ -219,21 +219,21 @@ def fit_places(
                 share = 0.5
                 if len(places) == 2:
                     gains = [
-                        _gain(track, config, settings, spacing, places[side])
+                        _gain(track, rules, settings, spacing, places[side])
                         for side in ("left", "right")
                     ]
                     share = _left_share(*gains)
                 return float(spacing), places, share
     tried = ", ".join(f"{spacing:g}" for spacing in spacings)
     raise InputError(
-        f"track {track.name!r} has no place where two cars get away from a {config.start} start"
-        f" with gap {config.start_gap:g} m at {config.start_speed:g} m/s, {tried} m apart;"
-        " widen the track, or set another start in the race settings"
+        f"track {track.name!r} has no place where two cars get away from a {rules.start} start"
+        f" with gap {rules.start_gap:g} m at {rules.start_speed:g} m/s, {tried} m apart;"
+        " widen the track, or set another start in the rules"
     )
 
 
 def _gain(
-    track: Track, config: RaceConfig, settings: KernelSettings, spacing: float, stretches: Stretches
+    track: Track, rules: Rules, settings: KernelSettings, spacing: float, stretches: Stretches
 ) -> float:
     """Return the share of full races from some places that the left car wins, minus 0.5."""
     places = places_of(stretches)
@@ -244,7 +244,7 @@ def _gain(
     pairs = np.array(
         [[REFERENCE.policy({"pace": pace}).parameters for pace in pair] for pair in paces]
     )
-    state, left = _race_from(track, config, settings, spacing, places, pairs, 0)
+    state, left = _race_from(track, rules, settings, spacing, places, pairs, 0)
     left = left[~state.crashed]
     return float((left > 0.0).mean()) - 0.5 if len(left) else 0.0
 

@@ -18,12 +18,11 @@ from pcs_racing.car.vehicle import PSI, V, X, Y
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive, save_archive
 from pcs_racing.game.characteristics import Characteristic, Segment
-from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import no_op_share
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.calling import bounds_checked
 from pcs_racing.planners.planner import Planner
-from pcs_racing.race.config import PAPER, load_race_config
+from pcs_racing.race.config import PAPER, Rules, load_rules
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, draw_starts, start_races
 from pcs_racing.race.state import SUMS, RaceState, take
@@ -41,7 +40,7 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
     policy the cars must move. Opponents beyond the planner's ``sight`` must make no difference,
     except by which car leads. ``seconds``, the length of the races, is a multiple of 0.4.
     """
-    setup = RaceSetup(track, load_race_config(PAPER, duration=seconds), (planner, planner))
+    setup = RaceSetup(track, load_rules(PAPER, duration=seconds), (planner, planner))
     rng = np.random.default_rng(seed)
     theta = np.zeros((RACES, 2, setup.theta_size))
     for race in range(RACES):
@@ -49,10 +48,8 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
             theta[race, car, : len(planner.parameters)] = (
                 planner.default if race == 0 else planner.sample(rng)
             )
-    grid = start_races(
-        setup, draw_starts(track, setup.config, RACES, seed), race_seeds(seed, RACES)
-    )
-    ticks, who = setup.config.ticks, f"planner {planner.name!r}"
+    grid = start_races(setup, draw_starts(track, setup.rules, RACES, seed), race_seeds(seed, RACES))
+    ticks, who = setup.rules.ticks, f"planner {planner.name!r}"
 
     def drive(state: RaceState, parameters: NDArray[np.float64], pieces: int = 1) -> RaceState:
         given = parameters.copy()
@@ -68,9 +65,7 @@ def check_planner(planner: Planner, track: Track, *, seconds: float = 4.0, seed:
         planner, plan=bounds_checked(planner.plan), control=bounds_checked(planner.control)
     )
     try:
-        advance(
-            RaceSetup(track, setup.config, (careful, careful)), grid.copy(), theta.copy(), ticks
-        )
+        advance(RaceSetup(track, setup.rules, (careful, careful)), grid.copy(), theta.copy(), ticks)
     except InputError as error:
         beyond = f"{who} reads or writes beyond the end of an array: " * isinstance(
             error.__cause__, IndexError
@@ -158,7 +153,7 @@ def check_archive(archive: PolicyArchive, track: Track | None = None) -> None:
         assert same, f"{who}: {key} reads back differently from a file"
     if track is None:
         return
-    game = RaceGame(track, archive, GameConfig(moves=1, step_seconds=2.0))
+    game = RaceGame(track, archive, Rules(steps=(2.0, 2.0)))
     end = game.step(game.reset(policies=[0, len(archive) - 1]), [[0, 1]])
     assert np.isfinite(game.observation(end)).all(), (
         f"{who}: a game on {track.name} leaves NaN or infinity in the observation"

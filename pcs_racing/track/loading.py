@@ -117,7 +117,7 @@ def _flatten(track: Track, note: str) -> dict[str, Any]:
         if name != "distance"
     }
     own = {
-        preset: calibration_values(calibration) for preset, calibration in track.calibration.items()
+        rules: calibration_values(calibration) for rules, calibration in track.calibration.items()
     }
     return values | {
         "drivable": np.packbits(track.arrays.distance > 0.0, axis=1),
@@ -142,5 +142,5 @@ def _restore(name: str, folder: Path | None, key: str) -> tuple[Track, str] | No
     drivable = np.unpackbits(values.pop("drivable"), axis=1, count=values.pop("columns"))
     distance = distance_to_walls(drivable.view(np.bool_), values["cell"])
     arrays = TrackArrays(distance=distance, **values)
-    calibration = {preset: calibration_from_values(values) for preset, values in own.items()}
+    calibration = {rules: calibration_from_values(values) for rules, values in own.items()}
     return Track(name, arrays, center, calibration, folder, content_hash), note

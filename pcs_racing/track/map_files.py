@@ -51,7 +51,7 @@ INFO_KEYS = {
     "width": "of the track in m, for the generator",
     "length_range": "shortest and longest length in m, for the generator",
     "resolution": "of the grid in m, for the generator",
-    "calibration": "for each race preset speed_range, start_spacing, start_places and left_share",
+    "calibration": "for each name of rules speed_range, start_spacing, start_places and left_share",
 }
 """Allowed keys of ``NAME_track.yaml``."""
 
@@ -67,12 +67,12 @@ def parse_info(file: Path, data: bytes) -> dict[str, Any]:
     calibration = values.get("calibration", {})
     if not isinstance(calibration, dict) or not all(isinstance(name, str) for name in calibration):
         raise MapError(
-            f"{file}: calibration must give values for each race preset, got {calibration!r:.80}"
+            f"{file}: calibration must give values for names of rules, got {calibration!r:.80}"
         )
-    for preset, own in calibration.items():
+    for rules, own in calibration.items():
         if not _is_calibration(own):
             raise MapError(
-                f"{file}: calibration of {preset} is {own!r:.80}; it must have speed_range [low,"
+                f"{file}: calibration of {rules} is {own!r:.80}; it must have speed_range [low,"
                 " high], start_spacing in m, start_places (for each side [first, last] in m, one"
                 " after the other) and left_share, as `pcs-racing track calibrate` writes them"
             )

@@ -60,7 +60,7 @@ class Track:
     #: same compiled type, but no code writes to them.
     arrays: TrackArrays
     centerline: Floats  #: shape (M, 4): x, y, right width, left width, in m; as given, read-only.
-    #: Calibration by race preset, from the map's files; may be empty.
+    #: Calibration by rules, from the map's files; may be empty.
     calibration: dict[str, Calibration] = field(default_factory=dict)
     folder: Path | None = None  #: Map folder of the track.
     #: SHA-256 of the drivable region and the lines, in hexadecimal. Equal tracks have equal hashes,
@@ -108,8 +108,8 @@ class Track:
         width = line[:, RIGHT] + line[:, LEFT]
         turn = "left" if line[-1, frenet.PSI] > line[0, frenet.PSI] else "right"
         ranges = ", ".join(
-            f"{preset} {own.speed_range[0]:g}-{own.speed_range[1]:g}"
-            for preset, own in sorted(self.calibration.items())
+            f"{rules} {own.speed_range[0]:g}-{own.speed_range[1]:g}"
+            for rules, own in sorted(self.calibration.items())
         )
         return "\n".join(
             [
@@ -126,7 +126,7 @@ class Track:
                     f"  lap at speed scale 1: {(self.arrays.ds / line[:, SPEED]).sum():.1f} s,"
                     f" {line[:, SPEED].min():.1f}-{line[:, SPEED].max():.1f} m/s"
                 ),
-                f"  speed range: {ranges or 'calibrated when a race preset first asks for it'}",
+                f"  speed range: {ranges or 'calibrated when rules first ask for it'}",
             ]
         )
 

@@ -3,8 +3,6 @@ from .agent import Agent as Agent
 from .agent import Strategy as Strategy
 from .blind import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
-from .game_spec import GameSpec as GameSpec
-from .game_spec import make_game_spec as make_game_spec
 from .hub import load_from_hub as load_from_hub
 from .hub import write_model_card as write_model_card
 from .onnx_export import export_onnx as export_onnx
@@ -17,13 +15,11 @@ from .zoo import register_agent as register_agent
 __all__ = [
     "Agent",
     "Entry",
-    "GameSpec",
     "Strategy",
     "TorchPolicy",
     "export_onnx",
     "load_from_hub",
     "make",
-    "make_game_spec",
     "names",
     "observing",
     "register_agent",

@@ -6,17 +6,17 @@ Draws from a mixed strategy use no generator (:func:`pcs_racing.game.players.dra
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field, is_dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_text, check_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.game.identity import check_same_game
 from pcs_racing.game.players import Competitor, Turn, draw
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.fingerprint import fingerprint
 
 Strategy = Callable[[NDArray[np.float32]], NDArray[np.float64]]
@@ -32,7 +32,7 @@ class Agent:
     #: depends on its observation alone. A dataclass with ``__call__`` can be sent to other
     #: processes; its fields identify it.
     strategy: Strategy
-    spec: GameSpec  #: Archive and rules that the agent is made for.
+    spec: RaceGame  #: Game that the agent is made for, on any track.
     seed: int = 0  #: Seed of the random draws of a mixed strategy, from 0 to 2**63 - 1.
     #: Facts for documentation and reports: behaviour, source, training, digest of the weights.
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -41,24 +41,26 @@ class Agent:
         check_text("an agent's name", self.name)
         check_whole(f"the seed of agent {self.name!r}", self.seed, 0, 2**63 - 1)
         object.__setattr__(self, "facts", dict(self.facts))
+        object.__setattr__(self, "spec", self.spec.anywhere)
 
     def __repr__(self) -> str:
-        return f"<Agent {self.name!r}: archive {self.spec.archive.name!r}, {self.spec.race} rules>"
+        spec = self.spec
+        return f"<Agent {self.name!r}: archive {spec.archive.name!r}, {spec.rules.name} rules>"
 
     @property
     def content_hash(self) -> str:
         """SHA-256 of all that the moves depend on, without the name, for a dataclass strategy."""
-        spec = self.spec
-        return fingerprint(self.strategy, int(self.seed), spec.archive.content_hash, spec.config)
+        archive, rules = self.spec.archive.content_hash, replace(self.spec.rules, stay=True)
+        return fingerprint(self.strategy, int(self.seed), archive, rules)
 
     def check_fits(self, game: RaceGame) -> None:
         """Check that a game has the archive, moves and observations that this agent is made for."""
-        self.spec.check_fits(game, self.name)
+        check_same_game(self.spec.identity, game.identity, f"agent {self.name!r}")
 
     def probabilities(self, observation: ArrayLike) -> NDArray[np.float64]:
         """Return the probabilities of the moves, shape (B, M), for observations of shape (B, D)."""
         rows = np.asarray(observation, np.float32)
-        size = len(self.spec.elements)
+        size = len(self.spec.observation_elements)
         if rows.ndim != 2 or rows.shape[1] != size:
             raise InputError(
                 f"agent {self.name!r} got observations of shape {np.shape(observation)}; it takes"
@@ -71,7 +73,7 @@ class Agent:
         return self.strategy(rows)
 
     def act(self, observations: ArrayLike, turn: Turn | None = None) -> NDArray[np.int64]:
-        """Return moves, indices in :attr:`GameSpec.moves`, shape (B,), for observations (B, D).
+        """Return moves, indices in :attr:`RaceGame.moves`, shape (B,), for observations (B, D).
 
         The same observation always gives the same move, since it holds all earlier observations of
         the game: a mixed strategy draws the move by a hash of the observation and the agent's seed.

@@ -22,21 +22,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.artifacts import ManifestFormat
-from pcs_racing.base.checks import check_text, check_whole, is_whole
+from pcs_racing.base.checks import check_whole, is_whole
 from pcs_racing.base.errors import InputError, UnknownNameError
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.identity import GameIdentity, check_same_game
+from pcs_racing.game.identity import (
+    GameIdentity,
+    check_same_game,
+    plain_identity,
+    read_identity,
+)
 from pcs_racing.game.players import never_switch, random_moves
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, lead, moves_made, own
+from pcs_racing_agents.agents.training import shipped_name, training_text
 from pcs_racing_agents.agents.zoo import Entry
 
 FIT_FORMAT = ManifestFormat(
     "fit",
-    ("kind", "choice", "archive", "archive_sha256", "race", "epsilon", "moves", "training"),
+    ("kind", "choice", "archive", "archive_sha256", "rules", "epsilon", "decisions", "training"),
     "save_fit",
 )
 KINDS: dict[str, tuple[type, str]] = {
@@ -70,12 +76,12 @@ class Fit:
         if not isinstance(self.training, Mapping):
             raise InputError(f"training is {self.training!r}; it must be a mapping")
 
-    def check_fits(self, spec: GameSpec) -> None:
+    def check_fits(self, spec: RaceGame) -> None:
         """Check that a choice is valid for a game."""
         check_same_game(self.game, spec.identity, f"the fit of {self.kind}")
 
 
-def make_fit(kind: str, choice: Any, spec: GameSpec, training: Mapping[str, Any]) -> Fit:
+def make_fit(kind: str, choice: Any, spec: RaceGame, training: Mapping[str, Any]) -> Fit:
     """Return the fit of a choice for a game spec."""
     return Fit(kind, choice, spec.identity._replace(elements=(), moves=()), dict(training))
 
@@ -85,7 +91,7 @@ def save_fit(fit: Fit, path: str | Path) -> Path:
     fields = {
         "kind": fit.kind,
         "choice": fit.choice,
-        **game_fields(fit.game),
+        **plain_identity(fit.game),
         "training": dict(fit.training),
     }
     FIT_FORMAT.write(Path(path), fields)
@@ -98,13 +104,13 @@ def load_fit(path: str | Path) -> Fit:
         raise InputError(f"fit {path!r} must be the path of a file")
     fields = FIT_FORMAT.read(path)
     try:
-        return Fit(fields["kind"], fields["choice"], recorded_game(fields), fields["training"])
+        return Fit(fields["kind"], fields["choice"], read_identity(fields), fields["training"])
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
 
 
 def shipped_fits() -> Path:
-    """Return the folder of the shipped fits; files have names ``ARCHIVE-RACE-KIND.yaml``."""
+    """Return the folder of the shipped fits; files have names ``ARCHIVE-RULES-KIND.yaml``."""
     return Path(__file__).resolve().parents[1] / "data" / "fits"
 
 
@@ -112,7 +118,7 @@ FitSource = str | Path | Fit | None
 """A fit, its file, or None for the shipped fit."""
 
 
-def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
+def find_fit(kind: str, spec: RaceGame, source: FitSource = None) -> Fit:
     """Return a fit for a game spec: the given fit, a fit from a file, or the shipped fit."""
     if source is None:
         known = sorted(path.stem for path in shipped_fits().glob("*.yaml"))
@@ -124,29 +130,6 @@ def find_fit(kind: str, spec: GameSpec, source: FitSource = None) -> Fit:
         raise InputError(f"the fit is one of {fit.kind!r}; agent {kind!r} needs its own")
     fit.check_fits(spec)
     return fit
-
-
-def game_fields(game: GameIdentity) -> dict[str, Any]:
-    """Return the fields of a game for a manifest, without the names of moves and elements."""
-    return {
-        "archive": game.archive,
-        "archive_sha256": game.archive_sha256,
-        "race": game.preset,
-        "epsilon": list(game.epsilon),
-        "moves": game.decisions,
-    }
-
-
-def recorded_game(fields: Mapping[str, Any]) -> GameIdentity:
-    """Return the identity of the game that :func:`game_fields` recorded."""
-    archive, digest, preset = (
-        check_text(key, fields[key]) for key in ("archive", "archive_sha256", "race")
-    )
-    epsilon = fields["epsilon"]
-    if not isinstance(epsilon, list) or not all(isinstance(length, float) for length in epsilon):
-        raise InputError(f"epsilon is {epsilon!r}; it must be a list of numbers")
-    decisions = check_whole("moves", fields["moves"], 1)
-    return GameIdentity((), (), tuple(epsilon), archive, digest, preset, decisions)
 
 
 LEAD_PLAN = ("behind", "ahead")
@@ -194,7 +177,7 @@ class LeadPlanStrategy:
         return np.where(leads[:, None], self.ahead(observation), self.behind(observation))
 
 
-def walk_to(spec: GameSpec, target: int) -> WalkStrategy:
+def walk_to(spec: RaceGame, target: int) -> WalkStrategy:
     """Return a strategy that follows a shortest path of moves to a policy and then stays there.
 
     If no path leads to the target, the path ends at the nearest reachable policy. Among several
@@ -265,7 +248,7 @@ def _distances(leads_to: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def _choice(
-    kind: str, spec: GameSpec, agent: str, given: Any, fit: FitSource
+    kind: str, spec: RaceGame, agent: str, given: Any, fit: FitSource
 ) -> tuple[Any, dict[str, str]]:
     """Return the given choice without facts, or the choice of a fit with its training facts."""
     if given is None:
@@ -277,7 +260,7 @@ def _choice(
 
 
 def best_schedule(
-    spec: GameSpec,
+    spec: RaceGame,
     *,
     name: str = "best-schedule",
     seed: int = 0,
@@ -295,9 +278,9 @@ def best_schedule(
         by default the shipped sequence.
     """
     moves, facts = _choice("best-schedule", spec, name, moves, fit)
-    if isinstance(moves, str) or len(moves) != spec.config.moves:
+    if isinstance(moves, str) or len(moves) != spec.rules.moves:
         raise InputError(
-            f"agent {name!r} got the plan {moves!r}; a game has {spec.config.moves} moves"
+            f"agent {name!r} got the plan {moves!r}; a game has {spec.rules.moves} moves"
         )
     sequence = np.array([spec.move(move) for move in moves], np.int64)
     strategy = OpenLoopStrategy(sequence, len(spec.moves), len(spec.archive.characteristics))
@@ -307,7 +290,7 @@ def best_schedule(
 
 
 def best_fixed(
-    spec: GameSpec,
+    spec: RaceGame,
     *,
     name: str = "best-fixed",
     seed: int = 0,
@@ -330,7 +313,7 @@ def best_fixed(
 
 
 def best_lead_plan(
-    spec: GameSpec,
+    spec: RaceGame,
     *,
     name: str = "best-lead-plan",
     seed: int = 0,
@@ -361,7 +344,7 @@ def best_lead_plan(
     return Agent(name, strategy, spec, seed, {**facts, **plan})
 
 
-def _policy_text(spec: GameSpec, index: int) -> str:
+def _policy_text(spec: RaceGame, index: int) -> str:
     """Return a policy with its coordinates as text: ``policy 3 (speed 0.20, restraint 0.91)``."""
     point = zip(spec.archive.characteristics, spec.archive.normalised[index], strict=True)
     return f"policy {index} ({', '.join(f'{axis} {value:.2f}' for axis, value in point)})"
@@ -393,7 +376,7 @@ BEST_LEAD_PLAN = Entry(
 
 
 def random_policy(
-    spec: GameSpec, *, name: str = "random-policy", seed: int = 0, first: int | None = None
+    spec: RaceGame, *, name: str = "random-policy", seed: int = 0, first: int | None = None
 ) -> PolicySet:
     """Return all policies that the archive's synthesis evaluated: the paper's random agent.
 

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.make import make_game
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import Entry, build, entries, options
 from pcs_racing_agents.base.tables import read_csv
 
@@ -26,9 +27,9 @@ AGAINST = "against "
 class Measured(NamedTuple):
     """Measured strength and cost of an agent."""
 
-    #: ``archive``, ``race``, ``agent``: Archive and rules of the game, and name of the agent.
+    #: ``archive``, ``rules``, ``agent``: Archive and rules of the game, and name of the agent.
     archive: str
-    race: str
+    rules: str
     agent: str
     sha256: str  #: Hash of the agent.
     tracks: str  #: Tracks, separated by ``", "``.
@@ -54,7 +55,7 @@ TEXTS, NUMBERS = Measured._fields[:5], Measured._fields[5:-1]
 
 @lru_cache(maxsize=1)
 def measurements() -> dict[tuple[str, str, str], Measured]:
-    """Return all measurements, by archive, race and agent."""
+    """Return all measurements, by archive, rules and agent."""
     # Read the file once for all agents: the description of each agent needs the table.
     path = measured_file()
     if not path.is_file():
@@ -69,7 +70,7 @@ def measurements() -> dict[tuple[str, str, str], Measured]:
             if name.startswith(AGAINST)
         }
         scores = {name: float(value) for name, value in against.items() if value}
-        table[row["archive"], row["race"], row["agent"]] = Measured(**values, against=scores)
+        table[row["archive"], row["rules"], row["agent"]] = Measured(**values, against=scores)
     return table
 
 
@@ -80,9 +81,9 @@ def measured_file() -> Path:
 
 NEEDS = {
     "": "nothing",
-    "fit": "a fit to training races, the file `ARCHIVE-RACE-{name}.yaml` or `fit=FILE`",
-    "network": "the network `ARCHIVE-RACE-{kind}`, or `network=FOLDER`",
-    "networks": "the network set `ARCHIVE-RACE-{kind}`, or `networks=FOLDER`",
+    "fit": "a fit to training races, the file `ARCHIVE-RULES-{name}.yaml` or `fit=FILE`",
+    "network": "the network `ARCHIVE-RULES-{kind}`, or `network=FOLDER`",
+    "networks": "the network set `ARCHIVE-RULES-{kind}`, or `networks=FOLDER`",
 }
 
 
@@ -98,7 +99,7 @@ def shipped_words(name: str) -> str:
     rules = []
     for archive, race in SHIPPED_GAMES if entries()[name].needs else ():
         with suppress(UnknownNameError):
-            build(name, make_game_spec(archive, race))
+            build(name, make_game(None, archive, race))
             rules.append(race)
     return f" (ships for {' and '.join(rules)})" if rules else ""
 
@@ -138,7 +139,7 @@ def describe(name: str, entry: Entry) -> str:
     return "\n".join(lines)
 
 
-def facts_of(name: str, spec: GameSpec) -> list[str]:
+def facts_of(name: str, spec: RaceGame) -> list[str]:
     """Return lines about an agent in one game: its training, strength, cost and hash."""
     try:
         agent = build(name, spec)
@@ -149,7 +150,7 @@ def facts_of(name: str, spec: GameSpec) -> list[str]:
         facts.pop(key, None)
     lines = [f"{key[0].upper()}{key[1:]}: {value}." for key, value in facts.items()]
     digest = competitor_hash(agent)
-    measurement = measurements().get((spec.archive.name, spec.race, name))
+    measurement = measurements().get((spec.archive.name, spec.rules.name, name))
     if measurement is None or measurement.sha256 != digest:
         lines.append("Strength and cost: not measured as it is.")
     else:

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.identity import check_same_game
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch
+from pcs_racing_agents.agents.training import shipped_name, training_text
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
@@ -94,20 +95,20 @@ class NetworkStrategy:
 
 
 def network_agent(
-    network: RegretNetwork, spec: GameSpec, seed: int = 0, decision: str = "argmax"
+    network: RegretNetwork, spec: RaceGame, seed: int = 0, decision: str = "argmax"
 ) -> Agent:
     """Return the agent of a network, with the network's name."""
     return Agent(network.name, NetworkStrategy(network, decision, len(spec.moves)), spec, seed)
 
 
-def fitting_network(source: NetworkSource, spec: GameSpec, kind: str, agent: str) -> RegretNetwork:
+def fitting_network(source: NetworkSource, spec: RaceGame, kind: str, agent: str) -> RegretNetwork:
     """Return a network for a game spec, after a check that it belongs to this game.
 
     Parameters
     ----------
     source : RegretNetwork, str or path, optional
         The network, the name of a shipped network, or a folder; by default the shipped network
-        ``ARCHIVE-RACE-KIND``.
+        ``ARCHIVE-RULES-KIND``.
     kind : str
         Quantity that the network was trained to approximate.
     agent : str
@@ -128,7 +129,7 @@ def network_facts(network: RegretNetwork) -> dict[str, str]:
         key: value for key, value in network.training.items() if not key.startswith(_DETAILS)
     }
     return {
-        "network": f"{network.name}: {network.target}, preset {network.identity.preset}",
+        "network": f"{network.name}: {network.target}, rules {network.identity.rules}",
         "trained on": training_text(figures),
         "weights sha256": fingerprint(network.layers),
     }
@@ -138,7 +139,7 @@ def network_facts(network: RegretNetwork) -> dict[str, str]:
 
 
 def from_network(
-    spec: GameSpec,
+    spec: RaceGame,
     *,
     name: str,
     seed: int = 0,
@@ -152,7 +153,7 @@ def from_network(
     ----------
     kind : str
         Quantity that the network was trained to approximate; part of the name of the shipped
-        network (``ARCHIVE-RACE-KIND``).
+        network (``ARCHIVE-RULES-KIND``).
     decision : {"argmax", "regret-matching", "sample", "softmax"}
         The rule: ``argmax``, ``regret-matching``, ``sample`` or ``softmax``.
     network : RegretNetwork, str or path, optional

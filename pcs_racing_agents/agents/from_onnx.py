@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import read_limited
 from pcs_racing.envs.models import model_policy
-from pcs_racing.envs.origins import read_origin
+from pcs_racing.envs.origins import check_origin
 from pcs_racing.game.players import model_agent
 from pcs_racing.planners.racers import Racer, Reader, Request
 from pcs_racing_agents.agents.sb3_files import MAX_BYTES
@@ -70,10 +70,10 @@ def read_onnx(request: Request) -> Racer | None:
             f"{text} is no ONNX file of a model of Drive or Duel, as 'pcs-racing export' writes it;"
             " the file of a planner needs its own program: race the planner by its name"
         ) from None
-    values = read_origin(json.dumps(origin), text)
-    if values.pop("environment") == "duel":
+    values = check_origin(origin, text)
+    if values["environment"] == "duel":
         game = values.get("game")
-        return model_agent(OnnxModel(text, content, "move"), text, game, request.rules)
+        return model_agent(OnnxModel(text, content, "move"), text, game, request.asked_game)
     command = OnnxModel(text, content, "command")
     return model_policy(command, name=text, **{**values, "normalized": False})
 

@@ -14,7 +14,7 @@ from pcs_racing.base.artifacts import MANIFEST
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import MAX_YAML, parse_yaml, read_limited, write_atomically
 from pcs_racing.game.archive_files import ARCHIVE_FORMAT, load_archive
-from pcs_racing.planners.learned import LOADERS, folder_format, load_planner
+from pcs_racing.planners.learned import LOADERS, folder_kind, load_planner, wrong_kind
 from pcs_racing_agents.networks.network_files import NETWORK_FORMAT, load_network
 
 PART = r"\w(?:[\w.-]{0,94}\w)?"  # of a name, as the hub allows it
@@ -24,11 +24,11 @@ FILES = [MANIFEST, "*.npz", "*.safetensors"]
 """Names of the downloaded files; all other files of a repository stay on the hub."""
 
 KINDS: dict[str, Callable[[Path], Any]] = {
-    f"format: pcs-racing {ARCHIVE_FORMAT.noun}": load_archive,
-    f"format: pcs-racing {NETWORK_FORMAT.noun}": load_network,
+    ARCHIVE_FORMAT.noun: load_archive,
+    NETWORK_FORMAT.noun: load_network,
     **dict.fromkeys(LOADERS, load_planner),
 }
-"""Loader of each format of a manifest."""
+"""Loader of each kind of folders."""
 
 CARD = """\
 ---
@@ -79,8 +79,8 @@ def load_from_hub(repo_id: str, *, revision: str | None = None) -> Any:
             raise InputError(f"can't download {repo_id!r} from the hub: {reason}") from None
 
     # The manifest alone comes first: large files of a foreign repository stay on the hub.
-    first = _format(download(MANIFEST), repo_id)
-    return KINDS[first](download(*FILES))
+    kind = _kind(download(MANIFEST))
+    return KINDS[kind](download(*FILES))
 
 
 def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") -> Path:  # noqa: A002
@@ -97,17 +97,16 @@ def write_model_card(folder: str | Path, repo_id: str, *, license: str = "mit") 
     """
     _check_repo(repo_id)
     folder = Path(folder)
-    first = _format(folder, folder)
-    KINDS[first](folder)  # a damaged folder is refused
-    form, file = first.removeprefix("format: "), folder / MANIFEST
+    kind, file = _kind(folder), folder / MANIFEST
+    KINDS[kind](folder)  # a damaged folder is refused
     manifest = parse_yaml(file, read_limited(file, MAX_YAML, "a manifest", InputError))
     tags = ["reinforcement-learning", "autonomous-racing", "f1tenth", "game-theory"]
     head = {"license": license, "library_name": "pcs-racing", "tags": tags}
     card = CARD.format(
         head=yaml.safe_dump(head, sort_keys=False),
         name=_cell(manifest["name"]),
-        form=form,
-        noun=form.split()[-1],
+        form=f"pcs-racing {kind}",
+        noun=kind.split()[-1],
         repo=repo_id,
         rows="\n".join(f"| `{name}` | {_cell(value)} |" for name, value in _facts(manifest)),
     )
@@ -124,15 +123,12 @@ def _check_repo(repo_id: str) -> None:
         )
 
 
-def _format(folder: Path, name: str | Path) -> str:
-    """Return the format of a folder, if it is one of :data:`KINDS`."""
-    first = folder_format(folder)
-    if first not in KINDS:
-        raise InputError(
-            f"{name}: {MANIFEST} begins with {first[:80]!r}; it must begin with one of"
-            f" {', '.join(map(repr, KINDS))}"
-        )
-    return first
+def _kind(folder: Path) -> str:
+    """Return the kind of a folder, if it is one of :data:`KINDS`."""
+    kind = folder_kind(folder)
+    if kind not in KINDS:
+        raise wrong_kind(folder, kind, KINDS)
+    return kind
 
 
 def _facts(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.identity import check_same_game
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.game_spec import GameSpec, shipped_name, training_text
 from pcs_racing_agents.agents.observing import ObservationBatch, earlier, moves_made, own
+from pcs_racing_agents.agents.training import shipped_name, training_text
 from pcs_racing_agents.agents.zoo import Entry
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network_files import (
@@ -38,7 +39,7 @@ class Mixture:
 
     members: tuple[Agent, ...]
     weights: Floats  #: shape (C,): Probabilities of the members; they sum to 1.
-    spec: GameSpec  #: Game spec of all members.
+    spec: RaceGame  #: Game spec of all members.
 
     def __call__(self, observation: ObservationBatch) -> Floats:
         """Return the probabilities of the moves, shape (B, M)."""
@@ -82,11 +83,8 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
     for member in members:
         if not isinstance(member, Agent):
             raise InputError(f"{member!r} can't be a member of a mixture; only agents can")
-        first = members[0].spec
-        if (member.spec.archive.content_hash, member.spec.config) != (
-            first.archive.content_hash,
-            first.config,
-        ):
+        first, own = members[0].spec, member.spec
+        if (own.archive.content_hash, own.rules) != (first.archive.content_hash, first.rules):
             raise InputError(
                 f"members {members[0].name!r} and {member.name!r} are made for different archives"
                 " or rules; a mixture needs one"
@@ -101,7 +99,7 @@ def make_mixture(members: Sequence[Agent], weights: ArrayLike) -> Mixture:
 
 
 def from_network_set(
-    spec: GameSpec, *, name: str, seed: int = 0, kind: str, networks: NetworkSetSource = None
+    spec: RaceGame, *, name: str, seed: int = 0, kind: str, networks: NetworkSetSource = None
 ) -> Agent:
     """Return an agent that draws one of several networks for each game.
 
@@ -110,7 +108,7 @@ def from_network_set(
     Parameters
     ----------
     kind : str
-        Method that made the networks; part of the name of the shipped set (``ARCHIVE-RACE-KIND``).
+        Method that made the networks; part of the name of the shipped set (``ARCHIVE-RULES-KIND``).
     networks : NetworkSet, str or path, optional
         Another set: the name of a shipped one or its folder.
     """
@@ -121,7 +119,7 @@ def from_network_set(
     check_same_game(loaded.identity, spec.identity, f"agent {name!r}: network set {loaded.name!r}")
     members = [network_agent(network, spec, seed, loaded.decision) for network in loaded.networks]
     facts = {
-        "networks": f"{loaded.name}: {len(loaded.networks)}, preset {loaded.identity.preset}",
+        "networks": f"{loaded.name}: {len(loaded.networks)}, rules {loaded.identity.rules}",
         "weights": ", ".join(f"{weight:.3g}" for weight in loaded.weights),
         "decision": loaded.decision,
         "trained on": training_text(loaded.training),

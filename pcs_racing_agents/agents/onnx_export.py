@@ -16,11 +16,11 @@ from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.car.tyres import GRAVITY
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive_options import drive_arguments, drive_elements
-from pcs_racing.envs.models import ModelDriver, origin_of
+from pcs_racing.envs.models import ModelDriver
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.field import lidar_ppo
 from pcs_racing.planners.field.lidar_ppo import LIDAR_FORMAT
-from pcs_racing.planners.learned import folder_format, is_planner_folder
+from pcs_racing.planners.learned import folder_kind, wrong_kind
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     LATTICE_SIZE,
@@ -37,7 +37,13 @@ from pcs_racing.planners.pursuit import BRAKING
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
 from pcs_racing.race.config import DT, PLAN_EVERY
-from pcs_racing_agents.agents.sb3_files import Sb3Policy, frozen_model, is_sb3, read_zip, scaler_of
+from pcs_racing_agents.agents.sb3_files import (
+    Sb3Policy,
+    frozen_model,
+    is_sb3,
+    read_zip,
+    training_origin,
+)
 from pcs_racing_agents.base.onnx_file import (
     Constants,
     OnnxNetwork,
@@ -275,16 +281,12 @@ def _exported(model: Any) -> OnnxNetwork:
     if isinstance(model, str | PathLike):
         plain, origin = read_zip(Path(model))
     else:
-        origin = _origin(model) if is_sb3(model) else None
+        origin = training_origin(model, type(model).__name__) if is_sb3(model) else None
         plain = _plain(model, type(model).__name__)
         with suppress(AttributeError):  # a model without environment, or of another one
             (elements,) = model.get_env().get_attr("elements", [0])
     game = (origin or {}).get("game")
     return _moves(plain, elements, game) if plain.moves else _exported(policy_racer(model))
-
-
-def _origin(model: Any) -> Mapping[str, Any] | None:
-    return origin_of(model, type(model).__name__, kept=scaler_of(model.get_env()))
 
 
 def _plain(model: Any, name: str) -> Sb3Policy:
@@ -294,14 +296,13 @@ def _plain(model: Any, name: str) -> Sb3Policy:
 def _named(name: str) -> OnnxNetwork:
     """Export the network of a folder, or a shipped network."""
     shipped = {one: place.shipped for place in FORMATS for one in place.shipped_names()}
-    if name not in shipped and not is_planner_folder(name):
+    if name not in shipped and not folder_kind(name):
         raise UnknownNameError(f"there is no network {name!r}; {choices(name, sorted(shipped))}")
     folder = shipped[name] / name if name in shipped else Path(name)
-    found = folder_format(folder)
-    for place, export in FORMATS.items():
-        if found == f"format: pcs-racing {place.noun}":
-            return export(folder)
-    raise InputError(f"{folder} has no network: its manifest begins with {found[:80]!r}")
+    found, exports = folder_kind(folder), {place.noun: one for place, one in FORMATS.items()}
+    if found not in exports:
+        raise wrong_kind(folder, found, exports)
+    return exports[found](folder)
 
 
 # Models of Stable-Baselines3, and networks of agents

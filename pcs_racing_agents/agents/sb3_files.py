@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.files import parse_json, read_limited, write_atomically
-from pcs_racing.envs.models import layers, model_policy, needs_like, origin_of
+from pcs_racing.envs.models import model_policy, needs_like, origin_of
 from pcs_racing.envs.origins import ATTRIBUTE, read_origin
 from pcs_racing.game.players import model_agent
 from pcs_racing.planners.racers import Racer, Reader, Request, own_name
@@ -255,12 +255,9 @@ def frozen_model(model: Any, name: str) -> Sb3Policy:
     return frozen
 
 
-def drive_arguments_of(model: Any, name: str) -> dict[str, Any]:
-    """Return the arguments of the Drive environment that a model was trained in."""
-    origin = dict(origin_of(model, name, kept=scaler_of(model.get_env())) or {})
-    if origin.pop("environment", None) != "drive":
-        raise InputError(f"model {name!r} was not trained in an environment of steering and speed")
-    return origin
+def training_origin(model: Any, name: str, like: Any = None) -> Mapping[str, Any] | None:
+    """Return the origin of a model, behind no wrapper that its zip would lose."""
+    return origin_of(model, name, like, kept=scaler_of(model.get_env()))
 
 
 def _compare(model: Any, frozen: Sb3Policy, name: str) -> None:
@@ -295,14 +292,13 @@ def read_sb3(request: Request) -> Racer | None:
         return _racer(policy, text, origin, request)
     if text or not is_sb3(given):
         return None
-    name, env = own_name(given), given.get_env()
-    list(layers(env, scaler_of(env)))  # refuses a wrapper that the model would lose
+    name = own_name(given)
+    origin = training_origin(given, name, request.like)
     try:
         policy = frozen_model(given, name)
     except InputError:
         return None  # the model itself drives
     usual = {"environment": "duel" if policy.moves else "drive"}
-    origin = origin_of(given, name, request.like, kept=scaler_of(env))
     return _racer(policy, name, origin or usual, request)
 
 
@@ -312,9 +308,8 @@ def _racer(policy: Sb3Policy, name: str, origin: Mapping[str, Any], request: Req
         actions = "moves" if policy.moves else "steering and speed"
         raise InputError(f"{name} has actions of {actions}; it was not trained in {environment}")
     if policy.moves:
-        return model_agent(policy, name, origin.get("game"), request.rules)
-    arguments = {key: value for key, value in origin.items() if key != "environment"}
-    return model_policy(policy, name=name, **arguments)
+        return model_agent(policy, name, origin.get("game"), request.asked_game)
+    return model_policy(policy, name=name, **origin)
 
 
 SB3 = Reader(read_sb3)
@@ -368,8 +363,7 @@ def save_model(path: str | Path, model: Any) -> Path:
     """
     target = Path(path).with_suffix(".zip")
     frozen = frozen_model(model, target.stem)
-    env = model.get_env()
-    list(layers(env, scaler_of(env)))  # refuses a wrapper that the model would lose
+    training_origin(model, target.stem)  # refuses a wrapper that the model would lose
     content = io.BytesIO()
     model.save(content)
     if frozen.scale is not None:

@@ -2,7 +2,7 @@
 
 :data:`SHIPPED` lists the agents of this package. A distribution adds agents in the entry point
 group ``pcs_racing.agents``: ``name = "package.module:function"``. The function takes a
-:class:`pcs_racing_agents.agents.GameSpec`, the keywords ``name`` and ``seed``, and options of its
+:class:`pcs_racing.game.RaceGame`, the keywords ``name`` and ``seed``, and options of its
 own; it returns an agent, a fixed policy, or any object with ``act``. A program calls
 :func:`register_agent`. A module is imported when its agent is built.
 """
@@ -10,8 +10,6 @@ own; it returns an agent, a fixed policy, or any object with ``act``. A program 
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
-from importlib.metadata import entry_points
 from pathlib import Path
 from pkgutil import resolve_name
 from typing import Any
@@ -19,14 +17,20 @@ from typing import Any
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.base.files import plain_yaml
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.config import GameConfig
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import ALWAYS, Competitor, competitor
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing.planners.racers import Reader, Request, renamed
-from pcs_racing.planners.shipped import split_name
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.planners.shipped import (
+    check_new_name,
+    declared,
+    load_place,
+    split_name,
+    split_options,
+)
+from pcs_racing.race.config import Rules
 from pcs_racing_agents.agents.agent import Agent
-from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.shipped import SHIPPED
 
 ENTRY_POINTS = "pcs_racing.agents"
@@ -62,30 +66,19 @@ def register_agent(
     summary, source : str
         Texts for reports; by default the summary is the first line of the function's docstring.
     """
-    if (
-        not isinstance(name, str)
-        or not name
-        or any(sign in name for sign in ":=, \t\n")
-        or name.startswith(ALWAYS)
-    ):
-        raise InputError(
-            f"agent name {name!r} must be text without ':', '=', ',' and spaces, not beginning with"
-            " always-"
-        )
     existing = _registered.get(name)
-    if name in SHIPPED or (existing is not None and existing.build is not build):
-        raise InputError(f"there is an agent {name!r} already; give yours another name")
+    other = existing is not None and existing.build is not build
+    check_new_name("agent", name, other or name in SHIPPED or str(name).startswith(ALWAYS))
     _registered[name] = Entry(build, summary or _first_line(build), source)
 
 
 def entries() -> dict[str, Entry]:
     """Return all entries by name, without importing the modules of other distributions."""
-    declared = {
-        name: Entry(_late_function(name, source), f"from {source}")
-        for name, source in _declared().items()
-    }
     return {
-        **declared,
+        **{
+            name: Entry(_late_function(name, source), f"from {source}")
+            for name, source in declared(ENTRY_POINTS).items()
+        },
         **_registered,
         **{name: resolve_name(reference) for name, reference in SHIPPED.items()},
     }
@@ -93,23 +86,23 @@ def entries() -> dict[str, Entry]:
 
 def names(
     archive: PolicyArchive | str | Path = "default",
-    rules: GameConfig | RaceConfig | str | Path = "paper",
+    rules: Rules | str | Path = "paper",
 ) -> list[str]:
     """Return the names of all agents and fixed policies for an archive, sorted.
 
     Trained agents also need a network or a fit (:class:`Entry`).
     """
     constant = [
-        f"{ALWAYS}{''.join(move.split())}" for move in make_game_spec(archive, rules).moves[:-1]
+        f"{ALWAYS}{''.join(move.split())}" for move in make_game(None, archive, rules).moves[:-1]
     ]
-    return sorted({*_declared(), *_registered, *SHIPPED, *constant})
+    return sorted({*declared(ENTRY_POINTS), *_registered, *SHIPPED, *constant})
 
 
 def make(
     name: str,
     *,
     archive: PolicyArchive | str | Path = "default",
-    rules: GameConfig | RaceConfig | str | Path = "paper",
+    rules: Rules | str | Path = "paper",
     seed: int = 0,
     **options: Any,
 ) -> Any:
@@ -133,10 +126,10 @@ def make(
     >>> make("always-aggressiveness+").name
     'always-aggressiveness+'
     """
-    return build(name, make_game_spec(archive, rules), seed=seed, **options)
+    return build(name, make_game(None, archive, rules), seed=seed, **options)
 
 
-def build(name: str, spec: GameSpec, *, seed: int = 0, **options: Any) -> Any:
+def build(name: str, spec: RaceGame, *, seed: int = 0, **options: Any) -> Any:
     """Make a racer for a game spec; only agents of the zoo have options."""
     available = entries()
     if name not in available and not options:
@@ -158,22 +151,15 @@ def read_agent(request: Request) -> Competitor | None:
     if name not in entries():
         return None
     values: dict[str, Any] = {}
-    for option in rest.split(",") if separator else ():
-        key, equals, value = (part.strip() for part in option.partition("="))
-        if not equals or key in values or key in ("name", "seed", "spec"):
-            raise InputError(
-                f"agent {request.text!r}: {option!r} is not of the form option=value, each option"
-                " once"
-            )
+    for key, value in split_options(request.text, rest).items() if separator else ():
         try:
             values[key] = plain_yaml(value)
         except InputError:
             raise InputError(
                 f"agent {request.text!r}: {value!r} is no value; it must be a number or plain text"
             ) from None
-    rules = request.rules
-    spec = rules if isinstance(rules, GameSpec) else make_game_spec(rules.archive, rules.config)
-    return renamed(build(name, spec, seed=request.seed, **values), request.text)
+    _check_options(name, entries()[name].build, values)
+    return renamed(build(name, request.asked_game, seed=request.seed, **values), request.text)
 
 
 ZOO = Reader(read_agent, lambda: sorted(entries()))
@@ -182,19 +168,10 @@ ZOO = Reader(read_agent, lambda: sorted(entries()))
 def _late_function(name: str, reference: str) -> Callable[..., Any]:
     """Return a function of another distribution, imported when it is called."""
 
-    def build(spec: GameSpec, **options: Any) -> Any:
-        try:
-            function = resolve_name(reference)
-        except Exception as error:  # any error in the import of a third-party module
-            raise InputError(f"agent {name!r} can't be loaded from {reference}: {error}") from error
-        return function(spec, **options)
+    def build(spec: RaceGame, **options: Any) -> Any:
+        return load_place(f"agent {name!r}", reference)(spec, **options)
 
     return build
-
-
-@lru_cache(maxsize=1)
-def _declared() -> dict[str, str]:
-    return {point.name: point.value for point in entry_points(group=ENTRY_POINTS)}
 
 
 def options(name: str) -> dict[str, Any]:
@@ -208,11 +185,11 @@ def options(name: str) -> dict[str, Any]:
 
 
 def _free_options(function: Callable[..., Any]) -> dict[str, Any]:
-    parameters = inspect.signature(function).parameters
+    _, *parameters = inspect.signature(function).parameters.items()  # without the game
     return {
         key: None if parameter.default is parameter.empty else parameter.default
-        for key, parameter in parameters.items()
-        if key not in ("spec", "name", "seed") and parameter.kind is not parameter.VAR_KEYWORD
+        for key, parameter in parameters
+        if key not in ("name", "seed") and parameter.kind is not parameter.VAR_KEYWORD
     }
 
 

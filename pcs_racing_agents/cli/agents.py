@@ -4,10 +4,10 @@ from pathlib import Path
 from typing import Annotated
 
 from pcs_racing.base.errors import UnknownNameError, choices
-from pcs_racing.game.config import load_game_config
 from pcs_racing.game.players import ALWAYS
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner, planner_names
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
 from pcs_racing_agents.cli.options import ArchiveName, RulesName, archive_for, output_file
@@ -31,8 +31,8 @@ def run(
     rules: RulesName = "paper",
 ) -> None:
     """List agents and planners, or describe one: options, training, strength; parameters."""
+    from pcs_racing.game.make import make_game
     from pcs_racing_agents.agents.describe import describe, facts_of, shipped_words
-    from pcs_racing_agents.agents.game_spec import make_game_spec
     from pcs_racing_agents.agents.zoo import entries, names
 
     if agent is not None and agent.endswith(".py"):
@@ -42,9 +42,9 @@ def run(
     if agent is not None and (agent in planner_names() or agent.endswith(".py")):
         print(_describe(get_planner(agent)))
         return
-    config = load_game_config(rules)
-    spec = make_game_spec(archive_for(archive, config.race), config)
-    available, listed = entries(), names(spec.archive, spec.config)
+    config = load_rules(rules)
+    spec = make_game(None, archive_for(archive, config), config)
+    available, listed = entries(), names(spec.archive, spec.rules)
     if agent is None:
         rows = [
             (name, available[name].summary + shipped_words(name))
@@ -62,7 +62,9 @@ def run(
     about = f"{_CONSTANT.capitalize()}.\n"
     if agent in available:
         about = describe(agent, available[agent]).replace("`", "")
-    print(f"{agent}\n\n{about}\n\nWith archive {spec.archive.name} in the {spec.race} race:")
+    print(
+        f"{agent}\n\n{about}\n\nWith archive {spec.archive.name} under the rules {spec.rules.name}:"
+    )
     print("\n".join(f"- {line}" for line in facts_of(agent, spec)))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.game.make import make_game
 from pcs_racing.planners.registry import parse_policy, planner_names
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.config import load_rules
 from pcs_racing.race.races import draw_starts, run_races
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.cli.commands import command
@@ -61,12 +61,12 @@ def _field() -> None:
 def _races() -> None:
     """Compile races of all planners, single and batched, and a game's observations of them."""
     track, lattice = load_track(TRACK), parse_policy("lattice")
-    config = load_race_config("contest", duration=0.1)
+    config = load_rules("contest", duration=0.1)
     for count in (1, 2):
         starts = draw_starts(track, config, count, 0)
         for text in PLANNERS:
             run_races(track, lattice, parse_policy(text), config, starts=starts)
-    game = make_game(track, step_seconds=0.1)
+    game = make_game(track, steps=(0.1,) * 5)
     game.observation(game.step(game.reset(games=2, seed=0), np.zeros((2, 2), int)))
 
 

@@ -14,7 +14,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.config import load_rules
 from pcs_racing.track.maps import find_shipped
 from pcs_racing_agents.cli.commands import Parser, add_commands
 from pcs_racing_agents.cli.options import Terminated
@@ -201,4 +201,4 @@ def check_names(words: Sequence[str]) -> None:
         if option == "--track":
             find_shipped(word)
         elif option == "--rules" and "." not in word:
-            load_race_config(word)
+            load_rules(word)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 from pcs_racing.base.checks import check_path
 from pcs_racing.base.errors import InputError
-from pcs_racing.race.config import PAPER, PRESETS, RaceConfig, load_race_config
+from pcs_racing.race.config import KNOWN_RULES, PAPER, Rules, load_rules
 from pcs_racing_agents.cli.commands import Option
 
 DEFAULT_TRACK = "Brackwater"
@@ -34,7 +34,7 @@ Circuits = Annotated[Sequence[str], Option(TRACK_HELP, "T")]
 ArchiveName = Annotated[
     str | None, Option("policy archive: a name or a folder (default: the one for --rules)", "A")
 ]
-RulesName = Annotated[str, Option(f"rules of the race: {', '.join(PRESETS)} or a YAML file")]
+RulesName = Annotated[str, Option(f"rules of the race: {', '.join(KNOWN_RULES)} or a YAML file")]
 Like = Annotated[str | None, Option(LIKE_HELP, "ENV")]
 
 
@@ -43,19 +43,19 @@ class Terminated(KeyboardInterrupt):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rules:
-    """Race rules."""
+class RaceOptions:
+    """Rules, duration and seed."""
 
     rules: RulesName = "paper"
     duration: Annotated[
-        float | None, Option("duration of a race in s (default: from the preset, 40)", "S")
+        float | None, Option("duration of a race in s (default: from the rules, 40)", "S")
     ] = None
     seed: Annotated[int, Option("seed of the starts and of the noise")] = 0
 
-    def config(self) -> RaceConfig:
-        """Return the race configuration of the options."""
+    def read(self) -> Rules:
+        """Return the rules of the options."""
         changes = {} if self.duration is None else {"duration": self.duration}
-        return load_race_config(self.rules, **changes)
+        return load_rules(self.rules, **changes)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +82,7 @@ class Workers:
         return make_executor(self.workers, self.scheduler)
 
 
-def archive_for(archive: str | None, rules: RaceConfig) -> str:
+def archive_for(archive: str | None, rules: Rules) -> str:
     """Return the requested archive, or the default archive for the rules' measure of its axis 0."""
     return archive or ("default" if rules.aggressiveness == PAPER.aggressiveness else "contest")
 

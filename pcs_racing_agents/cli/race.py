@@ -12,7 +12,7 @@ from pcs_racing.base.seeds import race_seed
 from pcs_racing.car.vehicle import VehicleParams, load_vehicles
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, start_races, starts_of, winners
 from pcs_racing.race.recording import LAST_INDEX, record_race
@@ -26,7 +26,7 @@ from pcs_racing_agents.cli.options import (
     POLICY_HELP,
     Circuit,
     Like,
-    Rules,
+    RaceOptions,
     output_file,
 )
 
@@ -50,7 +50,7 @@ def run(
     opponent: Annotated[
         Sequence[str], Option("policy of car 1, or of car 1, 2 ... up to 7", "POLICY")
     ] = (OPPONENT,),
-    rules: Rules,
+    rules: RaceOptions,
     like: Like = None,
     vehicle: Annotated[
         Sequence[str],
@@ -65,7 +65,7 @@ def run(
     mcap: Annotated[Path | None, Option("file for ROS 2 messages (.mcap)", "FILE")] = None,
 ) -> None:
     """Simulate one race between two or more policies."""
-    config = rules.config()
+    config = rules.read()
     check_seed(rules.seed)
     check_whole("index", index, 0, LAST_INDEX)
     if len(opponent) > MAX_CARS - 1:
@@ -84,7 +84,7 @@ def run(
         require("mcap_ros2", extra="ros")
     circuit = load_track(track)
     # Printed before the race, which may need compilation first.
-    about = f"preset {config.name}, seed {rules.seed}, race {index}"
+    about = f"rules {config.name}, seed {rules.seed}, race {index}"
     print(f"{circuit.name}, {circuit.length:.1f} m a lap, {about}", flush=True)
     recorded = record_race(
         circuit,
@@ -117,7 +117,7 @@ def _series(
     track: Track,
     ego: Policy,
     opponent: Policy,
-    config: RaceConfig,
+    config: Rules,
     cars: tuple[VehicleParams, ...],
     seed: int,
     index: int,

@@ -50,7 +50,7 @@ def run_tune(
             "T",
         ),
     ] = (),
-    rules: Annotated[str | None, Option("rules of the races: a preset or a YAML file")] = None,
+    rules: Annotated[str | None, Option("rules of the races: a name or a YAML file")] = None,
     out: Annotated[Path, Option("folder of the search; a stopped search resumes here", "DIR")],
     changes: Annotated[
         dict[str, Any],

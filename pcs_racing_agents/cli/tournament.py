@@ -15,7 +15,7 @@ from pcs_racing_agents.cli.options import (
     ArchiveName,
     Circuits,
     Like,
-    Rules,
+    RaceOptions,
     Workers,
     archive_for,
     can_draw,
@@ -51,7 +51,7 @@ def run(
             "P",
         ),
     ] = None,
-    rules: Rules,
+    rules: RaceOptions,
     archive: ArchiveName = None,
     races: Annotated[int, Option("number of races of each pair on each track, even")] = RACES,
     out: Annotated[
@@ -75,7 +75,7 @@ def run(
 
     fixed = None
     if protocol is None:
-        config = rules.config()
+        config = rules.read()
         plan = plan_tournament(
             [load_track(name) for name in track],
             agents,
@@ -86,7 +86,7 @@ def run(
             code=True,
             like=like,
         )
-    elif (*track, rules, archive, races) != (DEFAULT_TRACK, Rules(), None, RACES):
+    elif (*track, rules, archive, races) != (DEFAULT_TRACK, RaceOptions(), None, RACES):
         raise InputError(
             "a protocol fixes tracks, rules, duration, seed, archive and races: leave these"
             " options out, or write your own protocol"

@@ -8,7 +8,7 @@ import yaml
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import MAX_YAML, write_atomically
 from pcs_racing.race.calibrating import calibrate
-from pcs_racing.race.config import load_race_config
+from pcs_racing.race.config import load_rules
 from pcs_racing.race.frames import write_track_picture
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.map_files import parse_info
@@ -124,7 +124,7 @@ def run_calibrate(
     ] = False,
 ) -> None:
     """Measure the speed range and the start positions of a circuit by simulation."""
-    config = load_race_config(rules)
+    config = load_rules(rules)
     if write and track is None:
         raise InputError(
             "--write changes a map folder: say which, as in 'pcs-racing track calibrate FOLDER"
@@ -137,7 +137,7 @@ def run_calibrate(
         print(f"written: {_write_calibration(circuit, config.name, report.calibration)}")
 
 
-def _write_calibration(track: Track, preset: str, calibration: Calibration) -> Path:
+def _write_calibration(track: Track, rules: str, calibration: Calibration) -> Path:
     """Store a calibration in the file NAME_track.yaml, with its other entries unchanged."""
     if track.folder is None:
         raise InputError(
@@ -146,7 +146,7 @@ def _write_calibration(track: Track, preset: str, calibration: Calibration) -> P
     path = track.folder / f"{track.name}_track.yaml"
     # Entries for other rules and a person's additions remain unchanged.
     info = parse_info(path, read_inside(track.folder, path, MAX_YAML)) if path.is_file() else {}
-    info["calibration"] = {**info.get("calibration", {}), preset: calibration_values(calibration)}
+    info["calibration"] = {**info.get("calibration", {}), rules: calibration_values(calibration)}
     text = yaml.safe_dump(info, sort_keys=False, allow_unicode=True)
     write_atomically(path, text)
     return path

@@ -1,7 +1,7 @@
 """``pcs-racing train``: train the networks of agents."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,10 +11,10 @@ from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
+from pcs_racing.race.config import load_rules
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents import learning
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.configurations import shipped_configs
 from pcs_racing_agents.base.folders import hold_folder
 from pcs_racing_agents.base.jobs import open_job, show_progress
@@ -26,7 +26,7 @@ from pcs_racing_agents.cli.options import (
     DEFAULT_TRACK,
     ArchiveName,
     Circuits,
-    Rules,
+    RaceOptions,
     Workers,
     archive_for,
     can_draw,
@@ -43,7 +43,6 @@ from pcs_racing_agents.networks import (
 from pcs_racing_agents.networks.from_trees import train_regrets
 from pcs_racing_agents.networks.metrics import score_table
 from pcs_racing_agents.networks.training import TrainSettings, epoch_curves, write_epochs
-from pcs_racing_agents.tournament.plan import game_rules
 from pcs_racing_agents.tournament.race_files import write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.storage import stored_identity
@@ -81,7 +80,7 @@ class Games:
 
     track: Circuits = (DEFAULT_TRACK,)
     archive: ArchiveName = None
-    rules: Rules
+    rules: RaceOptions
 
 
 @command(
@@ -146,13 +145,10 @@ def _check_one_game(folders: Sequence[Path], manifests: Sequence[Mapping[str, An
     """Check that all trees have equal archives (by content) and rules; tracks may differ."""
 
     def facts(settings: Mapping[str, Any]) -> dict[str, Any]:
-        rules = {key: value for key, value in settings["rules"].items() if key != "race"}
-        race = {f"race {key}": value for key, value in settings["rules"]["race"].items()}
         return {
             "archive": settings["archive"]["sha256"],
             "encoding": settings["encoding"],
-            **rules,
-            **race,
+            **settings["rules"],
         }
 
     first = facts(manifests[0])
@@ -166,11 +162,11 @@ def _check_one_game(folders: Sequence[Path], manifests: Sequence[Mapping[str, An
 
 
 def _about(manifests: Sequence[Mapping[str, Any]]) -> dict[str, str | int | float | bool]:
-    rules = manifests[0]["rules"]
+    rules = load_rules(manifests[0]["rules"])
     return {
         "tracks": ", ".join(sorted({manifest["track"]["name"] for manifest in manifests})),
-        "utility": rules["utility"],
-        "step_seconds": rules["step_seconds"],
+        "utility": rules.payoff,
+        "step_seconds": rules.step_seconds,
     }
 
 
@@ -311,13 +307,13 @@ def _learn(
     races: int | None = None,
 ) -> None:
     """Learn in branched races in the folder of a job, and save the result."""
-    config = game_rules(games.rules.config())
-    spec = make_game_spec(archive_for(games.archive, config.race), config)
-    made = [make_game(load_track(track), spec.archive, config) for track in games.track]
+    rules = games.rules.read()
+    spec = make_game(None, archive_for(games.archive, rules), rules)
+    made = [replace(spec, track=load_track(track)) for track in games.track]
     opponents = [competitor(text, spec, code=True, seed=games.rules.seed) for text in pool or ()]
     identity: dict[str, Any] = {
         "archive": spec.archive.content_hash,
-        "rules": repr(made[0].config),
+        "rules": repr(rules),
         "tracks": [game.track.content_hash for game in made],
         "competitors": [competitor_hash(opponent) for opponent in opponents],
         "name": name or kind,

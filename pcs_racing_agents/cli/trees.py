@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.config import load_game_config
 from pcs_racing.game.make import make_game
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Option, command
@@ -54,15 +54,14 @@ def run(
     workers: Workers,
 ) -> None:
     """Build game trees: simulate all moves of both players, for pairs of starting policies."""
-    stated = {"moves": moves, "step_seconds": step}
-    changes: dict[str, Any] = {key: value for key, value in stated.items() if value is not None}
-    config = load_game_config(rules, **changes)
-    game = make_game(track, archive_for(archive, config.race), config)
+    config = load_rules(rules)
+    if moves is not None or step is not None:
+        config = load_rules(config, steps=(8.0 if step is None else step,) * (1 + (moves or 4)))
+    game = make_game(track, archive_for(archive, config), config)
     count = game.offered
-    check_size(count, game.config.moves)
+    check_size(count, game.rules.moves)
     print(
-        f"{game.track.name}, archive {game.archive.name}, preset {game.config.race.name}, {count}"
-        " moves",
+        f"{game.track.name}, archive {game.archive.name}, rules {game.rules.name}, {count} moves",
         flush=True,
     )
     with workers.start() as executor:
@@ -135,8 +134,8 @@ def run_solve(
     policies = [(int(one.policies[0]), int(one.policies[1])) for one in stored]
     names = {key: stored.settings[key]["name"] for key in ("archive", "track")}
     print(
-        f"{len(stored)} trees of archive {names['archive']} on {names['track']}, preset"
-        f" {stored.settings['preset']}; CFR with {iterations} iterations"
+        f"{len(stored)} trees of archive {names['archive']} on {names['track']}, rules"
+        f" {stored.settings['rules']['name']}; CFR with {iterations} iterations"
     )
     print(solve_table(policies, solved))
 

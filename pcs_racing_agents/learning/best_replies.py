@@ -17,7 +17,6 @@ from pcs_racing.game.players import Competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import PolicySet
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Job, Workers
 from pcs_racing_agents.base.statistics import Estimate, clustered_mean
 from pcs_racing_agents.learning.responses import ResponseSettings, learn_response
@@ -46,7 +45,7 @@ class BestReply(NamedTuple):
 def best_reply(
     games: Sequence[RaceGame],
     agent: Competitor,
-    spec: GameSpec,
+    spec: RaceGame,
     settings: ResponseSettings,
     job: Job,
     *,

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.seeds import race_seeds, signed_seed
-from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.players import Competitor, ask_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, take_games
@@ -77,9 +77,9 @@ def common_identity(games: Sequence[RaceGame]) -> GameIdentity:
     """Return the identity of games that must have one archive and one set of rules."""
     if len(games) == 0:
         raise InputError("there is no game to learn; give at least one")
-    identity = game_identity(games[0])
+    identity = games[0].identity
     for game in games:
-        if game_identity(game) != identity:
+        if game.identity != identity:
             raise InputError(
                 f"the game on {game.track.name!r} differs from the first in archive, moves or rules"
             )

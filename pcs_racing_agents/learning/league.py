@@ -31,7 +31,7 @@ from pcs_racing.envs.batch import WEIGHTS
 from pcs_racing.envs.infos import Result
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
-from pcs_racing_agents.agents.sb3_files import drive_arguments_of, is_sb3, save_model
+from pcs_racing_agents.agents.sb3_files import is_sb3, save_model, training_origin
 
 FILE = "league.yaml"
 LEAGUE_FORMAT = ManifestFormat("league", ("members",), "save_league")
@@ -133,7 +133,8 @@ class League:
         if not is_sb3(model):
             raise InputError(f"a {type(model).__name__} is no model of Stable-Baselines3")
         copies = [member for member in self.members if member.is_copy]
-        drive_arguments_of(model, "copy")  # refuses a model of moves
+        if (training_origin(model, "copy") or {}).get("environment") != "drive":
+            raise InputError("the model of a copy was not trained in an environment of Drive")
         folder = _make_folder(folder)
         # The copies of another league in the folder stay as they are.
         taken = {one.name for one in copies} | {one.stem for one in folder.glob("self-????.zip")}

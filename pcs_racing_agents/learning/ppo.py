@@ -29,14 +29,12 @@ from pcs_racing.base.seeds import signed_seed
 from pcs_racing.base.settings import DIFFERENT, Layers, Names, Settings, Text, plain_settings
 from pcs_racing.envs.duel import DuelVectorEnv
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.config import load_game_config
-from pcs_racing.game.identity import game_identity
 from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import load_rules
 from pcs_racing.race.driving import default_threads
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.sb3_files import frozen_model
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.executors import in_other_processes
@@ -165,7 +163,7 @@ def train_ppo(
     """
     settings = load_ppo_settings(config, **changes)
     require("stable_baselines3", extra="learning")
-    archive, rules = load_archive(settings.archive), load_game_config(settings.rules)
+    archive, rules = load_archive(settings.archive), load_rules(settings.rules)
     games = [make_game(track, archive, rules) for track in settings.tracks]
     identity = {
         "settings": plain_settings(settings),
@@ -198,7 +196,7 @@ def train_ppo(
         network = _network(
             games[0],
             layers_from_bytes(job.folder, weights, list(settings.hidden))[0],
-            name or f"{archive.name}-{rules.race.name}-ppo",
+            name or f"{archive.name}-{rules.name}-ppo",
             _facts(settings, *kept, means[best][at]),
         )
         place = save_network(network, job.folder / "agent")
@@ -298,7 +296,7 @@ def _make_envs(settings: PPOSettings, games: Sequence[RaceGame], seed: int) -> A
             share,
             track=game.track,
             archive=game.archive,
-            rules=game.config,
+            rules=game.rules,
             opponent=opponent,
             autoreset_mode=AutoresetMode.SAME_STEP,
             threads=1,
@@ -319,11 +317,11 @@ def _race(
     settings: PPOSettings, games: Sequence[RaceGame], layers: DenseLayers
 ) -> NDArray[np.float64]:
     """Return score, own crashes and lead of a policy for each track and opponent, shape (K, 3)."""
-    spec = make_game_spec(games[0].archive, games[0].config)
+    spec = games[0].anywhere
     agent = network_agent(_network(games[0], layers, "ppo", {}), spec)
     pairings = []
     for game in games:
-        schedule = draw_schedule(game.track, game.config.race_rules, _races(settings), RACE_SEED)
+        schedule = draw_schedule(game.track, game.rules.for_game, _races(settings), RACE_SEED)
         pairings += [
             schedule_pairing(game, agent, competitor(name, spec), schedule, RACE_SEED)
             for name in settings.opponents
@@ -358,9 +356,7 @@ def _network(
 ) -> RegretNetwork:
     """Return a policy as a network with the logits of the moves as values."""
     mean = np.zeros(layers.sizes[0], np.float32)
-    return RegretNetwork(
-        name, game_identity(game), "ppo", False, layers, mean, np.ones_like(mean), facts
-    )
+    return RegretNetwork(name, game.identity, "ppo", False, layers, mean, np.ones_like(mean), facts)
 
 
 def _facts(

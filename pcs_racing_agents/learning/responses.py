@@ -32,7 +32,6 @@ from pcs_racing.game.players import Competitor, random_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import network_agent
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.executors import in_other_processes
 from pcs_racing_agents.base.fingerprint import fingerprint
@@ -111,7 +110,7 @@ def load_response_settings(
 def learn_response(
     games: Sequence[RaceGame],
     pool: Sequence[Competitor],
-    spec: GameSpec,
+    spec: RaceGame,
     settings: ResponseSettings,
     job: Job,
     *,
@@ -148,7 +147,7 @@ def learn_response(
     network: RegretNetwork | None = None
     for round_ in range(settings.rounds):
         behaviours = [at_random] if network is None else [at_random, network_agent(network, spec)]
-        for step in reversed(range(games[0].config.moves)):
+        for step in reversed(range(games[0].rules.moves)):
             # In the first pass, branches of the last step have no later moves: the continuation is
             # irrelevant.
             continuation = at_random if network is None else network_agent(network, spec)
@@ -309,7 +308,7 @@ def load_psro_settings(
 def learn_psro(
     games: Sequence[RaceGame],
     pool: Sequence[Competitor],
-    spec: GameSpec,
+    spec: RaceGame,
     settings: PSROSettings,
     job: Job,
     *,

@@ -28,7 +28,6 @@ from pcs_racing.game.players import ConstantPlayer, random_moves
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.observing import ObservationBatch
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Arrays, Job, Workers
@@ -89,7 +88,7 @@ def load_self_play_settings(
 
 def learn_self_play(
     games: Sequence[RaceGame],
-    spec: GameSpec,
+    spec: RaceGame,
     settings: SelfPlaySettings,
     job: Job,
     *,
@@ -102,7 +101,7 @@ def learn_self_play(
     ----------
     games : sequence of RaceGame
         Games with equal archive and rules, one on each track; they share one network.
-    spec : GameSpec
+    spec : RaceGame
         Archive and rules, as known to agents.
     job : Job
         Job that stores rows and networks, so that a stopped run can be resumed.
@@ -122,7 +121,7 @@ def learn_self_play(
         blocks = [
             block
             for i in range(len(games))
-            for step in range(games[0].config.moves)
+            for step in range(games[0].rules.moves)
             for block in game_blocks(settings.seed, (i, step, iteration), settings.starts)
         ]
         strategy = networks[-1] if networks else None
@@ -150,7 +149,7 @@ def learn_self_play(
 
 def traverse(
     games: Sequence[RaceGame],
-    spec: GameSpec,
+    spec: RaceGame,
     payoff: str,
     network: RegretNetwork | None,
     exploration: float,

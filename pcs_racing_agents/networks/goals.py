@@ -13,11 +13,9 @@ Targets are learned in one of three ways:
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pcs_racing.base.typing import Singles
 from pcs_racing_agents.networks.rows import Rows
-
-Floats = NDArray[np.float32]
 
 FLOOR = 0.25
 """Relative targets are raised to at most this many times the mean loss of random moves below
@@ -27,11 +25,11 @@ the highest target of their row."""
 class Scaling(NamedTuple):
     """Scaling of inputs and targets to order 1."""
 
-    mean: Floats  #: shape (D,): ``mean``, ``scale``: Scaling of the inputs.
-    scale: Floats
+    mean: Singles  #: shape (D,): ``mean``, ``scale``: Scaling of the inputs.
+    scale: Singles
     #: Maximum distance of a target below the highest of its row; infinite unless relative.
     depth: float
-    centre: Floats  #: shape (A,): Mean target of each move; 0 for clipped targets.
+    centre: Singles  #: shape (A,): Mean target of each move; 0 for clipped targets.
     size: np.float32  #: Unit of the targets.
     #: Mean square, in units of ``size``, of targets in rows without a positive target.
     hopeless: float
@@ -104,10 +102,10 @@ def row_goals(rows: Rows, by: Scaling, clipped: bool) -> Goals:
     return Goals(inputs, np.where(one_sided, np.float32(0.0), values), weights, one_sided)
 
 
-def _highest(rows: Rows) -> Floats:
+def _highest(rows: Rows) -> Singles:
     return rows.targets.max(axis=1, keepdims=True)
 
 
-def _raised(rows: Rows, depth: float) -> Floats:
+def _raised(rows: Rows, depth: float) -> Singles:
     """Return targets, raised to at most ``depth`` below the highest target of their row."""
     return np.maximum(rows.targets, _highest(rows) - np.float32(depth))

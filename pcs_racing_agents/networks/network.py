@@ -16,10 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from pcs_racing.base.checks import check_array, check_facts, check_flag, check_text
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.identity import GameIdentity, check_same_game, game_identity
+from pcs_racing.base.typing import Singles
+from pcs_racing.game.identity import GameIdentity, check_same_game
 from pcs_racing.game.rules import RaceGame
-
-Floats = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +42,8 @@ class RegretNetwork:
     clipped: bool  #: True if values below 0 are returned as 0, as regrets in the paper.
     layers: DenseLayers  #: D inputs and A outputs.
     #: shape (D,): ``mean``, ``scale``: Scaling of inputs: ``(observation - mean) / scale``.
-    mean: Floats
-    scale: Floats
+    mean: Singles
+    scale: Singles
     #: Facts about training and evaluation: texts and numbers by name.
     training: Mapping[str, str | int | float | bool] = field(default_factory=dict)
 
@@ -84,11 +83,11 @@ class RegretNetwork:
         return DenseLayers((first, *self.layers.weights[1:]), (bias, *self.layers.biases[1:]))
 
     def __repr__(self) -> str:
-        """Show its sizes, target, archive and preset."""
+        """Show its sizes, target, archive and rules."""
         shape = "-".join(map(str, self.layers.sizes))
         return (
             f"<RegretNetwork {self.name!r}: {shape}, {self.target}, archive"
-            f" {self.identity.archive!r}, preset {self.identity.preset!r}>"
+            f" {self.identity.archive!r}, rules {self.identity.rules!r}>"
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -111,7 +110,7 @@ class RegretNetwork:
         """Widths of the hidden layers."""
         return self.layers.hidden
 
-    def __call__(self, observations: ArrayLike) -> Floats:
+    def __call__(self, observations: ArrayLike) -> Singles:
         """Return the value of each move, shape (..., A), for observations (..., D).
 
         See :attr:`clipped`. The values of an observation do not depend on the rest of the batch,
@@ -120,7 +119,7 @@ class RegretNetwork:
         values = self.unclipped(observations)
         return np.maximum(values, np.float32(0.0)) if self.clipped else values
 
-    def unclipped(self, observations: ArrayLike) -> Floats:
+    def unclipped(self, observations: ArrayLike) -> Singles:
         """Return the value of each move before any clipping, shape (..., A)."""
         x = np.asarray(observations, np.float32)
         inputs = len(self.identity.elements)
@@ -144,6 +143,6 @@ class RegretNetwork:
         """Check that a game has the observations and the moves of this network.
 
         A game may offer the move "stay" in addition: the network never makes it. Other rules of the
-        race (preset, track, length of a step) are no error: the network may be tried there.
+        race (track, length of a step) are no error: the network may be tried there.
         """
-        check_same_game(self.identity, game_identity(game), f"network {self.name!r}")
+        check_same_game(self.identity, game.identity, f"network {self.name!r}")

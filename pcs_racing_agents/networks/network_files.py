@@ -19,19 +19,23 @@ from pcs_racing.base.checks import check_array, check_facts, check_names, check_
 from pcs_racing.base.dense import layers_from_bytes, layers_to_bytes
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import shipped_folder, write_together
-from pcs_racing.game.identity import GameIdentity, check_same_game
-from pcs_racing.game.moves import check_epsilon
+from pcs_racing.game.identity import (
+    GameIdentity,
+    check_same_game,
+    plain_identity,
+    read_identity,
+)
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.networks.network import RegretNetwork
 
 _SCALING = ("input.mean", "input.scale")
 
-_IDENTITY = ("elements", "moves", "epsilon", "archive", "archive_sha256", "preset")
-"""Manifest entries about the network's game; the number of decisions follows from the elements."""
-
 NETWORK_FORMAT = ArtifactFormat(
     "network",
-    ("name", "target", "clipped", "hidden", *_IDENTITY, "training", "weights_sha256"),
+    (
+        *("name", "target", "clipped", "hidden", *GameIdentity._fields[:-1]),
+        *("training", "weights_sha256"),
+    ),
     "save_network",
     data_file="weights.safetensors",
     digest_key="weights_sha256",
@@ -47,18 +51,13 @@ def save_network(network: RegretNetwork, folder: str | Path) -> Path:
 
 def _content(network: RegretNetwork) -> tuple[dict[str, Any], bytes]:
     """Return the fields of a network's manifest, and its weights."""
-    identity = network.identity
     fields = {
         "name": network.name,
         "target": network.target,
         "clipped": network.clipped,
         "hidden": list(network.hidden),
-        "elements": list(identity.elements),
-        "moves": list(identity.moves),
-        "epsilon": list(identity.epsilon),
-        "archive": identity.archive,
-        "archive_sha256": identity.archive_sha256,
-        "preset": identity.preset,
+        # The number of decisions follows from the elements.
+        **plain_identity(network.identity._replace(decisions=0)),
         "training": dict(network.training),
     }
     return fields, network_to_bytes(network)
@@ -94,17 +93,9 @@ def load_network(source: str | os.PathLike[str] | RegretNetwork) -> RegretNetwor
     file = folder / NETWORK_FORMAT.data_file
     weights = weights_from_bytes(file, content, fields["hidden"])
     try:
-        identity = GameIdentity(
-            elements=check_names("elements", fields["elements"]),
-            moves=check_names("moves", fields["moves"]),
-            epsilon=check_epsilon(fields["epsilon"]),
-            archive=check_text("archive", fields["archive"]),
-            archive_sha256=check_text("archive_sha256", fields["archive_sha256"]),
-            preset=check_text("preset", fields["preset"]),
-        )
         return RegretNetwork(
             name=fields["name"],
-            identity=identity,
+            identity=read_identity(fields),
             target=fields["target"],
             clipped=fields["clipped"],
             **weights,

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.base.errors import InputError, require
 from pcs_racing.base.settings import Layers, OneOf, Settings, plain_settings
+from pcs_racing.base.typing import Singles
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.jobs import Progress
@@ -93,8 +94,6 @@ def load_train_settings(
     return load_config("train", TrainSettings(), source, **changes)
 
 
-Floats = NDArray[np.float32]
-
 VALIDATION_SHARE = 0.15
 """Share of the starting pairs used for early stopping."""
 
@@ -138,8 +137,8 @@ class TrainingResult(NamedTuple):
 
     #: ``layers``, ``mean``, ``scale``: Fields of :class:`pcs_racing_agents.networks.RegretNetwork`.
     layers: DenseLayers
-    mean: Floats
-    scale: Floats
+    mean: Singles
+    scale: Singles
     epochs: tuple[Epoch, ...]
     best: int  #: Index of the epoch of the weights, with the minimum validation loss.
     validation_pairs: NDArray[np.int64]  #: Starting pairs held out from training.

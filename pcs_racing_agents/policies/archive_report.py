@@ -61,7 +61,7 @@ def write_archive(
         coordinates=coordinates,
         explored_parameters=explored[0],
         explored_coordinates=explored[1].coordinates,
-        preset=config.race_rules.name,
+        rules=config.race_rules.name,
         spread=measured.spread,
         own_crash=measured.own_crash,
         explored_own_crash=explored[1].own_crash,

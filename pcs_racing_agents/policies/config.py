@@ -24,7 +24,7 @@ from pcs_racing.game.characteristics import get_characteristics
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner, parse_policy
-from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.config import Rules, load_rules
 from pcs_racing_agents.base.configurations import shipped_configs
 
 SHIPPED_TRACKS = ("Tarnfjord", "Vellindra", "Kestrelheim")
@@ -43,7 +43,7 @@ class ArchiveConfig(Settings):
     """
 
     name: Annotated[Text, "Name of the archive."] = "archive"
-    rules: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "paper"
+    rules: Annotated[Text, "Rules of the races: a name or a YAML file."] = "paper"
     duration: Annotated[float, _SECONDS, "Length of a race during search and selection, s."] = 16.0
     final_duration: Annotated[float, _SECONDS, "Length of a race in the final measurement, s."] = (
         40.0
@@ -125,13 +125,13 @@ class ArchiveConfig(Settings):
         get_characteristics(self.axes)
 
     @property
-    def race_rules(self) -> RaceConfig:
+    def race_rules(self) -> Rules:
         """Rules of the races, with the duration of a race in the search."""
         return self.rules_of(self.duration)
 
-    def rules_of(self, duration: float) -> RaceConfig:
+    def rules_of(self, duration: float) -> Rules:
         """Return the rules of the races, with another duration."""
-        return load_race_config(self.rules, duration=float(duration))
+        return load_rules(self.rules, duration=float(duration))
 
     @property
     def search_crash_limit(self) -> float:

@@ -19,7 +19,7 @@ from pcs_racing.game.characteristics import Characteristic, Segment, get_charact
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, start_lines, start_races, winners
 from pcs_racing.race.start_grid import Starts
@@ -32,7 +32,7 @@ class Scenarios:
     """The R races of every policy."""
 
     tracks: tuple[str, ...]  #: Names or folders, which workers on other machines load themselves.
-    config: RaceConfig  #: Rules and duration.
+    config: Rules  #: Rules and duration.
     planner: str  #: Planner of the policies and of their opponents, except for rivals.
     characteristics: tuple[str, ...]
     segment_seconds: float  #: Length of the segments averaged in coordinates, s.
@@ -63,7 +63,7 @@ class Evaluation(NamedTuple):
 def draw_scenarios(
     planner: str,
     tracks: Sequence[str],
-    rules: RaceConfig,
+    rules: Rules,
     *,
     opponents: Floats | None = None,
     rivals: Sequence[str] = (),
@@ -78,7 +78,7 @@ def draw_scenarios(
     ----------
     planner : str
         Planner of the policies and of the opponents.
-    rules : RaceConfig
+    rules : Rules
         Rules and duration of the races.
     opponents : ndarray, shape (O, P), optional
         Parameters of policies, met in addition to the rivals.

@@ -101,5 +101,5 @@ def archive_picture(archive: PolicyArchive, *, epsilon: float | tuple[float, ...
     title = f"{len(archive)} policies"
     if len(archive.explored_coordinates):
         title += f", grey: {len(archive.explored_coordinates)} explored"
-    axes.set_title(f"Archive {short(archive.name)}, preset {archive.preset}: {title}")
+    axes.set_title(f"Archive {short(archive.name)}, rules {archive.rules}: {title}")
     return figure

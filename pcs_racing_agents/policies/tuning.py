@@ -33,7 +33,7 @@ from pcs_racing.base.typing import Floats
 from pcs_racing.planners.planner import Planner, Policy
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.planners.registry import get_planner, parse_policy
-from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.config import Rules, load_rules
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.base.jobs import Arrays, Job, open_job
 from pcs_racing_agents.base.statistics import clustered_mean
@@ -69,7 +69,7 @@ class TuningConfig(Settings):
         TUNING_TRACKS
     )
     held_out: Annotated[OptionalNames, "Circuits of choice and check only."] = HELD_OUT
-    rules: Annotated[Text, "Rules of the races: a preset's name or a YAML file."] = "contest"
+    rules: Annotated[Text, "Rules of the races: a name or a YAML file."] = "contest"
     duration: Annotated[float, Interval(ge=0.1, le=3600.0), "Length of a race, s."] = 40.0
     start: Annotated[
         Text | None, "Policy that the search starts from, by default the planner's default policy."
@@ -120,9 +120,9 @@ class TuningConfig(Settings):
         return parse_policy(self.start or self.planner)
 
     @property
-    def race_rules(self) -> RaceConfig:
+    def race_rules(self) -> Rules:
         """Rules of the races."""
-        return load_race_config(self.rules, duration=float(self.duration))
+        return load_rules(self.rules, duration=float(self.duration))
 
 
 class TuningProgress(NamedTuple):

@@ -1,7 +1,6 @@
 """Configuration of a study: rules, learning, races of the tables."""
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -9,10 +8,9 @@ from typing import Annotated, Any
 from annotated_types import Interval
 
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.base.settings import Checked, Names, OptionalNames, Settings, Text, load_settings
+from pcs_racing.base.settings import Checked, Names, OptionalNames, Settings, Text
 from pcs_racing.game.archive_files import list_archives
-from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.race.config import PAPER
+from pcs_racing.race.config import PAPER, Rules, load_rules
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.learning.responses import load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings
@@ -20,9 +18,6 @@ from pcs_racing_agents.networks.rows import get_target
 
 BASELINES = ("best-fixed", "best-schedule", "best-lead-plan")
 """Agents fitted on training races: fixed policy, move sequence and lead-conditioned plan."""
-
-
-PAPER_GAME = load_game_config("paper")
 
 
 @dataclass(frozen=True)
@@ -98,20 +93,15 @@ class TableConfig(Settings):
     ] = 5
 
 
-def _game(_: str, value: Any) -> GameConfig:
-    """Return rules of a game from rules, a race's name or file, or a mapping of their fields."""
-    if not isinstance(value, Mapping):
-        return load_game_config(value)
-    race = value.get("race", "paper")
-    rules = load_settings("race", PAPER, race) if isinstance(race, Mapping) else race
-    return load_game_config(rules, **{key: one for key, one in value.items() if key != "race"})
+def _rules(_: str, value: Any) -> Rules:
+    return load_rules(value)
 
 
 @dataclass(frozen=True)
 class StudyConfig(Settings):
     """Configuration of a study; it determines the results."""
 
-    game: Annotated[GameConfig, Checked(_game), "Rules of the game."] = PAPER_GAME
+    rules: Annotated[Rules, Checked(_rules), "Rules: a name, a YAML file or their fields."] = PAPER
     archive: Annotated[Text, "Name or folder of the policy archive."] = "default"
     learning: Annotated[LearningConfig, "Training of the networks and agents."] = LearningConfig()
     table: Annotated[
@@ -128,9 +118,9 @@ class StudyConfig(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.game.race.laps is not None and self.learning.targets:
+        if self.rules.laps is not None and self.learning.targets:
             raise ConfigError(
-                f"laps is {self.game.race.laps}; game trees need races by time: leave targets empty"
+                f"laps is {self.rules.laps}; game trees need races by time: leave targets empty"
             )
         if self.archive not in list_archives() and not os.path.isdir(self.archive):
             raise ConfigError(

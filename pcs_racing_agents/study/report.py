@@ -142,18 +142,18 @@ def write_report(study: Study, races: RaceTable) -> None:
         further = study_table(study, races.with_seeds(study.table_seeds(1)))
         write_table(further, folder / "table_further.csv")
         tables.append(TitledTable("More opponents, tracks and agents", overview_rows(further)))
-    if config.game.race.name == "paper":
+    if config.rules.name == "paper":
         ahead = study_table(study, by_progress(main_races))
         write_table(ahead, folder / "table_by_progress.csv")
         title = "The paper's statistic: the car with more progress wins, crash or not"
         tables.append(TitledTable(title, table_rows(COLUMNS, ahead)))
-    game, archive = config.game, study.archive
+    rules, archive = config.rules, study.archive
     page = report_page(
-        f"Study: {game.race.name} race, archive {archive.name}",
-        facts=f"{len(races):,} races of {game.horizon:g} s between two cars.",
+        f"Study: {rules.name} rules, archive {archive.name}",
+        facts=f"{len(races):,} races of {rules.ends[-1]:g} s between two cars.",
         about=(
-            f"Every {game.step_seconds:g} s an agent may change its policy, which is how its"
-            f" car drives, by {game.epsilon} of the archive's range on an axis. Archive"
+            f"Every {rules.step_seconds:g} s an agent may change its policy, which is how its"
+            f" car drives, by {rules.epsilon} of the archive's range on an axis. Archive"
             f" {archive.name}: {len(archive)} policies of planner {archive.planner}, sha256"
             f" {archive.content_hash[:16]}.\n\n{closeness_text(races)}"
         ),
@@ -176,7 +176,7 @@ def study_table(study: Study, races: RaceTable) -> list[TableLine]:
         # The second table may lack the baselines of the first.
         open_loop=open_loop if open_loop in races.agents.words else None,
         train={load_track(name).name for name in config.learning.tracks},
-        paper=config.game.race.name == "paper",
+        paper=config.rules.name == "paper",
     )
 
 
@@ -247,7 +247,7 @@ def _pictures(study: Study, lines: Sequence[TableLine]) -> dict[str, bytes]:
     figures = {
         f"Gain of each agent over {lines[0].arm}.": differences_picture(lines),
         "Policies, and the moves of one of them.": archive_picture(
-            study.archive, epsilon=study.config.game.epsilon
+            study.archive, epsilon=study.config.rules.epsilon
         ),
     }
     return {caption: picture_bytes(figure) for caption, figure in figures.items()}

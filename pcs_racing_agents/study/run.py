@@ -94,7 +94,7 @@ def train_networks(study: Study) -> None:
     stored = [
         build_trees(
             # Without "stay": trees would be six times as large.
-            make_game(load_track(name), study.archive, study.config.game, stay=False),
+            make_game(load_track(name), study.archive, study.config.rules, stay=False),
             study.folder / "trees" / name,
             pairs=config.trees,
             seed=study.config.seed + TREE_SEED + number,

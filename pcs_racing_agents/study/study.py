@@ -19,15 +19,13 @@ import numpy as np
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import load_archive
-from pcs_racing.game.config import GameConfig
 from pcs_racing.game.make import make_game
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import Agent, competitor_hash
-from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.base.jobs import Progress, show_progress
@@ -66,13 +64,13 @@ class Study:
         return load_archive(self.config.archive)
 
     @cached_property
-    def spec(self) -> GameSpec:
+    def spec(self) -> RaceGame:
         """Archive and rules, in the form for agents."""
-        return make_game_spec(self.archive, self.config.game)
+        return make_game(None, self.archive, self.config.rules)
 
     def game(self, track: Track | str) -> RaceGame:
         """Return the game on a track."""
-        return make_game(track, self.archive, self.config.game)
+        return make_game(track, self.archive, self.config.rules)
 
     def games(self) -> list[RaceGame]:
         """Return the games on the training tracks."""
@@ -139,15 +137,13 @@ def open_results(
     try:
         if kind == "study":
             study = Study(load_study_config(**settings), path, quiet=True)
-            rules, make = study.config.game, partial(study_pairing, study, races, moved=moved)
+            rules, make = study.config.rules, partial(study_pairing, study, races, moved=moved)
         else:
-            # Without the move "stay": every tournament adds it.
-            game = {**settings["game"], "race": RaceConfig(**settings["game"]["race"])}
-            rules = GameConfig(**{**game, "stay": None})
+            rules = Rules(**settings["rules"])
             make = partial(_tournament_pairing, settings, rules, code, moved)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path / MANIFEST} is damaged: {error}") from None
-    return ResultsFolder(path, file, races, rules.race.start, make)
+    return ResultsFolder(path, file, races, rules.start, make)
 
 
 def _read_manifest(folder: Path) -> tuple[str, dict[str, Any]]:
@@ -195,7 +191,7 @@ def _load_track(place: str) -> Track:
 
 def _tournament_pairing(
     settings: Mapping[str, Any],
-    rules: GameConfig,
+    rules: Rules,
     code: Sequence[str],
     moved: Mapping[str, str],
     row: RaceRow,
@@ -204,7 +200,7 @@ def _tournament_pairing(
 
     All inputs are compared by hash: other inputs give another race.
     """
-    seed, spec = int(settings["seed"]), make_game_spec(settings["archive"], rules)
+    seed, spec = int(settings["seed"]), make_game(None, settings["archive"], rules)
     archive = spec.archive
     _check_same(f"archive {archive.name!r}", archive.content_hash, settings["archive_sha256"])
     track = _load_track({**settings.get("maps", {}), **moved}.get(row.track, row.track))
@@ -216,8 +212,8 @@ def _tournament_pairing(
         return car
 
     races = int(settings["races_per_pair"])
-    schedule = draw_schedule(track, spec.config.race_rules, races, seed)
-    game = RaceGame(track, archive, spec.config)
+    schedule = draw_schedule(track, spec.rules.for_game, races, seed)
+    game = replace(spec, track=track)
     return schedule_pairing(game, agent(row.ego), agent(row.opponent), schedule, seed)
 
 

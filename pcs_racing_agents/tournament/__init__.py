@@ -20,7 +20,6 @@ from pcs_racing_agents.tournament.pairings import (
 )
 from pcs_racing_agents.tournament.plan import (
     TournamentPlan,
-    game_rules,
     plan_tournament,
     tournament_settings,
 )
@@ -67,7 +66,6 @@ __all__ = [
     "fit_best_fixed",
     "fit_best_lead_plan",
     "fit_best_schedule",
-    "game_rules",
     "holm",
     "load_protocol",
     "make_executor",

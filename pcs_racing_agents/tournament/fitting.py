@@ -29,7 +29,6 @@ from pcs_racing_agents.agents.blind import (
     best_schedule,
     make_fit,
 )
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.solvers.matrix_games import solve_matrix_games
 from pcs_racing_agents.tournament.pairings import (
@@ -49,7 +48,7 @@ class TrainingRaces:
 
     tracks: tuple[Track, ...]
     opponents: tuple[Competitor, ...]  #: Opponents, with equal frequencies.
-    spec: GameSpec
+    spec: RaceGame
     races: int = 100  #: Races against each opponent on each track; even.
     seed: int = 1_000_003  #: Seed of starts, start policies and noise; different from test races.
 
@@ -90,10 +89,10 @@ def evaluate(
 
 def _games(training: TrainingRaces) -> list[tuple[RaceGame, RaceSchedule]]:
     """Return the game and the race schedule of each track."""
-    spec, rules = training.spec, training.spec.config.race_rules
+    spec, rules = training.spec, training.spec.rules.for_game
     return [
         (
-            RaceGame(track, spec.archive, spec.config),
+            RaceGame(track, spec.archive, spec.rules),
             draw_schedule(track, rules, training.races, training.seed),
         )
         for track in training.tracks
@@ -117,7 +116,7 @@ def fit_best_schedule(training: TrainingRaces, **run: Unpack[Run]) -> Fit:
         lambda choice: best_schedule(spec, moves=moves(choice)),
         moves,
         range(len(spec.moves)),
-        spec.config.moves,
+        spec.rules.moves,
         **run,
     )
 

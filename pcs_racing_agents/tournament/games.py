@@ -38,8 +38,8 @@ def variant_count(game: RaceGame, competitor: Competitor) -> int:
 def game_between(game: RaceGame, ego: Competitor, opponent: Competitor) -> RaceGame:
     """Return the game of two competitors: with the move "stay" and their planners."""
     planners = [car.planner if isinstance(car, PolicySet) else None for car in (ego, opponent)]
-    config = game.config if game.config.stay else replace(game.config, stay=True)
-    game = replace(game, config=config, ego_planner=planners[0], opponent_planner=planners[1])
+    rules = game.rules if game.rules.stay else replace(game.rules, stay=True)
+    game = replace(game, rules=rules, ego_planner=planners[0], opponent_planner=planners[1])
     for car in (ego, opponent):
         check_competitor(game, car)
     return game
@@ -102,7 +102,7 @@ def _drive(
     keys: NDArray[Any],
 ) -> _SharedGames:
     """Simulate the branches of all games, step by step."""
-    games, steps = len(variants), game.config.moves
+    games, steps = len(variants), game.rules.moves
     planned = [
         [car.policies[i] for i in variants[:, place]] if isinstance(car, PolicySet) else None
         for place, car in enumerate((egos[0], opponent))

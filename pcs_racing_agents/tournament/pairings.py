@@ -33,7 +33,7 @@ from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.planner import Policy, PolicySet
 from pcs_racing.planners.racers import own_name
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.races import draw_starts, start_lines
 from pcs_racing.race.recording import record_drive
 from pcs_racing.race.replay import Replay
@@ -66,7 +66,7 @@ class RaceSchedule(NamedTuple):
         return (self.draws % np.array([ego, opponent], np.uint64)).astype(np.int64)
 
 
-def draw_schedule(track: Track, config: RaceConfig, races: int, seed: int) -> RaceSchedule:
+def draw_schedule(track: Track, config: Rules, races: int, seed: int) -> RaceSchedule:
     """Draw the races of each pair on a track.
 
     ``config``: rules, without an effect of ``start_lines``: every two races draw their own line.
@@ -202,7 +202,7 @@ def cross_pairing(
     race_seeds(seed, 1)
     first = _variants("egos", egos, variant_count(meeting, cars[0]), seed, 3)
     second = _variants("opponents", opponents, variant_count(meeting, cars[1]), seed, 4)
-    rules = replace(meeting.setup.config, start_lines=lines * LINE_SETS)
+    rules = replace(meeting.setup.rules, start_lines=lines * LINE_SETS)
     positions = start_lines(meeting.track, rules, np.random.SeedSequence(seed, spawn_key=(0,)))
     # The side is the fastest axis: races 2j and 2j + 1 are both sides of one line, as in schedules.
     grid = np.meshgrid(first, second, np.arange(lines), np.arange(2), indexing="ij")
@@ -281,7 +281,7 @@ def repeat_race(pairing: Pairing, race: int, *, candidates: bool = True) -> Reco
         columns["noise"][0],
         theta,
         names=pairing.names,
-        ends=game.config.end_ticks[: driven - 1].tolist(),
+        ends=game.rules.end_ticks[: driven - 1].tolist(),
         candidates=candidates,
     )
     return Recording(replay, race_table(one, columns), game)
@@ -353,9 +353,9 @@ def play_pairings(
 
 def race_table(pairing: Pairing, columns: Mapping[str, NDArray[Any]]) -> RaceTable:
     """Return the race table of a pairing, from its draws and its results (:meth:`Pairing.race`)."""
-    count, config = len(pairing), pairing.game.config
+    count = len(pairing)
     return RaceTable(
-        preset=Categorical.constant(config.race.name, count),
+        rules=Categorical.constant(pairing.game.rules.name, count),
         agents=Categorical.concatenate(
             [Categorical.constant(name, count) for name in pairing.names], axis=1
         ),
@@ -401,10 +401,10 @@ def _blocks(
         # Hashes serve only to look up stored results of a job; some competitors have no hash.
         hashes = [competitor_hash(car) for car in (*(each.ego for each in group), pairing.opponent)]
         calibration = {
-            preset: calibration_values(own) for preset, own in game.track.calibration.items()
+            name: calibration_values(own) for name, own in game.track.calibration.items()
         }
         track = fingerprint(game.track.content_hash, calibration)
-        common = fingerprint(track, game.archive.content_hash, game.config, hashes, observations)
+        common = fingerprint(track, game.archive.content_hash, game.rules, hashes, observations)
     # The size counts all egos, although they share races: in the worst case they part at move 1.
     size = max(1, BLOCK // len(group))
     for first in range(0, len(pairing), size):

@@ -1,27 +1,24 @@
 """Plan of a tournament: all pairs drive the same races, from both sides of each start."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pcs_racing.base.errors import InputError
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import list_archives
-from pcs_racing.game.config import GameConfig, load_game_config
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.racers import own_name
-from pcs_racing.race.config import RaceConfig, load_race_config
+from pcs_racing.race.config import Rules
 from pcs_racing.track.loading import as_track
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import Track
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.tournament.games import game_between
 from pcs_racing_agents.tournament.pairings import (
     Pairing,
@@ -33,7 +30,6 @@ from pcs_racing_agents.tournament.pairings import (
 Circuit = Track | str | Path
 Entrant = Any
 """A text or an object for :func:`pcs_racing.racer`."""
-Rules = GameConfig | RaceConfig | str | Path
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +38,7 @@ class TournamentPlan:
 
     competitors: tuple[Competitor, ...]
     tracks: tuple[Track, ...]
-    spec: GameSpec  #: Archive and rules, with the move "stay".
+    spec: RaceGame  #: Game on any track.
     schedules: tuple[RaceSchedule, ...]  #: Races of each pair, by track.
     races_per_pair: int  #: Number of races of each pair on each track.
     seed: int
@@ -69,53 +65,18 @@ class TournamentPlan:
     @cached_property
     def games(self) -> tuple[RaceGame, ...]:
         """Games on the tracks."""
-        spec = self.spec
-        return tuple(RaceGame(track, spec.archive, spec.config) for track in self.tracks)
+        return tuple(replace(self.spec, track=track) for track in self.tracks)
 
     @property
-    def config(self) -> RaceConfig:
-        """Race rules with the duration of the game."""
-        return self.spec.config.race_rules
-
-
-def game_rules(rules: Rules = "paper", **settings: Any) -> GameConfig:
-    """Return the rules of a game with the duration of a race, by an equal stretch of all steps.
-
-    Parameters
-    ----------
-    rules : GameConfig, RaceConfig, str or path
-        Rules of a race, or of a game (not stretched).
-    **settings
-        Fields of :class:`pcs_racing.game.config.GameConfig` to change; with ``step_seconds`` or
-        ``first_steps`` nothing is stretched.
-    """
-    if isinstance(rules, GameConfig):
-        return load_game_config(rules, **settings)
-    race = load_race_config(rules)
-    config = load_game_config(race, **settings)
-    if {"step_seconds", "first_steps"} & settings.keys():
-        return config
-    # Whole tenths of a second, the time between two plans: a step of 8.1666 s would end between two
-    # plans.
-    parts = np.diff(config.end_ticks, prepend=0)
-    parts //= np.gcd.reduce(parts)
-    unit, rest = divmod(race.ticks, 10 * int(parts.sum()))
-    if unit == 0 or rest:
-        raise InputError(
-            f"duration is {race.seconds:g} s; a game of {config.moves} moves lasts a multiple of "
-            f"{0.1 * int(parts.sum()):g} s"
-        )
-    lengths = [round(0.1 * int(part) * unit, 1) for part in parts]
-    first = lengths[: len(config.first_steps)]
-    return load_game_config(
-        race, **{**settings, "moves": config.moves}, step_seconds=lengths[-1], first_steps=first
-    )
+    def rules(self) -> Rules:
+        """Rules with the length of the game as the duration of a race."""
+        return self.spec.rules.for_game
 
 
 def plan_tournament(
     tracks: Circuit | Sequence[Circuit],
     entrants: Sequence[Entrant] | Mapping[str, Entrant],
-    rules: Rules = "paper",
+    rules: Rules | str | Path = "paper",
     *,
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
@@ -131,13 +92,13 @@ def plan_tournament(
     given = [tracks] if isinstance(tracks, Track | str | Path) else tracks
     circuits = [as_track(track) for track in given]
     _check_distinct("tracks", [track.name for track in circuits], 1)
-    spec = make_game_spec(archive, game_rules(rules))
+    spec = make_game(None, archive, rules)
     named = entrants.items() if isinstance(entrants, Mapping) else [(None, e) for e in entrants]
     competitors = []
     for name, entrant in named:
         competitors.append(competitor(entrant, spec, code, name=name, like=like, seed=seed))
     _check_distinct("competitors", [own_name(entrant) for entrant in competitors], 2)
-    race = spec.config.race_rules
+    race = spec.rules.for_game
     schedules = tuple(draw_schedule(track, race, races_per_pair, seed) for track in circuits)
     source = spec.identity.archive
     if not isinstance(archive, PolicyArchive) and archive not in list_archives():
@@ -162,7 +123,7 @@ def tournament_settings(plan: TournamentPlan) -> dict[str, Any]:
     return {
         "seed": plan.seed,
         "races_per_pair": plan.races_per_pair,
-        "game": spec.config,
+        "rules": spec.rules,
         "archive": plan.archive,
         "archive_sha256": spec.identity.archive_sha256,
         "tracks": {track.name: track.content_hash for track in plan.tracks},

@@ -15,11 +15,11 @@ from annotated_types import Interval
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.settings import Names, OptionalNames, Settings, Text
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import Competitor, competitor
 from pcs_racing.planners.racers import own_name
 from pcs_racing.track.loading import load_track
 from pcs_racing_agents.agents.agent import competitor_hash
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.configurations import load_config
 from pcs_racing_agents.base.fingerprint import fingerprint
 from pcs_racing_agents.base.jobs import Run
@@ -28,7 +28,6 @@ from pcs_racing_agents.tournament.pairings import play_pairings
 from pcs_racing_agents.tournament.plan import (
     Entrant,
     TournamentPlan,
-    game_rules,
     plan_tournament,
     tournament_settings,
 )
@@ -73,7 +72,7 @@ class Protocol:
         spec = self.plan.spec
         lines = [
             ("archive", spec.archive.name, spec.archive.content_hash),
-            ("rules", self.config.rules, fingerprint(spec.config)),
+            ("rules", self.config.rules, fingerprint(spec.rules)),
             *(("track", track.name, track.content_hash) for track in self.plan.tracks),
             *(("opponent", own_name(car), competitor_hash(car)) for car in self.opponents),
         ]
@@ -109,8 +108,7 @@ def load_protocol(
     Names of agents may name user code, names of opponents may not.
     """
     config = load_config("protocol", ProtocolConfig(), source)
-    rules = game_rules(config.rules)
-    spec = make_game_spec(config.archive, rules)
+    spec = make_game(None, config.archive, config.rules)
     given = {agent if isinstance(agent, str) else own_name(agent) for agent in agents}
     rivals = [
         competitor(name, spec, seed=config.seed) for name in config.opponents if name not in given
@@ -118,7 +116,7 @@ def load_protocol(
     plan = plan_tournament(
         [load_track(name) for name in (*config.train, *config.test)],
         [*agents, *rivals],
-        rules,
+        spec.rules,
         archive=config.archive,
         races_per_pair=config.races,
         seed=config.seed,

@@ -220,7 +220,7 @@ def _parsed(lines: _Lines) -> RaceTable:
     # The index of the word is a pair of bits: 1 for the ego, 2 for the opponent.
     fault = lines.choices("fault", FAULTS)
     return RaceTable(
-        preset=lines.words("preset"),
+        rules=lines.words("rules"),
         agents=Categorical.concatenate([lines.words(car) for car in CARS], axis=1),
         track=lines.words("track"),
         race=lines.wholes("race", 2**31 - 1),

@@ -28,7 +28,7 @@ Flags = NDArray[np.bool_]
 class RaceRow(NamedTuple):
     """One race in words, a line of ``results.csv``."""
 
-    preset: str = ""  #: Name of the rules.
+    rules: str = ""  #: Name of the rules.
     ego: str = ""  #: ``ego``, ``opponent``: Names of the competitors in car 0 and car 1.
     opponent: str = ""
     track: str = ""
@@ -92,9 +92,9 @@ class Categorical(NamedTuple):
 class RaceTable:
     """Table of N races; ``table[k]`` is race k in words."""
 
-    #: shape (N,): ``preset``, ``track``, ``seed``: Rules, track, and seed (as text, since a seed
+    #: shape (N,): ``rules``, ``track``, ``seed``: Rules, track, and seed (as text, since a seed
     #: may exceed the range of numeric columns).
-    preset: Categorical
+    rules: Categorical
     agents: Categorical  #: shape (N, 2): Names of the competitors in car 0 (ego), car 1 (opponent).
     track: Categorical
     race: NDArray[Any]  #: shape (N,): Index of the race within its pair.
@@ -232,7 +232,7 @@ class RaceTable:
     def _rows(self, rows: slice) -> Iterator[RaceRow]:
         moves = self.moves.words
         columns = (
-            self.preset.codes,
+            self.rules.codes,
             self.agents.codes,
             self.track.codes,
             self.race,
@@ -252,12 +252,12 @@ class RaceTable:
         )
         # Plain Python numbers, column by column, since numpy scalars would be slower.
         for row in zip(*(column[rows].tolist() for column in columns), strict=True):
-            preset, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
+            rules, agents, track, race, start, side, seed, lead, winner, crash, fault = row[:11]
             overtakes, duration, variants, path, move_codes, best_laps = row[11:]
             paths = [tuple(policy for policy in steps if policy >= 0) for steps in path]
             lists = [tuple(moves[move] for move in steps if move >= 0) for steps in move_codes]
             yield RaceRow(
-                self.preset.words[preset],
+                self.rules.words[rules],
                 self.agents.words[agents[0]],
                 self.agents.words[agents[1]],
                 self.track.words[track],

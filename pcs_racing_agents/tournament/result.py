@@ -62,7 +62,7 @@ class Tournament:
     @cached_property
     def series(self) -> RaceTable:
         """Scored units: the races, or series of races under "best of" rules."""
-        return series_of(self.races, self.plan.config.heats)
+        return series_of(self.races, self.plan.rules.heats)
 
     @cached_property
     def summary(self) -> RoundRobin:
@@ -101,7 +101,7 @@ class Tournament:
 
     def __str__(self) -> str:
         """Show the standings and the scores against each other."""
-        config, races = self.plan.config, self.races
+        config, races = self.plan.rules, self.races
         length = f"{config.seconds:g} s"
         if config.laps is not None:
             length = f"{config.laps} laps (at most {length})"
@@ -176,7 +176,7 @@ def tournament_picture(result: Tournament) -> Any:
 def play_tournament(
     tracks: Circuit | Sequence[Circuit],
     entrants: Sequence[Entrant] | Mapping[str, Entrant],
-    rules: Rules = "paper",
+    rules: Rules | str | Path = "paper",
     *,
     archive: PolicyArchive | str | Path = "default",
     races_per_pair: int = 20,
@@ -194,9 +194,8 @@ def play_tournament(
     tracks : Track, name or path, or a sequence of them
     entrants : sequence, or mapping by name
         At least two texts or objects (:func:`pcs_racing.racer`), with different names.
-    rules : GameConfig, RaceConfig, str or path
-        Rules. Race rules give a game of the same duration (:func:`game_rules`); their
-        ``start_lines`` is not used, since every two races draw their own line.
+    rules : Rules, str or path
+        Rules; their ``start_lines`` is not used, since every two races draw their own line.
     races_per_pair : int
         Number of races of each pair on each track; even, from 2 to 2000.
     seed : int

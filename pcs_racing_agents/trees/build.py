@@ -57,7 +57,7 @@ def choose_pairs(archive: PolicyArchive, count: int, seed: int = 0) -> Indices:
 
 def default_seeds(game: RaceGame) -> int:
     """Return the default number of noise seeds of a root: 1 without noise, 4 with noise."""
-    return NOISY_SEEDS if game.config.race.steering_noise > 0.0 else 1
+    return NOISY_SEEDS if game.rules.steering_noise > 0.0 else 1
 
 
 def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Generator) -> Root:
@@ -67,7 +67,7 @@ def draw_root(game: RaceGame, policies: Indices, seeds: int, rng: np.random.Gene
     """
     # Like `RaceGame.reset`, it draws again after a crash, up to a limit of attempts: a pair that
     # always crashes has a tree of crashes only.
-    noisy = game.config.race.steering_noise > 0.0
+    noisy = game.rules.steering_noise > 0.0
     start_s, side, kept = 0.0, 0, np.zeros(0, np.uint64)
     for _ in range(REDRAWS):
         start_s, side = float(rng.choice(game.start_lines)), int(rng.integers(2))
@@ -118,7 +118,7 @@ def build_tree(
     keys = np.atleast_1d(np.asarray(0 if seeds is None else seeds))
     if keys.ndim != 1 or len(keys) == 0 or len(np.unique(keys)) != len(keys):
         raise InputError(f"seeds are {seeds!r}; give one or more different whole numbers from 0")
-    if len(keys) > 1 and game.config.race.steering_noise == 0.0:
+    if len(keys) > 1 and game.rules.steering_noise == 0.0:
         raise InputError(
             f"there are {len(keys)} seeds, but no steering noise: every seed drives the same;"
             " give one"
@@ -129,7 +129,7 @@ def build_tree(
             f"policies are {policies!r}; give two policies of archive {game.archive.name!r}"
         )
     root = game.reset(keys, policies=pair, starts=place.take(np.zeros(len(keys), np.int64)))
-    moves, table = game.config.moves, game.table[:, : game.offered]
+    moves, table = game.rules.moves, game.table[:, : game.offered]
     paths = [policy_paths(table, int(policy), moves) for policy in pair]
     grown = [_grow(game, take_games(root, [i]), paths, share) for i in range(len(keys))]
     payoffs, leads, estimates, over, numbers = zip(*grown, strict=True)
@@ -153,11 +153,10 @@ def build_tree(
 
 def check_game(game: RaceGame) -> None:
     """Check that trees of a game can be built."""
-    if game.config.race.laps is not None:
+    if game.rules.laps is not None:
         # A last step is combined from single drives, and so must not end with a lap of either car.
         raise InputError(
-            f"laps is {game.config.race.laps}; a game tree needs races by time: take rules without"
-            " laps"
+            f"laps is {game.rules.laps}; a game tree needs races by time: take rules without laps"
         )
     for car, planner in enumerate(game.setup.planners):
         if planner.name != game.archive.planner:
@@ -165,7 +164,7 @@ def check_game(game: RaceGame) -> None:
                 f"car {car} is driven by planner {planner.name!r}; in a game tree both cars drive"
                 f" policies of archive {game.archive.name!r} (planner {game.archive.planner!r})"
             )
-    check_size(game.offered, game.config.moves)
+    check_size(game.offered, game.rules.moves)
 
 
 Grown = tuple[
@@ -179,10 +178,10 @@ Grown = tuple[
 
 def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: bool) -> Grown:
     """Build the tree of one seed: payoffs, and for each level leads, estimates and ended races."""
-    moves, axes = game.config.moves, len(game.characteristics)
+    moves, axes = game.rules.moves, len(game.characteristics)
     races = root.race  # races of the level that go on
     row = np.where(races.crashed, -1, 0).reshape(1, 1)  # row in `races` of each pair, -1 if over
-    payoffs = np.where(races.crashed, reward(game.config, races, 0), 0.0).reshape(1, 1)
+    payoffs = np.where(races.crashed, reward(game.rules, races, 0), 0.0).reshape(1, 1)
     leads = [root.leads[:, 0].reshape(1, 1)]
     estimates = [root.estimates[:, :, 0].reshape(1, 1, 2, axes).astype(np.float32)]
     over = [row < 0]
@@ -201,12 +200,12 @@ def _grow(game: RaceGame, root: GameState, paths: Sequence[PolicyPaths], share: 
             ends, count = finish(game, races, rows, policies, share=share)
             crashed[at] = ends.crash.any(axis=1)
             # The end after a crash or after all moves: in both cases k moves were made.
-            payoffs[at] = reward(game.config, ends.as_races(), k)
+            payoffs[at] = reward(game.rules, ends.as_races(), k)
             driven += count
             break
         below, measured = drive_children(game, races, rows, policies)
         crashed[at] = below.crashed
-        payoffs[at] = np.where(below.crashed, reward(game.config, below, k), 0.0)
+        payoffs[at] = np.where(below.crashed, reward(game.rules, below, k), 0.0)
         leads.append(_scatter(below.lead, at, parents.shape))
         estimates.append(_scatter(measured.astype(np.float32), at, parents.shape))
         over.append(crashed)

@@ -109,7 +109,7 @@ def drive_to_the_end(
         Progress of each car at every plan (every 0.1 s), including the first and the last moment of
         the step; ``T = 0`` without ``trace``.
     """
-    ticks = int(np.diff(game.config.end_ticks)[-1])
+    ticks = int(np.diff(game.rules.end_ticks)[-1])
     moments = ticks // PLAN_EVERY + 1 if trace else 0
     ends = RaceEnds.empty(len(rows))
     traces = np.zeros((len(rows), moments, 2), np.float32)
@@ -165,7 +165,7 @@ def _combine(
     # Row of each drive in ``progress`` and ``traces``, if it is known.
     source = np.full((2, drives.max(initial=-1) + 1), UNKNOWN)
     progress = np.zeros((0, 2))
-    traces = np.zeros((0, int(np.diff(game.config.end_ticks)[-1]) // PLAN_EVERY + 1, 2), np.float32)
+    traces = np.zeros((0, int(np.diff(game.rules.end_ticks)[-1]) // PLAN_EVERY + 1, 2), np.float32)
     waiting = np.arange(len(far))
     rest = [far[:0]]
     # If a crash hides the drive of the other car, or the cars came near each other, another race

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, overload
@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import check_whole, check_whole_array, is_whole
 from pcs_racing.base.errors import InputError
+from pcs_racing.base.settings import plain_settings
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.identity import GameIdentity, game_identity
+from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.base.folders import read_job
 from pcs_racing_agents.base.jobs import Arrays, Progress, chunk_file, open_job, read_chunk
@@ -81,7 +82,7 @@ def build_trees(
     start_pairs = _checked_pairs(game.archive, pairs, seed)
     seeds = default_seeds(game) if seeds_per_pair is None else seeds_per_pair
     check_whole("seeds_per_pair", seeds, 1, 1000)
-    if seeds > 1 and game.config.race.steering_noise == 0.0:
+    if seeds > 1 and game.rules.steering_noise == 0.0:
         raise InputError(
             f"seeds_per_pair is {seeds}, but there is no steering noise: every seed drives the same"
         )
@@ -100,13 +101,12 @@ def build_trees(
 
 def game_settings(game: RaceGame) -> dict[str, Any]:
     """Return the identity, the track and the rules of a game as plain values for a manifest."""
-    identity = game_identity(game)
+    identity = game.identity
     return {
         "archive": {"name": identity.archive, "sha256": identity.archive_sha256},
         "track": {"name": game.track.name, "sha256": game.track.content_hash},
-        "preset": identity.preset,
+        "rules": plain_settings(game.rules),
         "speed_range": [float(speed) for speed in game.setup.speed_range],
-        "rules": asdict(game.config),
         "move_names": list(identity.moves),
         "encoding": list(identity.elements),
     }
@@ -122,8 +122,8 @@ def stored_identity(settings: Mapping[str, Any]) -> GameIdentity:
         epsilon=tuple(epsilon) if isinstance(epsilon, list | tuple) else (epsilon,),
         archive=archive["name"],
         archive_sha256=archive["sha256"],
-        preset=settings["preset"],
-        decisions=rules["moves"],
+        rules=rules["name"],
+        decisions=len(rules["steps"]) - 1,
     )
 
 
@@ -175,7 +175,7 @@ class StoredTrees(Sequence[RaceTree]):
             return [self[i] for i in range(len(self))[index]]
         at = range(len(self))[index]
         file = self.file(at)
-        tree = tree_from_arrays(_read(file), int(self.settings["rules"]["moves"]), str(file))
+        tree = tree_from_arrays(_read(file), len(self.settings["rules"]["steps"]) - 1, str(file))
         if tree.policies.tolist() != list(self.settings["pairs"][at]):
             raise InputError(
                 f"{file} is the tree of policies {tree.policies.tolist()}; it must be the tree of"
@@ -185,7 +185,7 @@ class StoredTrees(Sequence[RaceTree]):
 
     def check(self, game: RaceGame) -> None:
         """Check that the trees belong to a game."""
-        for key, wanted in _plain(game_settings(game)).items():
+        for key, wanted in game_settings(game).items():
             stored = self.settings.get(key)
             if stored != wanted:
                 if isinstance(wanted, dict) and isinstance(stored, dict):
@@ -254,14 +254,9 @@ def _read_settings(file: Path) -> dict[str, Any]:
                 f"{file}: {key} is {entry!r:.80}; it must have the texts name and sha256"
             )
     rules, pairs = settings.get("rules"), settings.get("pairs")
-    if (
-        not isinstance(rules, dict)
-        or type(rules.get("moves")) is not int
-        or not 1 <= rules["moves"] <= 100
-    ):
-        raise InputError(
-            f"{file}: rules are {rules!r:.80}; they must have moves, a whole number from 1 to 100"
-        )
+    steps = rules.get("steps") if isinstance(rules, dict) else None
+    if not isinstance(steps, list) or not 2 <= len(steps) <= 101:
+        raise InputError(f"{file}: rules are {rules!r:.80}; they must have steps, 2 to 101 lengths")
     if (
         not isinstance(pairs, list)
         or not pairs
@@ -278,10 +273,3 @@ def _read_settings(file: Path) -> dict[str, Any]:
                 f"{file}: {key} is {settings.get(key)!r:.80}; it must be a list of texts"
             )
     return settings
-
-
-def _plain(value: Any) -> Any:
-    """Return a value with tuples as lists, as a YAML file holds them."""
-    if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
-    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value

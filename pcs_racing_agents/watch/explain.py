@@ -78,7 +78,7 @@ def explain_race(pairing: Pairing, race: int, *, car: int = 0) -> Explanation:
     # A strategy may have a network of another kind, without values of moves.
     network = getattr(getattr(competitor, "strategy", None), "network", None)
     network = network if isinstance(network, RegretNetwork) else None
-    scale, unit = (1.0, "") if network is None else value_unit(network, str(game.config.utility))
+    scale, unit = (1.0, "") if network is None else value_unit(network, str(game.rules.utility))
     steps = []
     for k in range(int((played.moves.codes[0, car] >= 0).sum())):
         # The last observation holds all earlier observations: cut it at this move.
@@ -91,7 +91,7 @@ def explain_race(pairing: Pairing, race: int, *, car: int = 0) -> Explanation:
             values = scale * network.unclipped(seen)[0].astype(np.float64)
         steps.append(
             ExplainedDecision(
-                time=game.config.ends[k],
+                time=game.rules.ends[k],
                 opponent=opponent(seen, axes)[0].astype(np.float64),
                 lead=LEAD_SCALE * float(lead(seen, axes)[0]),
                 move=int(played.moves.codes[0, car, k]),
@@ -105,7 +105,7 @@ def explain_race(pairing: Pairing, race: int, *, car: int = 0) -> Explanation:
         game=game,
         car=car,
         steps=tuple(steps),
-        replay=mark_moves(recording.replay, played, game.moves, game.config.ends),
+        replay=mark_moves(recording.replay, played, game.moves, game.rules.ends),
         played=played,
         unit=unit,
         open_loop=is_open_loop(competitor),
@@ -122,7 +122,7 @@ def value_unit(network: RegretNetwork, utility: str) -> tuple[float, str]:
     """Return the unit of a network's values: a factor to it, and its name (empty: relative).
 
     ``network``: the fact ``worth`` of its training decides ("win": shares of races won), else its
-    target and the utility. ``utility``: one of :data:`pcs_racing.game.config.UTILITIES`.
+    target and the utility. ``utility``: one of :data:`pcs_racing.race.config.UTILITIES`.
     """
     if network.training.get("worth") == "win":
         return 1.0, "of a win"

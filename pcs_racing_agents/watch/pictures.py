@@ -26,7 +26,7 @@ def explanation_picture(explanation: Explanation) -> Any:
     draw_track(track, explanation)
     if known:
         draw_values(rows[1], explanation)
-    rules = f"{explanation.game.config.race.name} rules"
+    rules = f"{explanation.game.rules.name} rules"
     title = f"{replay.title}, {replay.track_name}, {rules}: {replay.outcome}"
     figure.suptitle(title, x=0.01, ha="left")
     return figure
@@ -100,7 +100,7 @@ def draw_values(figure: Any, explanation: Explanation) -> None:
     steps, names = explanation.steps, explanation.game.moves
     valued = all(step.values is not None for step in steps)
     # One panel per move of the game: races of different length have comparable sheets.
-    moves = explanation.game.config.moves
+    moves = explanation.game.rules.moves
     panels = figure.subplots(1, moves, sharey=True, squeeze=False)[0]
     for axes in panels[len(steps) :]:
         axes.set_visible(False)  # no more decisions after a crash

@@ -45,7 +45,7 @@ def _lost_by_staying(races: RaceTable, car: int) -> NDArray[np.bool_]:
     """Return whether never-switch lost the same race of a car, shape (N,); False without a race."""
     words, agents = races.agents.words, races.agents.codes
     own = words.index(NEVER_SWITCH) if NEVER_SWITCH in words else -1
-    starts = (races.preset.codes, races.track.codes, races.seed.codes, races.race)
+    starts = (races.rules.codes, races.track.codes, races.seed.codes, races.race)
     keys = np.stack([*starts, races.variants[:, car], agents[:, 1 - car]], axis=1).tolist()
     lost = (agents[:, car] == own) & (races.winner == 1 - car)
     known = {tuple(key) for key, loses in zip(keys, lost.tolist(), strict=True) if loses}

@@ -75,7 +75,7 @@ class RaceRepeater:
         played, game = recording.played, recording.game
         # An edited folder is detected by the lead.
         self.results.check_lead(number, played.lead[0])
-        replay = mark_moves(recording.replay, played, game.moves, game.config.ends)
+        replay = mark_moves(recording.replay, played, game.moves, game.rules.ends)
         if replay.paths is not None:
             replay = replace(replay, paths=replay.paths[::PLAN_SKIP])
         replay = replace(replay, plan_dt=PLAN_SKIP * replay.plan_dt, ittc=None)
@@ -84,7 +84,7 @@ class RaceRepeater:
         if self.space is None:
             self.space = space_values(game.archive, game.moves)
         values["space"] = {
-            "ends": game.config.ends,
+            "ends": game.rules.ends,
             "policies": played.path[0].tolist(),
             "made": played.moves.codes[0].tolist(),
             "seen": [_seen(game.archive, played, car) for car in range(2)],
@@ -185,7 +185,7 @@ def view_page(
         _count(len(table.agents.words), "agent"),
         _count(len(table.track.words), "circuit"),
     ]
-    rules = ", ".join(word for word in table.preset.words if word)
+    rules = ", ".join(word for word in table.rules.words if word)
     data = {
         "title": title,
         "about": ", ".join([*parts, f"{rules} rules"] if rules else parts),
@@ -221,7 +221,7 @@ def packed_races(races: RaceTable) -> dict[str, Any]:
         "ego": races.agents.codes[:, 0],
         "opponent": races.agents.codes[:, 1],
         "track": races.track.codes,
-        "preset": races.preset.codes,
+        "rules": races.rules.codes,
         "seed": races.seed.codes,
         "race": races.race,
         "side": races.side,
@@ -241,7 +241,7 @@ def packed_races(races: RaceTable) -> dict[str, Any]:
         "length": len(races),
         "agents": list(races.agents.words),
         "tracks": list(races.track.words),
-        "presets": list(races.preset.words),
+        "rules": list(races.rules.words),
         "seeds": list(races.seed.words),
         "moves": list(moves.words),
         "columns": {

@@ -27,7 +27,7 @@ def story(explanation: Explanation) -> str:
     number = f" (car {car})"
     lines = [
         f"{me.removesuffix(number)}{number} against {other} on {replay.track_name},"
-        f" {explanation.game.config.race.name} rules: {replay.outcome}"
+        f" {explanation.game.rules.name} rules: {replay.outcome}"
     ]
     if explanation.open_loop:
         lines.append(f"{me} makes open-loop moves: the observations below do not change them.")
@@ -115,7 +115,7 @@ def _what_followed(explanation: Explanation, k: int) -> str:
     step, replay, end = (
         explanation.steps[k],
         explanation.replay,
-        explanation.game.config.ends[k + 1],
+        explanation.game.rules.ends[k + 1],
     )
     # A crash ends the replay before the end of the step.
     frame = min(round(end / replay.frame_dt), len(replay.cars) - 1)

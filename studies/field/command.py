@@ -62,7 +62,7 @@ def race_rules(
     agents = entrants.agent_entrants(spec) if rules == races.RULES[0] else []
     every = planners + agents
     opponents = [entrants.Entrant(name, "default", name) for name in races.OPPONENTS]
-    heats, number = spec.config.race_rules.heats, size.races[rules]
+    heats, number = spec.rules.heats, size.races[rules]
     settings = {"seed": entrants.SEED, "races": number, "tracks": races.hashes(tracks)}
     with open_job(out / rules, "field", settings) as job:
         play = partial(races.play_all, spec, tracks, play=partial(_play, job, executor))

@@ -9,8 +9,8 @@ import numpy as np
 
 from pcs_racing.base.errors import InputError, UnknownNameError, say_once
 from pcs_racing.game.players import Competitor, competitor
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import get_planner, parse_policy, planner_names
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.base.jobs import show_progress
 from pcs_racing_agents.base.tables import read_csv
 from pcs_racing_agents.policies.tuning import (
@@ -62,7 +62,7 @@ class Entrant(NamedTuple):
         """Name in races and tables."""
         return f"{self.name}, tuned" if self.kind == "tuned" else self.name
 
-    def competitor(self, spec: GameSpec) -> Competitor:
+    def competitor(self, spec: RaceGame) -> Competitor:
         """Return the agent or policy."""
         if self.kind == "agent":
             return competitor(self.text, spec)
@@ -147,7 +147,7 @@ def planner_entrants(tuned: Mapping[str, str], size: Size) -> list[Entrant]:
     return entrants
 
 
-def agent_entrants(spec: GameSpec) -> list[Entrant]:
+def agent_entrants(spec: RaceGame) -> list[Entrant]:
     """Return the agents of an archive whose networks and fits are shipped."""
     found = []
     for name in AGENTS:

@@ -7,15 +7,13 @@ races. Every start line is raced from both sides.
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from pcs_racing.game.make import make_game
 from pcs_racing.game.rules import RaceGame
-from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.maps import list_tracks
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.policies.tuning import TUNING_TRACKS
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.plan import game_rules
 from pcs_racing_agents.tournament.races import RaceTable
 from studies.circuits import real_circuits
 from studies.field.entrants import SEED, Entrant, Size
@@ -55,13 +53,13 @@ def circuits(size: Size, maps: Path | None) -> Tracks:
     }
 
 
-def spec_of(rules: str) -> GameSpec:
+def spec_of(rules: str) -> RaceGame:
     """Return the game of the archive under rules of a race, with the duration of the race."""
-    return make_game_spec(ARCHIVE, game_rules(load_race_config(rules)))
+    return make_game(None, ARCHIVE, rules)
 
 
 def play_all(
-    spec: GameSpec,
+    spec: RaceGame,
     tracks: Tracks,
     entrants: Sequence[Entrant],
     opponents: Sequence[Entrant],
@@ -74,8 +72,8 @@ def play_all(
     pairings: list[Pairing] = []
     cars = {one: one.competitor(spec) for one in (*entrants, *opponents)}
     for kind, track in [(kind, track) for kind, several in tracks.items() for track in several]:
-        game = RaceGame(track, spec.archive, spec.config)
-        schedule = draw_schedule(track, spec.config.race_rules, races, SEED)
+        game = RaceGame(track, spec.archive, spec.rules)
+        schedule = draw_schedule(track, spec.rules.for_game, races, SEED)
         for opponent in opponents:
             for one in entrants:
                 pairing = schedule_pairing(game, cars[one], cars[opponent], schedule, SEED)

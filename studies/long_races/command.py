@@ -7,12 +7,12 @@ from typing import Annotated, NamedTuple, Unpack
 import numpy as np
 
 from pcs_racing.base.errors import InputError
-from pcs_racing.game.config import load_game_config
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
+from pcs_racing.race.config import load_rules
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.game_spec import GameSpec, make_game_spec
 from pcs_racing_agents.base.jobs import Run, open_job, show_progress
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.base.tables import aligned, with_interval, write_csv
@@ -31,8 +31,7 @@ TEST = ("Saltmere", "Vellindra")
 """Shipped circuits of the test races."""
 REAL = ("Austin", "Monza")
 """Real circuits of the test races."""
-STEPS = {"moves": 38, "step_seconds": 8.0, "first_steps": (0.0, 4.0)}
-RULES = {40: load_game_config("contest"), 300: load_game_config("contest", **STEPS)}
+RULES = {40: load_rules("contest"), 300: load_rules("contest", steps=(0.0, 4.0, *(8.0,) * 37))}
 """Rules by the length of a race in s; moves of the long races are 8 s apart."""
 SEEDS = 5201, 5202
 """Seeds of the training and of the test races."""
@@ -53,7 +52,7 @@ class Outcome(NamedTuple):
 
 
 def race_plans(
-    spec: GameSpec,
+    spec: RaceGame,
     plans: dict[str, tuple[Plan, float]],
     tracks: Sequence[Track],
     races: int,
@@ -63,8 +62,8 @@ def race_plans(
     """Return score and own crashes of each arm in the test races, which are equal for all arms."""
     pairings = []
     for track in tracks:
-        game = RaceGame(track, spec.archive, spec.config)
-        schedule = draw_schedule(track, spec.config.race_rules, races, SEEDS[1])
+        game = RaceGame(track, spec.archive, spec.rules)
+        schedule = draw_schedule(track, spec.rules.for_game, races, SEEDS[1])
         for opponent in OPPONENTS:
             rival = competitor(opponent, spec)
             for arm, (plan, _) in plans.items():
@@ -118,7 +117,7 @@ def run(
         raise InputError("archives are too few or repeated; give at least two different archives")
     training, test = SMALL if small else RACES
     specs = {
-        (name, seconds): make_game_spec(name, rules)
+        (name, seconds): make_game(None, name, rules)
         for seconds, rules in RULES.items()
         for name in archives
     }

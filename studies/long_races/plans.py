@@ -8,9 +8,9 @@ import numpy as np
 
 from pcs_racing.base.typing import Floats
 from pcs_racing.game.observation import LEAD_SCALE
+from pcs_racing.game.rules import RaceGame
 from pcs_racing_agents.agents.agent import Agent
 from pcs_racing_agents.agents.blind import WalkStrategy, walk_to
-from pcs_racing_agents.agents.game_spec import GameSpec
 from pcs_racing_agents.agents.observing import ObservationBatch, lead
 from pcs_racing_agents.base.jobs import Run
 from pcs_racing_agents.tournament.fitting import TrainingRaces, evaluate
@@ -49,7 +49,7 @@ class PlanStrategy:
         return moves[place, np.arange(len(place))]
 
 
-def plan_agent(spec: GameSpec, plan: Plan, name: str) -> Agent:
+def plan_agent(spec: RaceGame, plan: Plan, name: str) -> Agent:
     """Return an agent that follows a plan."""
     walks = tuple(walk_to(spec, target) for target in plan.targets)
     return Agent(name, PlanStrategy(np.array(plan.edges), walks), spec, 0, {"plan": str(plan)})

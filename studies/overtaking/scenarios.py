@@ -29,7 +29,7 @@ from pcs_racing.car import vehicle as _vehicle
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.planners.planner import Policy
 from pcs_racing.race.conditions import AS_THE_SETUP
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import BareField, advance, kernel_settings
 from pcs_racing.race.start_grid import settle
 from pcs_racing.race.state import empty_state
@@ -45,7 +45,7 @@ from studies.overtaking.overtaken import overtaken
 STARTS, LINES, FACTORS = 50, 3, (0.5, 0.6, 0.7, 0.8)
 AHEAD = 3.0  # m: 15 way points
 SPEED_RANGE = (0.8, 1.2)  # speed profile's scales at pace 0 and 1 (1.0 at the default pace 0.5)
-RULES = RaceConfig(name="overtaking", duration=8.0, speed_range=SPEED_RANGE)
+RULES = Rules(name="overtaking", duration=8.0, speed_range=SPEED_RANGE)
 ASIDE, WALL_AIR = 0.57, 0.45  # m: distance of made lanes from the race line, min distance to walls
 SPACING = 0.5  # m: sample spacing of a line
 COLUMNS = ("s", "x", "y", "heading", "curvature", "speed", "acceleration")

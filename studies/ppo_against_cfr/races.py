@@ -7,15 +7,13 @@ start line is raced from both sides.
 from collections.abc import Mapping
 from pathlib import Path
 
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.registry import planner_names
-from pcs_racing.race.config import load_race_config
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.track import Track
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.tournament.pairings import Pairing, draw_schedule, schedule_pairing
-from pcs_racing_agents.tournament.plan import game_rules
 from studies.circuits import real_circuits
 
 CONTROL = ("line-ppo", "lidar-ppo")
@@ -86,12 +84,12 @@ def make_pairings(
     rules: str, tracks: Mapping[str, tuple[Track, ...]], races: int
 ) -> list[tuple[Key, Pairing]]:
     """Return the pairings of all pairs on all circuits, with their keys."""
-    spec = make_game_spec(ARCHIVES[rules], game_rules(load_race_config(rules)))
+    spec = make_game(None, ARCHIVES[rules], rules)
     cars = {name: competitor(name, spec) for name in (*racers(), *OPPONENTS)}
     found: list[tuple[Key, Pairing]] = []
     for kind, track in [(one, track) for one, several in tracks.items() for track in several]:
-        game = RaceGame(track, spec.archive, spec.config)
-        schedule = draw_schedule(track, spec.config.race_rules, races, SEED)
+        game = RaceGame(track, spec.archive, spec.rules)
+        schedule = draw_schedule(track, spec.rules.for_game, races, SEED)
         for racer, opponent in pairs():
             pairing = schedule_pairing(game, cars[racer], cars[opponent], schedule, SEED)
             found.append(((rules, kind, racer, opponent), pairing))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from pcs_racing.game.make import make_game
 from pcs_racing_agents.agents.blind import best_fixed, best_lead_plan
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from studies.__main__ import main
 from studies.long_races.command import RULES, Outcome, gain_rows
 from studies.long_races.plans import Plan, climb, plan_agent
@@ -11,7 +11,7 @@ from studies.long_races.plans import Plan, climb, plan_agent
 
 def observed(spec, leads, policy=0):
     """Observations after one step that ended with these leads, in m."""
-    names = list(spec.elements)
+    names = list(spec.identity.elements)
     rows = np.zeros((len(leads), len(names)), np.float32)
     axes = len(spec.archive.characteristics)
     rows[:, :axes] = spec.archive.normalised[policy]
@@ -21,7 +21,7 @@ def observed(spec, leads, policy=0):
 
 
 def test_a_plan_goes_to_the_policy_of_its_lead():
-    spec = make_game_spec("contest", RULES[300])
+    spec = make_game(None, "contest", RULES[300])
     seen = observed(spec, [-30.0, -20.0, 0.0, 19.9, 20.0, 40.0])
     size = plan_agent(spec, Plan((-20.0, 20.0), (1, 2, 3)), "size").act(seen)
     walks = [best_fixed(spec, target=target).act(seen) for target in (1, 2, 3)]
@@ -31,7 +31,7 @@ def test_a_plan_goes_to_the_policy_of_its_lead():
 
 
 def test_the_long_rules_last_300_s():
-    assert (RULES[40].horizon, RULES[300].horizon) == (40.0, 300.0)
+    assert (RULES[40].ends[-1], RULES[300].ends[-1]) == (40.0, 300.0)
     assert str(Plan((-5.0, 5.0), (1, 2, 3))) == "policy 1, from -5 m: policy 2, from 5 m: policy 3"
 
 

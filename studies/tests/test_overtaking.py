@@ -10,7 +10,7 @@ from pcs_racing.base.errors import MapError
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.pursuit import hold_command
 from pcs_racing.planners.view import OWN_WIDTH, PATH_POINTS, PATH_SPEED
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.races import RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import LEFT
@@ -63,7 +63,7 @@ def test_an_opponent_passes_nobody_who_stands_and_drives_its_lines_without_a_cra
 def test_the_opponent_reads_speeds_between_samples_and_leaves_5_cm_to_the_wall():
     track = load_track("Brackwater")
     planner = overtaken(samples := int(track.length))
-    setup = RaceSetup(track, RaceConfig(start_gap=20.0), (planner, planner))
+    setup = RaceSetup(track, Rules(start_gap=20.0), (planner, planner))
     state = start_races(setup, Starts(np.zeros(1), np.zeros(1, np.int64)), np.zeros(1, np.uint64))
     x, y, psi = track.to_cartesian([0.0, d := track.line[0, LEFT] - 0.4])
     state.cars[0, 0], state.frenet[0, 0] = [x, y, 0.0, 4.0, psi, 0.0, 0.0], [0.0, d]

@@ -11,7 +11,7 @@ import numpy as np
 import pettingzoo
 
 import pcs_racing
-from pcs_racing import load_race_config, load_track, racer
+from pcs_racing import load_rules, load_track, racer
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.envs import GYMNASIUM_IDS, PETTINGZOO_IDS
 from pcs_racing.envs.drive import parallel_env as drive_head_to_head_env
@@ -25,7 +25,7 @@ RACES_ID = "pcs_racing/Races-v1"
 """The races below the environments, which have no id of their own; its number goes up with theirs.
 """
 
-PRESETS = ("paper", "contest")
+KNOWN_RULES = ("paper", "contest")
 RIVALS = {
     "lattice:pace=0.7": "lattice:early,pace=0.7",
     **{text: text for text in ("lane-switcher:3", "pure-pursuit", "gap-follower")},
@@ -56,22 +56,22 @@ def archive() -> PolicyArchive:
     )
 
 
-SHORT_GAME = {"archive": archive(), "step_seconds": 0.6}
+SHORT_GAME = {"archive": archive(), "steps": (0.6,) * 5}
 
 
 def races() -> Values:
-    """A short race of each planner under each preset, and the ends of long ones."""
+    """A short race of each planner under each rules, and the ends of long ones."""
     track, ego = load_track(TRACK), racer("lattice:early")
     out: Values = {}
-    for preset in PRESETS:
+    for rules in KNOWN_RULES:
         for text, policy in RIVALS.items():
             rival = racer(policy)
             setup = RaceSetup(
                 track,
-                load_race_config(preset, duration=SHORT_SECONDS, start_lines=2),
+                load_rules(rules, duration=SHORT_SECONDS, start_lines=2),
                 (ego.planner, rival.planner),
             )
-            state = start_races(setup, draw_starts(track, setup.config, 2, 0), race_seeds(0, 2))
+            state = start_races(setup, draw_starts(track, setup.rules, 2, 0), race_seeds(0, 2))
             theta = np.broadcast_to(
                 pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)
             ).copy()
@@ -79,15 +79,15 @@ def races() -> Values:
             for _ in range(round(SHORT_SECONDS * 100) // SHORT_TICKS):
                 advance(setup, state, theta, SHORT_TICKS, threads=1)
                 seen.append(np.concatenate([state.cars.reshape(2, -1), state.progress], axis=1))
-            out[f"values {preset} {text}"] = np.array(seen)
-            out[f"values {preset} {text} sums"] = state.sums.copy()
-        config = load_race_config(preset, duration=LONG_SECONDS, start_lines=4)
+            out[f"values {rules} {text}"] = np.array(seen)
+            out[f"values {rules} {text} sums"] = state.sums.copy()
+        config = load_rules(rules, duration=LONG_SECONDS, start_lines=4)
         starts = draw_starts(track, config, LONG_RACES, 1)
         for text, policy in list(RIVALS.items())[:2]:
             ended = pcs_racing.run_races(
                 track, ego, racer(policy), config, seed=1, starts=starts, threads=1
             )
-            out[f"ends {preset} {text}"] = np.column_stack(
+            out[f"ends {rules} {text}"] = np.column_stack(
                 [ended.lead, ended.time, ended.winner, ended.crashed]
             )
     return out
@@ -178,7 +178,7 @@ def avoidance(name: str) -> Values:
 def duel(name: str) -> Values:
     """Three games at once, of short steps to their ends."""
     out: Values = {}
-    for race in PRESETS:
+    for race in KNOWN_RULES:
         moves = ((np.arange(3) + step) % 4 for step in range(6))
         episode, env = vector_episode(
             name, 7, moves, rules=race, opponent="random-moves", **SHORT_GAME
@@ -196,7 +196,7 @@ def duel(name: str) -> Values:
 def head_to_head(name: str) -> Values:
     """One game of two agents, of short steps to its end."""
     out: Values = {}
-    for race in PRESETS:
+    for race in KNOWN_RULES:
         moves = ((step + np.arange(2)) % 4 for step in range(4))
         out |= named(
             race, pair_episode(name, 3, moves, pcs_racing.parallel_env, rules=race, **SHORT_GAME)[0]

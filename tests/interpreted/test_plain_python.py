@@ -9,7 +9,7 @@ are quick enough run that way, too.
 import numpy as np
 import pytest
 
-from pcs_racing import CONTEST, PAPER, load_race_config, racer, run_races
+from pcs_racing import CONTEST, PAPER, load_rules, racer, run_races
 from pcs_racing.game.players import draw
 from pcs_racing.race.races import draw_starts
 from pcs_racing.track.building.clearance import wall_clearance
@@ -22,7 +22,7 @@ from pcs_racing.track.mapping.circuits import generate_circuit
     ["lattice:pace=0.6", "lane-switcher:3", "lane-switcher:11", "pure-pursuit", "gap-follower"],
 )
 def test_a_second_of_racing(coarse_oval, rival):
-    config = load_race_config(CONTEST if "lane" in rival else PAPER, duration=1.0, start_lines=1)
+    config = load_rules(CONTEST if "lane" in rival else PAPER, duration=1.0, start_lines=1)
     starts = draw_starts(coarse_oval, config, 1, 0)
     ended = run_races(
         coarse_oval,

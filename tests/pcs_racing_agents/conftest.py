@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from zoo_games import CONFIG, toy_archive, untrained
 
-from pcs_racing import load_race_config, load_track, make_game
+from pcs_racing import load_rules, load_track, make_game
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.players import always, never_switch
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents import Agent, GameSpec, make_game_spec
+from pcs_racing_agents.agents import Agent
 from pcs_racing_agents.base.executors import make_executor
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.main import main
@@ -46,14 +46,14 @@ def archive() -> PolicyArchive:
 
 
 @pytest.fixture(scope="session")
-def spec(archive) -> GameSpec:
+def spec(archive) -> RaceGame:
     """Games of 4 s by the paper's rules."""
-    return make_game_spec(archive, CONFIG)
+    return make_game(None, archive, CONFIG)
 
 
 @pytest.fixture(scope="session")
 def game(oval, spec) -> RaceGame:
-    return RaceGame(oval, spec.archive, spec.config)
+    return make_game(oval, spec.archive, spec.rules, stay=True)
 
 
 @pytest.fixture(scope="session")
@@ -65,12 +65,12 @@ def learner(tmp_path_factory) -> str:
 
 
 @pytest.fixture(scope="session")
-def lesson(oval, archive) -> tuple[list[RaceGame], list[Agent], GameSpec]:
+def lesson(oval, archive) -> tuple[list[RaceGame], list[Agent], RaceGame]:
     """Inputs of learning: games of two moves by the rules of the contest, two opponents, and the
     game spec.
     """
-    game = make_game(oval, archive, "contest", moves=2, step_seconds=1.2, threads=1)
-    spec = make_game_spec(archive, game.config)
+    game = make_game(oval, archive, "contest", steps=(1.2,) * 3, threads=1)
+    spec = make_game(None, archive, game.rules)
     return [game], [never_switch(spec), always(spec, "aggressiveness -")], spec
 
 
@@ -87,7 +87,7 @@ def seen(game) -> list[np.ndarray]:
     rng = np.random.default_rng(0)
     state = game.reset(games=20, seed=1)
     steps = []
-    for _ in range(game.config.moves):
+    for _ in range(game.rules.moves):
         steps.append(game.observation(state).reshape(40, -1))
         state = game.step(state, rng.integers(0, game.offered, (20, 2)))
     return [*steps, game.observation(state).reshape(40, -1)]
@@ -140,7 +140,7 @@ def saved_archive(archive, tmp_path_factory):
 def tournament_folder(saved_archive, tmp_path_factory):
     """A tournament of 18 races in a folder, as the command leaves it; and the tournament."""
     folder = tmp_path_factory.mktemp("tournaments") / "three agents"
-    rules = load_race_config("contest", duration=5.0, steps=(1.0,) * 5)
+    rules = load_rules("contest", duration=5.0, steps=(1.0,) * 5)
     agents = ["random-moves", "lane-switcher:any", "never-switch"]
     plan = plan_tournament(
         load_track("Pipkin"), agents, rules, archive=saved_archive, races_per_pair=6, seed=2

@@ -8,14 +8,14 @@ import pytest
 import yaml
 from repository import REPOSITORY, run_python
 
-from pcs_racing import load_race_config, load_track, run_races
+from pcs_racing import load_rules, load_track, run_races
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.lidar_ppo import read_lidar_planner
 from pcs_racing.planners.line_ppo import read_line_planner
 from pcs_racing.race.races import start_lines
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.agents.observing import own
 
 EXAMPLES = REPOSITORY / "examples"
@@ -107,9 +107,9 @@ def test_a_trained_agent_enters_a_tournament(tmp_path, monkeypatch, script, libr
     run_python(EXAMPLES / script, "--steps", 1, folder=tmp_path)
     monkeypatch.syspath_prepend(REPOSITORY)
     monkeypatch.chdir(tmp_path)
-    spec = make_game_spec("contest", "contest")
+    spec = make_game(None, "contest", "contest")
     agent = competitor(f"examples.{Path(script).stem}:make_agent", spec, code=True)
-    game = RaceGame(load_track("Pipkin"), spec.archive, spec.config)
+    game = RaceGame(load_track("Pipkin"), spec.archive, spec.rules)
     seen = game.observation(game.reset(games=6, seed=1))[0]
     moves = agent.act(seen)
     assert set(moves.tolist()) <= set(range(spec.offered))
@@ -245,7 +245,7 @@ def test_a_dataset_holds_what_an_expert_does_in_a_race(tmp_path, monkeypatch):
     out = run_python(EXAMPLES / "record_dataset.py", *arguments, folder=tmp_path)
     assert "2 races, 200 steps, mean return " in out
     (kept,) = re.findall(r"mean return (\S+)\n", out)
-    track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
+    track, config = load_track("Pipkin"), load_rules("paper", duration=2.0)
     lines = start_lines(track, config, 0, split="train")
     places = Starts(np.repeat(lines, 2), np.tile([0, 1], len(lines)))
     driven = run_races(track, "lattice", "lattice:pace=0.3", config, starts=places).state.progress[

@@ -57,7 +57,7 @@ def _table(track, arm, rival, lead, crash, own, variants, line, side) -> RaceTab
     count = len(lead)
     nothing = np.full((count, 2, 0), -1, np.int8)
     return RaceTable(
-        preset=Categorical.constant("paper", count),
+        rules=Categorical.constant("paper", count),
         agents=Categorical.concatenate(
             [Categorical.constant(name, count) for name in (arm, rival)], axis=1
         ),

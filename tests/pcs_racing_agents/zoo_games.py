@@ -4,14 +4,14 @@ import numpy as np
 
 from pcs_racing.base.dense import DenseLayers
 from pcs_racing.game.archive import PolicyArchive
-from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
+from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.lattice import REFERENCE
-from pcs_racing_agents.agents import GameSpec
+from pcs_racing.race.config import Rules
 from pcs_racing_agents.agents.describe import Measured
 from pcs_racing_agents.networks import RegretNetwork
 
-CONFIG = GameConfig(step_seconds=0.8, epsilon=0.5)
+CONFIG = Rules(steps=(0.8,) * 5, epsilon=0.5)
 
 
 def toy_archive(policies: int = 12) -> PolicyArchive:
@@ -37,15 +37,15 @@ def toy_archive(policies: int = 12) -> PolicyArchive:
 
 
 def untrained(
-    spec: GameSpec, target: str = "regret", seed: int = 2, stay: bool = True
+    spec: RaceGame, target: str = "regret", seed: int = 2, stay: bool = True
 ) -> RegretNetwork:
     """A network that has learned nothing, but decides differently in different situations."""
     rng = np.random.default_rng(seed)
     moves = spec.moves if stay else spec.moves[:-1]
-    size, count = len(spec.elements), len(moves)
+    size, count = len(spec.observation_elements), len(moves)
     archive = spec.archive
     identity = GameIdentity(
-        spec.elements, moves, (0.5,), archive.name, archive.content_hash, spec.race
+        spec.identity.elements, moves, (0.5,), archive.name, archive.content_hash, spec.rules.name
     )
     weights = rng.normal(size=(16, size)), rng.normal(size=(count, 16))
     layers = DenseLayers(weights, (rng.normal(size=16), rng.normal(size=count)))

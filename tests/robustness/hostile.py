@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from pcs_racing import InputError, load_archive, load_race_config, load_track, racer
+from pcs_racing import InputError, load_archive, load_rules, load_track, racer
 from pcs_racing.base.settings import read_settings
 from pcs_racing.envs.drive import DriveVectorEnv
 from pcs_racing.envs.duel import DuelVectorEnv
@@ -117,7 +117,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
 
     readers: dict[str, Callable[[Path], object]] = {
         "map": lambda path: parse_ros_yaml(path, path.read_bytes()),
-        "race config": load_race_config,
+        "race config": load_rules,
         "config": read_settings,
         "fit": load_fit,
     }
@@ -188,7 +188,7 @@ def cases(here: Path) -> Iterator[tuple[str, Callable[[], object]]]:
     yield "a billion environments", lambda: DriveVectorEnv(10**9)
     yield "many environments with many beams", lambda: DriveVectorEnv(100_000, beams=100_000)
     yield "a billion games", lambda: DuelVectorEnv(10**9)
-    yield "a billion moves", lambda: DuelVectorEnv(1, moves=10**9)
+    yield "a thousand moves", lambda: DuelVectorEnv(1, steps=(1.0,) * 1001)
     yield "a billion seeds", lambda: DriveVectorEnv(2, opponent=None).reset(seed=[0] * 3)
     yield "a long policy", lambda: racer("lattice:" + "pace=1," * 100_000)
     yield "a long name", lambda: load_track("x" * 100_000)

@@ -29,7 +29,7 @@ from pcs_racing import InputError, load_archive, load_track, racer
 from pcs_racing.base.settings import Settings, load_settings
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv, HeadToHeadEnv
-from pcs_racing_agents.agents.game_spec import make_game_spec
+from pcs_racing.game.make import make_game
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
 # A tenth of the profile's examples for each of the hundred readers and environments.
@@ -209,7 +209,7 @@ TEXTS = {
     load_track: "Pipkin",
     load_archive: "default",
     racer: "lattice:pace=0.8,side_margin=0.2",
-    lambda text: racer(text, make_game_spec()): "cfr-argmax:network=default-paper-regret",
+    lambda text: racer(text, make_game(None)): "cfr-argmax:network=default-paper-regret",
 }
 
 
@@ -256,9 +256,9 @@ ENVS: dict[type, dict[str, Any]] = {
     DriveEnv: {"opponent": "pure-pursuit"},
     DriveVectorEnv: {"opponent": None, "num_envs": 3, "threads": 1},
     DriveHeadToHeadEnv: {},
-    DuelEnv: {"moves": 2, "step_seconds": 0.1},
-    DuelVectorEnv: {"moves": 2, "step_seconds": 0.1, "num_envs": 2, "threads": 1},
-    HeadToHeadEnv: {"moves": 2, "step_seconds": 0.1},
+    DuelEnv: {"steps": (0.1,) * 3},
+    DuelVectorEnv: {"steps": (0.1,) * 3, "num_envs": 2, "threads": 1},
+    HeadToHeadEnv: {"steps": (0.1,) * 3},
 }
 
 

@@ -22,7 +22,7 @@ from repository import REPOSITORY
 from pcs_racing import (
     InputError,
     load_archive,
-    load_race_config,
+    load_rules,
     load_track,
     make_game,
     racer,
@@ -33,10 +33,9 @@ from pcs_racing.car.vehicle import F1TENTH, load_vehicle
 from pcs_racing.envs.draws import load_randomization
 from pcs_racing.envs.obstacles import Obstacles, load_obstacles
 from pcs_racing.f1tenth.maps import load_map
-from pcs_racing.game.config import load_game_config
 from pcs_racing.planners.field.lidar_ppo import load_lidar_planner
 from pcs_racing.planners.learned import load_planner
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.track.map_files import read_map
 from pcs_racing_agents.agents import export_onnx, make
 from pcs_racing_agents.cli.main import main
@@ -211,8 +210,7 @@ TREES = {
     "settings": {
         "archive": {"name": "a", "sha256": "0"},
         "track": {"name": "t", "sha256": "0"},
-        "rules": {"moves": 1},
-        "preset": "paper",
+        "rules": {"name": "paper", "steps": [8.0, 8.0]},
         "pairs": [[0, 1]],
         "encoding": ["step"],
         "move_names": ["a +", "a -"],
@@ -230,7 +228,7 @@ def config(
 
 def racers(file: Path) -> object:
     """Make racers from texts in a file."""
-    game = make_game("Pipkin", "default", load_game_config("paper"))
+    game = make_game("Pipkin", "default", load_rules("paper"))
     return [racer(text, game) for text in yaml.safe_load(file.read_text())]
 
 
@@ -281,7 +279,7 @@ KINDS = {
     "line planner": Kind(
         shipped("pcs_racing/data/planners", "line-ppo/manifest.yaml"),
         lambda file: load_planner(file.parent),
-        "folder_format",
+        "folder_kind",
     ),
     "exported planner": Kind(
         shipped("pcs_racing/data/planners", "lidar-ppo/manifest.yaml"),
@@ -306,8 +304,8 @@ KINDS = {
         lambda file: read_map(file.parent),
         "parse_info",
     ),
-    "race": config(load_race_config, RaceConfig()),
-    "game": config(load_game_config, RaceConfig()),
+    "race": config(load_rules, Rules()),
+    "game": config(load_rules, Rules()),
     "vehicle": config(load_vehicle, F1TENTH),
     "obstacles": config(load_obstacles, Obstacles()),
     "randomization": config(

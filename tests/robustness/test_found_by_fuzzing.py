@@ -18,7 +18,7 @@ from refusal import refused
 from pcs_racing import (
     InputError,
     load_archive,
-    load_race_config,
+    load_rules,
     load_track,
     make_game,
     racer,
@@ -31,15 +31,13 @@ from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.duel import HeadToHeadEnv
 from pcs_racing.game.archive_files import save_archive
 from pcs_racing.game.characteristics import get_characteristics
-from pcs_racing.game.config import GameConfig
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.players import competitor
 from pcs_racing.planners.learned import load_planner
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.frames import write_gif
 from pcs_racing.track.map_files import parse_grid, read_map, write_map
 from pcs_racing_agents.agents.blind import Fit, load_fit
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.cli.options import output_folder
 from pcs_racing_agents.learning.ppo import load_ppo_settings
@@ -54,7 +52,7 @@ from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
 
 
-@pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_race_config])
+@pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_rules])
 @pytest.mark.parametrize("name", ["x" * 300, "../" + "x" * 5000, "a\x00b", "a\nb", "\ud800", ""])
 def test_names_that_no_file_can_have(load, name):
     refused(r"\S", load, name)
@@ -67,18 +65,16 @@ NO_FILE = ["a\0b.{}", "\ud800.{}", "a/\0/b.{}"]
 def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     archive, track = load_archive("default"), load_track("Pipkin")
-    replay = record_race(
-        track, racer("lattice"), racer("lattice"), load_race_config("paper"), seed=0
-    )
+    replay = record_race(track, racer("lattice"), racer("lattice"), load_rules("paper"), seed=0)
     folder, file, game = (
         Path(name.format("d")),
         name.format,
-        make_game_spec("default", "paper"),
+        make_game(None, "default", "paper"),
     )
     for call in (
         lambda: load_track(file("yaml")),
         lambda: load_archive(folder),
-        lambda: load_race_config(file("yaml")),
+        lambda: load_rules(file("yaml")),
         lambda: load_fit(file("yaml")),
         lambda: racer(file("zip")),
         lambda: make_game("Pipkin", folder),
@@ -106,9 +102,9 @@ def test_no_place_that_takes_a_path_takes_one_that_no_file_can_have(name, monkey
 
 def test_values_of_other_types():
     for make in [
-        lambda: GameConfig(utility=["win"]),
-        lambda: GameConfig(characteristics=[np.zeros(2)]),
-        lambda: RaceConfig(start=np.array([])),
+        lambda: Rules(utility=["win"]),
+        lambda: Rules(characteristics=[np.zeros(2)]),
+        lambda: Rules(start=np.array([])),
         lambda: get_characteristics([["restraint"]]),
         lambda: DriveOptions(max_range="far"),
         lambda: DriveOptions(fov=[1.0]),
@@ -126,7 +122,7 @@ def test_values_of_other_types():
         lambda: check_seed(True),
     ]:
         refused(" (is|are|must) ", make)
-    assert GameConfig(epsilon=[np.array(0.5)]) == GameConfig(epsilon=0.5)
+    assert Rules(epsilon=[np.array(0.5)]) == Rules(epsilon=0.5)
     with pytest.raises(InputError, match="line 2") as caught:
         plain_yaml("password: [a, b\n")  # a link may have led there
     assert "password" not in str(caught.value)
@@ -138,12 +134,12 @@ def test_values_of_other_types():
         [1j],
         [True],
     ):
-        refused("epsilon is", GameConfig, epsilon=epsilon)
+        refused("epsilon is", Rules, epsilon=epsilon)
     with warnings.catch_warnings(action="error"):
         assert check_number("x", np.float16(0.5), 0.0, 1e300) == 0.5
         assert check_number("x", np.float16(0.5), above=-1e300) == 0.5
-        assert GameConfig(epsilon=np.float16(0.5)) == GameConfig(epsilon=0.5)
-    env = HeadToHeadEnv(track="Pipkin", moves=1, step_seconds=0.1)
+        assert Rules(epsilon=np.float16(0.5)) == Rules(epsilon=0.5)
+    env = HeadToHeadEnv(track="Pipkin", steps=(0.1,) * 2)
     refused("policies has shape", env.reset, seed=0, options={"policies": [[0], [1, 2]]})
     env.reset(seed=0)
     refused("moves are", env.step, {"car_0": [[0], [1, 2]], "car_1": 0})

@@ -62,7 +62,7 @@ def build_track(
         Points of the closed race line in m, in driving order: the reference of all Frenet
         coordinates.
     calibration : dict of Calibration, optional
-        Speed range and start positions by race preset, as far as known.
+        Speed range and start positions by rules, as far as known.
     folder : Path, optional
         Map folder of the track.
     """
@@ -75,11 +75,11 @@ def build_track(
     filled, holes, large = fill_islands(drivable, resolution)
     _check_centre(arrays, center, filled, f"{label}: the centre line")
     _check_round(arrays, [holes == hole for hole in large], label)
-    for preset, own in (calibration or {}).items():
+    for rules, own in (calibration or {}).items():
         last = max(stretches[-1][1] for stretches in own.start_places.values())
         if last >= arrays.length:
             raise MapError(
-                f"{label}: the calibration of {preset} has a start place at {last:g} m, but the"
+                f"{label}: the calibration of {rules} has a start place at {last:g} m, but the"
                 f" race line is {arrays.length:.2f} m long; calibrate it again"
             )
     # Hash of the data that decide races, not of the files: the picture format does not matter.
@@ -163,7 +163,7 @@ def build_from_map(files: MapFiles, contents: dict[str, bytes]) -> tuple[Track, 
             center,
             race,
             calibration={
-                preset: calibration_from_values(values) for preset, values in calibration.items()
+                rules: calibration_from_values(values) for rules, values in calibration.items()
             },
             folder=content.folder,
         )

@@ -23,7 +23,7 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 from numpy._core._multiarray_umath import __cpu_dispatch__
 
-from pcs_racing import load_race_config, load_track, racer
+from pcs_racing import load_rules, load_track, racer
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, draw_starts, pad_parameters, race_seeds, start_races
 from pcs_racing.track.building.centerline import centerline_from_grid
@@ -48,11 +48,11 @@ def digest(arrays) -> str:
 
 
 def races() -> dict[str, str]:
-    """Two short races of each planner under both presets: all of their states at the end."""
+    """Two short races of each planner under both rules: all of their states at the end."""
     track, ego = load_track("Quillburg"), racer("lattice")
     found = {}
-    for preset in ("paper", "contest"):
-        config = load_race_config(preset, duration=6.0, start_lines=2)
+    for rules in ("paper", "contest"):
+        config = load_rules(rules, duration=6.0, start_lines=2)
         for text in RIVALS:
             rival = racer(text)
             setup = RaceSetup(track, config, (ego.planner, rival.planner))
@@ -61,7 +61,7 @@ def races() -> dict[str, str]:
                 pad_parameters([ego, rival], setup.theta_size), (2, 2, setup.theta_size)
             ).copy()
             advance(setup, state, theta, config.ticks, threads=1)
-            found[f"{preset}, {text}"] = digest(state)
+            found[f"{rules}, {text}"] = digest(state)
     return found
 
 

@@ -15,7 +15,7 @@ from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.envs.drive_options import DriveOptions
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.random_circuits import RandomCircuits
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 
 
 def even(name, value):
@@ -132,7 +132,7 @@ def test_wrong_values_are_refused_and_options_come_from_the_declaration():
 
 def test_the_default_of_every_option_obeys_its_rule():
     checked = 0
-    for cls in [RaceConfig, RandomCircuits, VehicleParams, Obstacles, DriveOptions, Soup]:
+    for cls in [Rules, RandomCircuits, VehicleParams, Obstacles, DriveOptions, Soup]:
         made = cls()
         for name, option in loading.options_of(cls).items():
             if option.default is not None:

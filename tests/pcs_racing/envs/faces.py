@@ -44,7 +44,7 @@ DRIVE = {
     "beams": 3,
     "vehicle": {"lidar_noise": 0.1},
 }
-GAME = {"step_seconds": 0.5, "moves": 2, "rules": "contest"}
+GAME = {"steps": (0.5,) * 3, "rules": "contest"}
 USUAL = {
     DriveEnv: DRIVE,
     DuelEnv: GAME,

@@ -16,7 +16,7 @@ def drive(env, text, seed):
     policy = pcs_racing.racer(text)
     env.reset(seed=seed)
     batch = env.unwrapped.batch
-    setup = game.RaceSetup(batch.track, batch.setup.config, (policy.planner,))
+    setup = game.RaceSetup(batch.track, batch.setup.rules, (policy.planner,))
     theta = game.pad_parameters([policy], setup.theta_size)[None]
     kept, over = (np.zeros((1, 1, setup.memory_size)), batch.state.path.copy()), False
     while not over:

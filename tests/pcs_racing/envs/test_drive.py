@@ -7,7 +7,7 @@ import pytest
 from faces import AGENTS, begun, flat, follow_the_line, poses
 from refusal import refused
 
-from pcs_racing import load_race_config
+from pcs_racing import load_rules
 from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.infos import Crash, Result
 from pcs_racing.planners.planner import Planner
@@ -45,7 +45,7 @@ def test_threads_share_a_step_that_is_long_enough():
 
 @pytest.mark.parametrize("normalized", [True, False])
 def test_a_car_before_a_wall_gets_away_where_it_has_a_reverse_gear(oval, normalized):
-    rules, moved = load_race_config("paper", contact="stop"), []
+    rules, moved = load_rules("paper", contact="stop"), []
     for speed in (0.0, -2.0):
         env = DriveEnv(
             track=oval,
@@ -97,7 +97,7 @@ def both(*actions):
 
 def test_swapping_the_cars_swaps_all_that_the_agents_get(coarse_oval):
     """Bit for bit, until one of them drives into the other."""
-    quiet = load_race_config("contest", steering_noise=0.0)
+    quiet = load_rules("contest", steering_noise=0.0)
     options = {"beams": 31, "see_opponent": "in sight", "win_reward": 3.0, "rules": quiet}
     envs = [make(coarse_oval, **options) for _ in range(2)]
     places = poses(coarse_oval, (2.0, 0.1, 3.0), (5.0, -0.1, 1.0))
@@ -190,7 +190,7 @@ def test_each_part_of_the_observation_can_be_left_out(coarse_oval):
 def test_a_crash_costs_the_car_to_blame_and_decides_as_the_rules_say(
     coarse_oval, race, penalties, results
 ):
-    race = load_race_config(race, steering_noise=0.0)
+    race = load_rules(race, steering_noise=0.0)
     env = make(coarse_oval, rules=race, progress_reward=0.0, crash_penalty=7.0, win_reward=5.0)
     for car in range(2):
         env.reset(options={"poses": poses(coarse_oval, (3.0, 0.0, 4.0), (28.0, 0.0, 4.0))})

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from placed_cars import BETA, DELTA, HOLD, PSI, PSI_DOT, V
 
-from pcs_racing import load_race_config
+from pcs_racing import load_rules
 from pcs_racing.car.vehicle import F1TENTH
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.drive_batch import DriveBatch
@@ -15,7 +15,7 @@ from pcs_racing.race.positions import place_cars
 
 TOP = 8.0
 AHEAD = (0.0, 1.5, 30.0, 49.0)
-RACE = load_race_config("contest", start_lines=3, steering_noise=0.0)
+RACE = load_rules("contest", start_lines=3, steering_noise=0.0)
 
 
 def begun(track, opponent=None, rules=RACE, seed=0, duration=8.0, **options):

@@ -15,7 +15,7 @@ from pcs_racing.envs.infos import Result
 from pcs_racing.envs.video import RecordRaces
 from pcs_racing.race.driving import advance
 
-SHORT = {"step_seconds": 1.0, "moves": 3}
+SHORT = {"steps": (1.0,) * 4}
 
 
 class Careful:
@@ -42,7 +42,7 @@ def episode(env, seed, action=1):
 
 def test_an_episode_is_the_game():
     """Agents get the values of RaceGame, step by step, until the game is over."""
-    env = HeadToHeadEnv(step_seconds=1.0)
+    env = HeadToHeadEnv(steps=(1.0,) * 5)
     game = env.game
     for seed in range(5):
         _, infos = env.reset(seed=seed)
@@ -72,7 +72,7 @@ def test_an_episode_is_the_game():
 
 
 def test_an_episode_may_begin_before_the_start():
-    rules = {"moves": 3, "step_seconds": 2.0, "first_steps": (0.0, 1.0), "opponent": "never-switch"}
+    rules = {"steps": (0.0, 1.0, 2.0, 2.0), "opponent": "never-switch"}
     env = DuelEnv(**rules, render_mode="rgb_array_list", render_size=(120, 80))
     observation, _ = env.reset(seed=1)
     assert env.batch.state.race.tick[0] == 0
@@ -220,7 +220,7 @@ def test_the_first_step_is_filmed_as_it_was_driven(seed):
         assert race.tick == 0
         conditions = env.batch.randomization.conditions(np.zeros(1, np.int64))
         advance(
-            env.game.setup, race, theta, int(env.game.config.end_ticks[0]), conditions=conditions
+            env.game.setup, race, theta, int(env.game.rules.end_ticks[0]), conditions=conditions
         )
         np.testing.assert_array_equal(race.cars, env.batch.state.race.cars)
 

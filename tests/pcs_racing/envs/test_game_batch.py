@@ -31,7 +31,7 @@ def archive() -> PolicyArchive:
 
 
 def make(track, archive, opponent="random-moves", games=6, **settings):
-    settings = {"rules": "contest", "step_seconds": 0.1, "moves": 2} | settings
+    settings = {"rules": "contest", "steps": (0.1,) * 3} | settings
     options = GameOptions.read(
         {"track": track, "archive": archive, "opponent": opponent, **settings}
     )

@@ -9,7 +9,7 @@ import pytest
 from faces import begun, follow_the_line, poses
 from refusal import refused
 
-from pcs_racing import InputError, load_race_config
+from pcs_racing import InputError, load_rules
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.envs.drive import (
@@ -130,7 +130,7 @@ def test_a_win_is_paid_to_the_first_of_all(oval):
 @pytest.mark.parametrize("contact", ["stop", "restart"])
 def test_a_contact_need_not_end_an_episode(oval, contact):
     """Every fault is paid for once, in its step, and costs once; the infos count them."""
-    rules = load_race_config("paper", contact=contact, duration=6.0)
+    rules = load_rules("paper", contact=contact, duration=6.0)
     three = DriveHeadToHeadEnv(
         track=oval, cars=3, rules=rules, progress_reward=0.0, crash_penalty=7.0, time_step=0.1
     )
@@ -227,7 +227,7 @@ def test_actions_in_units_and_the_own_pose(oval):
 @pytest.mark.parametrize("laps", [1, 2])
 def test_a_race_of_so_many_laps_has_as_many_and_their_times(oval, laps):
     one, many = (kind(track=oval, opponent=None, laps=laps) for kind in (DriveEnv, DriveVectorEnv))
-    other = DriveEnv(track=oval, opponent=None, rules=load_race_config("paper", laps=laps))
+    other = DriveEnv(track=oval, opponent=None, rules=load_rules("paper", laps=laps))
     seen, _ = one.reset(seed=1)
     many.reset(seed=1)
     other.reset(seed=1)

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, racer, run_races
+from pcs_racing import load_rules, racer, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.models import model_policy
 from pcs_racing.race.races import draw_starts
 
 RIVAL = "lattice:pace=0.3"
-CONFIG = load_race_config("paper", duration=3.0)
+CONFIG = load_rules("paper", duration=3.0)
 SEEING = {"beams": 9, "time_step": 0.05, "own_pose": True, "normalized": False, "time_left": True}
 
 

@@ -57,7 +57,7 @@ def test_what_it_observes_and_drives_is_what_a_game_says():
         estimate = game.measure(before, after)[0, 0]  # of car 0, which it races against
         seen = [watcher.seen[step][index[f"opponent_{axis}_{step}"]] for axis in axes]
         np.testing.assert_allclose(seen, estimate, atol=1e-6)
-        assert watcher.seen[step][index["step"]] == step / game.config.moves
+        assert watcher.seen[step][index["step"]] == step / game.rules.moves
     policies = [
         int(np.flatnonzero((game.theta(np.arange(len(game.archive))) == p).all(axis=1))[0])
         for p in parameters

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, load_track, racer
+from pcs_racing import load_rules, load_track, racer
 from pcs_racing.base.compilation import kernel
 from pcs_racing.envs import PolicyOnCar
 from pcs_racing.envs.models import model_policy
@@ -20,7 +20,7 @@ TRACK = "Pipkin"
 
 @pytest.mark.parametrize("name", ["line-ppo:risk=0.5", "pure-pursuit"])
 def test_the_commands_are_those_of_a_race(name):
-    track, config = load_track(TRACK), load_race_config("paper", steering_noise=0.0)
+    track, config = load_track(TRACK), load_rules("paper", steering_noise=0.0)
     policies = [racer(name), racer("pure-pursuit")]
     setup = RaceSetup(track, config, tuple(one.planner for one in policies))
     state = start_races(setup, draw_starts(track, config, 1, 0), np.zeros(1, np.uint64))

@@ -18,7 +18,7 @@ from pcs_racing.envs.drive import DriveEnv, DriveHeadToHeadEnv, DriveVectorEnv
 from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv
 from pcs_racing.envs.obstacles import Obstacles
 from pcs_racing.envs.random_circuits import CircuitBuilder, RandomCircuits, random_circuit
-from pcs_racing.race.config import PRESETS
+from pcs_racing.race.config import KNOWN_RULES
 from pcs_racing.track.moving import BOX, MOTION
 
 RANGES = {
@@ -28,7 +28,7 @@ RANGES = {
     "steer_noise": [0.0, 0.02],
 }
 DRIVE = {"beams": 9, "duration": 1.0, "start_lines": 6, "time_step": 0.1}
-DUEL = {"step_seconds": 0.4, "moves": 2, "opponent": "random-moves"}
+DUEL = {"steps": (0.4,) * 3, "opponent": "random-moves"}
 
 
 @pytest.fixture
@@ -117,8 +117,8 @@ def test_a_random_circuit_can_be_raced_on():
     track = random_circuit(settings, 3)
     assert track.content_hash == random_circuit(settings, 3).content_hash
     assert 50.0 < track.length < 125.0
-    assert set(track.calibration) == set(PRESETS)
-    env = DuelEnv(track=track, archive="default", step_seconds=1.0, moves=1)
+    assert set(track.calibration) == set(KNOWN_RULES)
+    env = DuelEnv(track=track, archive="default", steps=(1.0,) * 2)
     for seed in range(3):
         env.reset(seed=seed)
         assert not env.batch.state.race.crashed.any()

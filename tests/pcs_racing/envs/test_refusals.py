@@ -76,8 +76,8 @@ PLAIN = [
         (GAMES, {"opponent": [(1, 2, "random-moves")]}, "opponent 0"),
         (GAMES, {"opponent": [(-1.0, "random-moves")]}, "weight of opponent 0 is -1.0"),
         (GAMES, {"archive": "nothing"}, "unknown archive 'nothing'"),
-        (GAMES, {"rules": "rally"}, "race settings 'rally' are unknown"),
-        (GAMES, {"characteristics": ("charm",)}, "characteristic 'charm' is unknown"),
+        (GAMES, {"rules": "rally"}, "rules 'rally' are unknown"),
+        (GAMES, {"characteristics": ("charm",)}, "has no characteristic 'charm'"),
         (STEERING, {"look_ahead": (0.0,) * 101}, "look_ahead"),
         (
             STEERING,
@@ -268,7 +268,7 @@ def begin(kind, **arguments):
         ),
         (
             (DuelEnv,),
-            lambda state: begin(DuelEnv, moves=3),
+            lambda state: begin(DuelEnv, steps=(8.0,) * 4),
             (
                 r"own is float64 of shape \(1, 2, 4, 2\); it must be finite float64 of shape \(1,"
                 r" 2, 3, 2\)"

@@ -20,7 +20,7 @@ from pcs_racing.envs.duel import DuelEnv, DuelVectorEnv  # noqa: E402
 from pcs_racing.envs.infos import Result  # noqa: E402
 from pcs_racing.envs.sb3 import SB3VecEnv, make_sb3_vec_env  # noqa: E402
 
-SHORT = {"step_seconds": 0.5, "moves": 2}
+SHORT = {"steps": (0.5,) * 3}
 
 
 def learn(kind, **arguments):

@@ -12,7 +12,7 @@ import pcs_racing  # noqa: F401
 from pcs_racing import InputError
 from pcs_racing.envs.drive import DriveEnv, DriveVectorEnv
 
-DUEL = {"step_seconds": 0.2, "moves": 2}
+DUEL = {"steps": (0.2,) * 3}
 DRIVE = {"opponent": None, "duration": 0.3}
 IDS = {"pcs_racing/Duel-v1": DUEL, "pcs_racing/Drive-v1": DRIVE}
 

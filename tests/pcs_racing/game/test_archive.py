@@ -175,7 +175,7 @@ def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     toy = archive()
     assert toy.correlations == {AXES: pytest.approx(np.corrcoef(COORDINATES.T)[0, 1])}
     axes = "aggressiveness, restraint (correlation -0.98)"
-    assert repr(toy) == f"<PolicyArchive 'toy': 5 toy-planner policies, {axes}, preset 'paper'>"
+    assert repr(toy) == f"<PolicyArchive 'toy': 5 toy-planner policies, {axes}, rules 'paper'>"
     third = np.array([1.0, -1.0, 1.0, -1.0, 0.0])
     three = archive(np.column_stack([COORDINATES, third]), (*AXES, "speed"))
     expected = np.corrcoef(three.coordinates.T)
@@ -183,7 +183,7 @@ def test_the_axes_can_be_chosen_and_tell_how_they_go_together():
     np.testing.assert_allclose(list(three.correlations.values()), expected[np.triu_indices(3, 1)])
     one = toy.project(("restraint",))
     assert one.correlations == {}
-    assert "policies, restraint, preset" in repr(one)
+    assert "policies, restraint, rules" in repr(one)
     constant = archive(
         [[0.0, 1.0], [2.0, 1.0]], parameters=[[0.0, 0.0], [1.0, 0.0]], ideal=[2, 2], nadir=[0, 0]
     )

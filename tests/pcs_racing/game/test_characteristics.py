@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import InputError, load_race_config, load_track
+from pcs_racing import InputError, load_rules, load_track
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game import characteristics as measures
@@ -54,7 +54,7 @@ def test_values_by_hand_and_the_check_for_everybody(piece):
 
 def test_pieces_of_a_race_add_up():
     """The lead is the sum over the pieces; restraint is their mean, weighted by samples."""
-    config = load_race_config("paper", duration=4.0)
+    config = load_rules("paper", duration=4.0)
     track = load_track("Pipkin")
     setup = racing.RaceSetup(track, config, (REFERENCE, REFERENCE))
     state = racing.start_races(setup, draw_starts(track, config, 4, 0), racing.race_seeds(0, 4))
@@ -129,11 +129,11 @@ PACES = (0.0, 0.5, 1.0)
 TOLERANCE = 0.04  # between the slowest and the fastest of the circuits, for one policy
 
 
-def pieces(name, paces, preset="paper", seconds=12.0, skip=4.0):
+def pieces(name, paces, rules="paper", seconds=12.0, skip=4.0):
     """Speed and lead gained, m, of both cars in races of two paces each: shape (B, 2, 2)."""
     track = load_track(name)
-    config = load_race_config(
-        preset, duration=seconds, start="rolling", start_gap=min(0.5 * track.length, 50.0)
+    config = load_rules(
+        rules, duration=seconds, start="rolling", start_gap=min(0.5 * track.length, 50.0)
     )
     setup = racing.RaceSetup(track, config, (REFERENCE, REFERENCE))
     starts = Starts(np.zeros(len(paces)), np.zeros(len(paces), np.int64))

@@ -6,11 +6,10 @@ import pytest
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, load_archive, load_race_config, load_track, make_game
+from pcs_racing import CONTEST, load_archive, load_rules, load_track, make_game
 from pcs_racing.base.seeds import race_seeds, random_bits
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.characteristics import Segment, get_characteristics, measure
-from pcs_racing.game.config import GameConfig
 from pcs_racing.game.moves import move
 from pcs_racing.game.observation import (
     encode_observation,
@@ -21,6 +20,7 @@ from pcs_racing.game.rules import RaceGame
 from pcs_racing.game.state import GameState, put_games, take_games
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import TIE_WITHIN, start_lines, start_races
 from pcs_racing.race.start_grid import Starts
@@ -34,7 +34,7 @@ def track():
 
 @pytest.fixture(scope="module")
 def game(track):
-    return make_game(track, step_seconds=2.0)
+    return make_game(track, steps=(2.0,) * 5)
 
 
 def play(game: RaceGame, state: GameState, actions) -> GameState:
@@ -66,7 +66,7 @@ def test_a_game_is_the_sequence_of_races_that_its_rules_say(track):
     end = take_games(ends, whole)
 
     setup = game.setup
-    assert setup.config.duration == 40.0
+    assert setup.rules.duration == 40.0
     race = start_races(setup, starts.take(whole), end.race.seed)
     moves = {0: (0, 1), 1: (0, -1), 2: (1, 1), 3: (1, -1)}  # aggressiveness +, -, restraint +, -
     for step in range(5):
@@ -104,7 +104,7 @@ def test_players_may_move_before_the_start(track):
     """The first step takes no time, the second one 2 s; games of a batch that are at different
     moments keep to that.
     """
-    game = make_game(track, moves=3, step_seconds=3.0, first_steps=(0, 2))
+    game = make_game(track, steps=(0, 2, 3, 3))
     start = game.reset([4, 5])
     np.testing.assert_array_equal(start.race.tick, 0)
     np.testing.assert_array_equal(
@@ -128,7 +128,7 @@ def test_players_may_move_before_the_start(track):
 
 def test_what_is_drawn_for_a_game_is_drawn_for_each_thing_by_itself(track):
     """Line, side, both policies and the noise: no two depend on each other, for any keys."""
-    game = make_game(track, step_seconds=0.1, moves=1)
+    game = make_game(track, steps=(0.1,) * 2)
     state = game.reset(np.arange(400, dtype=np.uint64), redraw=False)
     races, count = state.race, len(game.archive)
     at = np.round(races.frenet[:, 0, 0] / 2.0)
@@ -165,7 +165,7 @@ def test_a_step_leaves_the_state_alone_and_games_that_are_over_stand_still(game)
 
 
 def test_a_game_by_laps_ends_in_the_step_of_the_last_lap(track):
-    game = make_game(track, rules=load_race_config("paper", laps=1))
+    game = make_game(track, rules=load_rules("paper", laps=1))
     state = game.reset(games=8)
     while not game.done(state).all():
         state = game.step(state, np.zeros((8, 2), int))
@@ -173,9 +173,9 @@ def test_a_game_by_laps_ends_in_the_step_of_the_last_lap(track):
     assert len(whole)
     finish = race.finish_time[whole].min(axis=1)
     assert (np.abs(0.01 * race.tick[whole] - finish) < 0.02).all()
-    ends = np.array(game.config.ends)
+    ends = np.array(game.rules.ends)
     assert state.step[whole].tolist() == np.searchsorted(ends, finish).tolist()
-    assert (state.step[whole] < game.config.moves).all()
+    assert (state.step[whole] < game.rules.moves).all()
     first = race.finish_time[whole].argmin(axis=1)
     assert game.winner(state)[whole].tolist() == first.tolist()
     assert_same(game.step(state, np.zeros((8, 2), int)).race, race)
@@ -193,7 +193,7 @@ def test_any_moment_can_be_kept_and_continued_and_a_step_driven_without_a_state(
     assert_same(races, after.race)
     np.testing.assert_array_equal(seen, after.estimates[:, :, 1])
     end = play(game, after, [(0, 0)] * 3)
-    np.testing.assert_array_equal(reward(game.config, end.race, end.step), game.reward(end)[:, 0])
+    np.testing.assert_array_equal(reward(game.rules, end.race, end.step), game.reward(end)[:, 0])
 
 
 BOUNDS = {
@@ -246,7 +246,7 @@ def three_axes(archive: PolicyArchive, third: str) -> PolicyArchive:
 
 
 def test_several_step_sizes_and_three_characteristics(track):
-    game = make_game(track, epsilon=(0.2, 0.6), stay=True, step_seconds=2.0, moves=2)
+    game = make_game(track, epsilon=(0.2, 0.6), stay=True, steps=(2.0,) * 3)
     assert game.offered == len(game.moves) == 9
     state = game.reset(games=2)
     after = game.step(state, np.array([[8, 4], [0, 8]]))
@@ -254,7 +254,7 @@ def test_several_step_sizes_and_three_characteristics(track):
     assert after.policy[1, 1] == state.policy[1, 1]
     assert after.policy[0, 1] == move(game.archive, int(state.policy[0, 1]), 0, 1, 0.6)
     assert after.policy[1, 0] == move(game.archive, int(state.policy[1, 0]), 0, 1, 0.2)
-    game = make_game(track, three_axes(load_archive("default"), "smoothness"), step_seconds=2.0)
+    game = make_game(track, three_axes(load_archive("default"), "smoothness"), steps=(2.0,) * 5)
     assert game.moves[4:] == ("smoothness +", "smoothness -", "stay")
     assert len(game.observation_elements) == 5 * 8 + 1
     end = play(game, game.reset(games=2), [(4, 5)] * 4)
@@ -265,7 +265,7 @@ def test_several_step_sizes_and_three_characteristics(track):
     np.testing.assert_array_equal(points, np.clip(narrow.normalised, -1.0, 2.0))
     assert points.max() == 2.0 < narrow.normalised.max()
     two = make_game(
-        track, game.archive, step_seconds=2.0, characteristics=("aggressiveness", "restraint")
+        track, game.archive, steps=(2.0,) * 5, characteristics=("aggressiveness", "restraint")
     )
     switches = ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -")
     assert (two.moves, two.offered) == ((*switches, "stay"), 4)
@@ -286,7 +286,7 @@ def test_several_step_sizes_and_three_characteristics(track):
     ],
 )
 def test_what_a_crash_is_worth(track, settings, fault, expected):
-    game = make_game(track, step_seconds=2.0, **settings)
+    game = make_game(track, steps=(2.0,) * 5, **settings)
     state = play(game, game.reset(1), [(0, 0), (0, 0)])
     np.testing.assert_array_equal(game.reward(state), 0.0)  # not over yet
     end = crash(state, fault)
@@ -296,7 +296,7 @@ def test_what_a_crash_is_worth(track, settings, fault, expected):
 
 
 def test_who_leads_at_the_end_wins(track):
-    game = make_game(track, step_seconds=2.0, moves=1, utility="win")
+    game = make_game(track, steps=(2.0,) * 2, utility="win")
     end = game.step(game.reset(games=6, seed=2), np.zeros((6, 2), np.int64))
     over = game.done(end) & ~end.race.crashed
     ahead = np.where(np.abs(end.race.lead) > TIE_WITHIN, np.sign(end.race.lead), 0)
@@ -309,7 +309,7 @@ def test_who_leads_at_the_end_wins(track):
 
 
 def test_games_that_end_while_watching_are_drawn_again(track):
-    game = make_game(track, rules=replace(CONTEST, steering_noise=0.08), step_seconds=4.0)
+    game = make_game(track, rules=replace(CONTEST, steering_noise=0.08), steps=(4.0,) * 5)
     once = game.reset(games=40, redraw=False)
     again = game.reset(games=40)
     crashed = once.race.crashed
@@ -329,7 +329,7 @@ def test_games_that_end_while_watching_are_drawn_again(track):
 
 def test_drivers_from_outside_the_archive(track):
     """Car 1 may be any policy, even of another planner; its moves do nothing then."""
-    game = RaceGame(track, load_archive("default"), GameConfig(step_seconds=2.0), PURE_PURSUIT)
+    game = RaceGame(track, load_archive("default"), Rules(steps=(2.0,) * 5), PURE_PURSUIT)
     opponent = PURE_PURSUIT.policy()
     state = game.reset([1, 2], opponents=opponent)
     np.testing.assert_array_equal(state.policy[:, 1], -1)
@@ -340,7 +340,7 @@ def test_drivers_from_outside_the_archive(track):
     refused(r"game 0: car 1 .*'pure-pursuit'", game.reset, 1)
     refused(r"game 0: the opponent .*'lattice'", game.reset, 1, opponents=LATTICE.policy())
 
-    mixed = make_game(track, step_seconds=2.0)
+    mixed = make_game(track, steps=(2.0,) * 5)
     wild = mixed.archive.explored_policy(5)
     state = mixed.reset([1, 2], opponents=[None, wild])
     np.testing.assert_array_equal(state.theta[1, 1], wild.parameters)
@@ -353,14 +353,14 @@ def test_drivers_from_outside_in_either_car(track):
     """Two drivers from outside: the game is the race that run_races drives, with their seats and
     its noise.
     """
-    config = GameConfig(race=CONTEST, step_seconds=0.8)
+    config = replace(CONTEST, steps=(0.8,) * 5)
     archive = load_archive("default")
     game = RaceGame(track, archive, config, "lattice", ego_planner=PURE_PURSUIT)
     egos, wild = (
         [PURE_PURSUIT.policy({"pace": pace}) for pace in (0.2, 0.9)],
         archive.explored_policy(5),
     )
-    starts = Starts(start_lines(track, game.setup.config, 3)[:2], np.array([0, 1]))
+    starts = Starts(start_lines(track, game.setup.rules, 3)[:2], np.array([0, 1]))
     state = game.reset([1, 2], starts=starts, egos=egos, opponents=wild)
     assert (state.policy == -1).all()
     np.testing.assert_array_equal(state.own, state.estimates)
@@ -384,9 +384,9 @@ def test_drivers_from_outside_in_either_car(track):
 
 
 def test_masks_and_the_table_of_an_observation(track, game):
-    free = make_game(track, step_seconds=2.0, mask_duplicates=False)
+    free = make_game(track, steps=(2.0,) * 5, mask_duplicates=False)
     assert free.action_mask(free.reset(games=2)).all()
-    strict = make_game(track, step_seconds=2.0)
+    strict = make_game(track, steps=(2.0,) * 5)
     state = strict.reset(games=50, redraw=False)
     mask = strict.action_mask(state)
     assert mask[..., 0].all()  # so there always is a move

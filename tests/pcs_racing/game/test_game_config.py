@@ -2,104 +2,73 @@
 
 import dataclasses
 from enum import Enum
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import CONTEST, PAPER, load_archive
+from pcs_racing import CONTEST, PAPER, load_archive, load_rules, make_game
 from pcs_racing.base.errors import ConfigError
-from pcs_racing.game.config import GameConfig, load_game_config
-from pcs_racing.game.identity import check_same_game, game_identity
+from pcs_racing.game.identity import check_same_game
+from pcs_racing.race.config import Rules
 
 
 def test_the_papers_game_and_the_contest():
     """Section V: a step to watch and four moves, of 8 s each; the lead at the end of 40 s is what
     counts.
     """
-    config = GameConfig()
-    assert config == load_game_config() == load_game_config("paper") == load_game_config(PAPER)
-    assert (config.race, config.moves, config.step_seconds) == (PAPER, 4, 8.0)
-    assert config.horizon == 40.0
-    assert (config.utility, config.fault_penalty, config.discount) == ("lead", 0.0, 1.0)
-    assert (config.stay, config.mask_duplicates, config.characteristics) == (False, True, None)
-    assert config.epsilon == 0.5
-    config = load_game_config("contest")
-    assert (config.race, config.utility, config.stay) == (CONTEST, "win", True)
-    assert config.ends == (0.0, 2.0, 8.0, 16.0, 24.0, 32.0, 40.0)
-    # One of the three lengths sets all of them.
-    assert load_game_config("contest", moves=2).ends == (8.0, 16.0, 24.0)
-    assert GameConfig(CONTEST, step_seconds=2.0).ends == (2.0, 4.0, 6.0, 8.0, 10.0)
-    assert dataclasses.replace(config, stay=False, utility="lead-at-crash").stay is False
+    assert Rules() == load_rules() == load_rules("paper") == load_rules({"rules": "paper"})
+    assert (PAPER.moves, PAPER.step_seconds, PAPER.payoff) == (4, 8.0, "lead")
+    assert PAPER.ends == (8.0, 16.0, 24.0, 32.0, 40.0)
+    assert (CONTEST.moves, CONTEST.payoff, CONTEST.stay) == (6, "win", True)
+    assert CONTEST.ends == (0.0, 2.0, 8.0, 16.0, 24.0, 32.0, 40.0)
+    assert load_rules("contest", utility="lead-at-crash").payoff == "lead-at-crash"
+    assert load_rules({"rules": "contest", "stay": False}) == dataclasses.replace(
+        CONTEST, stay=False
+    )
 
 
 @pytest.mark.parametrize(("moves", "seconds"), [(1, 0.1), (4, 8.0), (2, 0.3), (9, 12.5)])
-def test_the_race_lasts_for_a_step_more_than_there_are_moves_and_an_hour_at_most(moves, seconds):
-    config = GameConfig(moves=moves, step_seconds=seconds)
-    assert config.horizon == pytest.approx((moves + 1) * seconds)
-    assert config.ends[0] == pytest.approx(seconds)
-    assert config.race_rules.duration == config.horizon
-    assert config.race_rules.ticks == config.end_ticks[-1] == (moves + 1) * round(100 * seconds)
-    assert dataclasses.replace(config.race_rules, duration=PAPER.duration) == PAPER
-    assert GameConfig(moves=5, step_seconds=600.0).horizon == 3600.0
-    refused("6 moves of 600 s", GameConfig, moves=6, step_seconds=600.0, error=ConfigError)
+def test_the_race_lasts_for_a_step_more_than_there_are_moves(moves, seconds):
+    rules = Rules(steps=(seconds,) * (moves + 1))
+    assert rules.ends[0] == rules.step_seconds == pytest.approx(seconds)
+    assert rules.for_game.duration == rules.ends[-1] == pytest.approx((moves + 1) * seconds)
+    assert rules.for_game.ticks == rules.end_ticks[-1] == (moves + 1) * round(100 * seconds)
 
 
-def test_players_may_move_before_the_start():
-    config = GameConfig(moves=3, first_steps=[0, 2])
-    assert config.ends == (0.0, 2.0, 10.0, 18.0)
-    assert config.horizon == 18.0
-    for wrong, text in (
-        ((2.0, 0.0), "0.1 to 600 s"),
-        ((0.05,), "whole tenths"),
-        (2.0, "list 0 or more"),
-        ((1.0,) * 4, "may have 3 lengths"),
-    ):
-        refused(f"first_steps.*{text}", GameConfig, moves=3, first_steps=wrong, error=ConfigError)
-
-
-def test_step_sizes_and_axes_are_kept_in_one_form_and_changed_by_name():
-    assert GameConfig(epsilon=(0.2, 0.6)).epsilon == (0.2, 0.6)
-    assert GameConfig(epsilon=(0.3,)).epsilon == 0.3
-    config = GameConfig(characteristics=["speed", "restraint"])
-    assert config.characteristics == ("speed", "restraint")
-    hash(config)
-    refused("'speed'", GameConfig, characteristics="speed", error=ConfigError)
-    config = load_game_config(GameConfig(moves=2), step_seconds=1.0)
-    assert (config.moves, config.step_seconds) == (2, 1.0)
-    refused("unknown game setting 'move'", load_game_config, move=3, error=ConfigError)
+def test_the_steps_fill_the_duration_of_a_race():
+    assert load_rules("contest", duration=20.0).ends == (0.0, 1.0, 4.0, 8.0, 12.0, 16.0, 20.0)
+    assert Rules(laps=2).ends == (16.0, 32.0, 48.0, 64.0, 80.0)
+    assert Rules(duration=6.0, steps=(2.0,) * 3).step_seconds == 2.0
+    refused(
+        r"^duration is 3\.7 s; a game of 4 moves lasts a multiple of 0\.5 s$",
+        make_game,
+        rules=load_rules("paper", duration=3.7),
+    )
 
 
 def test_each_rule_has_its_limits():
     for key, fine, wrong in [
-        ("moves", (1, 100), (0, 101, 2.0, True, "4")),
-        ("step_seconds", (0.1, 600.0, 1), (0.0, 0.05, 0.15, 600.1, True, "8", np.nan)),
+        ("steps", ((0, 0.1), (600.0,) * 6), ((600.0,) * 7, (1.0,) * 102, (0.0, 0.0), "8", 8.0)),
         ("fault_penalty", (0.0, 1e6), (-0.1, 1e6 + 1.0, True, None, np.nan)),
         ("discount", (1e-6, 1.0), (0.0, 1.1, -1.0, False, np.nan)),
-        ("stay", (True, False, None), (1, "yes")),
+        ("stay", (True, False), (1, "yes", None)),
         ("mask_duplicates", (True, False), (None, 0)),
         ("utility", ("lead", "lead-at-crash", "win", None), ("score", 1, ["lead"])),
         ("epsilon", (0.5, (0.1, 0.9)), (0.0, -0.5, (0.5, 0.5), (), "far", np.inf)),
         ("characteristics", (None, ("speed",)), ("speed", 3)),
-        ("race", ("contest", PAPER), (3, None)),
     ]:
-        more = (
-            {"moves": 1}
-            if key == "step_seconds"
-            else {"step_seconds": 0.1}
-            if key == "moves"
-            else {}
-        )
         for value in fine:
-            GameConfig(**{key: value}, **more)
+            Rules(**{key: value})
         for value in wrong:
-            refused(f"{key}", GameConfig, error=ConfigError, **{key: value}, **more)
+            refused(f"{key}", Rules, error=ConfigError, **{key: value})
+    assert Rules(epsilon=(0.3,)).epsilon == 0.3
+    hash(Rules(characteristics=["speed", "restraint"]))
 
 
 def test_a_game_is_recognised_by_its_moves_observations_and_archive():
     archive = load_archive("default")
-    own = game_identity(SimpleNamespace(archive=archive, config=GameConfig(moves=2)))
+    own = make_game(None, archive, steps=(8.0,) * 3).identity
     assert own._replace(elements=()) == (
         (),
         ("aggressiveness +", "aggressiveness -", "restraint +", "restraint -"),
@@ -115,14 +84,14 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
         "opponent_aggressiveness_0",
         "step",
     )
-    several = GameConfig(moves=2, epsilon=(0.2, 0.6), stay=True)
+    several = make_game(None, archive, steps=(8.0,) * 3, epsilon=(0.2, 0.6), stay=True)
     moves = (
         f"{axis} {sign} {step}"
         for step in (0.2, 0.6)
         for axis in archive.characteristics
         for sign in "+-"
     )
-    assert game_identity(SimpleNamespace(archive=archive, config=several))[1:3] == (
+    assert several.identity[1:3] == (
         (*moves, "stay"),
         (0.2, 0.6),
     )
@@ -130,7 +99,7 @@ def test_a_game_is_recognised_by_its_moves_observations_and_archive():
     unknown = own._replace(elements=(), moves=(), decisions=0)
     for mine, other in [
         (own, own),
-        (own, own._replace(moves=(*own.moves, "stay"), preset="contest", archive="other")),
+        (own, own._replace(moves=(*own.moves, "stay"), rules="contest", archive="other")),
         (unknown, own),
         (own._replace(decisions=0), own._replace(decisions=3)),
         (own, own._replace(decisions=0)),
@@ -168,11 +137,10 @@ ENDLESS.append(ENDLESS)
 
 
 def test_values_without_a_text_or_an_end_are_refused():
-    huge = 10**5000
-    for wrong in ({"moves": huge}, {"epsilon": huge}, {"first_steps": ENDLESS}, {"race": ENDLESS}):
-        refused(f"^{next(iter(wrong))} ", GameConfig, **wrong, error=ConfigError)
+    for wrong in ({"epsilon": 10**5000}, {"steps": ENDLESS}):
+        refused(f"^{next(iter(wrong))} ", Rules, **wrong, error=ConfigError)
 
 
 def test_members_of_enumerations_are_stored_as_their_values():
-    config = GameConfig(utility=Enum("Utility", {"LEAD": "lead"}, type=str).LEAD)
-    assert type(config.utility) is str
+    rules = Rules(utility=Enum("Utility", {"LEAD": "lead"}, type=str).LEAD)
+    assert type(rules.utility) is str

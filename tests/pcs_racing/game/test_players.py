@@ -24,7 +24,7 @@ GAMES = 4
 
 @pytest.fixture(scope="module")
 def game():
-    return make_game("Tarnfjord", step_seconds=1.0)
+    return make_game("Tarnfjord", steps=(1.0,) * 5)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from pcs_racing.game import players, rules
 from pcs_racing.race import driving
 
 HOME = Path(pcs_racing.__file__).resolve().parent
-SHORT = {"step_seconds": 0.1, "moves": 1, "stay": True}
+SHORT = {"steps": (0.1,) * 2, "stay": True}
 
 
 def watch(monkeypatch) -> tuple[list[list[str]], list[np.ndarray], list[np.ndarray]]:

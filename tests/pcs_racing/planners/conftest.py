@@ -9,7 +9,7 @@ from placed_cars import view_of
 from pcs_racing import load_track, run_races
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Policy
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceResult, RaceSetup, start_races
 from pcs_racing.race.start_grid import Starts
@@ -31,9 +31,9 @@ def _straightest(track: Track, gap: float) -> float:
     )
 
 
-def _config(track: Track, **changes) -> RaceConfig:
+def _config(track: Track, **changes) -> Rules:
     gap = min(0.5 * track.length, 50.0)
-    return RaceConfig(start="staggered", start_gap=gap, start_spacing=0.0, **changes)
+    return Rules(start="staggered", start_gap=gap, start_spacing=0.0, **changes)
 
 
 @pytest.fixture(scope="session")
@@ -59,7 +59,7 @@ def drive_alone() -> Callable[..., RaceResult]:
 def views() -> Callable[..., np.ndarray]:
     """Views of a driver every 0.3 s of some races: shape (N, VIEW_SIZE)."""
 
-    def collect(track: Track, policy: Policy, config: RaceConfig, starts: Starts) -> np.ndarray:
+    def collect(track: Track, policy: Policy, config: Rules, starts: Starts) -> np.ndarray:
         setup = RaceSetup(track, config, (policy.planner, policy.planner))
         state = start_races(setup, starts, np.arange(len(starts), dtype=np.uint64))
         theta = np.tile(policy.parameters, (len(starts), 2, 1))

@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 from refusal import refused
 
-from pcs_racing import load_race_config, load_track, run_races
+from pcs_racing import load_rules, load_track, run_races
 from pcs_racing.planners.calling import control_address
 from pcs_racing.planners.planner import Planner
 from pcs_racing.race.driving import advance
@@ -38,7 +38,7 @@ def allocating(track, theta, view, memory, scratch, path, command):
 
 def race(function):
     planner = Planner("test", (), control=function)
-    config = load_race_config("paper", duration=0.4)
+    config = load_rules("paper", duration=0.4)
     return run_races(
         load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1
     )
@@ -65,7 +65,7 @@ def test_references_to_arrays_are_counted_right(function):
     planner, track, config = (
         Planner("test", (), control=function),
         load_track("Tarnfjord"),
-        load_race_config("paper"),
+        load_rules("paper"),
     )
     setup = RaceSetup(track, config, (planner, planner))
     state = start_races(setup, draw_starts(track, config, 1, 0), np.zeros(1, np.uint64))
@@ -109,7 +109,7 @@ def test_functions_with_options_of_their_own_are_compiled_anew(tmp_path, monkeyp
             command,
         )
     planner = Planner("test", (), control=users, memory_size=1)
-    config = load_race_config("paper", duration=0.1)
+    config = load_rules("paper", duration=0.1)
     run_races(
         load_track("Tarnfjord"), [planner.policy()], planner.policy(), config, seed=0, threads=1
     )

@@ -30,7 +30,7 @@ from pcs_racing.planners.field.spliner import SCRATCH, SPLINER, lay_spline, spli
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.scanning import BEAMS, STEP
 from pcs_racing.planners.view import OWN_D, OWN_S, PATH_POINTS, TIME
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.testing import check_planner
@@ -78,7 +78,7 @@ def test_it_drives_by_its_lidar_alone(name, circuit, drive_alone):
 def behind_a_slow_car(name, share=0.6, races=10):
     """Races of a driver behind one on the race line with a share of its speed."""
     track = load_track("Tarnfjord")
-    config = RaceConfig(
+    config = Rules(
         start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(1.1 * share, 1.1)
     )
     starts = Starts(np.arange(races) / races * track.length, np.ones(races, np.int64))
@@ -376,7 +376,7 @@ def test_it_drives_shipped_circuits_at_any_pace(name, drive_alone):
 
 def test_it_keeps_to_the_line_and_two_of_them_sort_themselves_out_at_the_start(views):
     track = load_track("Larkmoor")
-    config = RaceConfig(duration=20.0, start="staggered", start_gap=50.0, start_spacing=0.0)
+    config = Rules(duration=20.0, start="staggered", start_gap=50.0, start_spacing=0.0)
     seen = views(
         track, PURE_PURSUIT.policy(), config, Starts(np.array([60.0]), np.zeros(1, np.int64))
     )

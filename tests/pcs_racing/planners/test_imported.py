@@ -16,7 +16,7 @@ from pcs_racing.planners.imported import drivers_from, object_policy
 from pcs_racing.planners.own_files import run_file
 from pcs_racing.planners.planner import Policy
 from pcs_racing.planners.shipped import split_name
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.cli.main import main
 
@@ -45,7 +45,7 @@ class Plans:
         assert obs["vehicle_state"][3] == obs["vehicle_speed"] == obs["linear_vel_x"]
         return np.array([0.5 * (np.argmax(obs["scan"][270:-270]) - 270) * 4.7 / 1079, 2.5])
 """
-SHORT = RaceConfig(duration=0.4, start="rolling", start_gap=20.0, start_spacing=0.0)
+SHORT = Rules(duration=0.4, start="rolling", start_gap=20.0, start_spacing=0.0)
 DRIVER = """
 {0}
 class Driver:
@@ -93,7 +93,7 @@ def test_all_forms_drive_and_every_race_has_its_own_driver(folder):
     names = ["Farthest", "Counts", "Counts", "Plans"]
     copied = object_policy(vars(run_file(file))["Counts"]())
     egos = [*map(drivers.__getitem__, names)]
-    config = RaceConfig(duration=4.0, start="rolling", start_gap=20.0, start_spacing=0.0)
+    config = Rules(duration=4.0, start="rolling", start_gap=20.0, start_spacing=0.0)
     starts = Starts(np.full(4, 20.0), np.ones(4, np.int64))
     track, rival = load_track("Tarnfjord"), racer("pure-pursuit")
     result, again = (run_races(track, egos, rival, config, starts=starts) for _ in range(2))

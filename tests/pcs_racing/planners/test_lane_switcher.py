@@ -9,7 +9,7 @@ from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line import WALL_MARGIN
 from pcs_racing.planners.view import PATH_POINTS, SPEED_HIGH
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.track.frenet import LEFT, RIGHT
 from pcs_racing.track.maps import list_tracks
@@ -60,7 +60,7 @@ def test_all_variants_drive_shipped_circuits_alone(name, drive_alone):
     assert not crashed
 
 
-# The ranges are those that calibration finds for the preset "paper", in some 10 s each.
+# The ranges are those that calibration finds for the rules "paper", in some 10 s each.
 
 
 @pytest.mark.parametrize("name", list_tracks())
@@ -197,7 +197,7 @@ def test_it_overtakes_a_slow_car_and_seldom_crashes_with_the_lattice_planner(shi
     """A car at less than half of its speed scale, met at thirty places of every circuit."""
     fast = switcher.LANE_SWITCHER.policy({"other_lane_factor": 0.9, "follow_factor": 1.0})
     slow = PURE_PURSUIT.policy({"pace": 0.0, "follow_distance": 0.0})
-    config = RaceConfig(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.4, 0.9))
+    config = Rules(start="rolling", start_gap=4.0, start_spacing=0.0, speed_range=(0.4, 0.9))
     overtakes, crashes = [], []
     for track in shipped:
         starts = Starts(np.arange(30) / 30.0 * track.length, np.ones(30, np.int64))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import load_race_config, load_track
+from pcs_racing import load_rules, load_track
 from pcs_racing.car.vehicle import DELTA
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.planners.lattice import REFERENCE
@@ -20,7 +20,7 @@ from pcs_racing.planners.view import (
     SPEED_HIGH,
     SPEED_LOW,
 )
-from pcs_racing.race.config import RaceConfig
+from pcs_racing.race.config import Rules
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, draw_starts, run_races, start_races
 from pcs_racing.race.start_grid import Starts
@@ -185,13 +185,13 @@ def test_a_faster_follower_gets_by_a_slower_car(shipped):
     """It starts 3 m behind a car that drives at 60 % of its speed scale, on five lines of every
     circuit.
     """
-    config = RaceConfig(
+    config = Rules(
         duration=20.0, start="rolling", start_gap=3.0, start_spacing=0.0, speed_range=(0.5, 0.85)
     )
     slow, fast = PURE_PURSUIT.policy({"pace": 0.0}), [REFERENCE.policy({"pace": 1.0})] * 10
     # From the places of the paper's start, which every circuit has; other places would need
     # a calibration.
-    starts = [draw_starts(track, load_race_config("paper"), 10, seed=1) for track in shipped]
+    starts = [draw_starts(track, load_rules("paper"), 10, seed=1) for track in shipped]
     results = [
         run_races(track, fast, slow, config, starts=at)
         for track, at in zip(shipped, starts, strict=True)
@@ -352,7 +352,7 @@ def test_it_does_not_weave_on_straights(oval, scale, noise):
 def steering_rate(track, planner, scale, noise):
     """RMS on straights of cars alone, from the fourth second on, rad/s."""
     apart = {"start": "staggered", "start_gap": 0.5 * track.length, "start_spacing": 0.0}
-    config = RaceConfig(**apart, steering_noise=noise, speed_range=(scale, scale + 0.1))
+    config = Rules(**apart, steering_noise=noise, speed_range=(scale, scale + 0.1))
     setup = RaceSetup(track, config, (planner, planner))
     state = start_races(
         setup, Starts(np.arange(8) * 5.0, np.zeros(8, np.int64)), np.arange(8, dtype=np.uint64)
@@ -374,7 +374,7 @@ def test_a_car_that_stands_on_the_race_line_is_driven_around():
     """At forty places of a wide circuit, in bends too, from a standing start 12 m behind."""
     track = load_track("Tarnfjord")
     start = {"start": "staggered", "start_gap": 12.0, "start_speed": 0.0, "start_spacing": 0.0}
-    config = RaceConfig(duration=12.0, **start, speed_range=(1.03, 1.43))
+    config = Rules(duration=12.0, **start, speed_range=(1.03, 1.43))
     starts = Starts(np.arange(40) / 40.0 * track.length, np.ones(40, np.int64))
     for noise in (0.0, 0.02):
         rules = replace(config, steering_noise=noise)

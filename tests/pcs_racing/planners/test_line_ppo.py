@@ -10,7 +10,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.planners import candidates, line_ppo
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SPEEDS
 from pcs_racing.planners.lattice import LATTICE
-from pcs_racing.planners.learned import is_planner_folder, load_planner
+from pcs_racing.planners.learned import folder_kind, load_planner
 from pcs_racing.planners.line_ppo import (
     CONTEXT,
     FEATURES,
@@ -181,5 +181,5 @@ def test_each_kind_is_loaded_from_its_folder(name):
 
 def test_a_folder_of_another_kind_is_refused(tmp_path):
     (tmp_path / "manifest.yaml").write_text("format: pcs-racing archive\n")
-    assert is_planner_folder(tmp_path)
-    refused("begins with 'format: pcs-racing archive'", load_planner, tmp_path)
+    assert folder_kind(tmp_path) == "archive"
+    refused("is a folder of 'archive'; it must be of lidar", load_planner, tmp_path)

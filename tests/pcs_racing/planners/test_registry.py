@@ -124,7 +124,7 @@ def test_names_and_policies_that_can_not_be_told_apart_are_one_clear_error(examp
         ("example:pace=", "pace is ''"),
         ("example:pace=nan", "'pace' is nan"),
         ("example:pace=2", "'pace' is 2"),
-        ("example:pace=1,pace=0", "sets parameter 'pace' twice"),
+        ("example:pace=1,pace=0", "'pace=0' is not of the form name=value, each name once"),
         ("example:pace=1,", "'' is not"),
         ("example:timid,pace=1", "no variant 'timid'"),
         ("example:pace=1,brave", "'brave' is not"),

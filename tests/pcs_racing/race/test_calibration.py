@@ -20,7 +20,7 @@ from pcs_racing.race.calibrating import (
     hazard_scan,
 )
 from pcs_racing.race.calibration import calibration_of, starts_for
-from pcs_racing.race.config import CONTEST, PAPER, PRESETS
+from pcs_racing.race.config import CONTEST, KNOWN_RULES, PAPER
 from pcs_racing.race.driving import kernel_settings
 from pcs_racing.race.start_grid import BLOCK, PLACE_EVERY, Starts, places_of, split_places
 from pcs_racing.race.start_places import crashes_of_pairs, drive_away, fit_places
@@ -121,10 +121,10 @@ def test_pairs_of_a_slow_range_crash_less(monkeypatch):
     assert slow < 0.05 < fast
 
 
-def test_circuits_ship_with_all_presets_and_as_noisy_ones_share_their_speeds():
+def test_circuits_ship_with_all_rules_and_as_noisy_ones_share_their_speeds():
     for name in list_tracks():
         known = load_track(name).calibration
-        assert set(known) == set(PRESETS)
+        assert set(known) == set(KNOWN_RULES)
         assert known["roboracer"].speed_range == known["contest"].speed_range
 
 

@@ -5,7 +5,7 @@ import pytest
 from placed_cars import V, placed
 from test_many_cars import of_cars
 
-from pcs_racing import load_race_config, load_track, racer, run_races
+from pcs_racing import load_rules, load_track, racer, run_races
 from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overlap
 from pcs_racing.race.config import ROBORACER
 from pcs_racing.race.driving import advance
@@ -90,7 +90,7 @@ def test_the_car_at_fault_is_put_back_behind_the_other_where_there_is_room(oval)
     theta[0, 0, 1] = 0.5
     advance(setup, state, theta, 600)
     assert state.tick[0] == 600
-    assert winners(setup.config, state).tolist() == [1]
+    assert winners(setup.rules, state).tolist() == [1]
     # A third car is where the first would be put: it is put behind that one.
     places, speeds = [(6.0, 0.9), (9.0, 0.9), (6.9, 0.0)], [5.0, 0.0, 0.0]
     setup, state, theta = placed(oval, places, speeds, contact="restart")
@@ -141,7 +141,7 @@ def test_a_car_is_put_back_behind_an_oncoming_obstacle(oval):
 @pytest.mark.parametrize("contact", ["stop", "restart"])
 def test_without_a_contact_a_race_is_the_same(oval, contact):
     drivers = [racer(f"lattice:pace={pace}") for pace in (0.2, 0.4)]
-    rules = [load_race_config("contest", duration=4.0, contact=mode) for mode in ("end", contact)]
+    rules = [load_rules("contest", duration=4.0, contact=mode) for mode in ("end", contact)]
     end, other = (run_races(oval, *drivers, one, seed=1) for one in rules)
     assert not end.crashed[0]
     for name, array in of_cars(end.state, [0, 1]).items():
@@ -169,11 +169,11 @@ def test_a_car_with_too_many_faults_is_out_and_has_lost(oval, limit, faults):
         assert state.fault[0].tolist() == [limit, 1]
         assert state.crash[0].tolist() == [WALL_CRASH, NO_CRASH]
         assert state.tick[0] < 6000
-        result = RaceResult(setup.config, state, None)
+        result = RaceResult(setup.rules, state, None)
         assert (result.winner.tolist(), result.own_crash.tolist()) == ([1], [[True, False]])
 
 
-def test_the_roboracer_preset_starts_abreast_from_rest_and_restarts():
+def test_the_roboracer_rules_start_abreast_from_rest_and_restart():
     drivers = [racer(text) for text in ("spliner", "follow-the-gap")]
     result = run_races(load_track("Brackwater"), [drivers[0]] * 6, drivers[1], ROBORACER, seed=2)
     assert result.starts.side.tolist() == [0, 1, 0, 1, 0, 1]

@@ -13,7 +13,7 @@ from refusal import refused
 from replay_pages import race_in
 from same_arrays import assert_same
 
-from pcs_racing import load_race_config, racer, record_race, run_races, save_replay
+from pcs_racing import load_rules, racer, record_race, run_races, save_replay
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.planner import Planner
@@ -34,9 +34,7 @@ from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.race.state import CAR_CRASH, ENDED_AT, LAPS, NO_CRASH, SUMS, empty_state, take
 
-QUIET = load_race_config(
-    "paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45
-)
+QUIET = load_rules("paper", duration=8.0, start="staggered", start_gap=1.4, start_spacing=0.45)
 FIELD = [
     racer(text)
     for text in ("lattice:pace=0.3", "lattice:pace=0.8", "pure-pursuit", "lane-switcher:3")
@@ -62,7 +60,7 @@ def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
     for end in ends:
         assert_same(end, ends[0])
     assert ends[0]["sums"][..., list(SUMS).index("BLOCKING")].any()
-    race, lattice = load_race_config("contest"), racer("lattice").planner
+    race, lattice = load_rules("contest"), racer("lattice").planner
     ends = []
     for count in (2, 3):
         places = [(2.0, 0.3), (3.6, -0.3), (22.0, 0.0)][:count]
@@ -83,7 +81,7 @@ def test_numbers_of_cars_do_not_matter_nor_does_a_car_far_away(oval):
 @pytest.mark.parametrize(("start", "gap"), [("staggered", 1.4), ("side-by-side", 0.0)])
 def test_the_grid(oval, start, gap):
     """One behind the other on alternate sides, or rows of two; car 0 starts from each place."""
-    rules = load_race_config("paper", start=start, start_gap=gap)
+    rules = load_rules("paper", start=start, start_gap=gap)
     setup = RaceSetup(oval, rules, (HOLD,) * 5)
     state = start_races(setup, Starts(np.full(5, 8.0), np.arange(5)), np.zeros(5, np.uint64))
     behind = np.array([0, 1.4, 2.8, 4.2, 5.6]) if gap else np.array([0, 0, 2.0, 2.0, 4.0])
@@ -141,7 +139,7 @@ def test_scores_winners_and_orders_are_those_of_their_definitions(cars, rule):
         rng.random((races, 1)) < 0.5, rng.integers(0, 3, (races, cars)), NO_CRASH
     )
     state.fault[:] = rng.integers(0, 2, (races, cars))  # also such that ended no race
-    rules = load_race_config("paper", crash_rule=rule)
+    rules = load_rules("paper", crash_rule=rule)
     scores, won, orders = pair_scores(rules, state), winners(rules, state), finishing_order(state)
     for race in range(races):
         crash, fault, progress = state.crash[race], state.fault[race], state.progress[race]
@@ -183,7 +181,7 @@ def test_conditions_of_single_races_are_taken_in_order_and_tracks_in_runs(oval):
 
 @pytest.mark.parametrize("cars", [1, 2, 3])
 def test_races_take_lines_and_places_in_turn(oval, cars):
-    rules, places = load_race_config("paper", start_lines=4), max(2, cars)
+    rules, places = load_rules("paper", start_lines=4), max(2, cars)
     starts = draw_starts(oval, rules, 30, 5, cars=cars)
     lines = start_lines(oval, rules, np.random.SeedSequence(5, spawn_key=(0,)))
     assert len(lines) == 4
@@ -218,7 +216,7 @@ def test_passes_and_times_to_collision_count_every_pair(oval):
 
 
 def test_a_recorded_race_of_three_is_the_race_and_shows_all(oval, tmp_path):
-    rules = load_race_config("contest", duration=4.0, contact="restart")
+    rules = load_rules("contest", duration=4.0, contact="restart")
     replay = record_race(oval, FIELD[0], FIELD[1:3], rules, seed=2, index=1)
     ends = run_field(oval, [[driver] * 2 for driver in FIELD[:3]], rules, seed=2).state
     np.testing.assert_array_equal(replay.cars[-1], ends.cars[1])
@@ -282,10 +280,10 @@ def ends_of_laps(progress, length):
 
 
 @pytest.mark.parametrize(
-    ("preset", "changes"), [("paper", {"laps": 2}), ("contest", {"laps": 3, "contact": "restart"})]
+    ("rules", "changes"), [("paper", {"laps": 2}), ("contest", {"laps": 3, "contact": "restart"})]
 )
-def test_a_race_of_n_laps_has_n_lap_times_that_add_up_to_its_time(oval, preset, changes):
-    rules, races = load_race_config(preset, **changes), 4
+def test_a_race_of_n_laps_has_n_lap_times_that_add_up_to_its_time(oval, rules, changes):
+    rules, races = load_rules(rules, **changes), 4
     drivers = [racer(name) for name in DRIVERS]
     setup = RaceSetup(oval, rules, tuple(driver.planner for driver in drivers))
     state = start_races(setup, draw_starts(oval, rules, races, seed=1), race_seeds(1, races))
@@ -321,7 +319,7 @@ def test_the_first_car_over_the_line_ends_the_race_of_all(oval, planner):
 
 
 def test_the_duration_caps_a_race_with_laps(oval):
-    result = run_races(oval, *DRIVERS, load_race_config("paper", laps=9, duration=2.0))
+    result = run_races(oval, *DRIVERS, load_rules("paper", laps=9, duration=2.0))
     assert result.time.tolist() == [2.0]
     assert result.lap_times.shape == (1, 2, 9)
     assert np.isnan(result.lap_times).all()
@@ -332,7 +330,7 @@ def test_cars_that_drove_all_laps_come_first_in_the_order_of_their_times():
     """Car 2 was faster over the line than car 1, which is further by now; car 0 and car 3, by a
     millimetre, were not there yet.
     """
-    rules, state = load_race_config("contest", laps=2), empty_state(1, 0, 4, laps=2)
+    rules, state = load_rules("contest", laps=2), empty_state(1, 0, 4, laps=2)
     state.laps[0, :, LAPS] = [1, 2, 2, 1]
     state.laps[0, :, ENDED_AT] = [9.0, 20.015, 20.01, 9.0]
     state.progress[0] = [79.0, 80.2, 80.1, 79.999]
@@ -346,7 +344,7 @@ def test_cars_that_drove_all_laps_come_first_in_the_order_of_their_times():
 
 
 def test_a_recording_has_the_laps_among_its_events(oval):
-    rules = load_race_config("paper", laps=2)
+    rules = load_rules("paper", laps=2)
     replay, result = record_race(oval, *DRIVERS, rules), run_races(oval, *DRIVERS, rules)
     laps = [event for event in replay.events if event.kind == "lap"]
     count = result.state.lap_count[0]

@@ -9,7 +9,7 @@ from recorded_races import PYTHON
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, PAPER, InputError, load_race_config
+from pcs_racing import CONTEST, PAPER, InputError, load_rules
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.car.vehicle import BETA, VehicleParams, load_vehicle
@@ -30,8 +30,8 @@ from pcs_racing.race.state import ITTC, ITTC_SAMPLES
 from pcs_racing.track.frenet import SPEED
 from pcs_racing.track.track import Calibration
 
-SHORT = load_race_config("paper", duration=6.0)
-NOISY = load_race_config("contest", duration=6.0)
+SHORT = load_rules("paper", duration=6.0)
+NOISY = load_rules("contest", duration=6.0)
 
 
 @compiled
@@ -119,7 +119,7 @@ def test_the_same_driver_compiled_and_in_python_drives_the_same_race_at_fifty_he
 
 
 def test_each_car_has_its_own_vehicle_and_the_memory_that_its_steering_needs(oval):
-    standing = load_race_config("paper", duration=2.0, start_speed=0.0)
+    standing = load_rules("paper", duration=2.0, start_speed=0.0)
     strong, weak = VehicleParams(), VehicleParams(a_max=1.5)
     lead = run_races(oval, [lattice()] * 4, lattice(), standing, vehicle=(strong, weak)).lead
     assert (lead > 1.0).all()
@@ -155,7 +155,7 @@ def test_planners_drive_within_the_grip_of_their_tyres(oval):
             assert np.abs(result.state.cars[..., BETA]).max() < 0.2
 
 
-ROLLING = load_race_config("contest", start="rolling")
+ROLLING = load_rules("contest", start="rolling")
 
 
 @pytest.mark.parametrize("config", [PAPER, CONTEST, ROLLING], ids=lambda config: config.start)
@@ -185,14 +185,14 @@ def test_the_cars_stand_beside_or_behind_each_other_on_several_lines(oval, confi
 def test_the_speed_range_comes_from_the_rules_else_from_the_calibration_of_the_circuit(oval):
     planners = (LATTICE, LATTICE)
     assert RaceSetup(oval, PAPER, planners).speed_range == (0.8, 1.0)
-    fixed = load_race_config("paper", speed_range=(0.5, 0.6))
+    fixed = load_rules("paper", speed_range=(0.5, 0.6))
     assert RaceSetup(oval, fixed, planners).speed_range == (0.5, 0.6)
-    # Rules of another name take the preset that is as noisy as they are.
-    assert RaceSetup(oval, load_race_config("paper", name="mine"), planners).speed_range == (
+    # Rules of another name take the rules that is as noisy as they are.
+    assert RaceSetup(oval, load_rules("paper", name="mine"), planners).speed_range == (
         0.8,
         1.0,
     )
-    assert RaceSetup(oval, load_race_config("contest", name="mine"), planners).speed_range == (
+    assert RaceSetup(oval, load_rules("contest", name="mine"), planners).speed_range == (
         0.9,
         1.14,
     )
@@ -226,7 +226,7 @@ def test_starts_off_the_track_and_in_the_wall_are_refused(oval):
     ]:
         starts = Starts(np.array([1.0, s]), np.array([0, side]))
         refused(message, run_races, oval, [lattice()] * 2, lattice(), SHORT, starts=starts)
-    wide = load_race_config("paper", start_spacing=2.0)
+    wide = load_rules("paper", start_spacing=2.0)
     with pytest.raises(InputError, match=r"race 0: at start line 0\.00 m"):
         run_races(
             oval, lattice(), lattice(), wide, starts=Starts(np.zeros(1), np.zeros(1, np.int64))

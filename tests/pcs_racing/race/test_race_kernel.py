@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from placed_cars import BETA, DELTA, PSI, PSI_DOT, V, X, Y, placed, view_of
 
-from pcs_racing import load_race_config
+from pcs_racing import load_rules
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car.collision import Rectangle
@@ -56,7 +56,7 @@ LANES = (
 )
 DRIVER = Planner("lanes", tuple(Parameter(*one) for one in LANES), drive=change_lanes)
 START = {"start": "staggered", "start_gap": 2.4, "start_spacing": 0.0}
-RULES = load_race_config("paper", **START, steering_noise=0.02, noise_time=0.5, duration=9.0)
+RULES = load_rules("paper", **START, steering_noise=0.02, noise_time=0.5, duration=9.0)
 
 
 class Account:
@@ -69,7 +69,7 @@ class Account:
 
     def drive(self, theta):
         """Drive for a control period, by the kernel and here."""
-        setup, state, rules = self.setup, self.state, self.setup.config
+        setup, state, rules = self.setup, self.state, self.setup.rules
         tick, cars, s = int(state.tick[0]), state.cars[0].copy(), state.frenet[0, :, 0].copy()
         views = [view_of(setup, state, 0, car) for car in range(2)]
         advance(setup, state, theta, 2)
@@ -140,7 +140,7 @@ def velocity(car):
 def time_to_collision(setup, car, own, other):
     s = float(setup.track.to_frenet(own[:2])[0])
     half = 0.5 * setup.vehicles[1 - car].length, 0.5 * setup.vehicles[1 - car].width
-    horizon = setup.config.ittc_horizon
+    horizon = setup.rules.ittc_horizon
     lidar = Motion(own[X], own[Y], *velocity(own))
     body = Rectangle(other[X], other[Y], other[PSI], *half)
     return minimum_ittc(setup.track.arrays, lidar, s, body, *velocity(other), True, horizon)
@@ -428,7 +428,7 @@ def test_a_lap_ends_at_the_line_within_a_control_period_and_who_rolls_back_drive
 
 def test_planners_are_asked_ten_and_fifty_times_a_second_before_the_cars_move(coarse_oval):
     setup = RaceSetup(
-        coarse_oval, load_race_config("paper", duration=1.0, start_speed=0.0), (COUNTER, COUNTER)
+        coarse_oval, load_rules("paper", duration=1.0, start_speed=0.0), (COUNTER, COUNTER)
     )
     state = start_races(setup, Starts(np.array([2.0]), np.array([0])), np.array([0], np.uint64))
     for ticks in (2, 10, 22, 66, 40):

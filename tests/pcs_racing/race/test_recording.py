@@ -8,7 +8,7 @@ from refusal import refused
 from replay_pages import race_in
 from scipy.interpolate import CubicSpline
 
-from pcs_racing import InputError, load_race_config, load_track, racer, record_race
+from pcs_racing import InputError, load_rules, load_track, racer, record_race
 from pcs_racing.car.vehicle import VehicleParams
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.planner import Planner
@@ -24,8 +24,8 @@ from pcs_racing.race.state import empty_state, take
 from pcs_racing.track.moving import moving_outlines
 from pcs_racing.track.obstacles import with_obstacles
 
-PAPER = load_race_config("paper", duration=6.0)
-CONTEST = load_race_config("contest", duration=6.0)
+PAPER = load_rules("paper", duration=6.0)
+CONTEST = load_rules("contest", duration=6.0)
 
 
 def policies(kind: str):
@@ -121,7 +121,7 @@ def test_the_line_has_the_max_driven_speed(oval):
 def test_a_replay_shows_moving_obstacles(oval, tmp_path):
     boxes = [[0.0, -4.0, 0.2, 0.4, 0.3, 1.0, 0.3], [0.0, 4.0, 0.0, 0.4, 0.0, 1.0, 0.0]]
     busy = with_obstacles(oval, boxes)
-    rules = load_race_config("paper", duration=1.0)
+    rules = load_rules("paper", duration=1.0)
     replay = record_race(busy, "pure-pursuit", "pure-pursuit", rules, candidates=False)
     assert replay.moving.shape == (len(replay.cars), 2, 16, 2)
     square, circle = moving_outlines(busy.arrays, 5 * replay.frame_dt)
@@ -202,7 +202,7 @@ def test_the_end_of_a_race_in_words(rules, progress, crash, fault, words):
     cars = len(progress)
     state = empty_state(1, 0, cars)
     state.progress[0], state.crash[0], state.fault[0], state.tick[:] = progress, crash, fault, 628
-    result = RaceResult(load_race_config(rules), state, Starts(np.zeros(1), np.zeros(1, np.int64)))
+    result = RaceResult(load_rules(rules), state, Starts(np.zeros(1), np.zeros(1, np.int64)))
     assert recording._outcome(result, NAMES[:cars]) == words
 
 
@@ -234,7 +234,7 @@ def test_what_happened_is_told_with_the_time_and_a_plan_with_its_times():
 def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
     """Starts repeat when every line was driven from both sides; the noise is the race's own."""
     ego, opponent = policies("lattice")
-    short = load_race_config("contest", duration=0.5)
+    short = load_rules("contest", duration=0.5)
     period = 2 * short.start_lines
     indices = (1, LAST_INDEX // period * period + 1)
     near, far = (record_race(oval, ego, opponent, short, seed=3, index=index) for index in indices)
@@ -246,14 +246,14 @@ def test_the_race_of_a_large_number_is_drawn_without_those_before_it(oval):
 
 def test_rules_and_policies_may_be_texts_and_a_track_may_not():
     track = load_track("Pipkin")
-    rules = load_race_config("paper", duration=1.0)
+    rules = load_rules("paper", duration=1.0)
     calm = racer("lattice:pace=0.3")
     texts = record_race(track, "lattice:pace=0.3", "lattice:pace=0.3", rules, seed=1)
     assert texts.cars.tolist() == record_race(track, calm, calm, rules, seed=1).cars.tolist()
     assert (
         record_race(track, calm, calm, "paper", seed=1).cars[0].tolist() == texts.cars[0].tolist()
     )
-    both = ("contest", load_race_config("contest"))
+    both = ("contest", load_rules("contest"))
     named, made = (run_races(track, [calm], calm, one, seed=1) for one in both)
     assert named.lead.tolist() == made.lead.tolist()
     refused("track is 'Pipkin'; it must be a Track", run_races, "Pipkin", [calm], calm)

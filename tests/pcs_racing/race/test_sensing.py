@@ -12,7 +12,7 @@ from placed_cars import HOLD, placed, view_of
 from refusal import refused
 from repository import REPOSITORY
 
-from pcs_racing import load_race_config, racer, run_races
+from pcs_racing import load_rules, racer, run_races
 from pcs_racing.base.errors import ConfigError
 from pcs_racing.base.seeds import normal_noise
 from pcs_racing.car.vehicle import V, VehicleParams
@@ -106,7 +106,7 @@ def test_others_are_seen_late_by_exactly_the_delay(coarse_oval, cars, delays):
     then, progress = [], []
     for step in range(14):
         prompt = see(setup, state, 1)
-        setup_exact = RaceSetup(setup.track, setup.config, setup.planners)
+        setup_exact = RaceSetup(setup.track, setup.rules, setup.planners)
         then.append(see(setup_exact, state, 0))
         progress.append(state.progress[0, 1])
         seen, before = see(setup, state, 0), then[max(step - steps, 0)]
@@ -151,7 +151,7 @@ def test_a_lidar_sees_the_opponent_where_it_is_now_from_where_the_car_is(coarse_
 @pytest.mark.parametrize("name", ["gap-follower", "disparity-extender"])
 def test_planners_without_a_map_do_not_notice_errors_of_localisation_and_tracker(oval, name):
     blind = VehicleParams(opponent_lost=0.5, opponent_delay=0.1, pose_noise=0.2, heading_noise=0.1)
-    rules = load_race_config("paper", duration=3.0)
+    rules = load_rules("paper", duration=3.0)
     ends = [
         run_races(oval, name, name, rules, vehicle=car, threads=1).state.cars
         for car in (blind, VehicleParams())
@@ -225,7 +225,7 @@ IMPERFECT = VehicleParams(
 def race(track, pieces=1, rows=(0, 1, 2)):
     """End of some races of a planner with a map against one without."""
     drivers = [racer("pure-pursuit"), racer("gap-follower")]
-    rules = load_race_config("contest", start_spacing=0.5, speed_range=(0.6, 0.9))
+    rules = load_rules("contest", start_spacing=0.5, speed_range=(0.6, 0.9))
     setup = RaceSetup(track, rules, tuple(one.planner for one in drivers), (IMPERFECT,) * 2)
     starts = Starts(np.array([0.0, 3.0, 6.0]), np.array([0, 1, 0]))
     state = take(start_races(setup, starts, np.arange(3, dtype=np.uint64) + 9), rows)

@@ -340,7 +340,7 @@ def picture(array, **options):
 def calibration(
     speeds: str = "[0.5, 1.0]", spacing: str = "0.45", places: str = "{front: [[1.0, 2.0]]}"
 ) -> str:
-    """A track file with a calibration for one preset, as text."""
+    """A track file with a calibration for one rules, as text."""
     own = (
         f"speed_range: {speeds}, start_spacing: {spacing}, start_places: {places}, left_share: 0.5"
     )

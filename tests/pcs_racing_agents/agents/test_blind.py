@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from refusal import refused
 
 from pcs_racing.base.errors import UnknownNameError
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import never_switch
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.blind import (
     best_fixed,
     best_lead_plan,
@@ -154,17 +154,17 @@ def test_a_fit_of_another_game_is_refused(spec, archive):
     fit = make_fit("best-fixed", 3, spec, {})
     for change, message in [
         ({"epsilon": 0.7}, "epsilon"),
-        ({"moves": 3}, "games of 4 moves; the game has 3"),
+        ({"steps": (0.8,) * 4}, "games of 4 moves; the game has 3"),
     ]:
         refused(
             message,
             find_fit,
             "best-fixed",
-            make_game_spec(archive, replace(spec.config, **change)),
+            make_game(None, archive, replace(spec.rules, **change)),
             fit,
         )
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
-    refused("was made for archive", find_fit, "best-fixed", make_game_spec(fewer, spec.config), fit)
+    refused("was made for archive", find_fit, "best-fixed", make_game(None, fewer, spec.rules), fit)
     refused("is one of 'best-fixed'", find_fit, "best-schedule", spec, fit)
     for kind, option in OPTIONS.items():
         refused(
@@ -184,11 +184,10 @@ def test_files_that_are_no_fit_are_refused(spec, tmp_path):
     for change, message in [
         ({"kind": "worst"}, "fit of 'worst' is unknown"),
         ({"choice": "7"}, "index of a policy"),
-        ({"race": 3}, "race is 3"),
+        ({"rules": 3}, "rules is 3"),
         ({"choice": True}, "index of a policy"),
-        ({"epsilon": 0.5}, "epsilon is 0.5; it must be a list"),
-        ({"epsilon": ["a"]}, "must be a list of numbers"),
-        ({"moves": 0}, "moves is 0"),
+        ({"epsilon": ["a"]}, "epsilon is"),
+        ({"decisions": -1}, "decisions is -1"),
         ({"training": [1]}, r"training is \[1\]"),
     ]:
         path = save_fit(make_fit("best-fixed", 3, spec, {}), tmp_path / "fit.yaml")

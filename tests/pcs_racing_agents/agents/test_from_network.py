@@ -11,8 +11,9 @@ from zoo_games import untrained
 
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game import players
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
-from pcs_racing_agents.agents import Agent, make_game_spec
+from pcs_racing_agents.agents import Agent
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.from_network import DECISIONS, from_network, get_decision
 from pcs_racing_agents.agents.from_torch import TorchPolicy
@@ -43,7 +44,7 @@ def test_the_papers_agent_makes_the_move_of_highest_regret_and_matching_draws_in
     agent = build("cfr-argmax", spec, network=replace(network, training=facts))
     about = {key: agent.facts[key] for key in ("network", "trained on", "decision")}
     assert list(about.values()) == [
-        "untrained-regret: regret, preset paper",
+        "untrained-regret: regret, rules paper",
         "games 5, loss 0.25",
         "argmax",
     ]
@@ -62,13 +63,13 @@ def test_a_network_may_not_know_stay_which_is_worth_nothing_to_it(spec, seen):
 
 
 def test_a_network_of_another_game_is_refused(spec, network, archive):
-    longer = make_game_spec(archive, replace(spec.config, moves=5))
+    longer = make_game(None, archive, replace(spec.rules, steps=(0.8,) * 6))
     sees = "agent 'cfr-argmax': network 'untrained-regret' sees 31 .* the game has 37"
     refused(sees, build, "cfr-argmax", longer, network=network)
-    wider = make_game_spec(archive, replace(spec.config, epsilon=0.7))
+    wider = make_game(None, archive, replace(spec.rules, epsilon=0.7))
     refused(r"epsilon 0\.5", build, "nash", wider, network=network)
     fewer = replace(archive, parameters=archive.parameters[1:], coordinates=archive.coordinates[1:])
-    refused("archive 'toy'", build, "nash", make_game_spec(fewer, spec.config), network=network)
+    refused("archive 'toy'", build, "nash", make_game(None, fewer, spec.rules), network=network)
     refused("needs 'toy-paper-nash'", build, "nash", spec, error=UnknownNameError)
 
 
@@ -141,7 +142,7 @@ def models(oval, spec):
     PPO = pytest.importorskip("stable_baselines3").PPO
 
     env = gym.make(
-        "pcs_racing/Duel-v1", track=oval, archive=spec.archive, step_seconds=0.8, stay=True
+        "pcs_racing/Duel-v1", track=oval, archive=spec.archive, steps=(0.8,) * 5, stay=True
     )
     relu = {"activation_fn": torch.nn.ReLU, "net_arch": [24, 16]}
     return [
@@ -252,13 +253,13 @@ def test_a_set_of_networks_is_played_as_the_mixture_of_its_members(spec, seen, t
         np.testing.assert_array_equal(agent.probabilities(rows), by_hand(rows))
     facts = {key: agent.facts[key] for key in ("networks", "weights", "decision", "trained on")}
     assert list(facts.values()) == [
-        "three: 3, preset paper",
+        "three: 3, rules paper",
         "0.25, 0.5, 0.25",
         "regret-matching",
         "rounds 3",
     ]
     assert (
-        build("psro", make_game_spec("contest", "contest"))
+        build("psro", make_game(None, "contest", "contest"))
         .facts["networks"]
         .startswith("contest-contest-psro: ")
     )
@@ -279,7 +280,7 @@ def test_bad_mixtures_are_refused_and_without_networks_the_error_says_how_to_mak
         [stay, "never-switch"],
         [1, 1],
     )
-    other = never_switch(make_game_spec(archive, "contest"))
+    other = never_switch(make_game(None, archive, "contest"))
     refused("different archives or rules", make_mixture, [stay, other], [1, 1])
     for name in ["psro", "self-play"]:
         refused(

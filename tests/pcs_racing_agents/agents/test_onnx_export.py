@@ -175,7 +175,7 @@ def test_the_scale_of_a_training_is_part_of_the_file(tmp_path, rng, sb3):
 
 
 def test_a_policy_of_moves(tmp_path, rng, sb3):
-    env = DuelEnv(track="Pipkin", step_seconds=0.5, moves=2)
+    env = DuelEnv(track="Pipkin", steps=(0.5,) * 3)
     model = sb3.PPO("MlpPolicy", env, seed=1, device="cpu")
     network = opened(model, tmp_path)
     assert [one["name"] for one in network.about["inputs"]["observation"]] == [
@@ -217,4 +217,6 @@ def test_a_file_that_answers_otherwise_than_its_network_is_not_written(tmp_path,
 def test_what_has_no_network_is_refused(tmp_path):
     refused("a float is no model of Stable-Baselines3", export_onnx, 1.0, tmp_path / "a.onnx")
     (tmp_path / "manifest.yaml").write_text("format: pcs-racing archive\n", encoding="utf-8")
-    refused("begins with 'format: pcs-racing archive'", export_onnx, tmp_path, tmp_path / "a.onnx")
+    refused(
+        "is a folder of 'archive'; it must be of lidar", export_onnx, tmp_path, tmp_path / "a.onnx"
+    )

@@ -12,7 +12,7 @@ import pcs_racing_agents
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.envs.duel import DuelEnv, HeadToHeadEnv
 
-SHORT = {"step_seconds": 0.4}
+SHORT = {"steps": (0.4,) * 5}
 UNTRAINED = {"psro", "self-play"}
 """Agents that are shipped for the contest alone; of these games they say so."""
 NAMES = [name for name in pcs_racing_agents.agents.names() if name not in UNTRAINED]
@@ -43,7 +43,7 @@ def test_a_name_without_a_network_for_the_game_says_what_is_missing():
 
 def test_a_policy_of_a_set_is_drawn_for_each_episode():
     envs = gym.make_vec(
-        "pcs_racing/Duel-v1", num_envs=60, opponent="lane-switcher:any", step_seconds=0.1, moves=1
+        "pcs_racing/Duel-v1", num_envs=60, opponent="lane-switcher:any", steps=(0.1,) * 2
     )
     envs.reset(seed=0)
     drawn = {tuple(theta) for theta in envs.unwrapped.batch.state.theta[:, 1]}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, load_track, make_game, racer, run_races
+from pcs_racing import load_rules, load_track, make_game, racer, run_races
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.duel import DuelEnv
 from pcs_racing.game.players import competitor
@@ -64,7 +64,7 @@ def drive(**arguments):
 
 
 def duel(**arguments):
-    return DuelEnv(step_seconds=0.5, moves=2, **arguments)
+    return DuelEnv(steps=(0.5,) * 3, **arguments)
 
 
 def trained(kind, env, **more):
@@ -107,7 +107,7 @@ def test_a_zip_of_duel_moves_as_the_model_predicts(tmp_path, kind, more):
     expected = model.predict(rows, deterministic=True)[0]
     np.testing.assert_array_equal(agent.model.predict(rows)[0], expected)
     assert len(set(expected.tolist())) > 1
-    other = make_game("Tarnfjord", moves=3)
+    other = make_game("Tarnfjord", steps=(8.0,) * 4)
     refused("made for games of 2 moves; the game has 3", racer, tmp_path / "mine.zip", other)
     refused("is an agent", racer, tmp_path / "mine.zip")
 
@@ -165,7 +165,7 @@ def test_damaged_files_are_one_line_each(tmp_path, monkeypatch):
     refused("does not name the environment of its training; give it with --like", racer, other)
     assert racer(other, like="drive:beams=5,time_step=0.05").planner.drive.hold == 5
     assert racer(other, like=drive()).planner.drive.options.beams == 5
-    refused("'beams' is not of the form argument=value", racer, other, like="drive:beams")
+    refused("'beams' is not of the form name=value", racer, other, like="drive:beams")
     (tmp_path / "vec_normalize.pkl").write_bytes(b"")
     refused(r"near vec_normalize\.pkl, a VecNormalize", racer, other)
     monkeypatch.setattr("pcs_racing.base.errors.find_spec", lambda name: None)
@@ -351,7 +351,7 @@ def test_environments_that_differ_have_no_arguments_in_common():
 
 
 def test_a_model_races_from_its_file_as_itself_also_behind_a_scale(tmp_path):
-    track, config = load_track("Pipkin"), load_race_config("paper", duration=2.0)
+    track, config = load_track("Pipkin"), load_rules("paper", duration=2.0)
     env = DriveEnv(track=track, opponent=RIVAL, beams=5, time_step=0.2)
     model = trained("SAC", env, buffer_size=9)
     file = save_model(tmp_path / "model", model)

@@ -13,15 +13,7 @@ from pcs_racing import make_game
 from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.game.players import always, competitor, random_moves
 from pcs_racing.planners.planner import PolicySet
-from pcs_racing_agents.agents import (
-    Agent,
-    describe,
-    make,
-    make_game_spec,
-    names,
-    register_agent,
-    zoo,
-)
+from pcs_racing_agents.agents import Agent, describe, make, names, register_agent, zoo
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.agents.describe import facts_of, measurements, option_meanings
 from pcs_racing_agents.agents.zoo import SHIPPED, build, entries, options
@@ -45,7 +37,7 @@ def learned(name: str, spec) -> dict:
 
 
 def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
-    listed = names(spec.archive, spec.config)
+    listed = names(spec.archive, spec.rules)
     assert len(listed) == len(set(listed)) >= len(SHIPPED) + 4
     assert len(SHIPPED) + 1 <= 16  # and always-MOVE: few enough to read
     assert {"always-aggressiveness+", "always-restraint-"} <= set(listed)
@@ -71,17 +63,17 @@ def test_everything_in_the_zoo_can_be_made_and_asked(spec, seen):
 
 
 def test_the_archive_of_a_setting_has_the_axes_of_the_game(archive):
-    one = make_game_spec(archive, replace(CONFIG, characteristics=("restraint",)))
+    one = make_game(None, archive, replace(CONFIG, characteristics=("restraint",)))
     assert (one.archive.characteristics, one.moves) == (
         ("restraint",),
         ("restraint +", "restraint -", "stay"),
     )
-    same = make_game_spec(archive, replace(CONFIG, characteristics=archive.characteristics))
+    same = make_game(None, archive, replace(CONFIG, characteristics=archive.characteristics))
     assert same.archive is archive
     assert [
-        make_game_spec(archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)
+        make_game(None, archive, replace(CONFIG, stay=stay)).offered for stay in (False, True)
     ] == [4, 5]
-    assert (one.move("restraint-"), one.race, len(one.elements)) == (1, "paper", 5 * 4 + 1)
+    assert (one.move("restraint-"), len(one.observation_elements)) == (1, 5 * 4 + 1)
 
 
 def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_another(
@@ -90,7 +82,7 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
     agent = pcs_racing_agents.make("random-moves", rules="contest", seed=1)
     assert agent.chances == (0.2,) * 5  # the contest offers "stay" to all
     assert "never-switch" in pcs_racing_agents.agents.names()
-    explored = len(make_game_spec().archive.explored_parameters)
+    explored = len(make_game(None).archive.explored_parameters)
     assert len(make("random-policy").policies) == explored
     assert len(make("random-policy", first=80).policies) == 80
     refused("first is 0; it must be a whole number from 1 to", make, "random-policy", first=0)
@@ -105,14 +97,14 @@ def test_agents_are_made_by_name_for_a_shipped_archive_and_told_from_those_of_an
         other,
     )
     agent = build("cfr-argmax", spec, network=untrained(spec))
-    wider = make_game(oval, spec.archive, spec.config, epsilon=0.7)
+    wider = make_game(oval, spec.archive, spec.rules, epsilon=0.7)
     refused(r"epsilon 0\.5; .*0\.7", game_between, wider, agent, agent)
 
 
 def test_agents_as_text_and_bad_names_and_options(spec):
     assert competitor("best-fixed:target=3", spec).name == "best-fixed:target=3"
     assert competitor("always-restraint +", spec).name == "always-restraint+"
-    spec = make_game_spec("contest", "contest")
+    spec = make_game(None, "contest", "contest")
     drawn = competitor("cfr-argmax:decision=sample,network=contest-contest-regret", spec)
     assert drawn.facts["decision"] == "sample"
     for text in (
@@ -121,7 +113,7 @@ def test_agents_as_text_and_bad_names_and_options(spec):
         "best-fixed:name=x",
         "best-fixed:target=[1",
     ):
-        refused("agent 'best-fixed", competitor, text, spec)
+        refused("'best-fixed", competitor, text, spec)
     for name, given, message in [
         ("cfr-armax", {}, "did you mean 'cfr-argmax'?"),
         ("never-switch", {"speed": 3}, r"'never-switch' .*'speed'"),
@@ -147,7 +139,7 @@ def test_agents_of_other_people(spec, monkeypatch):
     register_agent("first-move", third_party)
     register_agent("first-move", third_party)  # again changes nothing
     assert entries()["first-move"].summary == "Make the first move for ever."
-    assert "first-move" in names(spec.archive, spec.config)
+    assert "first-move" in names(spec.archive, spec.rules)
     assert options("first-move") == {"bold": False}
     assert build("first-move", spec).name == "first-move"
     assert build("first-move", spec, bold=True).chances[0] == 1.0
@@ -157,10 +149,9 @@ def test_agents_of_other_people(spec, monkeypatch):
     for name in ("", "a b", "nash", "always-x", "a:b"):
         refused("agent", register_agent, name, third_party)
 
-    monkeypatch.setattr(
-        zoo, "_declared", lambda: {"far": f"{__name__}:third_party", "broken": "no.such:thing"}
-    )
-    assert {"far", "broken"} <= set(names(spec.archive, spec.config))
+    far = {"far": f"{__name__}:third_party", "broken": "no.such:thing"}
+    monkeypatch.setattr(zoo, "declared", lambda group: far)
+    assert {"far", "broken"} <= set(names(spec.archive, spec.rules))
     assert build("far", spec, bold=True).name == "far"
     refused(r"agent 'broken' can't be loaded from no\.such:thing", build, "broken", spec)
 
@@ -176,7 +167,7 @@ def test_a_shipped_agent_is_a_file_and_a_line(spec, monkeypatch, tmp_path):
     )
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(SHIPPED, "bold", "bold_agent:BOLD")
-    assert "bold" in names(spec.archive, spec.config)
+    assert "bold" in names(spec.archive, spec.rules)
     assert options("bold") == {"target": 3}
     created = build("bold", spec)
     assert (created.name, created.facts["does"]) == ("bold", "races ever more aggressively")
@@ -190,7 +181,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
         "Draws its moves from an approximate equilibrium strategy.",
         "",
         "- Source: backward induction, sampled.",
-        "- Needs the network `ARCHIVE-RACE-nash`, or `network=FOLDER`.",
+        "- Needs the network `ARCHIVE-RULES-nash`, or `network=FOLDER`.",
         (
             "- Option `decision`, by default `sample`. The rule: `argmax`, `regret-matching`,"
             " `sample` or `softmax`."
@@ -215,7 +206,7 @@ def test_an_agent_is_described_with_its_options_and_as_it_was_measured(spec, mon
     unmeasured = ["Strength and cost: not measured as it is.", f"Hash: {changed[:16]}."]
     assert describe.facts_of("random-moves", spec) == unmeasured
     assert describe.facts_of("nash", spec) == describe.NOT_SHIPPED
-    assert describe.facts_of("response", make_game_spec("contest", "contest"))[0].startswith(
+    assert describe.facts_of("response", make_game(None, "contest", "contest"))[0].startswith(
         "Network: contest-contest-"
     )
 
@@ -283,6 +274,6 @@ def test_a_measurement_holds_for_the_very_agent_that_was_measured(monkeypatch, t
 
 def test_the_command_tells_the_same(printed):
     out = printed("agents", "cfr-argmax")
-    for line in facts_of("cfr-argmax", make_game_spec("default", "paper")):
+    for line in facts_of("cfr-argmax", make_game(None, "default", "paper")):
         assert f"- {line}\n" in out
     assert "- Not shipped for this game." in printed("agents", "ppo", "--archive", "contest")

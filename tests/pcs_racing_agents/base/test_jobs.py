@@ -15,7 +15,7 @@ from repository import REPOSITORY
 from same_arrays import assert_same
 from warm_start import kill, start_python
 
-from pcs_racing import InputError, load_race_config, load_track
+from pcs_racing import InputError, load_rules, load_track
 from pcs_racing_agents.base.executors import (
     in_other_processes,
     make_executor,
@@ -260,7 +260,7 @@ def test_a_lost_manifest_is_written_again_and_no_chunk_is_made_again(tmp_path):
 
 
 def test_settings_may_be_arrays_tuples_and_dataclasses(tmp_path):
-    epsilon, race = (0.1, np.float64(0.2)), load_race_config("paper", duration=40.0)
+    epsilon, race = (0.1, np.float64(0.2)), load_rules("paper", duration=40.0)
     settings = {"epsilon": epsilon, "race": race, "bounds": np.eye(2), "tiny": 1e-30}
     for _ in range(2):
         with open_job(tmp_path, "squares", settings) as job:
@@ -299,7 +299,7 @@ def blas_threads(task: int) -> dict[str, str]:
 
 
 def test_fingerprints_tell_values_apart():
-    config = load_race_config("paper")
+    config = load_rules("paper")
     values = [
         0,
         0.0,
@@ -320,21 +320,21 @@ def test_fingerprints_tell_values_apart():
         np.zeros(1, np.float32),
         np.int64(0),
         config,
-        load_race_config("contest"),
+        load_rules("contest"),
         float("nan"),
         len,
         fingerprint,
     ]
     assert len({fingerprint(value) for value in values}) == len(values)
-    assert fingerprint(config, np.arange(3)) == fingerprint(load_race_config("paper"), np.arange(3))
+    assert fingerprint(config, np.arange(3)) == fingerprint(load_rules("paper"), np.arange(3))
     assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
 
 
 def test_rules_have_the_fingerprint_of_their_races():
-    rules = [load_race_config("paper", **changes) for changes in ({}, {"duration": 40.0})]
+    rules = [load_rules("paper", **changes) for changes in ({}, {"duration": 40.0})]
     assert fingerprint(rules[0]) == fingerprint(rules[1])
     others = [{"laps": 1}, {"laps": 2}, {"laps": 1, "duration": 8.0}, {"duration": 8.0}]
-    every = [rules[0], *(load_race_config("paper", **changes) for changes in others)]
+    every = [rules[0], *(load_rules("paper", **changes) for changes in others)]
     assert len(set(map(fingerprint, every))) == len(every)
     assert fingerprint((1, 2)) == fingerprint([1, 2])
     assert fingerprint(np.asfortranarray(np.eye(3) + 1)) == fingerprint(np.eye(3) + 1)

@@ -21,14 +21,14 @@ from PIL import Image
 from refusal import refused
 from replay_pages import race_in
 
-from pcs_racing import load_race_config, load_track, racer, record_race
+from pcs_racing import load_rules, load_track, racer, record_race
 from pcs_racing.base.settings import OptionalNames, Settings
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import competitor
 from pcs_racing.planners import registry
 from pcs_racing.planners.racers import policy_racer
 from pcs_racing.track.maps import find_shipped, list_tracks
 from pcs_racing.track.track import calibration_values
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.cli import search
 from pcs_racing_agents.cli.commands import ConfigOptions, Option, add_commands, command
 from pcs_racing_agents.cli.main import FILES, _parser, main
@@ -71,7 +71,7 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     printed(*words, "--replay", tmp_path / "race.html", "--video", tmp_path / "race.gif")
     assert (tmp_path / "race.gif").read_bytes().startswith(b"GIF89a")
     assert "candidates" in race_in((tmp_path / "race.html").read_text())
-    track, config = load_track("Pipkin"), load_race_config(rules)
+    track, config = load_track("Pipkin"), load_rules(rules)
     cars = [racer(text) for text in PAIR[1::2]]
     races = [record_race(track, *cars, config, seed=2, index=index) for index in (3, 4, 5)]
     one = races[1]
@@ -82,7 +82,7 @@ def test_a_race_tells_who_drove_how_far_and_the_series_that_it_belongs_to(printe
     ]
     happened = [f"{event.time:5.1f} s  car {event.car} {event.text}" for event in one.events]
     lines = out.splitlines()
-    assert lines[0] == f"Pipkin, {track.length:.1f} m a lap, preset sprint, seed 2, race 4"
+    assert lines[0] == f"Pipkin, {track.length:.1f} m a lap, rules sprint, seed 2, race 4"
     assert lines[1 : 4 + len(happened)] == [*driven, *happened, one.outcome]
     won = [sum(race.outcome.startswith(text) for race in races) for text in PAIR[1::2]]
     assert lines[-2] == f"best of 3, races 3 to 5: car 0 won {won[0]}, car 1 won {won[1]}"
@@ -280,7 +280,7 @@ def test_track_calibrate_prints_speeds_and_start_places_and_keeps_them_if_asked(
         ([*PPO, "--steps", "0"], "steps is 0"),
         ([*PPO, "--seeds", "-1"], "seeds is (-1,)"),
         ([*TREE, "--moves", "9"], "a tree of 9 moves with 4 choices for each player has"),
-        ([*TREE, "--rules", "nope"], "race settings 'nope' are unknown"),
+        ([*TREE, "--rules", "nope"], "rules 'nope' are unknown"),
     ],
 )
 def test_an_error_is_one_line(told, arguments, message, tmp_path, monkeypatch):
@@ -461,7 +461,7 @@ def test_own_code_is_named_alike_wherever_a_planner_or_an_agent_is(tmp_path, mon
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr(registry, "_planners", dict(registry._planners))
     (tmp_path / "own_racers.py").write_text(OWN)
-    spec = make_game_spec("default", "paper")
+    spec = make_game(None, "default", "paper")
     for place in ("own_racers.py", "own_racers"):
         assert policy_racer(f"{place}:Straight", code=True).name == f"{place}:Straight"
         for name in ("Straight", "First", "last"):
@@ -508,11 +508,11 @@ def test_own_code_races_in_other_processes_and_commands_find_it_again(
 )
 def test_rules_bring_their_archive(run, race, archive):
     assert (
-        f"With archive {archive} in the {race} race:"
+        f"With archive {archive} under the rules {race}:"
         in run("agents", "random-moves", "--rules", race)[1]
     )
     assert (
-        "With archive default in"
+        "With archive default under"
         in run("agents", "random-moves", "--rules", race, "--archive", "default")[1]
     )
 

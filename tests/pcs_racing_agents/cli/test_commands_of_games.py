@@ -97,15 +97,13 @@ def test_trees_that_can_not_be_built_end_in_one_line(run, saved_archive, tmp_pat
 def folder(tmp_path_factory):
     """Two small trees of short races."""
     made = tmp_path_factory.mktemp("trees") / "played"
-    build_trees(
-        make_game("Pipkin", moves=2, step_seconds=2.0), made, pairs=np.array([[0, 3], [2, 1]])
-    )
+    build_trees(make_game("Pipkin", steps=(2.0,) * 3), made, pairs=np.array([[0, 3], [2, 1]]))
     return made
 
 
 def test_solve_prints_every_method_on_every_tree(folder, run, printed):
     out = printed("solve", folder, "--iterations", 50)
-    assert "2 trees of archive default on Pipkin, preset paper; CFR with 50 iterations" in out
+    assert "2 trees of archive default on Pipkin, rules paper; CFR with 50 iterations" in out
     for method in METHODS:
         assert out.count(f"  {method} ") == 3
     assert "\n1     2, 1      exact " in out

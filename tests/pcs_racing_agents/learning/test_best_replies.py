@@ -8,10 +8,9 @@ import pytest
 from refusal import refused
 
 from pcs_racing import make_game
-from pcs_racing.game.config import load_game_config
 from pcs_racing.game.players import always, never_switch
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents import make
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import clustered_mean
 from pcs_racing_agents.learning.best_replies import (
@@ -30,12 +29,12 @@ SMALL = load_response_settings(starts=192, rounds=1, members=1, hidden=(8,), epo
 
 @pytest.fixture(scope="module")
 def spec(archive):
-    return make_game_spec(archive, load_game_config("paper", moves=2, step_seconds=2.5))
+    return make_game(None, archive, load_rules("paper", steps=(2.5,) * 3))
 
 
 @pytest.fixture(scope="module")
 def games(oval, spec):
-    return [make_game(oval, spec.archive, spec.config, stay=True, threads=1)]
+    return [make_game(oval, spec.archive, spec.rules, stay=True, threads=1)]
 
 
 def reply_to(agent, games, spec, folder, executor=None, races=1000):

@@ -6,11 +6,10 @@ from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.game.config import load_game_config
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.players import always, never_switch, random_moves
+from pcs_racing.race.config import load_rules
 from pcs_racing_agents import make
-from pcs_racing_agents.agents.game_spec import make_game_spec
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.learning import responses
 from pcs_racing_agents.learning.branches import branch_games, branched_rows, game_blocks, outcome
@@ -29,12 +28,12 @@ from pcs_racing_agents.tournament.games import game_between
 
 @pytest.fixture(scope="module")
 def spec():
-    return make_game_spec("default", load_game_config("paper", moves=2, step_seconds=2.0))
+    return make_game(None, "default", load_rules("paper", steps=(2.0,) * 3))
 
 
 @pytest.fixture(scope="module")
 def game(spec):
-    return make_game("Tarnfjord", spec.archive, spec.config)
+    return make_game("Tarnfjord", spec.archive, spec.rules, stay=True)
 
 
 def test_a_branch_is_what_comes_of_playing_its_moves(game, spec):
@@ -201,13 +200,13 @@ def test_a_win_is_1_a_tie_a_half_and_a_crash_that_pays_neither_car_0(game):
     state = game.reset(games=4)
     state.race.progress[:, 0] = state.race.progress[:, 1] + [5.0, -5.0, 0.0, 5.0]
     state.race.crash[3, 1] = 1
-    state.step[:] = game.config.moves
+    state.step[:] = game.rules.moves
     np.testing.assert_array_equal(outcome(game, state), [1.0, 0.0, 0.5, 0.0])
     np.testing.assert_array_equal(outcome(game, state, "utility"), game.reward(state)[:, 0])
 
 
 def test_games_without_opponents_and_different_games_are_refused(game, spec, tmp_path):
-    other = make_game("Tarnfjord", spec.archive, load_game_config(spec.config, moves=3))
+    other = make_game("Tarnfjord", spec.archive, load_rules(spec.rules, steps=(2.0,) * 4))
     with open_job(tmp_path / "c", "response", {}) as job:
         refused("no opponent", learn_response, [game], [], spec, ResponseSettings(), job)
         refused("no game", learn_response, [], [never_switch(spec)], spec, ResponseSettings(), job)

@@ -8,13 +8,13 @@ import pytest
 from refusal import refused
 from zoo_games import untrained
 
-from pcs_racing import load_race_config, make_game
+from pcs_racing import load_rules, make_game
 from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.players import random_moves
-from pcs_racing_agents.agents import Agent, make_game_spec
+from pcs_racing_agents.agents import Agent
 from pcs_racing_agents.agents.from_network import regret_matching
 from pcs_racing_agents.base.jobs import open_job
-from pcs_racing_agents.learning import branches, responses, self_play
+from pcs_racing_agents.learning import responses, self_play
 from pcs_racing_agents.learning.branches import GameBlock, branch_games
 from pcs_racing_agents.learning.self_play import (
     learn_self_play,
@@ -38,18 +38,18 @@ class MatrixGame:
     """A matrix game, played in each of some steps; players see the step and their number."""
 
     def __init__(self, steps=1):
-        self.config = SimpleNamespace(moves=steps)
+        self.rules = SimpleNamespace(moves=steps)
 
     @property
     def identity(self):
-        steps = self.config.moves
+        steps = self.rules.moves
         seen = tuple(f"step and player {i}" for i in range(2 * steps))
         return GameIdentity(seen, ("heads", "tails"), (0.5,), "toy", "0" * 64, "toy", steps)
 
     def chances(self, network, exploration, step, player):
         if network is None:
             return np.full(2, 0.5)
-        seen = np.eye(2 * self.config.moves, dtype=np.float32)[[2 * step + player]]
+        seen = np.eye(2 * self.rules.moves, dtype=np.float32)[[2 * step + player]]
         return (1.0 - exploration) * regret_matching(network.unclipped(seen))[0] + exploration / 2
 
     def exploited(self, networks):
@@ -72,7 +72,7 @@ def traverse_matrix(games, spec, payoff, network, exploration, block):
         own, other = (game.chances(network, exploration, step, p) for p in (player, 1 - player))
         numbers = np.arange(player, len(block.keys), 2)
         outcomes = payoffs[:, rng.choice(2, len(numbers), p=other)].T
-        seen = np.tile(np.eye(2 * game.config.moves)[2 * step + player], (len(numbers), 1))
+        seen = np.tile(np.eye(2 * game.rules.moves)[2 * step + player], (len(numbers), 1))
         rows.append((seen, outcomes - (outcomes @ own)[:, None], numbers))
     parts = [np.concatenate(part) for part in zip(*rows, strict=True)]
     return dict(zip(("observations", "advantages", "game"), parts, strict=True))
@@ -82,7 +82,6 @@ def traverse_matrix(games, spec, payoff, network, exploration, block):
 def matrix(monkeypatch):
     """Self-play learns matrix games."""
     monkeypatch.setattr(self_play, "traverse", traverse_matrix)
-    monkeypatch.setattr(branches, "game_identity", lambda game: game.identity)
     monkeypatch.setattr(responses, "FIT", FIT)
 
 
@@ -108,19 +107,19 @@ def test_the_average_strategy_becomes_unexploitable_and_the_last_iteration_alone
 @pytest.fixture(scope="module")
 def race(oval, archive):
     # fast enough for moves to matter in 3.2 s
-    rules = load_race_config("contest", speed_range=(1.2, 1.7))
-    return make_game(oval, archive, rules, stay=False, moves=2, step_seconds=1.6, threads=1)
+    rules = load_rules("contest", speed_range=(1.2, 1.7))
+    return make_game(oval, archive, rules, stay=False, steps=(1.6,) * 3, threads=1)
 
 
 def test_the_weights_are_those_of_linear_cfr_and_other_games_are_refused(
     race, oval, archive, tmp_path
 ):
-    offered = make_game(oval, archive, race.config, stay=True, threads=1)
-    spec = make_game_spec(archive, offered.config)
+    offered = make_game(oval, archive, race.rules, stay=True, threads=1)
+    spec = make_game(None, archive, offered.rules)
     networks = learned([offered], SHORT, tmp_path / "one", spec)
     assert networks.identity.moves[-1] == "stay"
     assert (networks.decision, len(networks.networks)) == ("regret-matching", 2)
-    longer = make_game(race.track, archive, race.config, moves=3)
+    longer = make_game(race.track, archive, race.rules, steps=(1.6,) * 4)
     refused("differs from the first", learned, [race, longer], SHORT, tmp_path / "x")
     refused("at least one", learned, [], SHORT, tmp_path / "y")
 
@@ -132,7 +131,7 @@ def test_exploration_leaves_moves_a_chance_and_random_play_has_no_advantages(
         block = GameBlock((0, 1, 1), 0, keys)
         return traverse([game], spec, payoff, strategy, exploration, block)
 
-    own = make_game_spec(archive, race.config)
+    own = make_game(None, archive, race.rules)
     keys = np.arange(1, 9, dtype=np.uint64)
     rows = rows_of(race, own, "win", None, 0.1, keys)
     np.testing.assert_allclose(rows["advantages"].sum(axis=1), 0.0, atol=1e-12)

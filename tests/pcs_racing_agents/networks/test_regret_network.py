@@ -14,7 +14,6 @@ from zoo_games import untrained
 
 from pcs_racing import InputError, make_game
 from pcs_racing.base.errors import UnknownNameError
-from pcs_racing.game.identity import game_identity
 from pcs_racing_agents.networks import (
     NetworkSet,
     RegretNetwork,
@@ -98,8 +97,7 @@ def test_a_network_never_changes_and_shipped_ones_are_sound(network):
     for other in (pickle.loads(pickle.dumps(network)), copy.deepcopy(network)):
         np.testing.assert_array_equal(other(np.ones(7)), network(np.ones(7)))
     assert (
-        repr(network)
-        == "<RegretNetwork 'toy': 7-16-16-4, advantage, archive 'toy', preset 'paper'>"
+        repr(network) == "<RegretNetwork 'toy': 7-16-16-4, advantage, archive 'toy', rules 'paper'>"
     )
     assert list_networks() == sorted(
         path.parent.name for path in NETWORK_FORMAT.shipped.glob("*/manifest.yaml")
@@ -168,7 +166,7 @@ def game():
 
 
 def made_for(game, **changes) -> RegretNetwork:
-    known = game_identity(game)._replace(**changes)
+    known = game.identity._replace(**changes)
     return plain_network(np.zeros((len(known.moves), len(known.elements))), identity=known)
 
 
@@ -177,7 +175,7 @@ def test_a_network_of_the_game_fits(game):
     # the move that it does not know comes last
     made_for(game).check_fits(make_game("Pipkin", epsilon=0.35, stay=True))
     made_for(game).check_fits(
-        make_game("Tarnfjord", rules="contest", moves=4, epsilon=0.35, stay=False)
+        make_game("Tarnfjord", rules="contest", steps=(8.0,) * 5, epsilon=0.35, stay=False)
     )
     state = game.reset(games=2)
     assert made_for(game).choose(game.observation(state)).shape == (2, 2)
@@ -185,7 +183,7 @@ def test_a_network_of_the_game_fits(game):
 
 def test_a_network_of_another_game_is_one_clear_error(game):
     for made, played, message in [
-        ({}, {"moves": 3}, "games of 4 moves"),
+        ({}, {"steps": (8.0,) * 4}, "games of 4 moves"),
         (
             {},
             {"characteristics": ("restraint", "aggressiveness")},
@@ -194,9 +192,7 @@ def test_a_network_of_another_game_is_one_clear_error(game):
         ({}, {"epsilon": 0.7}, r"epsilon 0.35"),
         ({}, {"epsilon": (0.2, 0.4)}, r"values moves 4 \(.*\)"),
         ({"archive": "x", "archive_sha256": "abc"}, {}, r"made for archive 'x' \(sha256 abc\)"),
-        # A network that makes a move more than the game offers does not fit, only the other way
-        # round.
-        ({"moves": (*MOVES, "stay")}, {}, "values moves 5"),
+        ({"moves": (*MOVES, "fly")}, {}, "values moves 5"),
     ]:
         made_for(game, archive="renamed").check_fits(game)
         refused(

@@ -23,7 +23,7 @@ QUICK = load_train_settings(target="advantage", hidden=(16,), epochs=3, iteratio
 
 @pytest.fixture(scope="module")
 def game():
-    return make_game("Pipkin", moves=2, step_seconds=1.0)
+    return make_game("Pipkin", steps=(1.0,) * 3)
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +72,7 @@ def test_one_command_has_one_result_and_folders_must_be_of_one_game(
     build_trees(game, tmp_path / "more", pairs=3, seed=1)
     printed("train", "regret", folder, tmp_path / "more", *options, tmp_path / "both")
     assert load_network(tmp_path / "both").training["trees"] == 11
-    other = make_game("Pipkin", moves=2, step_seconds=1.0, epsilon=0.2)
+    other = make_game("Pipkin", steps=(1.0,) * 3, epsilon=0.2)
     build_trees(other, tmp_path / "other", pairs=2)
     code, _, err = run("train", "regret", folder, tmp_path / "other", "--out", tmp_path / "none")
     assert code == 2

@@ -17,7 +17,7 @@ def identity(inputs=7, moves=MOVES, **changes) -> GameIdentity:
         "epsilon": (0.5,),
         "archive": "toy",
         "archive_sha256": "0" * 64,
-        "preset": "paper",
+        "rules": "paper",
     }
     return GameIdentity(**{**values, **changes})
 

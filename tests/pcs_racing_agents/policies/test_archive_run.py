@@ -97,16 +97,16 @@ def test_an_archive_is_made_and_can_be_loaded_and_raced(made):
     assert loaded.settings == archive.settings
     assert len(loaded) == archive.settings["policies"] >= 2
     assert (np.diff(loaded.coordinates[:, 0]) >= 0.0).all()
-    assert len(loaded.explored.parameters) == TINY.evaluations == 12 + 3 * 6
+    assert len(loaded.explored_parameters) == TINY.evaluations == 12 + 3 * 6
     assert (loaded.own_crash <= TINY.crash_limit).all()
-    assert loaded.preset == "paper"
+    assert loaded.rules == "paper"
 
 
 def test_the_manifest_states_settings_and_what_each_stage_left_out(made):
     archive, settings = made[0], made[0].settings
-    explored = archive.explored
-    allowed = explored.own_crash <= TINY.search_crash_limit
-    points = Scale.of(explored.coordinates[:12])(explored.coordinates)
+    explored = archive.explored_coordinates
+    allowed = archive.explored_own_crash <= TINY.search_crash_limit
+    points = Scale.of(explored[:12])(explored)
     facts = {
         "tracks": "Pipkin, Tarnfjord",
         "seed": 6,
@@ -127,14 +127,14 @@ def test_the_manifest_states_settings_and_what_each_stage_left_out(made):
 
 def test_progress_and_the_curve_follow_the_search(made):
     archive, folder, calls = made
-    explored, ends = archive.explored, [12, 18, 24, 30]
+    own_crash, ends = archive.explored_own_crash, [12, 18, 24, 30]
     search = [call for call in calls if call[0] == "search"]
     assert [call[1:3] for call in search] == [(end, 30) for end in ends]
-    crashes = [part.mean() for part in np.split(explored.own_crash, ends[:-1])]
+    crashes = [part.mean() for part in np.split(own_crash, ends[:-1])]
     course = [state for _, _, _, state in search]
     assert [state.own_crash for state in course] == pytest.approx(crashes)
-    sample = explored.coordinates[:12]
-    first = sample[explored.own_crash[:12] <= TINY.search_crash_limit]
+    sample = archive.explored_coordinates[:12]
+    first = sample[own_crash[:12] <= TINY.search_crash_limit]
     volume = hypervolume(Scale.of(sample)(first))
     assert course[0][:4] == (0, 12, pytest.approx(volume), non_dominated(first).sum())
     volumes = [state.hypervolume for state in course]
@@ -161,7 +161,7 @@ def test_the_coordinates_come_from_races_of_their_own(made):
     np.testing.assert_array_equal(found.coordinates, archive.coordinates)
     np.testing.assert_array_equal(found.spread, archive.spread)
     np.testing.assert_array_equal(found.own_crash, archive.own_crash)
-    scale = Scale.of(archive.explored.coordinates[:12])
+    scale = Scale.of(archive.explored_coordinates[:12])
     facts = {
         "policies_not_beaten": np.sum(front_layers(found.coordinates) == 0),
         "hypervolume": hypervolume(scale(found.coordinates)),
@@ -178,7 +178,7 @@ def test_policies_far_apart_lie_around_the_champion(spread):
     archive, folder, calls = spread
     check_archive(load_archive(folder))
     assert 3 <= len(archive) <= 4
-    settings, explored = archive.settings, archive.explored.parameters
+    settings, explored = archive.settings, archive.explored_parameters
     assert len(explored) == SPREAD.evaluations == 8 + 4 * 4  # both axes up and down
     champion = parse_policy(settings["champion_1"]).parameters
     np.testing.assert_array_equal(explored[0], champion)
@@ -231,16 +231,16 @@ def test_limits_leave_out_policies(tmp_path, made):
     wild.write_text("rules: contest\nname: wild\nspeed_range: [1.2, 1.7]\n")
     config = replace(TINY, rules=str(wild), crash_limit=0.3, seed=12)
     archive = synthesize(config, tmp_path / "archive")
-    assert (archive.preset, archive.characteristics) == ("wild", ("speed", "reaction"))
+    assert (archive.rules, archive.characteristics) == ("wild", ("speed", "reaction"))
     assert (archive.own_crash <= 0.3).all()
-    over = archive.explored.own_crash > config.search_crash_limit
+    over = archive.explored_own_crash > config.search_crash_limit
     assert archive.settings["search_over_crash_limit"] == over.sum() > 0
     wild.write_text("rules: contest\nname: wild\nspeed_range: [2.0, 3.0]\n")
     hopeless = replace(TINY, rules=str(wild), crash_limit=0.0, tracks=("Tarnfjord",))
     refused(r"all 30 policies|crash limit of 0%", synthesize, hopeless, tmp_path / "none")
     archive = synthesize(replace(TINY, min_coordinates=(0.0, 0.0), seed=7), tmp_path / "least")
     assert archive.coordinates[:, 0].min() > made[0].coordinates[:, 0].min() + 0.2
-    assert (archive.explored.coordinates[:, 0] < 0.0).any()
+    assert (archive.explored_coordinates[:, 0] < 0.0).any()
 
 
 def test_a_measurement_leaves_out_policies_that_score_too_little(monkeypatch, tmp_path):
@@ -274,7 +274,7 @@ def test_a_measurement_leaves_out_policies_that_score_too_little(monkeypatch, tm
         (TINY, {"fixed": LATTICE.parameter_names[1:]}, "fixed leaves 1 parameters"),
         (TINY, {"characteristics": ("speed",)}, "characteristics is"),
         (TINY, {"characteristics": ("speed", "charm")}, "characteristic 'charm' is unknown"),
-        (TINY, {"rules": "nothing"}, "race settings 'nothing' are unknown"),
+        (TINY, {"rules": "nothing"}, "rules 'nothing' are unknown"),
         (TINY, {"rivals": ("lattice",)}, "unknown archive setting 'rivals'"),
         (SPREAD, {"opponents": 3}, "unknown archive setting 'opponents'"),
         (SPREAD, {"rivals": ()}, "rivals is"),
@@ -316,8 +316,8 @@ def test_the_command(tmp_path, run, told):
 def test_it_was_made_with_the_settings_and_circuits_that_ship(name):
     archive, config = load_archive(name), load_archive_config(name)
     for key, value in stated_settings(config).items():
-        # Archives written before the rules had this name state them as the preset.
-        stated = archive.settings.get(key, archive.settings.get("preset"))
+        # Archives written before the rules had this name state them as the rules.
+        stated = archive.settings.get(key, archive.settings.get("rules"))
         assert stated == value, key
     assert len(config.tracks) >= 3
     stated_hashes = archive.settings["track_hashes"].split(", ")

@@ -151,7 +151,7 @@ def test_crashes_beyond_the_limit_cost_more_than_the_races_that_they_lose():
         ({"against": ("nobody",)}, "'nobody' is no planner"),
         ({"step_size": float("nan")}, "step_size is nan"),
         ({"population": 3}, "population is 3"),
-        ({"rules": "nothing.yaml"}, "race settings 'nothing.yaml' are unknown"),
+        ({"rules": "nothing.yaml"}, "rules 'nothing.yaml' are unknown"),
     ],
 )
 def test_impossible_settings_are_refused(changes, message):

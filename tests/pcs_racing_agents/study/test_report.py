@@ -25,7 +25,7 @@ SVG = b'<svg xmlns="http://www.w3.org/2000/svg" width="1500" height="200"/>'
 def raced(tmp_path_factory):
     """A study's races on one track."""
     config = StudyConfig(
-        game={"race": "contest", "step_seconds": 0.8},
+        rules={"rules": "contest", "steps": (0.8,) * 5},
         archive="contest",
         table=TableConfig(("Pipkin",), ("lane-switcher:any",), ("random-moves",)),
         best="random-moves",

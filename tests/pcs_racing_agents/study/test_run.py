@@ -30,7 +30,7 @@ def tiny(tmp_path_factory) -> StudyConfig:
     self_play.write_text("iterations: 2\nstarts: 16\nhidden: [8]\nepochs: 3\n")
     return load_study_config(
         "quick",
-        game={"moves": 2, "step_seconds": 2.0},
+        rules={"steps": (2.0,) * 3},
         learning=LearningConfig(
             tracks=("Pipkin",),
             trees=3,
@@ -111,7 +111,7 @@ def test_each_stage_works_on_the_studys_games_with_seeds_of_its_own(tiny, tmp_pa
     trees, asked = [], {}
 
     def build(game, folder, **given):
-        trees.append((game.track.name, game.config.stay, folder, given["pairs"], given["seed"]))
+        trees.append((game.track.name, game.rules.stay, folder, given["pairs"], given["seed"]))
 
     def learn(games, pool, spec, settings, job, **given):
         asked.update(games=[game.track.name for game in games], settings=settings)
@@ -212,9 +212,9 @@ def test_the_command_resumes_in_the_folder_and_says_where_the_results_are(
         ({"table": {"lunch": 1}}, "unknown table setting 'lunch'"),
         ({"table": 5}, "table is 5"),
         ({"archive": "nowhere"}, "archive is 'nowhere'"),
-        ({"game": {"race": {"lunch": 1}}}, "unknown race setting 'lunch'"),
+        ({"rules": {"lunch": 1}}, "unknown rules setting 'lunch'"),
         ({"learning": {"trees": 1}}, "trees is 1"),
-        ({"game": {"race": {"laps": 2}}}, "laps is 2; game trees need races by time"),
+        ({"rules": {"laps": 2}}, "laps is 2; game trees need races by time"),
         ({"learning": {"targets": ("fame",)}}, "fame"),
         ({"learning": {"sampled_cfr": "cfr"}}, "one source"),
         ({"lunch": 1}, "unknown study setting 'lunch'"),

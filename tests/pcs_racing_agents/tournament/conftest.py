@@ -1,17 +1,16 @@
 import numpy as np
 import pytest
 
-from pcs_racing import load_race_config, load_track, make_game, racer
+from pcs_racing import load_rules, load_track, make_game, racer
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game.players import competitor
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import Pairing, Tournament, play_tournament
 
-CONTEST = load_race_config("contest", duration=6.0)
+CONTEST = load_rules("contest", duration=6.0)
 POLICIES = [racer(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
 MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher:any", POLICIES[1]]
 GAMES = 12
@@ -20,21 +19,19 @@ GAMES = 12
 @pytest.fixture(scope="session")
 def contest(oval, archive) -> RaceGame:
     """Games with short steps, so disturbed that some end in a crash."""
-    return make_game(
-        oval, archive, load_race_config("contest", steering_noise=0.1), step_seconds=0.8
-    )
+    return make_game(oval, archive, load_rules("contest", steering_noise=0.1), steps=(0.8,) * 5)
 
 
 @pytest.fixture(scope="session")
 def zoo(contest) -> dict:
-    spec = make_game_spec(contest.archive, contest.config)
+    spec = make_game(None, contest.archive, contest.rules)
     names = ("random-moves", "never-switch", "random-policy", "pure-pursuit", "lane-switcher:any")
     return {name: build(name, spec) for name in names}
 
 
 @pytest.fixture(scope="session")
 def starts(contest) -> Starts:
-    return draw_starts(contest.track, contest.setup.config, GAMES, 5)
+    return draw_starts(contest.track, contest.setup.rules, GAMES, 5)
 
 
 @pytest.fixture(scope="session")

@@ -7,18 +7,17 @@ import pytest
 from refusal import refused
 
 from pcs_racing import CONTEST, load_track
-from pcs_racing_agents.agents import make_game_spec
+from pcs_racing.game.make import make_game
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.tournament import fitting as fits
 from pcs_racing_agents.tournament.pairings import draw_schedule
-from pcs_racing_agents.tournament.plan import game_rules
 
 
 @pytest.fixture(scope="module")
 def short(archive):
     """Games of two moves, so that every plan can be tried."""
-    return make_game_spec(archive, game_rules(CONTEST, moves=2, step_seconds=1.0))
+    return make_game(None, archive, CONTEST, steps=(1.0,) * 3)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +80,7 @@ def test_candidates_are_compared_in_the_same_races(training, short, oval, monkey
     (pairings,) = given
     met = list(product(agents, two.tracks, enumerate(two.opponents)))
     for pairing, (agent, track, (k, opponent)) in zip(pairings, met, strict=True):
-        schedule = draw_schedule(track, short.config.race_rules, 8, 7)
+        schedule = draw_schedule(track, short.rules.for_game, 8, 7)
         counts = [len(getattr(car, "policies", range(12))) for car in (agent, opponent)]
         assert (pairing.game.track, pairing.ego, pairing.opponent, pairing.seed) == (
             track,
@@ -139,7 +138,7 @@ def test_a_search_climbs_to_the_best_neighbour_and_takes_the_first_of_equals(see
 def test_psro_is_an_equilibrium_of_the_game_of_choosing_agents(training, oval, short):
     refused("one track", fits.TrainingRaces, (oval,), (), short)
     names = ("always-aggressiveness+", "always-restraint+", "never-switch", "random-moves")
-    longer = make_game_spec(short.archive, game_rules(CONTEST, moves=3, step_seconds=8.0))
+    longer = make_game(None, short.archive, CONTEST, steps=(8.0,) * 4)
     members = [build(name, longer) for name in names]
     training = fits.TrainingRaces((load_track("Pipkin"),), (members[0],), longer, races=10)
     meta = fits.fit_psro(training, members)

@@ -9,9 +9,9 @@ from same_arrays import assert_same
 from same_move import Model
 
 from pcs_racing.base.seeds import race_seeds
+from pcs_racing.game.make import make_game
 from pcs_racing.game.players import always, competitor, never_switch, random_moves
 from pcs_racing.game.rules import RaceGame
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.blind import best_fixed
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.tournament import play_pairing, repeat_race
@@ -48,17 +48,17 @@ def test_a_played_game_is_the_game_that_the_moves_make(contest, zoo, games_of):
 
 
 def test_a_game_whose_players_move_before_the_start_is_played_and_recorded(contest, zoo, games_of):
-    config = replace(contest.config, first_steps=(0.0, 1.0))
+    rules = replace(contest.rules, duration=None, steps=(0.0, 1.0, 0.8, 0.8, 0.8))
     pairing = replace(
-        games_of(zoo["random-moves"], zoo["never-switch"]), game=replace(contest, config=config)
+        games_of(zoo["random-moves"], zoo["never-switch"]), game=replace(contest, rules=rules)
     )
     races = played(pairing)
     state = pairing.game.reset(pairing.noise, policies=pairing.variants, starts=pairing.starts)
-    for step in range(config.moves):
+    for step in range(rules.moves):
         state = pairing.game.step(state, np.maximum(races.moves.codes[:, :, step], 0))
     np.testing.assert_array_equal(races.lead, state.race.lead)
     whole, *_ = np.flatnonzero(~races.crashed)
-    assert races.duration[whole] == config.horizon
+    assert races.duration[whole] == rules.ends[-1]
     recorded = repeat_race(pairing, whole)
     np.testing.assert_array_equal(recorded.replay.cars[-1], state.race.cars[whole])
 
@@ -90,8 +90,8 @@ def test_what_comes_of_a_game_depends_on_the_game_alone(contest, zoo, games_of, 
 
 def test_stay_is_a_move_for_everybody_and_a_model_remembers_its_own_game(game, zoo, games_of):
     """Also where the rules do not offer it; who does not know it is not changed by that."""
-    bare = replace(game, config=replace(game.config, stay=False))
-    spec = make_game_spec(game.archive, bare.config)
+    bare = replace(game, rules=replace(game.rules, stay=False))
+    spec = make_game(None, game.archive, bare.rules)
     races = played(replace(games_of(never_switch(spec), always(spec, "restraint -")), game=bare))
     assert set(races.moves.codes[:, 0].ravel().tolist()) <= {4, -1}
     assert (np.sort(races.path, axis=2)[:, 0, -1] == races.path[:, 0, 0]).all()
@@ -129,7 +129,7 @@ class Leader:
 
 @pytest.fixture(scope="module")
 def egos(contest, zoo) -> list:
-    spec = make_game_spec(contest.archive, contest.config)
+    spec = make_game(None, contest.archive, contest.rules)
     others = [
         always(spec, "aggressiveness +"),
         random_moves(spec, seed=9),
@@ -186,7 +186,7 @@ def test_the_same_is_driven_once_and_two_moves_to_one_policy_are_one_drive(
     nowhere, *_ = [
         move for move in range(4) if targets[move] == targets[contest.moves.index("stay")]
     ]
-    other = always(make_game_spec(contest.archive, contest.config), contest.moves[nowhere])
+    other = always(make_game(None, contest.archive, contest.rules), contest.moves[nowhere])
     pairing = replace(
         games_of(zoo["never-switch"], zoo["never-switch"]), variants=np.zeros((GAMES, 2), int)
     )
@@ -257,6 +257,6 @@ def test_what_does_not_fit_is_refused_before_the_first_race(zoo, games_of, monke
 
 def test_impossible_egos_and_moves_are_refused(zoo, games_of):
     pairing = games_of(zoo["never-switch"], zoo["never-switch"])
-    other = build("cfr-argmax", make_game_spec("default", "paper"))
+    other = build("cfr-argmax", make_game(None, "default", "paper"))
     refused("cfr-argmax", pairing.race, [zoo["random-moves"], other])
     refused("'Model': game 0: move 5", played, games_of(Model(5), zoo["never-switch"]))

@@ -6,7 +6,6 @@ from refusal import refused
 
 from pcs_racing import make_game
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import match_units
@@ -50,7 +49,7 @@ def test_a_crossed_pairing_crosses_everything_and_short_circuits_share_places(
     # Tarnfjord has 27 places to start side by side, and a pairing draws from 40 lines; a place is
     # one cluster.
     game = make_game("Tarnfjord", archive, "paper")
-    policies = build("never-switch", make_game_spec(archive, game.config))
+    policies = build("never-switch", make_game(None, archive, game.rules))
     pairing = cross_pairing(game, policies, policies, egos=4, opponents=4, lines=5)
     assert len(np.unique(pairing.starts.s)) < 40
 
@@ -134,7 +133,7 @@ def test_a_task_is_known_by_all_that_its_races_depend_on(contest, zoo, oval, mon
             (7, *pair) for pair in ends
         ]
     faster = replace(oval.calibration["contest"], speed_range=(1.0, 1.5))
-    other = replace(contest, config=replace(contest.config, discount=0.5))
+    other = replace(contest, rules=replace(contest.rules, discount=0.5))
     changed = [
         pairing,
         replace(pairing, opponent=zoo["pure-pursuit"]),

@@ -2,19 +2,17 @@ import pytest
 from refusal import refused
 from same_move import Model
 
-from pcs_racing import load_archive, load_race_config, racer
+from pcs_racing import load_archive, load_rules, racer
 from pcs_racing.game.archive_files import save_archive
-from pcs_racing.game.config import GameConfig
-from pcs_racing_agents.agents import make_game_spec
+from pcs_racing.game.make import make_game
 from pcs_racing_agents.agents.agent import competitor_hash
 from pcs_racing_agents.tournament import (
-    game_rules,
     plan_tournament,
     play_tournament,
     tournament_settings,
 )
 
-CONTEST = load_race_config("contest", duration=6.0)
+CONTEST = load_rules("contest", duration=6.0)
 POLICIES = [racer(f"lattice:pace={pace}") for pace in (0.0, 0.5, 1.0)]
 MIXED = ["random-moves", "best-fixed:target=3", "lane-switcher:any", POLICIES[1]]
 
@@ -59,7 +57,7 @@ def test_agents_start_from_policies_that_are_fair_to_both_seats(mixed, archive):
 
 
 def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, tournament):
-    spec = make_game_spec(archive, mixed.plan.spec.config)
+    spec = make_game(None, archive, mixed.plan.spec.rules)
     for row in mixed.races:
         for variant, path, moves in (
             (row.ego_variant, row.ego_path, row.ego_moves),
@@ -82,7 +80,7 @@ def test_a_row_tells_the_game_again_and_its_race_can_be_watched(mixed, archive, 
 
 
 def test_races_by_laps_end_before_their_last_steps_and_have_best_laps(oval, archive):
-    rules = load_race_config("contest", laps=1, contact="restart", duration=20.0)
+    rules = load_rules("contest", laps=1, contact="restart", duration=20.0)
     played = play_tournament(oval, MIXED[1:3], rules, archive=archive, races_per_pair=4)
     for row in played.races:
         laps = {"ego": row.ego_best_lap, "opponent": row.opponent_best_lap}
@@ -99,7 +97,7 @@ def test_the_settings_of_a_job_hold_everything_that_the_races_depend_on(
     plan = plan_tournament(oval, MIXED)
     default = load_archive("default")
     expected = {
-        "game": game_rules("paper", stay=True),
+        "rules": load_rules("paper"),
         "archive": "default",
         "archive_sha256": default.content_hash,
     }
@@ -123,16 +121,6 @@ def test_names_for_models(oval, archive):
     assert {move for row in played.races for move in row.ego_moves} == {"aggressiveness +"}
 
 
-def test_a_race_is_cut_into_the_steps_of_a_game():
-    assert game_rules("paper") == GameConfig(step_seconds=8.0)
-    assert game_rules(CONTEST).horizon == 6.0
-    assert game_rules(CONTEST, moves=2).step_seconds == 2.0
-    assert game_rules(CONTEST, moves=9, step_seconds=1.0).horizon == 10.0
-    given = GameConfig(moves=3)
-    assert game_rules(given) == given
-    refused(r"duration is 3\.7 s", game_rules, load_race_config("paper", duration=3.7))
-
-
 def test_bad_input_is_refused_before_any_race(oval):
     for change, message in [
         ({"entrants": POLICIES[:1]}, "1 competitors given"),
@@ -141,7 +129,7 @@ def test_bad_input_is_refused_before_any_race(oval):
         ({"races_per_pair": 3}, "races_per_pair is 3"),
         ({"races_per_pair": 0}, "races_per_pair is 0"),
         ({"races_per_pair": 2002}, "races_per_pair is 2002"),
-        ({"rules": load_race_config("paper", start_spacing=5.0)}, "no place"),
+        ({"rules": load_rules("paper", start_spacing=5.0)}, "no place"),
     ]:
         arguments = {
             "tracks": oval,

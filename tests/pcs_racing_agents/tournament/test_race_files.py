@@ -14,7 +14,7 @@ from pcs_racing_agents.tournament.race_files import race_table, read_results, wr
 from pcs_racing_agents.tournament.races import Categorical, RaceRow, concatenate_races, series_of
 
 EXAMPLE = """\
-preset,ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,\
+rules,ego,opponent,track,race,start_s,side,seed,lead,winner,crash,fault,ego_overtakes,opponent_overtakes,duration,\
 ego_variant,opponent_variant,ego_path,opponent_path,ego_moves,opponent_moves,ego_best_lap,opponent_best_lap
 paper,a,"b, c",Oval,0,12.5000,0,7,-1.2346,opponent,none,none,0,1,40.0000,3,0,3; 5; 5,,\
 pace +; stay,,17.2500,-1.0000
@@ -134,7 +134,7 @@ words = st.sampled_from(["a", "b, c", "", "d"])
 steps = st.integers(0, 3)
 table_rows = st.builds(
     RaceRow,
-    preset=words,
+    rules=words,
     ego=words,
     opponent=words,
     track=words,

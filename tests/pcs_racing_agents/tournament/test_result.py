@@ -5,29 +5,27 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, racer
+from pcs_racing import load_rules, racer
+from pcs_racing.game.make import make_game
 from pcs_racing.planners.planner import PolicySet
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.base.style import picture_bytes
-from pcs_racing_agents.tournament import RaceRow, Tournament, game_rules
+from pcs_racing_agents.tournament import RaceRow, Tournament
 from pcs_racing_agents.tournament.plan import TournamentPlan
 from pcs_racing_agents.tournament.race_files import race_table
 from pcs_racing_agents.tournament.races import concatenate_races
 from pcs_racing_agents.tournament.scores import clustered_score, score_races
 
-CONTEST = load_race_config("contest", duration=6.0)
+CONTEST = load_rules("contest", duration=6.0)
 
 
 def race(ego: str, opponent: str, **result: object) -> RaceRow:
     return RaceRow(ego=ego, opponent=opponent, track="t", **result)
 
 
-def played(*rows: RaceRow, config=CONTEST) -> Tournament:
+def played(*rows: RaceRow, rules=CONTEST) -> Tournament:
     competitors = tuple(PolicySet(name, (racer("lattice"),)) for name in "ab")
     tracks = SimpleNamespace(name="oval"), SimpleNamespace(name="Pipkin")
-    plan = TournamentPlan(
-        competitors, tracks, make_game_spec("default", game_rules(config)), (), 2, 0
-    )
+    plan = TournamentPlan(competitors, tracks, make_game(None, "default", rules), (), 2, 0)
     return Tournament(plan, race_table(rows))
 
 
@@ -70,7 +68,7 @@ def test_the_table_counts_every_ending_once():
     assert a.score.mean == pytest.approx((2 + 0.5) / 8)
     assert b.score.mean == pytest.approx((4 + 0.5) / 8)
     assert str(result) == TEXT
-    by_laps = str(played(*ROWS, config=load_race_config("contest", laps=2)))
+    by_laps = str(played(*ROWS, rules=load_rules("contest", laps=2)))
     assert "8 races of 2 laps (at most 80 s)," in by_laps
     np.testing.assert_allclose(result.scores, [[np.nan, 2.5 / 8], [4.5 / 8, np.nan]])
 
@@ -118,7 +116,7 @@ def test_intervals_are_robust_to_places_and_policies(mixed):
 
 def test_a_no_contest_scores_nothing_and_an_undecided_tournament_has_no_rating(tournament):
     rows = [race("a", "b", crash="car", fault="both"), race("a", "b", crash="wall", fault="ego")]
-    result = played(*rows, config=load_race_config("paper"))
+    result = played(*rows, rules=load_rules("paper"))
     assert {(one.name, one.score.mean, one.score.own_crash) for one in result.standings} == {
         ("a", 0.0, 1.0),
         ("b", 0.0, 0.5),
@@ -137,8 +135,8 @@ def test_best_of_three_counts_as_one_race():
     """Series of 2 to 1, 1 to 1 and a tie, and 0 to 2."""
     ends = ["ego", "opponent", "ego", "opponent", "ego", "none", "opponent", "opponent"]
     rows = [race("a", "b", race=i, winner=end) for i, end in enumerate(ends)]
-    rules = load_race_config("roboracer", duration=6.0)
-    result = played(*rows, config=rules)
+    rules = load_rules("roboracer", duration=6.0)
+    result = played(*rows, rules=rules)
     assert result.series.winner.tolist() == [0, -1, 1]
     assert {(one.name, one.score.mean, one.score.races) for one in result.standings} == {
         ("a", 0.5, 8),
@@ -146,7 +144,7 @@ def test_best_of_three_counts_as_one_race():
     }
     assert "best of 3 won" in str(result)
     rows = [race("a", "b", race=i, winner="ego", crash="car", fault="opponent") for i in range(3)]
-    a, b = (one.score for one in played(*rows, config=rules).standings)
+    a, b = (one.score for one in played(*rows, rules=rules).standings)
     assert (a.mean, b.mean, b.own_crash) == (1.0, 0.0, 1.0)
 
 

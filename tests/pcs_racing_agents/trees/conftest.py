@@ -38,7 +38,7 @@ def archive() -> PolicyArchive:
 @pytest.fixture(scope="session")
 def paper(track, archive) -> RaceGame:
     """Short games without noise."""
-    return make_game(track, archive, moves=2, step_seconds=2.0, epsilon=0.35)
+    return make_game(track, archive, steps=(2.0,) * 3, epsilon=0.35)
 
 
 @pytest.fixture(scope="session")
@@ -48,8 +48,7 @@ def noisy(track, archive) -> RaceGame:
         track,
         archive,
         replace(CONTEST, steering_noise=0.03),
-        moves=2,
-        step_seconds=6.0,
+        steps=(6.0,) * 3,
         epsilon=0.35,
     )
 
@@ -58,8 +57,7 @@ def noisy(track, archive) -> RaceGame:
 def far(track, archive) -> RaceGame:
     """Games of cars that start out of each other's sight, some with crashes."""
     rules = {
-        "moves": 3,
-        "step_seconds": 6.0,
+        "steps": (6.0,) * 4,
         "utility": "lead-at-crash",
         "fault_penalty": 3.0,
         "epsilon": 0.35,

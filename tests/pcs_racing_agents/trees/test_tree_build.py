@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from refusal import refused
 from same_arrays import assert_same
 
-from pcs_racing import CONTEST, InputError, load_race_config, make_game
+from pcs_racing import CONTEST, InputError, load_rules, make_game
 from pcs_racing.game.archive import PolicyArchive
 from pcs_racing.game.rules import RaceGame
 from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
@@ -36,7 +36,7 @@ def test_the_leaves_are_the_races_of_all_sequences_of_moves(paper, played, numbe
 
 
 def test_a_tree_may_begin_before_the_start(paper, played):
-    game = replace(paper, config=replace(paper.config, moves=2, first_steps=(0.0, 1.0)))
+    game = replace(paper, rules=replace(paper.rules, steps=(0.0, 1.0, 2.0)))
     tree = build_tree(game, (2, 7), (float(game.start_lines[1]), 1), [5])
     every = np.array(list(product(range(4), repeat=4))).reshape(-1, 2, 2)
     ends = played(game, tree, 0, every)
@@ -101,7 +101,7 @@ def test_cars_within_sight_and_planners_that_promise_none_are_driven_together(tr
     """The car behind is the faster one: what can be put together must end where it comes within
     sight.
     """
-    rules = {"moves": 2, "step_seconds": 6.0, "utility": "lead", "epsilon": 0.35}
+    rules = {"steps": (6.0,) * 3, "utility": "lead", "epsilon": 0.35}
     game = make_game(track, archive, replace(CONTEST, start_gap=30.0, steering_noise=0.0), **rules)
     place = (float(game.start_lines[5]), 0)
     tree = build_tree(game, (4, 7), place)
@@ -115,9 +115,7 @@ def test_cars_within_sight_and_planners_that_promise_none_are_driven_together(tr
     named = ("pursuers", "pure-pursuit", PURE_PURSUIT.parameter_names)
     archive = PolicyArchive(*named, theta, ("pace", "restraint"), [[0, 1], [1, 0], [2, 2]])
     rules = replace(CONTEST, start_gap=20.0, steering_noise=0.0)
-    tree = build_tree(
-        make_game(track, archive, rules, moves=2, step_seconds=2.0), (0, 1), (20.0, 0)
-    )
+    tree = build_tree(make_game(track, archive, rules, steps=(2.0,) * 3), (0, 1), (20.0, 0))
     assert tree.statistics.driven == tree.statistics.live
 
 
@@ -200,7 +198,7 @@ def test_impossible_roots_and_games_without_a_tree_are_refused(paper, track):
         )
     outside = replace(paper, opponent_planner="pure-pursuit")
     refused(r"car 1 .*'pure-pursuit'", build_tree, outside, (2, 7), (20.0, 0))
-    by_laps = make_game(track, paper.archive, load_race_config("paper", laps=3))
+    by_laps = make_game(track, paper.archive, load_rules("paper", laps=3))
     refused("laps is 3; a game tree needs races by time", build_tree, by_laps, (2, 7), (20.0, 0))
     refused("move 2 ", build_tree(paper, (2, 7), (20.0, 0)).observations, 2)
 
@@ -259,12 +257,12 @@ def test_trees_come_back_as_they_were_played_and_the_manifest_names_what_decides
     settings = yaml.safe_load((stored.folder / "job.yaml").read_text())["settings"]
     assert settings["archive"] == {"name": "tiny", "sha256": paper.archive.content_hash}
     assert settings["track"] == {"name": "Tarnfjord", "sha256": paper.track.content_hash}
-    assert settings["preset"] == "paper"
     assert (
+        settings["rules"]["name"],
         settings["rules"]["epsilon"],
-        settings["rules"]["moves"],
+        settings["rules"]["steps"],
         settings["seeds_per_pair"],
-    ) == (0.35, 2, 1)
+    ) == ("paper", 0.35, [2.0] * 3, 1)
     assert (
         tuple(settings["encoding"])
         == stored.elements
@@ -299,18 +297,12 @@ def test_trees_of_another_game_renamed_files_and_other_folders_are_noticed(
     )
     assert len(load_trees(stored.folder, paper.archive)) == 3
     refused(r"archive 'tiny' .*not with 'tiny'", load_trees, stored.folder, other)
-    refused("archive sha256 is", stored.check, make_game(track, other, paper.config))
-    refused("preset is 'paper', not 'contest'", stored.check, noisy)
-    refused(
-        "moves is 2, not 1", stored.check, replace(paper, config=replace(paper.config, moves=1))
-    )
-    with pytest.raises(InputError, match=r"rules\.moves is 2, not 1"):
-        build_trees(
-            replace(paper, config=replace(paper.config, moves=1)),
-            stored.folder,
-            pairs=PAIRS,
-            seed=3,
-        )
+    refused("archive sha256 is", stored.check, make_game(track, other, paper.rules))
+    refused("rules name is 'paper', not 'contest'", stored.check, noisy)
+    fewer = replace(paper, rules=replace(paper.rules, steps=(2.0, 2.0)))
+    refused(r"rules steps is \[2.0, 2.0, 2.0\], not \[2.0, 2.0\]", stored.check, fewer)
+    with pytest.raises(InputError, match=r"rules\.steps is \[2.0, 2.0, 2.0\]"):
+        build_trees(fewer, stored.folder, pairs=PAIRS, seed=3)
     stored.file(2).rename(stored.file(1))
     with pytest.raises(InputError, match=r"policies \[4, 4\]"):
         stored[1]
@@ -365,7 +357,7 @@ def test_pairs_are_different_and_nobody_crashes_before_the_first_move(paper, noi
     for _ in range(3):
         root = draw_root(noisy, np.array([8, 7]), 3, rng)
         tree = build_tree(
-            replace(noisy, config=replace(noisy.config, moves=1)),
+            replace(noisy, rules=replace(noisy.rules, steps=(6.0, 6.0))),
             root.policies,
             root[1:3],
             root.seeds,

@@ -15,7 +15,6 @@ from pcs_racing.game.moves import move_names, move_table
 from pcs_racing.game.players import competitor
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.replay import ReplayEvent
-from pcs_racing_agents.agents import make_game_spec
 from pcs_racing_agents.agents.zoo import build
 from pcs_racing_agents.base.style import CARS, picture_bytes, save_picture
 from pcs_racing_agents.policies.picture import archive_picture, in_units
@@ -27,12 +26,12 @@ from pcs_racing_agents.watch.words import lead_words, story, why
 
 @pytest.fixture(scope="module")
 def contest(oval, archive):
-    return make_game(oval, archive, "contest", step_seconds=0.8)
+    return make_game(oval, archive, "contest", steps=(0.8,) * 5)
 
 
 @pytest.fixture(scope="module")
 def spec(contest):
-    return make_game_spec(contest.archive, contest.config)
+    return make_game(None, contest.archive, contest.rules)
 
 
 def network_of(spec, target="advantage", **training):
@@ -41,7 +40,7 @@ def network_of(spec, target="advantage", **training):
 
 def explained(contest, ego, rival, **options):
     """A race that is not over before the moves are made."""
-    start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
+    start = draw_starts(contest.track, contest.setup.rules, 8, 3).take([0])
     pairing = Pairing(contest, ego, rival, np.array([[4, 6]]), start, race_seeds(5, 8)[:1])
     return explain_race(pairing, 0, **options)
 
@@ -55,7 +54,7 @@ def race(contest, spec):
 
 def test_the_facts_are_those_of_the_game_and_moves_are_events_of_the_replay(contest, spec, race):
     """The game is played again, move by move."""
-    start = draw_starts(contest.track, contest.setup.config, 8, 3).take([0])
+    start = draw_starts(contest.track, contest.setup.rules, 8, 3).take([0])
     state = contest.reset(race_seeds(5, 8)[:1], policies=[[4, 6]], starts=start)
     for k, step in enumerate(race.steps):
         assert step.time == pytest.approx(0.8 * (k + 1))
@@ -326,7 +325,7 @@ def test_the_archive_shows_where_moves_lead(archive, tmp_path):
     axes, _ = figure.axes
     start = archive.select("middle")
     leads_to = move_table(archive, 0.5)[start, :-1]
-    title = "Archive toy, preset paper: 12 policies, grey: 30 explored"
+    title = "Archive toy, rules paper: 12 policies, grey: 30 explored"
     assert (axes.get_title("left"), axes.get_xlabel()) == (title, "restraint, s")
     points, explored = archive.coordinates[:, [1, 0]], archive.explored_coordinates[:, [1, 0]]
     dots = axes.collections[0]

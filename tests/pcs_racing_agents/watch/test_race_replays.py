@@ -138,7 +138,7 @@ def test_the_page_says_what_it_holds(tournament_folder):
         (results, {"c": 3}, True),
         (replace(results, races=first, start="side-by-side"), None, False),
         (
-            replace(results, races=replace(first, preset=Categorical.constant("", 1))),
+            replace(results, races=replace(first, rules=Categorical.constant("", 1))),
             {"c": 3},
             True,
         ),
@@ -233,7 +233,7 @@ def test_a_win_by_switching_is_one_that_staying_loses():
     assert found[:4] == ["a win by switching", *["a win with switches"] * 3]
     assert found[4:] == ["a loss", "a win without switching", "a loss"]
     won, lost = rows[0], rows[4]
-    for change in ({}, {"opponent": "c"}, {"track": "u"}, {"seed": 1}, {"preset": "paper"}):
+    for change in ({}, {"opponent": "c"}, {"track": "u"}, {"seed": 1}, {"rules": "paper"}):
         pair = [won, lost._replace(**change)]
         assert OUTCOMES[outcomes(race_table(pair), 0)[0]] == found[1 if change else 0]
         turned = [

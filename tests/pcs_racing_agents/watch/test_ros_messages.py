@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from refusal import refused
 
-from pcs_racing import load_race_config, load_track, racer, record_race
+from pcs_racing import load_rules, load_track, racer, record_race
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.race.frames import write_video
 from pcs_racing_agents.watch.ros_messages import car_topics, definition, race_messages, write_bag
@@ -18,9 +18,7 @@ from pcs_racing_agents.watch.ros_messages import car_topics, definition, race_me
 @pytest.fixture(scope="module")
 def race():
     calm, bold = racer("lattice:pace=0.3"), racer("lattice:pace=0.6")
-    return record_race(
-        load_track("Pipkin"), calm, bold, load_race_config("paper", duration=1.0), seed=1
-    )
+    return record_race(load_track("Pipkin"), calm, bold, load_rules("paper", duration=1.0), seed=1)
 
 
 TOPICS = {

@@ -141,7 +141,7 @@ def test_a_name_is_only_a_name(browser, tournament_folder, tmp_path):
     place, _ = tournament_folder
     results = open_results(place)
     rows = [
-        row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), preset="<!--player--><b>")
+        row._replace(ego=NASTY, track=NASTY, ego_moves=(NASTY,), rules="<!--player--><b>")
         for row in results.races
     ]
     repeater = RaceRepeater(results)
