@@ -67,6 +67,7 @@ VARIANTS = [
     *((kind, {}) for kind in ALL),
     *((kind, VARIED) for kind in ALL),
     (DriveEnv, {"opponent": None, "normalize": True}),
+    (DriveEnv, {"opponent": ["lattice", "predictive-spliner", "lane-switcher"]}),
     (DuelEnv, {"opponent": Counting()}),
     (DuelEnv, {"opponent": MIXTURE}),
 ]

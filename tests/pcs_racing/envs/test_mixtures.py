@@ -105,15 +105,6 @@ def test_new_weights_hold_for_the_races_that_begin_later():
         refused("they must be 3 numbers from 1e-12 to 1e", envs.set_opponent_weights, wrong)
 
 
-def test_a_state_holds_the_opponent_of_each_race():
-    envs, given = batch(6, KINDS["python"]), actions(6, 6)
-    envs.reset(seed=4)
-    envs.step(given[0])
-    state = envs.get_state()
-    after = [envs.step(action)[0] for action in given]
-    envs.reset(seed=77)
-    envs.set_state(state)
-    np.testing.assert_array_equal([envs.step(action)[0] for action in given], after)
 
 
 def test_several_agents_race_against_one_of_several():
