@@ -105,8 +105,6 @@ def test_new_weights_hold_for_the_races_that_begin_later():
         refused("they must be 3 numbers from 1e-12 to 1e", envs.set_opponent_weights, wrong)
 
 
-
-
 def test_several_agents_race_against_one_of_several():
     env = DriveHeadToHeadEnv(opponent=FAMILIES, cars=3, time_step=0.1, **SHORT)
     names = set()
