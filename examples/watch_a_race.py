@@ -10,8 +10,8 @@ planner.
 import argparse
 from pathlib import Path
 
+import pcs_racing_agents
 from pcs_racing import load_rules, load_track, racer, record_race, save_replay
-from pcs_racing.game import write_gif
 
 
 def main() -> None:
@@ -43,7 +43,7 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     print("page:", save_replay(replay, arguments.out / "race.html"))
     if arguments.gif:
-        print("gif: ", write_gif(replay, arguments.out / "race.gif"))
+        print("gif: ", pcs_racing_agents.watch.write_gif(replay, arguments.out / "race.gif"))
 
 
 if __name__ == "__main__":

@@ -22,9 +22,9 @@ from pcs_racing import CONTEST, load_track, racer, record_race
 from pcs_racing.base.files import write_atomically
 from pcs_racing.planners.registry import get_planner, planner_names
 from pcs_racing.race.config import Rules
-from pcs_racing.race.frames import replay_frames, write_gif
 from pcs_racing.race.rendering import Renderer
 from pcs_racing.race.replay import Replay
+from pcs_racing_agents.watch.frames import replay_frames, write_gif
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 FOLDER = "images/gallery"
@@ -130,7 +130,7 @@ END = """## Make your own
 
 `pcs-racing view` shows, filters and plays the races of a tournament or a study ([watch
 races](../view.md)).
-`pcs_racing.race.frames.write_gif` writes a recorded race as a GIF ([a
+`pcs_racing_agents.watch.frames.write_gif` writes a recorded race as a GIF ([a
 notebook](../notebooks/first_race.md) does it). Replays to play in the browser:
 [Tarnfjord](https://pcs-racing.github.io/pcs-racing/replays/Tarnfjord.html),
 [Quillburg](https://pcs-racing.github.io/pcs-racing/replays/Quillburg.html)."""

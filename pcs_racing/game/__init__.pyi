@@ -19,7 +19,6 @@ from .kit import draw_starts as draw_starts
 from .kit import pad_parameters as pad_parameters
 from .kit import race_seeds as race_seeds
 from .kit import start_races as start_races
-from .kit import write_gif as write_gif
 from .make import make_game as make_game
 from .moves import duplicate_moves as duplicate_moves
 from .moves import move_table as move_table
@@ -55,5 +54,4 @@ __all__ = [
     "register_characteristic",
     "save_archive",
     "start_races",
-    "write_gif",
 ]

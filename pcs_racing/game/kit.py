@@ -6,7 +6,6 @@ from pcs_racing.race.config import DT as DT
 from pcs_racing.race.config import Rules as Rules
 from pcs_racing.race.driving import advance as advance
 from pcs_racing.race.driving import pad_parameters as pad_parameters
-from pcs_racing.race.frames import write_gif as write_gif
 from pcs_racing.race.races import RaceSetup as RaceSetup
 from pcs_racing.race.races import draw_starts as draw_starts
 from pcs_racing.race.races import start_races as start_races

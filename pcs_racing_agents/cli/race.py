@@ -104,7 +104,7 @@ def run(
     else:
         print(f"replay: {save_replay(recorded, target)}")
     if film is not None:
-        from pcs_racing.race.frames import write_gif, write_video
+        from pcs_racing_agents.watch.frames import write_gif, write_video
 
         print(f"video: {(write_gif if film.suffix == '.gif' else write_video)(recorded, film)}")
     if bag is not None:

@@ -9,7 +9,6 @@ from pcs_racing.base.errors import InputError
 from pcs_racing.base.files import MAX_YAML, write_atomically
 from pcs_racing.race.calibrating import calibrate
 from pcs_racing.race.config import load_rules
-from pcs_racing.race.frames import write_track_picture
 from pcs_racing.track.loading import load_track
 from pcs_racing.track.map_files import parse_info
 from pcs_racing.track.maps import list_tracks, read_inside
@@ -17,6 +16,7 @@ from pcs_racing.track.track import Calibration, Track, calibration_values
 from pcs_racing_agents.base.tables import aligned
 from pcs_racing_agents.cli.commands import Command, Option, command
 from pcs_racing_agents.cli.options import DEFAULT_TRACK, TRACK_HELP, RulesName, output_file
+from pcs_racing_agents.watch.frames import write_track_picture
 
 group = Command(
     "track",

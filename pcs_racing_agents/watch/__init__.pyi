@@ -1,5 +1,6 @@
 from .explain import explain_race as explain_race
 from .explain import mark_moves as mark_moves
+from .frames import write_gif as write_gif
 from .pictures import explanation_picture as explanation_picture
 from .ros_messages import RosMessage as RosMessage
 from .ros_messages import map_message as map_message
@@ -16,4 +17,5 @@ __all__ = [
     "pose_messages",
     "scan_message",
     "story",
+    "write_gif",
 ]

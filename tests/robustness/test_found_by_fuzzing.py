@@ -35,7 +35,6 @@ from pcs_racing.game.identity import GameIdentity
 from pcs_racing.game.players import competitor
 from pcs_racing.planners.learned import load_planner
 from pcs_racing.race.config import Rules
-from pcs_racing.race.frames import write_gif
 from pcs_racing.track.map_files import parse_grid, read_map, write_map
 from pcs_racing_agents.agents.blind import Fit, load_fit
 from pcs_racing_agents.base.jobs import open_job
@@ -50,6 +49,7 @@ from pcs_racing_agents.tournament.protocol import load_protocol
 from pcs_racing_agents.tournament.race_files import read_results, write_results
 from pcs_racing_agents.trees import load_trees
 from pcs_racing_agents.trees.tree import tree_from_arrays
+from pcs_racing_agents.watch.frames import write_gif
 
 
 @pytest.mark.parametrize("load", [load_track, load_archive, load_network, load_rules])

@@ -11,7 +11,7 @@ from refusal import refused
 
 from pcs_racing import load_rules, load_track, racer, record_race
 from pcs_racing.car.lidar import Lidar
-from pcs_racing.race.frames import write_video
+from pcs_racing_agents.watch.frames import write_video
 from pcs_racing_agents.watch.ros_messages import car_topics, definition, race_messages, write_bag
 
 
