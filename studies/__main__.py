@@ -8,7 +8,6 @@ from pcs_racing_agents.cli.commands import add_commands
 from pcs_racing_agents.cli.main import run_parsed
 from studies import everything, family, headroom, pool, reading, rows
 from studies.field import command as field
-from studies.long_races import command as long_races
 from studies.overtaking import command as overtaking
 from studies.ppo_against_cfr import command as ppo_against_cfr
 
@@ -20,7 +19,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     commands = parser.add_subparsers(title="experiments", metavar="NAME", required=True)
     single = everything, family, headroom, pool, reading, rows
-    for command in (*single, field, long_races, overtaking, ppo_against_cfr):
+    for command in (*single, field, overtaking, ppo_against_cfr):
         add_commands(commands, command)
     return run_parsed(parser.parse_args(arguments))
 

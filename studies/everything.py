@@ -73,15 +73,12 @@ def contest_step(seed: int, maps: Path, out: Path, small: bool) -> Step:
 
 def table_steps(seeds: Sequence[int], maps: Path, out: Path, small: bool) -> list[Step]:
     """Return the tables of the studies, and further races on the same circuits."""
-    archives, tables = (
-        tuple(str(out / f"{kind}-{seed}") for seed in seeds) for kind in ("archive", "contest")
-    )
+    tables = tuple(str(out / f"contest-{seed}") for seed in seeds)
     where = ("--maps", str(maps), *(["--small"] if small else []))
-    long, family = ("--archives", *archives, *where), ("--archive", archives[0], *where)
+    family = ("--archive", str(out / f"archive-{seeds[0]}"), *where)
     return [
         Step("rows", STUDIES, ("rows", str(out / "paper")), "rows.csv", parallel=False),
         Step("pool", STUDIES, ("pool", *tables), "gains.csv", parallel=False),
-        Step("long-races", STUDIES, ("long-races", *long), "gains.csv"),
         Step("family", STUDIES, ("family", *family), "family.csv", parallel=False),
         Step("field", STUDIES, ("field", *where), "scores.csv"),
         Step("ppo-against-cfr", STUDIES, ("ppo-against-cfr", *where), "scores.csv"),

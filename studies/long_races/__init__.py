@@ -1,1 +1,0 @@
-"""Plans by the size of the lead, in races of 300 s and of 40 s."""
