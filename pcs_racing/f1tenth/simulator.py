@@ -469,7 +469,13 @@ class Simulator:
         )
         if _advance is None:
             _compile(arguments)
-        return bool(_advance(*arguments))
+        ended = bool(_advance(*arguments))
+        if not all_finite(self.cars[:, : k.AT_X]):
+            raise InputError(
+                f"a car's state is not finite after {self.steps} steps: the gym's steps can't hold"
+                " such params; raise I, or lower mu, C_Sf, C_Sr, m or the time step"
+            )
+        return ended
 
 
 _advance: Any = None

@@ -261,6 +261,10 @@ def test_wrong_arguments_are_one_line(ring):
     env.reset(np.array([place(0.0)]))
     for action in ([[0.0]], [[np.nan, 0.0]], "x"):
         refused("action", env.step, action)
+    stiff = GenerationA(map=str(ring), num_agents=1, params={"I": 1e-6})
+    stiff.reset(np.array([place(0.0)]))
+    with pytest.raises(InputError, match="a car's state is not finite after"):
+        [stiff.step(np.array([[0.1, 5.0]])) for _ in range(100)]
 
 
 def test_callbacks_draw_into_frames(ring):
