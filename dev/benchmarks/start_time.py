@@ -1,59 +1,81 @@
-"""How long a new user waits: compilation before the first race, and `pcs-racing race` until its
-first line.
+"""How long a new user waits: processor time until the first step, nothing compiled before, and the
+number of compiled functions.
 
     python dev/benchmarks/start_time.py
     python dev/benchmarks/start_time.py --against PATH     # beside the package in another checkout
 
-The first race of two lattice cars runs in a process whose folders for compiled code are empty (the
-circuit comes from its own cache, if it is there). The command runs as a user would run it, the
-second time and later. Both are processor time of the process; for the command the best of a few.
+Each program runs in a process with an empty folder for compiled code, after a first run that builds
+and keeps the circuit. With another checkout both are measured in turns; printed are the medians of
+three, and the ratio.
 """
 
 import argparse
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-FIRST_RACE = """
+COUNTED = """
 import time
+from numba.core import event
+class Count(event.Listener):
+    number = 0
+    def on_start(self, event):
+        Count.number += 1
+    def on_end(self, event):
+        pass
+event.register("numba:compile", Count())
+{}
+print()
+print(time.process_time(), Count.number)
+"""
+"""Program that also prints its processor time (s) and its number of compiled functions."""
+
+STEP = """
+import gymnasium as gym
 import pcs_racing
-track, lattice = pcs_racing.load_track("Tarnfjord"), pcs_racing.racer("lattice")
-paper = pcs_racing.load_rules("paper")
-pcs_racing.run_races(track, [lattice], lattice, paper, seed=0, threads=1)
-print(time.process_time())
+env = gym.make({})
+env.reset(seed=1)
+env.step(env.action_space.sample())
 """
 
-# The command, with the processor time of the process when it wrote its first line.
-FIRST_LINE = """
-import sys, time
-class Out:
-    def __init__(self, out):
-        self.out, self.first = out, None
-    def write(self, text):
-        self.first = self.first or time.process_time()
-        return self.out.write(text)
-    def __getattr__(self, name):
-        return getattr(self.out, name)
-sys.stdout = Out(sys.stdout)
+PROGRAMS = {
+    "one car alone": STEP.format('"pcs_racing/Drive-v1", opponent=None'),
+    "README": STEP.format('"pcs_racing/Drive-v1", opponent="lattice:pace=0.3", beams=108'),
+    "duel": STEP.format('"pcs_racing/Duel-v1"'),
+    "pcs-racing race": """
 from pcs_racing_agents.cli.main import main
 main(["race"])
-print(sys.stdout.first)
-"""
+""",
+    "batch with lidar": """
+import numpy as np
+from pcs_racing.envs.drive import DriveVectorEnv
+env = DriveVectorEnv(64, opponent="lattice", beams=1080)
+env.reset(seed=1)
+env.step(np.zeros((64, 2), np.float32))
+""",
+}
 
-WARM_STARTS = 6
+RUNS = 3
 
 
-def processor_time(code: str, folder: Path, **variables: str) -> float:
-    """Number in the last line that a program prints with the package in a folder, s."""
-    environment = {**os.environ, "PYTHONPATH": str(folder), **variables}
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, env=environment, capture_output=True, text=True
-    )
+def first_step(program: str, folder: Path) -> tuple[float, float]:
+    """Processor time (s) and compiled functions of a program with the package in a folder."""
+    with tempfile.TemporaryDirectory() as empty:
+        paths = {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": empty}
+        done = subprocess.run(
+            [sys.executable, "-c", COUNTED.format(program)],
+            cwd=empty,
+            env={**os.environ, **paths, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+        )
     if done.returncode:
         raise SystemExit(done.stderr)
-    return float(done.stdout.splitlines()[-1])
+    seconds, functions = done.stdout.splitlines()[-1].split()
+    return float(seconds), float(functions)
 
 
 def main() -> None:
@@ -64,27 +86,18 @@ def main() -> None:
         "--against", type=Path, metavar="PATH", help="measure the checkout in this folder, too"
     )
     given = parser.parse_args()
-    folders = [
-        Path(__file__).resolve().parents[2],
-        *([given.against.resolve()] if given.against else []),
-    ]
-    for folder in folders:
-        with tempfile.TemporaryDirectory() as empty:
-            first = processor_time(FIRST_RACE, folder, NUMBA_CACHE_DIR=empty)
-        print(
-            f"{folder}: {first:.1f} s of processor time until the first race is over, nothing"
-            " compiled before"
+    folders = [Path(__file__).resolve().parents[2]]
+    folders += [given.against.resolve()] if given.against else []
+    for name, program in PROGRAMS.items():
+        runs = [[first_step(program, folder) for folder in folders] for _ in range(1 + RUNS)]
+        rows = [
+            [statistics.median(run[i][k] for run in runs[1:]) for k in range(2)]
+            for i in range(len(folders))
+        ]
+        said = " against ".join(
+            f"{seconds:.1f} s, {count:.0f} functions" for seconds, count in rows
         )
-    # The first start compiles and reads files from disk; a user's second one counts.
-    best = [float("inf")] * len(folders)
-    for _ in range(1 + WARM_STARTS):
-        for i, folder in enumerate(folders):
-            best[i] = min(best[i], processor_time(FIRST_LINE, folder))
-    for folder, seconds in zip(folders, best, strict=True):
-        print(
-            f"{folder}: {seconds:.2f} s of processor time until `pcs-racing race` writes its first"
-            " line"
-        )
+        print(f"{name}: {said}; ratio {rows[0][0] / rows[-1][0]:.2f}", flush=True)
 
 
 if __name__ == "__main__":
