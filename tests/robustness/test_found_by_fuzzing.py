@@ -109,7 +109,7 @@ def test_values_of_other_types():
         lambda: DriveOptions(max_range="far"),
         lambda: DriveOptions(fov=[1.0]),
         lambda: DriveOptions(beams=10**9),
-        lambda: StudyConfig(game=("contest",)),
+        lambda: StudyConfig(rules=("contest",)),
         lambda: StudyConfig(archive=0.5),
         lambda: LearningConfig(trees="many"),
         lambda: load_train_settings(b"study"),
@@ -148,7 +148,7 @@ def test_values_of_other_types():
 SETTINGS = {
     "archive": {"name": "a", "sha256": "0"},
     "track": {"name": "t", "sha256": "0"},
-    "rules": {"moves": 1},
+    "rules": {"name": "paper", "epsilon": 0.5, "steps": [8.0, 8.0]},
     "pairs": [[0, 1]],
     "encoding": ["step"],
     "move_names": ["a +", "a -"],
@@ -160,8 +160,8 @@ def test_manifests_of_trees_that_say_something_else(tmp_path):
         ("archive", 3),
         ("archive", {"name": "a"}),
         ("track", {"name": "t", "sha256": None}),
-        ("rules", {"moves": "a"}),
-        ("rules", {"moves": 10**9}),
+        ("rules", {"steps": "a"}),
+        ("rules", {"steps": [8.0] * 1000}),
         ("pairs", []),
         ("pairs", [3]),
         ("encoding", None),
@@ -216,7 +216,7 @@ def test_trees_of_other_types_and_shapes():
 
 
 def test_tracks_that_are_no_name_and_a_picture_of_one_row():
-    for track in [5, 0.5, None, ["Pipkin"], {"a": 1}, b"Pipkin"]:
+    for track in [5, 0.5, ["Pipkin"], {"a": 1}, b"Pipkin"]:
         refused("track is", make_game, track)
     file = io.BytesIO()
     Image.fromarray(np.array([[0, 150, 255]], np.uint8)).save(file, "PNG")
