@@ -188,7 +188,7 @@ def test_each_table_has_its_own_races_and_the_papers_figures_only_by_its_rules(
     page = (tmp_path / "report.html").read_text()
     assert "data:image/svg" in page
     assert "smoke test" in page
-    contest = Study(replace(config, game={"race": "contest"}), tmp_path / "contest", quiet=True)
+    contest = Study(replace(config, rules="contest"), tmp_path / "contest", quiet=True)
     contest.folder.mkdir()
     report.write_report(contest, races)
     assert {row["paper_gt"] for row in read_csv(contest.folder / "table.csv").rows()} == {""}
