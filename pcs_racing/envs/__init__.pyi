@@ -11,7 +11,6 @@ from .duel import HeadToHeadEnv as HeadToHeadEnv
 from .duel import SelfPlayVectorEnv as SelfPlayVectorEnv
 from .infos import Result as Result
 from .obstacles import Obstacles as Obstacles
-from .on_car import PolicyOnCar as PolicyOnCar
 from .random_circuits import RandomCircuits as RandomCircuits
 from .registration import GYMNASIUM_IDS as GYMNASIUM_IDS
 from .registration import PETTINGZOO_IDS as PETTINGZOO_IDS
@@ -31,7 +30,6 @@ __all__ = [
     "DuelVectorEnv",
     "HeadToHeadEnv",
     "Obstacles",
-    "PolicyOnCar",
     "RandomCircuits",
     "RecordRaces",
     "Result",

@@ -5,6 +5,7 @@ from .blind import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
 from .hub import load_from_hub as load_from_hub
 from .hub import write_model_card as write_model_card
+from .on_car import PolicyOnCar as PolicyOnCar
 from .onnx_export import export_onnx as export_onnx
 from .sb3_files import save_model as save_model
 from .zoo import Entry as Entry
@@ -15,6 +16,7 @@ from .zoo import register_agent as register_agent
 __all__ = [
     "Agent",
     "Entry",
+    "PolicyOnCar",
     "Strategy",
     "TorchPolicy",
     "export_onnx",

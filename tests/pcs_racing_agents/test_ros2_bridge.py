@@ -20,9 +20,8 @@ from repository import REPOSITORY
 
 from pcs_racing import load_track
 from pcs_racing.car.lidar import Lidar
-from pcs_racing.envs import PolicyOnCar
 from pcs_racing.planners.ros_nodes import Node, ask_node, modules
-from pcs_racing_agents.agents import export_onnx
+from pcs_racing_agents.agents import PolicyOnCar, export_onnx
 
 PACKAGE = REPOSITORY / "examples" / "ros2_bridge"
 NAME = "pcs_racing_ros"
@@ -76,7 +75,9 @@ def test_a_policy_drives_by_messages_as_in_races(ros, lidar_ppo, policy, monkeyp
     """The simulator's messages go to the planner node's logic, and its commands come back."""
     race = ros("simulation").Simulation("Brackwater", opponent="lattice:pace=0", seed=1, beams=271)
     planning = ros("planning").Planning(str(lidar_ppo) if policy == "lidar-ppo" else policy)
-    monkeypatch.setattr("pcs_racing.envs.on_car.scans", lambda planner: False)  # as in a race
+    monkeypatch.setattr(
+        "pcs_racing_agents.agents.on_car.scans", lambda planner: False
+    )  # as in a race
     on_car = PolicyOnCar(policy, "Brackwater")
     began = race.info["car_0"]["progress"]
     for k in range(400):

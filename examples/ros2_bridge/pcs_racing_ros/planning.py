@@ -31,7 +31,7 @@ class MapPolicy:
     needs = ("odometry",)
 
     def __init__(self, policy: str, track: str, rules: str) -> None:
-        from pcs_racing.envs import PolicyOnCar
+        from pcs_racing_agents.agents import PolicyOnCar
 
         self.on_car = PolicyOnCar(policy, track, rules=rules)
         self.reset = self.on_car.reset

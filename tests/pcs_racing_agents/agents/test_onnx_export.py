@@ -10,7 +10,7 @@ from refusal import refused
 from pcs_racing import load_track
 from pcs_racing.base.compilation import compiled
 from pcs_racing.car.vehicle import F1TENTH
-from pcs_racing.envs import DriveEnv, DuelEnv, PolicyOnCar
+from pcs_racing.envs import DriveEnv, DuelEnv
 from pcs_racing.planners import PATH_KAPPA, PATH_SPEED, VIEW, Lidar
 from pcs_racing.planners.line_ppo import (
     FIRST,
@@ -21,7 +21,7 @@ from pcs_racing.planners.line_ppo import (
 )
 from pcs_racing.planners.racers import racer
 from pcs_racing.planners.scanning import BEAMS, FIELD_OF_VIEW, MAX_RANGE
-from pcs_racing_agents.agents import export_onnx, save_model
+from pcs_racing_agents.agents import PolicyOnCar, export_onnx, save_model
 from pcs_racing_agents.agents.sb3_files import read_zip
 from pcs_racing_agents.base.onnx_file import METADATA
 from pcs_racing_agents.cli.main import main
@@ -59,7 +59,9 @@ def close(found, expected) -> None:
 def test_ranges_become_the_commands_of_lidar_ppo(tmp_path, rng, monkeypatch):
     """The file holds the planner from the scan to the first command of its arc, and its memory."""
     track, network = load_track("Brackwater"), opened("lidar-ppo", tmp_path)
-    monkeypatch.setattr("pcs_racing.envs.on_car.scans", lambda planner: False)  # as in a race
+    monkeypatch.setattr(
+        "pcs_racing_agents.agents.on_car.scans", lambda planner: False
+    )  # as in a race
     on_car = PolicyOnCar("lidar-ppo", track)
     lidar = Lidar(track, beams=BEAMS, fov=FIELD_OF_VIEW, max_range=MAX_RANGE)
     memory = np.zeros((1, *network.shapes["memory"]))

@@ -6,14 +6,14 @@ from refusal import refused
 
 from pcs_racing import load_rules, load_track, racer
 from pcs_racing.base.compilation import kernel
-from pcs_racing.envs import PolicyOnCar
 from pcs_racing.envs.models import model_policy
-from pcs_racing.envs.on_car import scans
 from pcs_racing.planners.planner import Planner
 from pcs_racing.planners.registry import get_planner
 from pcs_racing.planners.shipped import SHIPPED
 from pcs_racing.race.driving import advance, pad_parameters
 from pcs_racing.race.races import RaceSetup, draw_starts, start_races
+from pcs_racing_agents.agents import PolicyOnCar
+from pcs_racing_agents.agents.on_car import scans
 
 TRACK = "Pipkin"
 
