@@ -130,9 +130,10 @@ def improving_corners(front: Floats, reference: float = REFERENCE) -> Floats:
 
 def _check_size(points: Floats) -> None:
     """Refuse points, shape (K, G), with a hypervolume beyond all numbers."""
-    if not (np.abs(points) < 1e300 ** (1.0 / points.shape[1])).all():
+    size = np.abs(points)
+    if not (size < 1e300 ** (1.0 / size.shape[1])).all():
         raise InputError(
-            f"points hold {np.abs(points).max():g}, whose hypervolume is beyond all numbers; scale"
+            f"points hold {size.max():g}, whose hypervolume is beyond all numbers; scale"
             " them (Scale)"
         )
 
