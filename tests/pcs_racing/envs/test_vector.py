@@ -135,7 +135,7 @@ def test_wrappers_of_gymnasium_run(name, wrapper):
         ("pcs_racing/Drive-v1", 600, {"duration": 60.0}),
         ("pcs_racing/Drive-v1", 2000, {"time_step": 0.02}),
         ("pcs_racing/Duel-v1", 4, {}),
-        ("pcs_racing/Duel-v1", 6, {"moves": 6}),
+        ("pcs_racing/Duel-v1", 6, {"steps": (8.0,) * 7}),
     ],
 )
 def test_the_specification_says_how_long_an_episode_is(name, steps, changes):
