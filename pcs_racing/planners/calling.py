@@ -1,7 +1,7 @@
 """Calls from the compiled race to a planner's functions, by the address of their machine code."""
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from types import FunctionType
 from typing import Any
 
@@ -47,21 +47,11 @@ _CONTROL = (*_PLAN, _VECTOR)
 
 
 @cache
-def plan_address(function: Callable[..., None]) -> Any:
-    """Compile a planner's ``plan`` and return the address of its machine code, for `call_plan`.
+def _address(arguments: tuple[types.Type, ...], function: Callable[..., None]) -> Any:
+    """Compile a planner's function and return the address of its machine code.
 
     Without compilation (``NUMBA_DISABLE_JIT``), return the function itself.
     """
-    return _address(function, _PLAN)
-
-
-@cache
-def control_address(function: Callable[..., None]) -> Any:
-    """Compile a planner's ``control`` and return its machine code's address, for `call_control`."""
-    return _address(function, _CONTROL)
-
-
-def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -> Any:
     python = getattr(function, "py_func", function)
     if config.DISABLE_JIT:
         return python
@@ -88,6 +78,10 @@ def _address(function: Callable[..., None], arguments: tuple[types.Type, ...]) -
         )
     _kept.append(code)
     return address_of(code)
+
+
+plan_address, control_address = partial(_address, _PLAN), partial(_address, _CONTROL)
+"""Compile a planner's ``plan`` or ``control``, and return its address for the calls below."""
 
 
 def bounds_checked(function: Callable[..., None]) -> Callable[..., None]:

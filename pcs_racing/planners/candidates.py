@@ -38,6 +38,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import candidate_rows as rows
+from pcs_racing.planners import pursuit as _pursuit
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.candidate_rows import (
     ACROSS,
@@ -49,13 +50,9 @@ from pcs_racing.planners.candidate_rows import (
     SEGMENTS,
     SPEEDS,
 )
-from pcs_racing.planners.line import GRIP, LOST, sample_at
+from pcs_racing.planners.line import GRIP, LOST, easing_length, sample_at
 from pcs_racing.planners.planner import Parameter
-from pcs_racing.planners.pursuit import BRAKING as MAX_BRAKING
-from pcs_racing.planners.pursuit import within_grip
-from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import LATERAL_OF_PROFILE, angle_between, offset
 
 BEYOND = 4  # points beyond the end of a move, where bends are measured
 
@@ -216,18 +213,6 @@ class Laid(NamedTuple):
     way: Return  #: Way of the car back onto them.
 
 
-@inner_kernel(forceinline=True)
-def _near(v):
-    """Return the distance (m) of the near goals; the far goals are ``FAR`` times as far."""
-    return NEAR + NEAR_TIME * v
-
-
-@inner_kernel(forceinline=True)
-def _return_length(v):
-    """Return the distance (m) for leading a car back onto its plan, also the length of the path."""
-    return 1.5 + 0.2 * v
-
-
 @inner_kernel
 def _lay_profiles(line, per_ds, s0, metres, attack, scratch):
     """Lay the profiles of all predictions: squared speeds at all scales, and the track's edges.
@@ -237,7 +222,7 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):
     the profile by the share ``attack`` where bends allow.
     """
     scale = scratch[rows.SCALE + ATTACKS]
-    lateral = LATERAL_OF_PROFILE * scale * scale
+    lateral = _frenet.LATERAL_OF_PROFILE * scale * scale
     top = (1.0 + attack) * scale
     for f in range(PROFILES):
         scratch[rows.SQUARE + (metres - 1) * PROFILES + f] = 1e9
@@ -249,7 +234,7 @@ def _lay_profiles(line, per_ds, s0, metres, attack, scratch):
         square = line[i, _frenet.SPEED] * line[i, _frenet.SPEED]
         for f in range(1, PROFILES):
             own = scratch[rows.SCALE + f] * scratch[rows.SCALE + f] * square
-            scratch[row + f] = min(own, scratch[beyond + f] + 2.0 * MAX_BRAKING)
+            scratch[row + f] = min(own, scratch[beyond + f] + 2.0 * _pursuit.BRAKING)
         fast = min(top * top * square, lateral / max(abs(line[i, _frenet.KAPPA]), 1e-6))
         # Bends between these metres count by the profile, which never exceeds an attack.
         scratch[row] = (
@@ -354,7 +339,7 @@ def situation(track, theta, view, memory):
     s, d, opponent_d = view[_view.OWN_S], view[_view.OWN_D], view[_view.OPP_D]
     here = sample_at(line, per_ds, s)
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
-    slope = tangent(min(max(angle_between(course, line[here, _frenet.PSI]), -1.2), 1.2))
+    slope = tangent(min(max(_frenet.angle_between(course, line[here, _frenet.PSI]), -1.2), 1.2))
     slope *= max(1.0 - line[here, _frenet.KAPPA] * d, 0.25)
     gap = view[_view.GAP]
     pace = _pace_now(theta[PACE], theta[PACE_BEHIND], gap)
@@ -378,7 +363,7 @@ def situation(track, theta, view, memory):
         view[_view.OWN_WIDTH],
         scale,
         # The car has the grip that the line needs at this pace, and more at slow paces.
-        within_grip(view, GRIP * max(scale * scale, 1.0)),
+        _pursuit.within_grip(view, GRIP * max(scale * scale, 1.0)),
         gap,
         opponent_d,
         view[_view.OPP_V],
@@ -418,7 +403,7 @@ def plan_by_now(memory, now, length):
 @inner_kernel(forceinline=True)
 def way_back(now, start):
     """Return the :class:`Return` of a car onto its plan."""
-    length = _return_length(now.v)
+    length = easing_length(now.v)
     return Return(
         LED_BACK * (now.d - start.d), LED_BACK * (now.slope - start.slope) * length, length
     )
@@ -440,7 +425,7 @@ def _lay_moves(line, ds, now, start, back, scratch):
     scratch[rows.LINE_AIR : rows.AWAY] = WALL_AIR
     kappa0 = here / max(1.0 - here * start.d, 0.25) + start.bend
     for first in range(0, GOALS, ACROSS):
-        length = _near(v) * (FAR if first > 0 else 1.0)
+        length = (NEAR + NEAR_TIME * v) * (FAR if first > 0 else 1.0)
         per_length = 1.0 / length
         i = sample_at(line, per_ds, now.s + length)
         right = -max(line[i, _frenet.RIGHT] - keep, 0.0)
@@ -812,7 +797,8 @@ def _write_path(track, view, laid, scratch, g, f, path):
     s0, grip, reach, per_ds = now.s, now.grip, way.length, 1.0 / track.ds
     at_scale = scratch[rows.SCALE + f]
     most = _following_speed(scratch, s0, 0) if now.follows and f == FOLLOWS else np.inf
-    braking = min(BRAKING * grip / GRIP, MAX_BRAKING)  # as in the profile at this scale, limited
+    # As in the profile at this scale, limited.
+    braking = min(BRAKING * grip / GRIP, _pursuit.BRAKING)
     goal, a, b = scratch[rows.GOAL_D + g], scratch[rows.A + g], scratch[rows.B + g]
     per_length = 1.0 / scratch[rows.LENGTH + g]
     # Bends beyond the written path: max speeds by braking, from the end of the move backwards.
@@ -826,8 +812,8 @@ def _write_path(track, view, laid, scratch, g, f, path):
         bent = kappa / max(1.0 - kappa * d, 0.25) + _lateral_bend(u, a, b) * per_length * per_length
         square = min(square + 2.0 * braking * step, grip / max(abs(bent), 1e-6))
     square += 2.0 * braking * step
-    step = reach / (PATH_POINTS - 1)
-    for j in range(PATH_POINTS - 1, -1, -1):
+    step = reach / (_view.PATH_POINTS - 1)
+    for j in range(_view.PATH_POINTS - 1, -1, -1):
         driven = j * step
         at = s0 + driven
         i = sample_at(line, per_ds, at)
@@ -839,16 +825,13 @@ def _write_path(track, view, laid, scratch, g, f, path):
         w = driven / reach
         back = ((12.0 * w - 6.0) * way.aside + (6.0 * w - 4.0) * way.slope) / (reach * reach)
         aside = d + _fade_out(w, way.aside, way.slope)
-        x, y, _ = offset(line, track.ds, track.length, at, aside)
-        path[j, _view.PATH_X] = x
-        path[j, _view.PATH_Y] = y
+        x, y, _ = _frenet.offset(line, track.ds, track.length, at, aside)
         if now.attacks and f == ATTACKS:
             row, share = _metre_at(driven)
             speed = _speed_ahead(scratch, ATTACKS, row, share)
         else:
             speed = at_scale * line[i, _frenet.SPEED]
-        path[j, _view.PATH_SPEED] = min(speed, np.sqrt(square), most)
-        path[j, _view.PATH_KAPPA] = bent + back
+        _pursuit.write_point(path, j, x, y, min(speed, np.sqrt(square), most), bent + back)
         square += 2.0 * braking * step
 
 

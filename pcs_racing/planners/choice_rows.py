@@ -5,6 +5,7 @@ of order one. *Near* is the nearness of the opponent: 1 beside the own car, 0 ou
 """
 
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
+from pcs_racing.planners.planner import offsets
 
 OWN = 30  # features of the situation before the track ahead
 BENDS = 8  # places ahead, with the curvature of the race line
@@ -14,10 +15,37 @@ MOVE, SPEED, PAIR = 14, 8, 7  # features of a move, of a speed and of a candidat
 FEATURES = MOVE + SPEED + PAIR
 INNER, UNITS = 48, 32  # units of the context's layer, and of the candidates' layer
 
-NEARNESS = SCRATCH  # nearness of each candidate to the opponent
-MET = NEARNESS + CANDIDATES  # its cost of meeting the opponent
+(
+    _,
+    NEARNESS,  # nearness of each candidate to the opponent
+    MET,  # its cost of meeting the opponent
+    SITUATION,  # features, in this order
+    MOVES,
+    SPEEDS_AT,
+    PAIRS,
+    INNER_AT,  # layers of the network
+    HIDDEN,
+    LINEAR,
+    OF_MOVES,  # parts of the first layer of each move and speed
+    OF_SPEEDS,
+    SCORES,
+    STYLED,  # parameters of the candidates for the style
+) = offsets(
+    SCRATCH,
+    CANDIDATES,
+    CANDIDATES,
+    CONTEXT,
+    MOVE * GOALS,
+    SPEED * SPEEDS,
+    PAIR * CANDIDATES,
+    INNER,
+    UNITS,
+    FEATURES,
+    (UNITS + 1) * GOALS,
+    (UNITS + 1) * SPEEDS,
+    UNITS,
+)
 
-SITUATION = MET + CANDIDATES
 (
     OWN_V,  # speed, in 8 m/s
     OWN_D,  # distance from the race line, m
@@ -54,7 +82,6 @@ BEND = SITUATION + OWN  # curvatures ahead, in 1/2 1/m
 WIDTH_LEFT = BEND + BENDS  # widths ahead, m
 WIDTH_RIGHT = WIDTH_LEFT + WIDTHS
 
-MOVES = SITUATION + CONTEXT
 (
     MOVE_LENGTH,  # 2.5 m over its length
     MOVE_MAX_KAPPA,  # max curvature, 1/m
@@ -72,7 +99,6 @@ MOVES = SITUATION + CONTEXT
     MOVE_GAIN,  # share of the way that it gains on the race line, in 1/5
 ) = range(MOVES, MOVES + MOVE * GOALS, GOALS)
 
-SPEEDS_AT = MOVES + MOVE * GOALS
 (
     SPEED_GAIN,  # speed after 1.25 s minus the own speed, in 3 m/s
     SPEED_BRAKED,  # change of the speed within 0.75 s, in 3 m/s
@@ -81,7 +107,6 @@ SPEEDS_AT = MOVES + MOVE * GOALS
 ) = range(SPEEDS_AT, SPEEDS_AT + 4 * SPEEDS, SPEEDS)
 SPEED_IS = SPEEDS_AT + 4 * SPEEDS  # 1 for the speed itself, in a row for each speed
 
-PAIRS = SPEEDS_AT + SPEED * SPEEDS
 (
     PAIR_KAPPA_RATE,  # max change of curvature in time, in 4 1/(m s)
     PAIR_ASIDE,  # lateral acceleration, in 10 m/s^2
@@ -91,12 +116,3 @@ PAIRS = SPEEDS_AT + SPEED * SPEEDS
     PAIR_MET,  # root of the cost of meeting the opponent
     PAIR_ABOVE,  # root of the cost above the min cost; -1 for a rejected candidate
 ) = range(PAIRS, PAIRS + PAIR * CANDIDATES, CANDIDATES)
-
-# Layers of the network, and the parts of the first layer of each move and speed.
-INNER_AT = PAIRS + PAIR * CANDIDATES
-HIDDEN = INNER_AT + INNER
-LINEAR = HIDDEN + UNITS
-OF_MOVES = LINEAR + FEATURES
-OF_SPEEDS = OF_MOVES + (UNITS + 1) * GOALS
-SCORES = OF_SPEEDS + (UNITS + 1) * SPEEDS
-STYLED = SCORES + UNITS  # parameters of the candidates for the style

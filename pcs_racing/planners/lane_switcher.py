@@ -33,10 +33,8 @@ from pcs_racing.planners.line import (
     within_walls,
 )
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pursuit import calm_speed, pursuit_arc
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.pursuit import calm_speed, pursuit_arc, write_point
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import project, to_cartesian
 
 PARAMETERS = (
     Parameter(
@@ -164,7 +162,7 @@ def _blocked(track, theta, view, memory, lane):
         w = 0.5 * view[_view.OPP_WIDTH] if k < 2 else -0.5 * view[_view.OPP_WIDTH]
         x = view[_view.OPP_X] + u * c - w * n
         y = view[_view.OPP_Y] + u * n + w * c
-        s, d = project(track, x, y, view[_view.OPP_S])
+        s, d = _frenet.project(track, x, y, view[_view.OPP_S])
         if abs(d - _lane_d(track, memory, lane, s)) < theta[BLOCKING_DISTANCE]:
             return True
     return False
@@ -234,14 +232,14 @@ def plan(track, theta, view, memory, scratch, path):
         memory[_BEGUN] = 1.0
         memory[_PLACE] = view[_view.OWN_D]
     memory[_LANE] = _choose_lane(track, theta, view, memory)
-    step = 1.5 * _lookahead(theta, view[_view.OWN_V]) / (PATH_POINTS - 1)
-    for j in range(PATH_POINTS):
+    step = 1.5 * _lookahead(theta, view[_view.OWN_V]) / (_view.PATH_POINTS - 1)
+    for j in range(_view.PATH_POINTS):
         s = s0 + j * step
-        x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN))
-        path[j, _view.PATH_X] = x
-        path[j, _view.PATH_Y] = y
-        path[j, _view.PATH_SPEED] = _speed(track, theta, view, memory, s)
-        path[j, _view.PATH_KAPPA] = track.line[line_index(track, s), _frenet.KAPPA]
+        x, y, _ = _frenet.to_cartesian(
+            track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN)
+        )
+        kappa = track.line[line_index(track, s), _frenet.KAPPA]
+        write_point(path, j, x, y, _speed(track, theta, view, memory, s), kappa)
 
 
 @compiled
@@ -254,7 +252,7 @@ def control(track, theta, view, memory, scratch, path, command):
     memory[_PLACE] += min(
         max(_lane_d(track, memory, memory[_LANE], s) - memory[_PLACE], -crossed), crossed
     )
-    x, y, _ = to_cartesian(track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN))
+    x, y, _ = _frenet.to_cartesian(track, s, within_walls(track, s, memory[_PLACE], WALL_MARGIN))
     ahead = track.line[line_index(track, s), _frenet.KAPPA]
     error = pursuit_arc(view, x, y, ahead)
     kappa = track.line[line_index(track, s0), _frenet.KAPPA]

@@ -27,7 +27,6 @@ from pcs_racing.planners.candidates import (
     take,
 )
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
 
 _EARLY = {
@@ -124,7 +123,7 @@ def candidates(
         Weighted cost; infinite for a rejected candidate.
     """
     scratch = np.zeros(SCRATCH)
-    _weigh_all(track, theta, view, memory.copy(), scratch, np.zeros((PATH_POINTS, 4)))
+    _weigh_all(track, theta, view, memory.copy(), scratch, np.zeros((_view.PATH_POINTS, 4)))
     points = np.empty((GOALS, SEGMENTS + 1, 2))
     points[:, 0] = view[_view.OWN_X], view[_view.OWN_Y]
     for axis, first in enumerate((rows.POINT_X, rows.POINT_Y)):

@@ -6,16 +6,16 @@ the speeds of the track's profile that the lane's bends allow. So planners of di
 differ in their target, not in how well they follow a path.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from pcs_racing.base.compilation import compiled, inner_kernel, kernel
 from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import view as _view
 from pcs_racing.planners.planner import Parameter
-from pcs_racing.planners.pursuit import BRAKING, steady_course, within_grip
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.pursuit import BRAKING, steady_course, within_grip, write_point
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, offset, shorter_way, wrap_s
 
 FOLLOW_GAIN = 1.2  # closing speed per metre beyond the follow distance, 1/s
 IN_THE_WAY = 0.1  # clearance below which the opponent is followed, m
@@ -81,7 +81,7 @@ COMFORT = 4.5  # m/s^2, braking down to the speed of a bend
 @compiled(forceinline=True)
 def line_index(track, s):
     """Return the index of the last line sample at or before an arc length (any real number)."""
-    return int(wrap_s(track, s) / track.ds) % track.line.shape[0]
+    return int(_frenet.wrap_s(track, s) / track.ds) % track.line.shape[0]
 
 
 @inner_kernel(forceinline=True)
@@ -99,7 +99,7 @@ def sample_at(line, per_ds, s):
 @compiled(forceinline=True)
 def gap_ahead(track, view):
     """Return the distance to the opponent ahead, modulo laps, in [-length / 2, length / 2), m."""
-    return shorter_way(track.length, view[_view.GAP])
+    return _frenet.shorter_way(track.length, view[_view.GAP])
 
 
 @compiled(forceinline=True)
@@ -146,15 +146,25 @@ def trailing_speed(theta, view, gap):
 
 
 @kernel(forceinline=True)
-def _reach(view):
-    """Return the distance (m) for easing onto the lane, which is also the length of the path."""
-    return 1.5 + 0.2 * view[_view.OWN_V]
+def room_to_brake(theta, view):
+    """Return the distance (m) to a car ahead below which a pass is no longer aborted.
+
+    ``theta`` begins with the parameters `TRAILING`.
+    """
+    closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
+    return theta[_GAP] + closing * closing / (2.0 * BRAKING)
+
+
+@kernel(forceinline=True)
+def easing_length(v):
+    """Return the distance (m) for easing onto a plan at a speed, also the length of the path."""
+    return 1.5 + 0.2 * v
 
 
 @kernel(forceinline=True)
 def lane_step(view):
     """Return the distance (m) along the race line between two points of a lane."""
-    return _reach(view) / (PATH_POINTS - 1)
+    return easing_length(view[_view.OWN_V]) / (_view.PATH_POINTS - 1)
 
 
 @kernel
@@ -278,7 +288,37 @@ def last_lane(track, view, memory):
 def course_off_line(track, view):
     """Return the angle (rad) of the own course to the race line at the car."""
     here = track.line[line_index(track, view[_view.OWN_S])]
-    return angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
+    return _frenet.angle_between(steady_course(view, here[_frenet.KAPPA]), here[_frenet.PSI])
+
+
+class Car(NamedTuple):
+    """A car at the begin of a plan."""
+
+    s: float  #: Arc length from the own car on, m.
+    v: float  #: Speed, m/s.
+    d: float  #: Distance from the race line, m.
+    rate: float  #: Change of this distance, m/s.
+    scale: float  #: Factor of the speed profile.
+
+
+@inner_kernel
+def both_cars(track, view, memory, scale):
+    """Return the own car at the present point of the saved lane, and the opponent.
+
+    Without a lane that may go on, the own car is at its own position. The opponent keeps its share
+    of the profile. ``scale`` is the own factor.
+    """
+    v, gap = view[_view.OWN_V], gap_ahead(track, view)
+    d, slope, goes_on = last_lane(track, view, memory)
+    if not goes_on:
+        d, slope = (
+            view[_view.OWN_D],
+            tangent(min(max(course_off_line(track, view), -1.0), 1.0)),
+        )
+    profile = track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
+    opp_v = view[_view.OPP_V]
+    other = Car(gap, opp_v, view[_view.OPP_D], view[_view.OPP_D_DOT], opp_v / profile)
+    return Car(0.0, v, d, v * slope, scale), other
 
 
 @kernel(forceinline=True)
@@ -323,7 +363,7 @@ def ease_onto(track, view, scale, cap, lane, path):
     line, ds, length = track.line, track.ds, track.length
     s0 = view[_view.OWN_S]
     d0 = view[_view.OWN_D]
-    reach = _reach(view)
+    reach = easing_length(view[_view.OWN_V])
     step = lane_step(view)
     _keep_off_walls(track, s0, step, lane)
     here = line[line_index(track, s0)]
@@ -345,16 +385,25 @@ def ease_onto(track, view, scale, cap, lane, path):
         )
         kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane[j], 0.25) + d_bend
         square = min(square + braking, grip / max(abs(kappa), 1e-6))
-        if j < PATH_POINTS:
+        if j < _view.PATH_POINTS:
             u = j * step / ease
             q = 1.0 - u
             d = lane[j] + q * q * ((1.0 + 2.0 * u) * aside + u * rise)
             back = ((12.0 * u - 6.0) * aside + (6.0 * u - 4.0) * rise) / (ease * ease)
-            x, y, _ = offset(line, ds, length, s0 + j * step, d)
-            path[j, _view.PATH_X] = x
-            path[j, _view.PATH_Y] = y
-            path[j, _view.PATH_SPEED] = min(scale * sample[_frenet.SPEED], np.sqrt(square), cap)
-            path[j, _view.PATH_KAPPA] = kappa + back
+            x, y, _ = _frenet.offset(line, ds, length, s0 + j * step, d)
+            speed = min(scale * sample[_frenet.SPEED], np.sqrt(square), cap)
+            write_point(path, j, x, y, speed, kappa + back)
+
+
+@kernel
+def follow_plan(track, view, d, along, across, scale, cap, lane, memory, path):
+    """Lay and save the lane of a plan, and write the path onto it.
+
+    The arguments are as for `lay_lane`, `keep_lane` and `ease_onto`.
+    """
+    lay_lane(view, d, along, across, lane)
+    keep_lane(view, lane, memory)
+    ease_onto(track, view, scale, cap, lane, path)
 
 
 @kernel
@@ -364,7 +413,7 @@ def hold_back(track, view, scale, along, step, path):
     ``along`` (m) holds the plan's places, every ``step`` s.
     """
     last, k = along.shape[0] - 1, 0
-    for j in range(PATH_POINTS):
+    for j in range(_view.PATH_POINTS):
         while k < last and along[k] < j * lane_step(view):
             k += 1
         v = (along[k] - (along[k - 1] if k > 0 else 0.0)) / step

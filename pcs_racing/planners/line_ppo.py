@@ -33,7 +33,7 @@ from safetensors.numpy import save as save_tensors
 
 from pcs_racing.base.checks import is_number
 from pcs_racing.base.compilation import identified, inner_kernel, kernel
-from pcs_racing.base.dense import tensors_from_bytes
+from pcs_racing.base.dense import dense_forward, flat_layers, tensors_from_bytes
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
 from pcs_racing.planners import candidate_rows as rows
@@ -54,7 +54,7 @@ from pcs_racing.planners.choice_rows import (
 )
 from pcs_racing.planners.lattice import LATTICE
 from pcs_racing.planners.line import sample_at
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.trained import PLANNER_FORMAT
 from pcs_racing.track import frenet as _frenet
 
@@ -124,15 +124,13 @@ class Weights(NamedTuple):
     end: int
 
 
-_SIZES = [(below + 1) * above for above, below in LAYERS.values()]
-AT = Weights(*(sum(_SIZES[:k]) for k in range(len(_SIZES) + 1)))
+AT = Weights(*offsets(*((below + 1) * above for above, below in LAYERS.values())))
 WEIGHTS = AT.end  # numbers of the network
 MAX_WEIGHT = 100.0
 
 # Memory after the lattice's: opponent's speed at the last plan and 1 s after the time of this plan,
 # 0 if the opponent was out of sight; and its usual speed, as a share of the profile's above 1.
-_M_SPEED, _M_TIME, _M_USUAL = (_candidates.MEMORY + k for k in range(3))
-MEMORY = _candidates.MEMORY + 3
+_, _M_SPEED, _M_TIME, _M_USUAL, MEMORY = offsets(_candidates.MEMORY, 1, 1, 1)
 RECENT = 0.05  # weight of the last plan in the usual speed
 
 TOTAL = choice.STYLED + len(LATTICE.parameters)
@@ -140,9 +138,9 @@ TOTAL = choice.STYLED + len(LATTICE.parameters)
 FIRST = choice.SITUATION  # place of the features of the situation, before all others
 
 # Parts of the scratch that `take` needs: moves; profiles and speed scales; predicted opponent.
-_MOVES_END = rows.KAPPA
-_PROFILES_END = _MOVES_END + rows.NOW_S - rows.SQUARE
-LAID = _PROFILES_END + SCRATCH - rows.OPP_S
+_, _MOVES_END, _PROFILES_END, LAID = offsets(
+    rows.KAPPA, rows.NOW_S - rows.SQUARE, SCRATCH - rows.OPP_S
+)
 
 
 @inner_kernel(forceinline=True)
@@ -163,14 +161,14 @@ def _copy(numbers, out):
 
 
 @inner_kernel(forceinline=True)
-def _shape(lattice, style, theta):
-    """Write the lattice's parameters for a style."""
+def _situation(track, lattice, style, view, memory, theta):
+    """Write the lattice's parameters for a style, and return the situation."""
     _copy(lattice, theta)
     wide, narrow = SIDE_MARGINS
     theta[_candidates.SIDE_MARGIN] = wide + (narrow - wide) * style[ASSERTIVENESS]
     theta[_candidates.PACE] = style[PACE]
     theta[_candidates.PACE_BEHIND] = style[PACE_BEHIND]
-    return theta
+    return _candidates.situation(track, theta, view, memory)
 
 
 @inner_kernel(forceinline=True)
@@ -350,30 +348,24 @@ def describe(track, lattice, style, view, memory, scratch):
     candidate is rejected.
     """
     theta = scratch[choice.STYLED : TOTAL]
-    _shape(lattice, style, theta)
-    now = _candidates.situation(track, theta, view, memory)
-    attacks = now.attacks
+    now = _situation(track, lattice, style, view, memory, theta)
     laid = _candidates.lay_candidates(track, theta, view, memory, _free(now), scratch)
-    if not attacks:
+    if not now.attacks:
         costs = scratch[rows.MIN_COST : rows.COSTS]
         for g in range(GOALS):
             costs[g] = costs[GOALS + g] + UNASKED
     best = _meet_all(theta, laid, scratch)
-    _describe_situation(track, style, view, memory, laid, attacks, scratch)
+    _describe_situation(track, style, view, memory, laid, now.attacks, scratch)
     _describe_candidates(theta, view, laid.now, best, scratch)
 
 
 @inner_kernel
 def take(track, lattice, style, view, memory, scratch, chosen, path):
     """Write the path of a candidate, after `describe` with the same scratch."""
-    theta = scratch[choice.STYLED : TOTAL]
-    _shape(lattice, style, theta)
-    now = _candidates.situation(track, theta, view, memory)
-    attacks = now.attacks
-    now = _free(now)
+    now = _situation(track, lattice, style, view, memory, scratch[choice.STYLED : TOTAL])
     start = _candidates.plan_by_now(memory, now, track.length)
-    laid = _candidates.Laid(now, start, _candidates.way_back(now, start))
-    _candidates.take(track, view, memory, laid, attacks, scratch, chosen, path)
+    laid = _candidates.Laid(_free(now), start, _candidates.way_back(now, start))
+    _candidates.take(track, view, memory, laid, now.attacks, scratch, chosen, path)
     _notice(track, view, now, memory)
 
 
@@ -401,16 +393,6 @@ def _add(value, numbers, total):
 
 
 @inner_kernel(forceinline=True)
-def _dense(flat, at, x, y):
-    """Write the outputs of a dense layer, with its numbers from ``at`` on."""
-    outputs = len(y)
-    for k in range(outputs):
-        y[k] = flat[at + k]
-    for j in range(len(x)):
-        _add(x[j], flat[at + outputs * (j + 1) : at + outputs * (j + 2)], y)
-
-
-@inner_kernel(forceinline=True)
 def _part(flat, features, step, linear, weights, part):
     """Write the part of the first layer, and the linear score, of one move or one speed.
 
@@ -430,11 +412,12 @@ def choose(flat, scratch):
     """Return the candidate with the max score; ``flat`` holds the network's numbers."""
     inner, hidden = scratch[choice.INNER_AT : choice.HIDDEN], scratch[choice.HIDDEN : choice.LINEAR]
     linear, units = scratch[choice.LINEAR : choice.OF_MOVES], scratch[choice.SCORES : choice.STYLED]
-    _dense(flat, AT.context, scratch[choice.SITUATION : choice.MOVES], inner)
+    situation = scratch[choice.SITUATION : choice.MOVES]
+    dense_forward(flat[AT.context :], (CONTEXT, INNER), situation, inner, False)
     for k in range(INNER):
         inner[k] = hyperbolic_tangent(inner[k])
-    _dense(flat, AT.situation, inner, hidden)
-    _dense(flat, AT.weights, inner, linear)
+    dense_forward(flat[AT.situation :], (INNER, UNITS), inner, hidden, False)
+    dense_forward(flat[AT.weights :], (INNER, FEATURES), inner, linear, False)
     _add(1.0, flat[AT.candidate : AT.candidate + UNITS], hidden)
     weights, width = flat[AT.candidate + UNITS : AT.score], UNITS + 1
     for g in range(GOALS):
@@ -512,12 +495,8 @@ LINE_FORMAT = replace(
 
 def flat_weights(tensors: Mapping[str, NDArray[Any]]) -> NDArray[np.float64]:
     """Return the numbers of a network's tensors (``context.weight``, ...), shape (WEIGHTS,)."""
-    parts = [
-        part
-        for layer in LAYERS
-        for part in (tensors[f"{layer}.bias"], np.asarray(tensors[f"{layer}.weight"]).T.ravel())
-    ]
-    return np.concatenate(parts).astype(np.float64)
+    layers = [(np.asarray(tensors[f"{one}.weight"]), tensors[f"{one}.bias"]) for one in LAYERS]
+    return flat_layers(layers).astype(np.float64)
 
 
 def save_line_planner(

@@ -11,6 +11,7 @@ move and an archive can store.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,11 @@ from pcs_racing.base.checks import check_number
 from pcs_racing.base.errors import InputError, UnknownNameError, choices
 from pcs_racing.planners.calling import control_address, plan_address
 from pcs_racing.planners.pursuit import COMMAND_SLOTS, follow_path, held_command, leave_path
+
+
+def offsets(*sizes: int) -> tuple[int, ...]:
+    """Return where the parts of a memory or a scratch begin, by their sizes, and where all end."""
+    return tuple(accumulate(sizes, initial=0))
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,15 @@ def hold_command(track, theta, view, memory, scratch, path, command):
 
 
 @kernel(forceinline=True)
+def write_point(path, j, x, y, speed, kappa):
+    """Write the point ``j`` of a path: place (m), speed (m/s) and curvature (1/m)."""
+    path[j, _view.PATH_X] = x
+    path[j, _view.PATH_Y] = y
+    path[j, _view.PATH_SPEED] = speed
+    path[j, _view.PATH_KAPPA] = kappa
+
+
+@kernel(forceinline=True)
 def steady_course(view, kappa):
     """Return the direction of motion (rad) in a steady bend ``kappa`` (1/m): heading plus slip.
 

@@ -15,8 +15,7 @@ from pcs_racing.car.collision import Rectangle
 from pcs_racing.car.lidar_errors import disturb_scan, lidar_place
 from pcs_racing.car.lidar_kernel import WORK_SHAPE, Beams, Pose, scan_into, scan_moving
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.pursuit import follow_path, steady_course
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.pursuit import follow_path, steady_course, write_point
 
 
 def sine_tables(angles: Iterable[float]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -36,6 +35,10 @@ MAX_RANGE = 15.0  # m
 STEP = FIELD_OF_VIEW / (BEAMS - 1)
 ANGLES = np.linspace(-0.5 * FIELD_OF_VIEW, 0.5 * FIELD_OF_VIEW, BEAMS)
 """Directions of the beams in rad, from right to left; 0 is straight ahead."""
+RIGHT_BEAM, LEFT_BEAM = (
+    int((side * 0.5 * np.pi + 0.5 * FIELD_OF_VIEW) / STEP + 0.5) for side in (-1.0, 1.0)
+)
+"""Beams to the right and to the left of the car, a quarter turn from straight ahead."""
 SIN, COS = sine_tables(ANGLES)
 WORK = WORK_SHAPE[0] * WORK_SHAPE[1]
 SCAN_SIZE = WORK + BEAMS
@@ -88,11 +91,12 @@ def scan_beams(track, beams, view, turn, work, ranges):
 def scan(track, view, scratch):
     """Scan from the lidar of the own car along its heading, and use the odometry from now on.
 
-    The ranges (m) are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``.
+    Returns the ranges (m), which are ``scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]``.
     """
     use_odometry(view)
-    beams = Beams(ANGLES[0], STEP, MAX_RANGE, COS, SIN)
-    scan_beams(track, beams, view, 0.0, scratch[:WORK], scratch[WORK:SCAN_SIZE])
+    beams, ranges = Beams(ANGLES[0], STEP, MAX_RANGE, COS, SIN), scratch[WORK:SCAN_SIZE]
+    scan_beams(track, beams, view, 0.0, scratch[:WORK], ranges)
+    return ranges
 
 
 @kernel
@@ -102,12 +106,6 @@ def follow_scan(track, theta, view, memory, scratch, path, command):
     """
     use_odometry(view)
     follow_path(track, theta, view, memory, scratch, path, command)
-
-
-@kernel(forceinline=True)
-def beam_at(angle):
-    """Return the index of the beam nearest to a direction in rad."""
-    return min(max(int((angle + 0.5 * FIELD_OF_VIEW) / STEP + 0.5), 0), BEAMS - 1)
 
 
 @kernel
@@ -127,16 +125,14 @@ def farthest(ranges, angles, first, end):
 @kernel
 def write_arc(view, course, kappa, length, speed, path):
     """Write an arc by its first course (rad), curvature (1/m), length (m) and speed (m/s)."""
-    for j in range(PATH_POINTS):
-        s = length * j / (PATH_POINTS - 1)
+    for j in range(_view.PATH_POINTS):
+        s = length * j / (_view.PATH_POINTS - 1)
         bend = 0.5 * kappa * s
         sine, _ = sine_cosine(bend)
         chord = s * sine / bend if bend != 0.0 else s
         sine, cosine = sine_cosine(course + bend)
-        path[j, _view.PATH_X] = view[_view.OWN_X] + chord * cosine
-        path[j, _view.PATH_Y] = view[_view.OWN_Y] + chord * sine
-        path[j, _view.PATH_SPEED] = speed
-        path[j, _view.PATH_KAPPA] = kappa
+        x, y = view[_view.OWN_X] + chord * cosine, view[_view.OWN_Y] + chord * sine
+        write_point(path, j, x, y, speed, kappa)
 
 
 @kernel

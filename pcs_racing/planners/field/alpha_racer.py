@@ -31,11 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.base.elementary import exponential, tangent
+from pcs_racing.base.elementary import exponential
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.track import frenet as _frenet
 
@@ -99,18 +98,14 @@ EASE = 0.1  # max change of the free widths, m per m
 _SPEED, _KAPPA, _RIGHT, _LEFT = range(4)
 
 # Memory: the lane, and the last chosen sample, counted from 1.
-_CHOSEN = _line.KEPT_LANE
-MEMORY = _line.KEPT_LANE + 1
+_, _CHOSEN, MEMORY = offsets(_line.KEPT_LANE, 1)
 # Scratch: the samples of both cars; arc lengths and distances from the line of the own plan;
 # payoffs of every pair to both cars; their means over each car's own samples; the table of the
 # track; the lane.
 _PAIRS = SAMPLES * SAMPLES
-_PLAN = 2 * SAMPLES * NUMBERS
-_VALUES = _PLAN + 2 * STEPS
-_MEANS = _VALUES + 2 * _PAIRS
-_TABLE = _MEANS + 4 * SAMPLES
-_LANE = _TABLE + 4 * PLACES
-SCRATCH = _LANE + _line.LANE_SIZE
+_, _PLAN, _VALUES, _MEANS, _TABLE, _LANE, SCRATCH = offsets(
+    2 * SAMPLES * NUMBERS, 2 * STEPS, 2 * _PAIRS, 4 * SAMPLES, 4 * PLACES, _line.LANE_SIZE
+)
 
 
 @inner_kernel
@@ -142,7 +137,7 @@ def _lay_table(track, view, keep, table):
     """Write speed, curvature and eased free widths (m), from `BACK` m behind the car on."""
     for k in range(PLACES):
         sample, row = (
-            track.line[line_index(track, view[_view.OWN_S] + k * SPACE - BACK)],
+            track.line[_line.line_index(track, view[_view.OWN_S] + k * SPACE - BACK)],
             table[4 * k :],
         )
         row[_SPEED], row[_KAPPA] = sample[_frenet.SPEED], sample[_frenet.KAPPA]
@@ -163,22 +158,12 @@ def _row(table, s):
     return 4 * min(max(int((s + BACK) / SPACE), 0), PLACES - 1)
 
 
-class _State(NamedTuple):
-    """A car in the game."""
-
-    s: float  #: Arc length from the own car on, m.
-    v: float  #: Speed, m/s.
-    d: float  #: Distance from the race line, m.
-    rate: float  #: Change of this distance, m/s.
-
-
 class _Choice(NamedTuple):
     """A car with one of its samples."""
 
     five: NDArray[np.float64]  #: Parameters of the sample.
     decay: float  #: Share of a deviation that a step leaves.
     home: float  #: Distance from the race line that the car prefers, m.
-    top: float  #: Factor of the speed profile.
 
 
 class _Limits(NamedTuple):
@@ -188,15 +173,6 @@ class _Limits(NamedTuple):
     grip: float  #: Max lateral acceleration, m/s^2.
     long: float  #: Distance along the track below which the cars are level, m.
     wide: float  #: Distance across below which a car follows, m.
-
-
-class _Begin(NamedTuple):
-    """Begin of the game."""
-
-    own: _State
-    opponent: _State
-    scale: float  #: Factor of the own speed profile.
-    opp_scale: float  #: Factor of the opponent's speed profile.
 
 
 @inner_kernel(forceinline=True)
@@ -218,7 +194,7 @@ def _step(theta, table, limits, choice, car, other):
     rate = (car.rate - pull * dt / time) * choice.decay
     stretch = max(1.0 - here[_KAPPA] * d, 0.25)
     wanted = min(
-        five[_F] * choice.top * here[_SPEED],
+        five[_F] * car.scale * here[_SPEED],
         np.sqrt(limits.grip * stretch / max(abs(here[_KAPPA]), 1e-6)),
     )
     if gap > 0.0 and abs(other.d - d) < limits.wide:
@@ -226,21 +202,21 @@ def _step(theta, table, limits, choice, car, other):
     v = max(min(wanted, car.v + dt * MAX_ACCELERATION), car.v - dt * MAX_BRAKING, 0.0)
     off = d < here[_RIGHT] - 0.05 or d > here[_LEFT] + 0.05
     cost = theta[SIDE] * abs(d - choice.home) / STEPS + (WALL / STEPS if off else 0.0)
-    return _State(car.s + dt * v / stretch, v, d, rate), cost
+    return _line.Car(car.s + dt * v / stretch, v, d, rate, car.scale), cost
 
 
 @inner_kernel
-def _play(theta, view, dt, begin, i, j, scratch):
+def _play(theta, view, dt, cars, i, j, scratch):
     """Simulate both cars with one sample each; write the own plan, return both payoffs (m)."""
-    car, opp, scale = begin.own, begin.opponent, begin.scale
-    grip = within_grip(view, 1.3 * _line.GRIP * max(scale * scale, 1.0))
+    car, opp = cars
+    grip = within_grip(view, 1.3 * _line.GRIP * max(car.scale * car.scale, 1.0))
     table = scratch[_TABLE:_LANE]
     long = 0.5 * (view[_view.OWN_LENGTH] + view[_view.OPP_LENGTH]) + 0.1
     wide = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH])
     limits = _Limits(dt, grip, long, wide + 0.1)
     own_five, opp_five = scratch[i * NUMBERS :], scratch[(SAMPLES + j) * NUMBERS :]
-    own = _Choice(own_five, exponential(-dt / own_five[_T]), 0.0, scale)
-    other = _Choice(opp_five, exponential(-dt / opp_five[_T]), opp.d, begin.opp_scale)
+    own = _Choice(own_five, exponential(-dt / own_five[_T]), 0.0)
+    other = _Choice(opp_five, exponential(-dt / opp_five[_T]), opp.d)
     value, opp_value = 0.0, 0.0
     for k in range(STEPS):
         was = car
@@ -253,7 +229,7 @@ def _play(theta, view, dt, begin, i, j, scratch):
             lack = max(wide + (theta[OPPONENT_AIR] if k > 1 else 0.0) - abs(opp.d - car.d), 0.0)
             cost = COLLISION * lack / wide * (1.5 - k / STEPS)
             value, opp_value = value - cost, opp_value - cost
-    gained, lost = car.s, opp.s - begin.opponent.s
+    gained, lost = car.s, opp.s - cars[1].s
     return value + gained - theta[RIVALRY] * lost, opp_value + lost - theta[RIVALRY] * gained
 
 
@@ -296,7 +272,7 @@ def best_of_potential(own, opponent, means, last):
 def plan(track, theta, view, memory, scratch, path):
     """Play the game if the opponent is near, and drive the own part of the best pair."""
     gap, scale, lane = (
-        gap_ahead(track, view),
+        _line.gap_ahead(track, view),
         _line.speed_scale(view, theta[_PACE]),
         scratch[_LANE:SCRATCH],
     )
@@ -305,54 +281,38 @@ def plan(track, theta, view, memory, scratch, path):
         cap = _line.follow_line(track, theta, view, gap, SIGHT, lane)
         _line.ease_onto(track, view, scale, cap, lane, path)
         return
-    d, slope, goes_on = _line.last_lane(track, view, memory)
-    if not goes_on:
-        d, slope = (
-            view[_view.OWN_D],
-            tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0)),
-        )
-    rate, opp_d = view[_view.OWN_V] * slope, view[_view.OPP_D]
-    opp_scale = (
-        view[_view.OPP_V] / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
-    )
+    cars = _line.both_cars(track, view, memory, scale)
     clear = 0.5 * (view[_view.OWN_WIDTH] + view[_view.OPP_WIDTH]) + theta[OPPONENT_AIR]
     keep = 0.5 * view[_view.OWN_WIDTH] + theta[WALL_AIR]
     _lay_table(track, view, keep, scratch[_TABLE:_LANE])
     _draw(theta, clear, True, scratch)
     _draw(theta, clear, gap < 0.0, scratch[SAMPLES * NUMBERS :])
-    begin = _Begin(
-        _State(0.0, view[_view.OWN_V], d, rate),
-        _State(gap, view[_view.OPP_V], opp_d, view[_view.OPP_D_DOT]),
-        scale,
-        opp_scale,
-    )
     own, opponent = scratch[_VALUES : _VALUES + _PAIRS], scratch[_VALUES + _PAIRS : _MEANS]
     for i in range(SAMPLES):
         for j in range(SAMPLES):
             own[i * SAMPLES + j], opponent[i * SAMPLES + j] = _play(
-                theta, view, STEP, begin, i, j, scratch
+                theta, view, STEP, cars, i, j, scratch
             )
     i, j = best_of_potential(own, opponent, scratch[_MEANS:_TABLE], int(memory[_CHOSEN]) - 1)
-    _play(theta, view, FINE, begin, i, j, scratch)
+    _play(theta, view, FINE, cars, i, j, scratch)
     memory[_CHOSEN] = i + 1.0
     along, factor = scratch[_PLAN : _PLAN + STEPS], scratch[i * NUMBERS + _F]
-    _line.lay_lane(view, d, along, scratch[_PLAN + STEPS : _VALUES], lane)
+    _line.lay_lane(view, cars[0].d, along, scratch[_PLAN + STEPS : _VALUES], lane)
     _line.hold_off(track, view, keep, lane)
     _line.keep_lane(view, lane, memory)
     _line.ease_onto(track, view, factor * scale, np.inf, lane, path)
     _line.hold_back(track, view, factor * scale, along, FINE, path)
 
 
-VARIANTS = {
-    "blocks": {"blocking": 1.0, "rivalry": 1.0},
-    "lets-by": {"blocking": 0.0, "rivalry": 0.0},
-}
 ALPHA_RACER = Planner(
     name="alpha-racer",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={
+        "blocks": {"blocking": 1.0, "rivalry": 1.0},
+        "lets-by": {"blocking": 0.0, "rivalry": 0.0},
+    },
 )
 """The near-potential game of two cars."""

@@ -30,11 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.base.elementary import tangent
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
@@ -81,25 +79,13 @@ IMPOSSIBLE = 1e3
 
 
 # Memory: the last plan as a lane, and its passing side.
-_PASSED = _line.KEPT_LANE
-MEMORY = _line.KEPT_LANE + 1
+_, _PASSED, MEMORY = offsets(_line.KEPT_LANE, 1)
 # Scratch: plans of both cars (arc length from the own car on, distance from the line, multiplier);
 # a response under study; widths to both sides, the band matrix and its right side; the lane.
 _PLAN = 3 * STEPS
-_TRIAL = 2 * _PLAN
-_RIGHT, _LEFT, _MAIN, _NEXT, _AFTER, _SIDE_OF = (_TRIAL + _PLAN + STEPS * k for k in range(6))
-_LANE = _SIDE_OF + STEPS
-SCRATCH = _LANE + _line.LANE_SIZE
-
-
-class _Car(NamedTuple):
-    """A car at the begin of a plan."""
-
-    s: float  #: Arc length from the own car on, m.
-    v: float  #: Speed, m/s.
-    d: float  #: Distance from the race line, m.
-    rate: float  #: Change of this distance, m/s.
-    scale: float  #: Factor of the speed profile.
+_, _TRIAL, _RIGHT, _LEFT, _MAIN, _NEXT, _AFTER, _SIDE_OF, _LANE, SCRATCH = offsets(
+    2 * _PLAN, _PLAN, *6 * [STEPS], _line.LANE_SIZE
+)
 
 
 class _Plans(NamedTuple):
@@ -120,7 +106,7 @@ def _go(track, s_from, car, plan, other, blocked, keep_back):
     """
     s, v = car.s, car.v
     for k in range(STEPS):
-        profile = car.scale * track.line[line_index(track, s_from + s), _frenet.SPEED]
+        profile = car.scale * track.line[_line.line_index(track, s_from + s), _frenet.SPEED]
         slowest = max(v - STEP * MAX_BRAKING, 0.0)
         v = max(min(v + STEP * MAX_ACCELERATION, profile), slowest)
         if blocked:
@@ -227,7 +213,7 @@ def _reply(track, theta, view, car, last, plans, scratch):
         end = _go(track, s0, car, trial, other, blocked, theta[FOLLOW])
         meets = False
         for k in range(STEPS):
-            sample = track.line[line_index(track, s0 + trial[k])]
+            sample = track.line[_line.line_index(track, s0 + trial[k])]
             # The race line itself is always allowed, however near a wall.
             scratch[_RIGHT + k] = max(sample[_frenet.RIGHT] - keep, 0.0)
             scratch[_LEFT + k] = max(sample[_frenet.LEFT] - keep, 0.0)
@@ -265,21 +251,12 @@ def plan(track, theta, view, memory, scratch, path):
     """Improve both plans alternately, and drive the own plan."""
     s0 = view[_view.OWN_S]
     scale = _line.speed_scale(view, theta[_PACE])
-    gap = gap_ahead(track, view)
+    gap = _line.gap_ahead(track, view)
     own, opponent = scratch[:_PLAN], scratch[_PLAN:_TRIAL]
     lane = scratch[_LANE:SCRATCH]
-    d0, slope, goes_on = _line.last_lane(track, view, memory)
-    if not goes_on:
-        d0, slope = (
-            view[_view.OWN_D],
-            tangent(min(max(_line.course_off_line(track, view), -1.0), 1.0)),
-        )
+    car, other = _line.both_cars(track, view, memory, scale)
     far = not -SIGHT < gap < SIGHT
-    opp_scale = view[_view.OPP_V] / track.line[line_index(track, s0 + gap), _frenet.SPEED]
     # The opponent's first plan keeps its position across the track.
-    opp_v = view[_view.OPP_V]
-    car = _Car(0.0, view[_view.OWN_V], d0, view[_view.OWN_V] * slope, scale)
-    other = _Car(gap, opp_v, view[_view.OPP_D], view[_view.OPP_D_DOT], opp_scale)
     _go(track, s0, other, opponent, own, False, 0.0)
     for k in range(STEPS):
         opponent[k] += 1e6 if far else 0.0
@@ -299,19 +276,17 @@ def plan(track, theta, view, memory, scratch, path):
                 pull[k] = theta[SENSITIVITY] * pull[k] if gap < 0.0 else 0.0
         side = _reply(track, theta, view, car, memory[_PASSED], own_plans, scratch)
     memory[_PASSED] = side
-    _line.lay_lane(view, d0, own[:STEPS], own[STEPS : 2 * STEPS], lane)
-    _line.keep_lane(view, lane, memory)
-    _line.ease_onto(track, view, scale, np.inf, lane, path)
-    _line.hold_back(track, view, scale, own[:STEPS], STEP, path)
+    along, across = own[:STEPS], own[STEPS : 2 * STEPS]
+    _line.follow_plan(track, view, car.d, along, across, scale, np.inf, lane, memory, path)
+    _line.hold_back(track, view, scale, along, STEP, path)
 
 
-VARIANTS = {"plain": {"sensitivity": 0.0}, "defends": {"sensitivity": 1.0}}
 BEST_RESPONSE = Planner(
     name="iterated-best-response",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={"plain": {"sensitivity": 0.0}, "defends": {"sensitivity": 1.0}},
 )
 """Iterated best response of two cars."""

@@ -25,8 +25,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.pursuit import within_grip
 from pcs_racing.track import frenet as _frenet
 
@@ -59,14 +58,18 @@ COLLISION, IMPOSSIBLE, KEPT = 20.0, 1e3, 0.3  # m: costs, and the bonus of the l
 SIGHT = 12.0  # max distance of the opponent in the game, m
 AIR_LATER = 2  # first steps without full clearance to the opponent
 
-_CHOSEN = _line.KEPT_LANE  # memory: the lane, and the last chosen position, counted from 1
-MEMORY = _line.KEPT_LANE + 1
+# Memory: the lane, and the last chosen position, counted from 1.
+_, _CHOSEN, MEMORY = offsets(_line.KEPT_LANE, 1)
 # Scratch: arc lengths and distances from the line of each trajectory of both cars at the steps, and
 # its value alone; the payoffs of both cars; the lane.
-_S, _D, _VALUE = 0, 2 * MOVES * STEPS, 4 * MOVES * STEPS
-_OWN, _OPP = _VALUE + 2 * MOVES, _VALUE + 2 * MOVES + MOVES * MOVES
-_LANE = _OPP + MOVES * MOVES
-SCRATCH = _LANE + _line.LANE_SIZE
+_S, _D, _VALUE, _OWN, _OPP, _LANE, SCRATCH = offsets(
+    2 * MOVES * STEPS,
+    2 * MOVES * STEPS,
+    2 * MOVES,
+    MOVES * MOVES,
+    MOVES * MOVES,
+    _line.LANE_SIZE,
+)
 
 
 class _Car(NamedTuple):
@@ -92,7 +95,7 @@ def _trajectories(track, theta, view, car, scratch):
     for move in range(MOVES):
         first, speed, aside, fits = (car.number * MOVES + move) * STEPS, car.v, 0.0, True
         end = home + (move % PLACES - PLACES // 2) * PLACE_STEP
-        along, sample = begin, track.line[line_index(track, s0 + begin)]
+        along, sample = begin, track.line[_line.line_index(track, s0 + begin)]
         for k in range(STEPS):
             wanted = min(scale * sample[_frenet.SPEED], car.follow if move >= PLACES else np.inf)
             speed = max(
@@ -103,7 +106,7 @@ def _trajectories(track, theta, view, car, scratch):
             q = 1.0 - u
             across = end + q * q * ((1.0 + 2.0 * u) * (d - end) + u * reach * car.slope)
             bend = (6.0 - 12.0 * u) * (end - d) / (reach * reach) if u < 1.0 else 0.0
-            sample = track.line[line_index(track, s0 + along)]
+            sample = track.line[_line.line_index(track, s0 + along)]
             off = abs(across) > _line.ON_LINE
             wall = across > sample[_frenet.LEFT] - keep or -across > sample[_frenet.RIGHT] - keep
             slips = abs(sample[_frenet.KAPPA] + bend) * speed * speed > grip
@@ -165,7 +168,7 @@ def solve(own, opponent, leads):
 def plan(track, theta, view, memory, scratch, path):
     """Play the game if the opponent is near, and drive the own trajectory."""
     gap, scale, lane = (
-        gap_ahead(track, view),
+        _line.gap_ahead(track, view),
         _line.speed_scale(view, theta[0]),
         scratch[_LANE:SCRATCH],
     )
@@ -179,7 +182,7 @@ def plan(track, theta, view, memory, scratch, path):
         d, slope = view[_view.OWN_D], 0.0
     opp_v = view[_view.OPP_V]
     follow = _line.trailing_speed(theta, view, gap) if gap > 0.0 else PART * view[_view.OWN_V]
-    opp_scale = opp_v / track.line[line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
+    opp_scale = opp_v / track.line[_line.line_index(track, view[_view.OWN_S] + gap), _frenet.SPEED]
     opp_slope = view[_view.OPP_D_DOT] / max(opp_v, 1.0)
     own = _Car(0, 0.0, view[_view.OWN_V], d, 0.0, slope, scale, follow)
     _trajectories(track, theta, view, own, scratch)
@@ -192,18 +195,16 @@ def plan(track, theta, view, memory, scratch, path):
     move = solve(scratch[_OWN:_OPP], scratch[_OPP:_LANE], leads)
     memory[_CHOSEN] = move % PLACES + 1.0
     along, across = scratch[_S + move * STEPS :][:STEPS], scratch[_D + move * STEPS :][:STEPS]
-    _line.lay_lane(view, d, along, across, lane)
-    _line.keep_lane(view, lane, memory)
-    _line.ease_onto(track, view, scale, follow if move >= PLACES else np.inf, lane, path)
+    cap = follow if move >= PLACES else np.inf
+    _line.follow_plan(track, view, d, along, across, scale, cap, lane, memory, path)
 
 
-VARIANTS = {"blocks": {"blocking": 3.0}, "sequential": {"cooperation": 0.0}}
 BIMATRIX = Planner(
     name="bimatrix-game",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={"blocks": {"blocking": 3.0}, "sequential": {"cooperation": 0.0}},
 )
 """The bimatrix game of two cars."""

@@ -22,9 +22,10 @@ from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.scanning import (
     ANGLES,
     BEAMS,
+    LEFT_BEAM,
+    RIGHT_BEAM,
     SCAN_SIZE,
     STEP,
-    beam_at,
     farthest,
     follow_scan,
     scan,
@@ -88,15 +89,13 @@ def extend_disparities(ranges, disparity, half_width, extended):
 @compiled
 def plan(track, theta, view, memory, scratch, path):
     """Scan, extend the disparities, and steer for the farthest point."""
-    scan(track, view, scratch)
-    ranges, extended = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], scratch[SCAN_SIZE:SCRATCH]
+    ranges, extended = scan(track, view, scratch), scratch[SCAN_SIZE:SCRATCH]
     extend_disparities(
         ranges, theta[DISPARITY], 0.5 * view[_view.OWN_WIDTH] + theta[TOLERANCE], extended
     )
-    first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
-    steering = theta[GAIN] * ANGLES[farthest(extended, ANGLES, first, last + 1)]
+    steering = theta[GAIN] * ANGLES[farthest(extended, ANGLES, RIGHT_BEAM, LEFT_BEAM + 1)]
     # Beams to the side of the turn, next to or behind the car.
-    begin, end = (last, BEAMS) if steering > 0.0 else (0, first + 1)
+    begin, end = (LEFT_BEAM, BEAMS) if steering > 0.0 else (0, RIGHT_BEAM + 1)
     for k in range(begin, end):
         if ranges[k] < theta[SIDE]:
             steering = 0.0
@@ -105,16 +104,15 @@ def plan(track, theta, view, memory, scratch, path):
     steer_for(view, steering, speed, theta[LATERAL], path)
 
 
-VARIANTS = {
-    "calm": {"top_speed": 5.0, "lateral": 4.0},
-    "fast": {"full_distance": 7.0, "lateral": 6.0},
-}
 DISPARITY_EXTENDER = Planner(
     name="disparity-extender",
     parameters=PARAMETERS,
     plan=plan,
     control=follow_scan,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={
+        "calm": {"top_speed": 5.0, "lateral": 4.0},
+        "fast": {"full_distance": 7.0, "lateral": 6.0},
+    },
 )
 """Planner that drives straight for the farthest point."""

@@ -15,17 +15,16 @@ References
 .. [2] University of Pennsylvania, F1TENTH course, laboratory "Follow the Gap", 2020.
 """
 
-import numpy as np
-
 from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arctangent
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.scanning import (
     ANGLES,
     BEAMS,
+    LEFT_BEAM,
+    RIGHT_BEAM,
     SCAN_SIZE,
     STEP,
-    beam_at,
     farthest,
     follow_scan,
     scan,
@@ -53,9 +52,7 @@ BUBBLE, LONGEST, SMOOTHING, BEST, GAIN, STRAIGHT_ANGLE, CORNER_ANGLE, STRAIGHT, 
 )
 
 NO_LIMIT = 1e6  # lateral acceleration, m/s^2: only the angles limit the speed
-_SMOOTH = SCAN_SIZE
-_CHOICE = _SMOOTH + BEAMS
-SCRATCH = _CHOICE + BEAMS
+_, _SMOOTH, _CHOICE, SCRATCH = offsets(SCAN_SIZE, BEAMS, BEAMS)
 
 
 @compiled
@@ -89,17 +86,15 @@ def longest_gap(ranges):
 @compiled
 def plan(track, theta, view, memory, scratch, path):
     """Scan, clear the bubble, and steer for the farthest point of the longest gap."""
-    scan(track, view, scratch)
     ranges, choice = scratch[_SMOOTH:_CHOICE], scratch[_CHOICE:SCRATCH]
-    smooth(scratch[SCAN_SIZE - BEAMS : SCAN_SIZE], theta[LONGEST], theta[SMOOTHING], ranges)
+    smooth(scan(track, view, scratch), theta[LONGEST], theta[SMOOTHING], ranges)
     smooth(ranges, theta[LONGEST], theta[BEST], choice)
-    first, last = beam_at(-0.5 * np.pi), beam_at(0.5 * np.pi)
-    nearest = first
-    for k in range(first, last + 1):
+    nearest = RIGHT_BEAM
+    for k in range(RIGHT_BEAM, LEFT_BEAM + 1):
         nearest = k if ranges[k] < ranges[nearest] else nearest
     spread = int(arctangent(theta[BUBBLE] / max(ranges[nearest], 1e-3)) / STEP)
     for k in range(BEAMS):
-        if k < first or k > last or abs(k - nearest) <= spread:
+        if k < RIGHT_BEAM or k > LEFT_BEAM or abs(k - nearest) <= spread:
             ranges[k] = 0.0
     begin, end = longest_gap(ranges)
     steering = theta[GAIN] * ANGLES[farthest(choice, ANGLES, begin, end)]
@@ -111,16 +106,15 @@ def plan(track, theta, view, memory, scratch, path):
     steer_for(view, steering, speed, NO_LIMIT, path)
 
 
-VARIANTS = {
-    "calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5},
-    "nearest": {"longest": 4.0},
-}
 FOLLOW_THE_GAP = Planner(
     name="follow-the-gap",
     parameters=PARAMETERS,
     plan=plan,
     control=follow_scan,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={
+        "calm": {"straight_speed": 3.5, "bend_speed": 2.5, "corner_speed": 1.5},
+        "nearest": {"longest": 4.0},
+    },
 )
 """The course's version of follow the gap."""

@@ -18,7 +18,7 @@ from pcs_racing.base.compilation import compiled
 from pcs_racing.base.elementary import arcsine, sine_cosine, tangent
 from pcs_racing.car.lidar import Beams
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.scanning import (
     WORK,
     farthest,
@@ -73,8 +73,7 @@ _SIN, _COS = sine_tables(_ANGLES)
 _APART_SIN, _APART_COS = sine_tables(STEP * np.arange(BEAMS))  # by index difference of two beams
 
 # Scratch: the lidar's own working memory, the ranges, and the free distances.
-_FREE = WORK + BEAMS
-SCRATCH = _FREE + BEAMS
+_, _RANGES, _FREE, SCRATCH = offsets(WORK, BEAMS, BEAMS)
 
 
 @compiled
@@ -127,7 +126,7 @@ def plan(track, theta, view, memory, scratch, path):
     use_odometry(view)
     slip = view[_view.OWN_BETA]
     course = view[_view.OWN_PSI] + slip
-    ranges = scratch[WORK:_FREE]
+    ranges = scratch[_RANGES:_FREE]
     free = scratch[_FREE:SCRATCH]
     scan_beams(
         track, Beams(_ANGLES[0], STEP, MAX_RANGE, _COS, _SIN), view, slip, scratch[:WORK], ranges

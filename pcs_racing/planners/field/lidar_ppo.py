@@ -87,8 +87,7 @@ def observe(track, view, share, memory, scratch, seen):
 
     All inputs are of order one.
     """
-    scan(track, view, scratch)
-    ranges = scratch[SCAN_SIZE - BEAMS : SCAN_SIZE]
+    ranges = scan(track, view, scratch)
     begun = memory[0] > 0.0
     memory[0] = 1.0
     for k in range(SECTORS):

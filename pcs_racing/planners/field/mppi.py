@@ -28,12 +28,9 @@ from pcs_racing.base.elementary import exponential
 from pcs_racing.base.seeds import GOLDEN, scramble, scramble_one
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.pursuit import within_grip
-from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import wrap_s
 
 PARAMETERS = (
     _line.PACE,
@@ -123,17 +120,27 @@ NOISE = normal_table(_TABLE)
 
 # Memory: the plan's curvatures relative to the race line (1/m) and accelerations (m/s^2); its path
 # as a lane.
-_KAPPAS, _ACCELERATIONS = 0, STEPS
-_KEPT = 2 * STEPS
-MEMORY = _KEPT + _line.KEPT_LANE
+_KAPPAS, _ACCELERATIONS, _KEPT, MEMORY = offsets(STEPS, STEPS, _line.KEPT_LANE)
 # Scratch: the copies' arc length from the car on, distance from the line, course relative to it,
 # speed, curvature relative to the line and cost; the race line ahead: curvature, speed, free
-# widths.
-_S, _D, _E, _V, _K, _COST = (SAMPLES * k for k in range(6))
-_LINE_KAPPA, _LINE_SPEED, _LINE_RIGHT, _LINE_LEFT = (6 * SAMPLES + CELLS * k for k in range(4))
-# The plan's path, and the lane.
-_ALONG, _ACROSS, _SPEEDS, _LANE = (6 * SAMPLES + 4 * CELLS + STEPS * k for k in range(4))
-SCRATCH = _LANE + _line.LANE_SIZE
+# widths; the plan's path; the lane.
+(
+    _S,
+    _D,
+    _E,
+    _V,
+    _K,
+    _COST,
+    _LINE_KAPPA,
+    _LINE_SPEED,
+    _LINE_RIGHT,
+    _LINE_LEFT,
+    _ALONG,
+    _ACROSS,
+    _SPEEDS,
+    _LANE,
+    SCRATCH,
+) = offsets(*6 * [SAMPLES], *4 * [CELLS], *3 * [STEPS], _line.LANE_SIZE)
 
 
 @inner_kernel(forceinline=True)
@@ -245,7 +252,7 @@ def _drive_plan(track, view, d, e, memory, along, across, speeds):
     """Simulate the plan; write arc length, distance from the line and speed after each step."""
     s, v = 0.0, max(view[_view.OWN_V], 0.1)
     for k in range(STEPS):
-        line_kappa = track.line[line_index(track, view[_view.OWN_S] + s), _frenet.KAPPA]
+        line_kappa = track.line[_line.line_index(track, view[_view.OWN_S] + s), _frenet.KAPPA]
         kappa = min(max(line_kappa + memory[_KAPPAS + k], -MAX_KAPPA), MAX_KAPPA)
         a = min(max(memory[_ACCELERATIONS + k], -MAX_BRAKING), MAX_ACCELERATION)
         s, d, e, v = _advance(s, d, e, v, kappa, a, line_kappa)
@@ -258,13 +265,14 @@ def plan(track, theta, view, memory, scratch, path):
     s0, v0 = view[_view.OWN_S], max(view[_view.OWN_V], 0.1)
     scale = _line.speed_scale(view, theta[_PACE])
     grip = within_grip(view, GRIP * max(scale * scale, 1.0))
+    kept = memory[_KEPT:]
     # Start at the last plan's present position; `ease_onto` removes the car's deviation from it.
-    d0, e0, goes_on = _line.last_lane(track, view, memory[_KEPT:])
+    d0, e0, goes_on = _line.last_lane(track, view, kept)
     if not goes_on:
         d0, e0 = view[_view.OWN_D], _line.course_off_line(track, view)
     e0 = min(max(e0, -1.0), 1.0)
     for k in range(CELLS):
-        sample = track.line[line_index(track, s0 + (k + 0.5) * CELL)]
+        sample = track.line[_line.line_index(track, s0 + (k + 0.5) * CELL)]
         scratch[_LINE_KAPPA + k] = sample[_frenet.KAPPA]
         scratch[_LINE_SPEED + k] = sample[_frenet.SPEED]
         scratch[_LINE_RIGHT + k] = sample[_frenet.RIGHT]
@@ -278,14 +286,12 @@ def plan(track, theta, view, memory, scratch, path):
         scratch[_S + i], scratch[_D + i], scratch[_E + i], scratch[_V + i] = 0.0, d0, e0, v0
         scratch[_K + i], scratch[_COST + i] = before, 0.0
     # The opponent keeps its share of the profile and its position across the track.
-    opp_s = gap_ahead(track, view)
+    opp_s = _line.gap_ahead(track, view)
     behind = opp_s <= -0.5 * view[_view.OWN_LENGTH]
-    share = (
-        view[_view.OPP_V]
-        / track.line[line_index(track, wrap_s(track, view[_view.OPP_S])), _frenet.SPEED]
-    )
+    line_s = _frenet.wrap_s(track, view[_view.OPP_S])
+    share = view[_view.OPP_V] / track.line[_line.line_index(track, line_s), _frenet.SPEED]
     for k in range(STEPS):
-        opp_s += STEP * share * track.line[line_index(track, s0 + opp_s), _frenet.SPEED]
+        opp_s += STEP * share * track.line[_line.line_index(track, s0 + opp_s), _frenet.SPEED]
         # A car that is entirely behind is responsible for itself.
         seen = -1e3 if behind else opp_s
         kappa, a = memory[_KAPPAS + k], memory[_ACCELERATIONS + k]
@@ -299,11 +305,9 @@ def plan(track, theta, view, memory, scratch, path):
     )
     lane = scratch[_LANE:SCRATCH]
     _drive_plan(track, view, d0, e0, memory, along, across, speeds)
-    _line.lay_lane(view, d0, along, across, lane)
-    _line.keep_lane(view, lane, memory[_KEPT:])
-    _line.ease_onto(track, view, scale, np.inf, lane, path)
+    _line.follow_plan(track, view, d0, along, across, scale, np.inf, lane, kept, path)
     k = 0
-    for j in range(PATH_POINTS):
+    for j in range(_view.PATH_POINTS):
         while k < STEPS - 1 and along[k] < j * _line.lane_step(view):
             k += 1
         before_s, before_v = (along[k - 1], speeds[k - 1]) if k > 0 else (0.0, v0)
@@ -313,16 +317,15 @@ def plan(track, theta, view, memory, scratch, path):
         )
 
 
-VARIANTS = {
-    "sharp": {"temperature": 2.0},
-    "close": {"opponent_width": 0.45, "opponent_length": 1.0},
-}
 MPPI = Planner(
     name="mppi",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={
+        "sharp": {"temperature": 2.0},
+        "close": {"opponent_width": 0.45, "opponent_length": 1.0},
+    },
 )
 """Model predictive path integral control."""

@@ -25,11 +25,8 @@ from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.base.elementary import exponential
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pursuit import BRAKING
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import wrap_s
 
 PARAMETERS = (
     *_line.TRAILING,
@@ -74,7 +71,6 @@ PARAMETERS = (
         "variance of an observation, as a share of the process's",
     ),
 )
-TRAILING_GAP = 1
 EVASION, BOUND, RAMP, HORIZON, BEGIN, END, LENGTH_SCALE, NOISE = range(
     len(_line.TRAILING), len(PARAMETERS)
 )
@@ -90,13 +86,9 @@ SIGHT = 20.0  # max distance of a predicted opponent, m
 # Memory: the side of the pass (-1, 0, 1), the last observed bin (counted from 1), and for each bin
 # the opponent's distance from the race line, its speed as a share of the profile, and an observed
 # flag.
-_SIDE, _LAST, _D = 0, 1, 2
-_V = _D + BINS
-_SEEN = _V + BINS
-MEMORY = _SEEN + BINS
+_SIDE, _LAST, _D, _V, _SEEN, MEMORY = offsets(1, 1, BINS, BINS, BINS)
 # Scratch: means ahead of distance and speed, work, the lane.
-_MEAN_D, _MEAN_V, _WORK, _LANE = (AHEAD * k for k in range(4))
-SCRATCH = _LANE + _line.LANE_SIZE
+_, _MEAN_V, _WORK, _LANE, SCRATCH = offsets(AHEAD, AHEAD, AHEAD, _line.LANE_SIZE)
 
 
 @inner_kernel
@@ -178,9 +170,10 @@ def _region(track, theta, view, scale, gap, per_bin, shares):
         if opponent - own < -theta[END]:
             return max(begins, 0.0), own
         v = min(
-            v + ACCELERATION * STEP, scale * track.line[line_index(track, s0 + own), _frenet.SPEED]
+            v + ACCELERATION * STEP,
+            scale * track.line[_line.line_index(track, s0 + own), _frenet.SPEED],
         )
-        profile = scale * track.line[line_index(track, s0 + opponent), _frenet.SPEED]
+        profile = scale * track.line[_line.line_index(track, s0 + opponent), _frenet.SPEED]
         own += STEP * v
         opponent += STEP * profile * _ahead(shares, per_bin, opponent - gap)
         t += STEP
@@ -219,7 +212,7 @@ def _least_room(track, theta, view, offsets, way):
     least = np.inf
     x = max(way.begins - theta[RAMP], 0.0)
     while x <= way.ends + theta[RAMP]:
-        sample = track.line[line_index(track, view[_view.OWN_S] + x)]
+        sample = track.line[_line.line_index(track, view[_view.OWN_S] + x)]
         d = _evasion(theta, offsets, way, x)
         if abs(d) > _line.ON_LINE:
             least = min(
@@ -233,12 +226,12 @@ def _least_room(track, theta, view, offsets, way):
 @kernel
 def plan(track, theta, view, memory, scratch, path):
     """Record the opponent, predict it, and pass or trail."""
-    gap = gap_ahead(track, view)
+    gap = _line.gap_ahead(track, view)
     scale = _line.speed_scale(view, theta[0])
     per_bin = BINS / track.length
-    opp_s = wrap_s(track, view[_view.OPP_S])
+    opp_s = _frenet.wrap_s(track, view[_view.OPP_S])
     first = min(int(opp_s * per_bin), BINS - 1)
-    share = view[_view.OPP_V] / (scale * track.line[line_index(track, opp_s), _frenet.SPEED])
+    share = view[_view.OPP_V] / (scale * track.line[_line.line_index(track, opp_s), _frenet.SPEED])
     remember(memory, first, view[_view.OPP_D], share)
     lane = scratch[_LANE:SCRATCH]
     offsets, shares, work = scratch[:_MEAN_V], scratch[_MEAN_V:_WORK], scratch[_WORK:_LANE]
@@ -260,10 +253,7 @@ def plan(track, theta, view, memory, scratch, path):
         passes = ends > 0.0 and (left if side > 0.0 else right) > 0.0
         # Without room or time for a pass the car trails, but it aborts a pass only with room to
         # brake.
-        closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
-        committed = memory_side != 0.0 and gap < theta[TRAILING_GAP] + closing * closing / (
-            2.0 * BRAKING
-        )
+        committed = memory_side != 0.0 and gap < _line.room_to_brake(theta, view)
         if passes or committed:
             memory[_SIDE] = side
             ends = ends if ends > 0.0 else NEVER
@@ -278,13 +268,12 @@ def plan(track, theta, view, memory, scratch, path):
     _line.ease_onto(track, view, scale, cap, lane, path)
 
 
-VARIANTS = {"early": {"begin": 2.0, "ramp": 8.0}, "wide": {"evasion_dist": 0.8}}
 PREDICTIVE_SPLINER = Planner(
     name="predictive-spliner",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=MEMORY,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={"early": {"begin": 2.0, "ramp": 8.0}, "wide": {"evasion_dist": 0.8}},
 )
 """The predictive spliner: a learned model of the opponent, and a pass where both cars meet."""

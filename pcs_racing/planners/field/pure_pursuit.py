@@ -28,9 +28,8 @@ from pcs_racing.planners.line import (
     within_walls,
 )
 from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.view import PATH_POINTS
+from pcs_racing.planners.pursuit import write_point
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between, to_cartesian
 
 PARAMETERS = (
     Parameter(
@@ -63,7 +62,7 @@ def plan(track, theta, view, memory, scratch, path):
     course = view[_view.OWN_PSI] + view[_view.OWN_BETA]
     length = theta[LOOKAHEAD] + theta[LOOKAHEAD_TIME] * view[_view.OWN_V]
     line_psi = track.line[line_index(track, s0), _frenet.PSI]
-    rise = length * tangent(min(max(angle_between(course, line_psi), -1.0), 1.0))
+    rise = length * tangent(min(max(_frenet.angle_between(course, line_psi), -1.0), 1.0))
     scale = view[_view.SPEED_LOW] + theta[PACE] * (view[_view.SPEED_HIGH] - view[_view.SPEED_LOW])
     d1 = 0.0
     most = np.inf
@@ -74,20 +73,16 @@ def plan(track, theta, view, memory, scratch, path):
             d1 = within_walls(track, s0 + length, d0, WALL_MARGIN)
         if waits or (gap > 0.0 and side_air(view) < IN_THE_WAY):
             most = max(view[_view.OPP_V] + FOLLOW_GAIN * (gap - theta[FOLLOW_DISTANCE]), 0.0)
-    for j in range(PATH_POINTS):
-        u = j / (PATH_POINTS - 1)
+    for j in range(_view.PATH_POINTS):
+        u = j / (_view.PATH_POINTS - 1)
         q = 1.0 - u
         s = s0 + u * length
         d = d1 + q * q * ((1.0 + 2.0 * u) * (d0 - d1) + u * rise)
         d_bend = ((12.0 * u - 6.0) * (d0 - d1) + (6.0 * u - 4.0) * rise) / (length * length)
         line = track.line[line_index(track, s)]
-        x, y, _ = to_cartesian(track, s, d)
-        path[j, _view.PATH_X] = x
-        path[j, _view.PATH_Y] = y
-        path[j, _view.PATH_SPEED] = min(scale * line[_frenet.SPEED], most)
-        path[j, _view.PATH_KAPPA] = (
-            line[_frenet.KAPPA] / max(1.0 - line[_frenet.KAPPA] * d, 0.25) + d_bend
-        )
+        x, y, _ = _frenet.to_cartesian(track, s, d)
+        kappa = line[_frenet.KAPPA] / max(1.0 - line[_frenet.KAPPA] * d, 0.25) + d_bend
+        write_point(path, j, x, y, min(scale * line[_frenet.SPEED], most), kappa)
 
 
 PURE_PURSUIT = Planner(name="pure-pursuit", parameters=PARAMETERS, plan=plan)

@@ -20,9 +20,7 @@ import numpy as np
 from pcs_racing.base.compilation import inner_kernel, kernel
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
-from pcs_racing.planners.pursuit import BRAKING
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.track import frenet as _frenet
 
 PARAMETERS = (
@@ -64,11 +62,9 @@ PARAMETERS = (
     ),
     Parameter("fixed_pred_time", 0.0, 1.0, 0.15, "prediction time of the opponent, s"),
 )
-TRAILING_GAP = 1
-EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT = range(
-    len(_line.TRAILING), len(_line.TRAILING) + 5
+EVASION, IN_THE_WAY, BOUND, LOOKAHEAD, FIRST_POINT, *_, SECTOR, PREDICTION = range(
+    len(_line.TRAILING), len(PARAMETERS)
 )
-SECTOR, PREDICTION = len(PARAMETERS) - 2, len(PARAMETERS) - 1
 TOP_SPEED = 8.0  # top speed of the profile, m/s; the speed scales point distances by 1 to 1.5
 SECTOR_REACH = 10.0  # m
 KEEPS_UP = 0.9  # max share of the own speed that the opponent is assumed to drive
@@ -76,10 +72,8 @@ CHECK_STEP = 0.4  # spacing of the spline points compared with the track's bound
 
 _SIDE = 0  # memory: the side of a pass (-1 right, 1 left), or 0
 KNOTS = 7
-# scratch: the points, the spline's moments, work
-_AT, _MOMENT, _FACTOR = (KNOTS * k for k in range(3))
-_LANE = 3 * KNOTS
-SCRATCH = _LANE + _line.LANE_SIZE
+# Scratch: the points, the spline's moments, work, the lane.
+_AT, _MOMENT, _FACTOR, _LANE, SCRATCH = offsets(KNOTS, KNOTS, KNOTS, _line.LANE_SIZE)
 
 
 @inner_kernel
@@ -131,7 +125,7 @@ def fits(track, view, keep, s, apex, gap, scratch):
     """Return whether the rest of a spline, apex at ``s + gap``, leaves ``keep`` (m) to walls."""
     x = max(scratch[_AT], -gap)
     while x < scratch[_AT + KNOTS - 1]:
-        sample = track.line[line_index(track, s + gap + x)]
+        sample = track.line[_line.line_index(track, s + gap + x)]
         d = apex * spline_at(x, scratch)
         if abs(d) > 0.1 and (d > sample[_frenet.LEFT] - keep or -d > sample[_frenet.RIGHT] - keep):
             return False
@@ -144,10 +138,10 @@ def plan(track, theta, view, memory, scratch, path):
     """Follow the race line, pass, or trail."""
     s0 = view[_view.OWN_S]
     opp_d = view[_view.OPP_D]
-    gap = gap_ahead(track, view) + theta[PREDICTION] * (view[_view.OPP_V] - view[_view.OWN_V])
+    gap = _line.gap_ahead(track, view) + theta[PREDICTION] * (view[_view.OPP_V] - view[_view.OWN_V])
     stretch = min(1.0 + view[_view.OWN_V] / TOP_SPEED, 1.5)
     lay_spline(theta, stretch, scratch)
-    now = gap_ahead(track, view)
+    now = _line.gap_ahead(track, view)
     blocks = (
         abs(opp_d) - 0.5 * view[_view.OPP_WIDTH] < theta[IN_THE_WAY] + 0.5 * view[_view.OWN_WIDTH]
     )
@@ -162,7 +156,7 @@ def plan(track, theta, view, memory, scratch, path):
             and _line.sharpest_bend(track, s0, SECTOR_REACH, 0.5) < theta[SECTOR]
         )
     ):
-        here = track.line[line_index(track, s0 + gap)]
+        here = track.line[_line.line_index(track, s0 + gap)]
         roomier = 1.0 if here[_frenet.LEFT] - opp_d > here[_frenet.RIGHT] + opp_d else -1.0
         side = memory[_SIDE] if passing else roomier
         apex = opp_d + side * theta[EVASION]
@@ -176,8 +170,7 @@ def plan(track, theta, view, memory, scratch, path):
             and fits(track, view, keep, s0, apex, gap, scratch)
         ):
             # A pass is aborted only with room to brake.
-            closing = max(view[_view.OWN_V] - view[_view.OPP_V], 0.0)
-            if now > theta[TRAILING_GAP] + closing * closing / (2.0 * BRAKING) or not passing:
+            if now > _line.room_to_brake(theta, view) or not passing:
                 side = 0.0
             else:
                 _line.hold_off(track, view, keep, lane)
@@ -188,22 +181,21 @@ def plan(track, theta, view, memory, scratch, path):
     _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, lane, path)
 
 
-VARIANTS = {
-    "published": {
-        "obs_traj_thresh": 1.0,
-        "evasion_dist": 0.6,
-        "spline_bound_mindist": 0.3,
-        "pre_apex_2": 2.0,
-    },
-    "close": {"evasion_dist": 0.5},
-    "wide": {"evasion_dist": 0.8},
-}
 SPLINER = Planner(
     name="spliner",
     parameters=PARAMETERS,
     plan=plan,
     memory_size=1,
     scratch_size=SCRATCH,
-    variants=VARIANTS,
+    variants={
+        "published": {
+            "obs_traj_thresh": 1.0,
+            "evasion_dist": 0.6,
+            "spline_bound_mindist": 0.3,
+            "pre_apex_2": 2.0,
+        },
+        "close": {"evasion_dist": 0.5},
+        "wide": {"evasion_dist": 0.8},
+    },
 )
 """The spliner: evasion by a spline, or trailing."""

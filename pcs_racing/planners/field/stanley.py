@@ -21,12 +21,9 @@ from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent
 from pcs_racing.planners import line as _line
 from pcs_racing.planners import view as _view
-from pcs_racing.planners.line import gap_ahead, line_index
-from pcs_racing.planners.planner import Parameter, Planner
+from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.pursuit import calm_speed
-from pcs_racing.planners.view import PATH_POINTS
 from pcs_racing.track import frenet as _frenet
-from pcs_racing.track.frenet import angle_between
 
 PARAMETERS = (
     *_line.TRAILING,
@@ -41,14 +38,13 @@ SIGHT = 10.0  # max distance of a trailed car, m
 PLAN_PERIOD = 0.1  # time between plans, s
 PREVIEW = 0.1  # time ahead of the speed read off the path, s
 # Memory: the lane, and the previous steering angle.
-_BEFORE = _line.KEPT_LANE
-MEMORY = _line.KEPT_LANE + 1
+_, _BEFORE, MEMORY = offsets(_line.KEPT_LANE, 1)
 
 
 @kernel
 def plan(track, theta, view, memory, scratch, path):
     """Write the lane: the race line, or the own position across the track next to another car."""
-    cap = _line.follow_line(track, theta, view, gap_ahead(track, view), SIGHT, scratch)
+    cap = _line.follow_line(track, theta, view, _line.gap_ahead(track, view), SIGHT, scratch)
     _line.ease_onto(track, view, _line.speed_scale(view, theta[0]), cap, scratch, path)
     _line.keep_lane(view, scratch, memory)
 
@@ -59,17 +55,17 @@ def control(track, theta, view, memory, scratch, path, command):
     v = view[_view.OWN_V]
     s = view[_view.OWN_S] + view[_view.WHEELBASE] - view[_view.REAR_AXLE]
     lane, slope = _line.kept_lane(track, memory, s)
-    sample = track.line[line_index(track, s)]
+    sample = track.line[_line.line_index(track, s)]
     kappa = sample[_frenet.KAPPA] / max(1.0 - sample[_frenet.KAPPA] * lane, 0.25)
     # Errors of the front axle: heading, and distance from the path.
-    turns = angle_between(sample[_frenet.PSI] + slope, view[_view.OWN_PSI])
-    here = track.line[line_index(track, view[_view.OWN_S]), _frenet.PSI]
-    axle = (view[_view.WHEELBASE] - view[_view.REAR_AXLE]) * angle_between(
+    turns = _frenet.angle_between(sample[_frenet.PSI] + slope, view[_view.OWN_PSI])
+    here = track.line[_line.line_index(track, view[_view.OWN_S]), _frenet.PSI]
+    axle = (view[_view.WHEELBASE] - view[_view.REAR_AXLE]) * _frenet.angle_between(
         view[_view.OWN_PSI], here
     )
     error = view[_view.OWN_D] + axle - lane
     since = view[_view.TIME] - PLAN_PERIOD * np.floor(view[_view.TIME] / PLAN_PERIOD + 0.01)
-    ahead = int(min(v * (since + PREVIEW) / memory[2], PATH_POINTS - 1.0))
+    ahead = int(min(v * (since + PREVIEW) / memory[2], _view.PATH_POINTS - 1.0))
     speed, acceleration = calm_speed(v, path[ahead, _view.PATH_SPEED])
     slip = (
         view[_view.REAR_SLIP] + view[_view.UNDERSTEER] + view[_view.UNDERSTEER_GAIN] * acceleration
@@ -82,7 +78,6 @@ def control(track, theta, view, memory, scratch, path, command):
     command[1] = speed
 
 
-VARIANTS = {"soft": {"k_soft": 3.0}, "damped": {"k_d_yaw": 0.05}}
 STANLEY = Planner(
     name="stanley",
     parameters=PARAMETERS,
@@ -90,6 +85,6 @@ STANLEY = Planner(
     control=control,
     memory_size=MEMORY,
     scratch_size=_line.LANE_SIZE,
-    variants=VARIANTS,
+    variants={"soft": {"k_soft": 3.0}, "damped": {"k_d_yaw": 0.05}},
 )
 """The Stanley controller on the race line."""
