@@ -33,8 +33,8 @@ from pcs_racing.planners import (
     get_planner,
     register_planner,
     to_cartesian,
+    view as view_of,  # indices of `view`
 )
-from pcs_racing.planners import view as view_of  # indices of `view`
 from pcs_racing_agents.tournament import play_tournament
 
 # 1. The parameters, in the order of `theta`, with bounds and a default. Synthesis searches between

@@ -1,21 +1,14 @@
-from . import envs as envs
-from . import game as game
-from . import planners as planners
+from . import envs as envs, game as game, planners as planners
 from .base.errors import InputError as InputError
-from .envs.duel import env as env
-from .envs.duel import parallel_env as parallel_env
+from .envs.duel import env as env, parallel_env as parallel_env
 from .game.archive_files import load_archive as load_archive
 from .game.make import make_game as make_game
 from .planners.imported import drivers_from as drivers_from
-from .planners.planner import Parameter as Parameter
-from .planners.planner import Planner as Planner
+from .planners.planner import Parameter as Parameter, Planner as Planner
 from .planners.racers import racer as racer
 from .planners.registry import register_planner as register_planner
-from .race.config import CONTEST as CONTEST
-from .race.config import PAPER as PAPER
-from .race.config import load_rules as load_rules
-from .race.races import run_field as run_field
-from .race.races import run_races as run_races
+from .race.config import CONTEST as CONTEST, PAPER as PAPER, load_rules as load_rules
+from .race.races import run_field as run_field, run_races as run_races
 from .race.recording import record_race as record_race
 from .race.replay import save_replay as save_replay
 from .track.loading import load_track as load_track

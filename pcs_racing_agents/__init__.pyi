@@ -1,12 +1,14 @@
-from . import agents as agents
-from . import learning as learning
-from . import networks as networks
-from . import policies as policies
-from . import solvers as solvers
-from . import study as study
-from . import tournament as tournament
-from . import trees as trees
-from . import watch as watch
+from . import (
+    agents as agents,
+    learning as learning,
+    networks as networks,
+    policies as policies,
+    solvers as solvers,
+    study as study,
+    tournament as tournament,
+    trees as trees,
+    watch as watch,
+)
 from .agents.agent import Agent as Agent
 from .agents.zoo import make as make
 from .networks.from_trees import train_regrets as train_regrets

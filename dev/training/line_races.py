@@ -56,8 +56,7 @@ from pcs_racing.race.driving import pointers_of
 from pcs_racing.race.kernel import WORK_SIZE, advance_races, fill_view
 from pcs_racing.race.races import RaceSetup, start_lines
 from pcs_racing.race.start_grid import Starts, place_on_grid
-from pcs_racing.race.state import RaceState
-from pcs_racing.race.state import take as take_races
+from pcs_racing.race.state import RaceState, take as take_races
 from pcs_racing.track.track import Track
 
 STEP = 10  # simulation steps of 0.01 s from one choice to the next

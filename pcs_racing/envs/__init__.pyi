@@ -1,22 +1,26 @@
-from . import drive as drive
-from . import duel as duel
+from . import drive as drive, duel as duel
 from .batch import Step as Step
-from .drive import DriveEnv as DriveEnv
-from .drive import DriveHeadToHeadEnv as DriveHeadToHeadEnv
-from .drive import DriveHeadToHeadVectorEnv as DriveHeadToHeadVectorEnv
-from .drive import DriveVectorEnv as DriveVectorEnv
-from .duel import DuelEnv as DuelEnv
-from .duel import DuelVectorEnv as DuelVectorEnv
-from .duel import HeadToHeadEnv as HeadToHeadEnv
-from .duel import SelfPlayVectorEnv as SelfPlayVectorEnv
+from .drive import (
+    DriveEnv as DriveEnv,
+    DriveHeadToHeadEnv as DriveHeadToHeadEnv,
+    DriveHeadToHeadVectorEnv as DriveHeadToHeadVectorEnv,
+    DriveVectorEnv as DriveVectorEnv,
+)
+from .duel import (
+    DuelEnv as DuelEnv,
+    DuelVectorEnv as DuelVectorEnv,
+    HeadToHeadEnv as HeadToHeadEnv,
+    SelfPlayVectorEnv as SelfPlayVectorEnv,
+)
 from .infos import Result as Result
 from .obstacles import Obstacles as Obstacles
 from .random_circuits import RandomCircuits as RandomCircuits
-from .registration import GYMNASIUM_IDS as GYMNASIUM_IDS
-from .registration import PETTINGZOO_IDS as PETTINGZOO_IDS
-from .registration import register_environments as register_environments
-from .sb3 import SB3VecEnv as SB3VecEnv
-from .sb3 import make_sb3_vec_env as make_sb3_vec_env
+from .registration import (
+    GYMNASIUM_IDS as GYMNASIUM_IDS,
+    PETTINGZOO_IDS as PETTINGZOO_IDS,
+    register_environments as register_environments,
+)
+from .sb3 import SB3VecEnv as SB3VecEnv, make_sb3_vec_env as make_sb3_vec_env
 from .video import RecordRaces as RecordRaces
 
 __all__ = [

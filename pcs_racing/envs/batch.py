@@ -18,8 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.checks import as_array, check_whole
 from pcs_racing.base.errors import InputError
-from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.car.vehicle import BETA, DELTA, F1TENTH, PSI, PSI_DOT, V
 from pcs_racing.race.config import Rules
 from pcs_racing.race.races import RaceSetup
 from pcs_racing.race.start_grid import Starts, places_of_grid, settle
@@ -198,8 +197,8 @@ def place_poses(setup: RaceSetup, poses: NDArray[np.float64]) -> RaceState:
     """
     state = empty_state(len(poses), setup.memory_size, len(setup.vehicles), setup.rules.laps)
     state.cars[:, :, X], state.cars[:, :, Y] = poses[..., 0], poses[..., 1]
-    state.cars[:, :, _vehicle.PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
-    state.cars[:, :, _vehicle.V] = poses[..., 3]
+    state.cars[:, :, PSI] = np.mod(poses[..., 2], 2.0 * np.pi)
+    state.cars[:, :, V] = poses[..., 3]
     settle(setup.track, setup.vehicles, state)
     wrong = np.flatnonzero(state.crashed)
     if len(wrong):
@@ -273,7 +272,7 @@ def check_races(name: str, races: RaceState, rules: Rules, lengths: NDArray[np.f
     check_within(f"{name}.laps", races.laps[..., LAPS], 0, rules.ticks)
     check_within(f"{name}.frenet", races.frenet[..., 0], 0.0, lengths[:, None])
     # A car that moves by more than the grid in a step would be looked up outside of it.
-    for column in (_vehicle.DELTA, _vehicle.V, _vehicle.PSI_DOT, _vehicle.BETA):
+    for column in (DELTA, V, PSI_DOT, BETA):
         check_within(f"{name}.cars", races.cars[..., column], -MAX_RATE, MAX_RATE)
 
 

@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pcs_racing.race.state import RaceState
-from pcs_racing.race.state import take as take_races
+from pcs_racing.race.state import RaceState, take as take_races
 
 
 class GameState(NamedTuple):

@@ -37,9 +37,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel
 from pcs_racing.base.elementary import tangent
-from pcs_racing.planners import candidate_rows as rows
-from pcs_racing.planners import pursuit as _pursuit
-from pcs_racing.planners import view as _view
+from pcs_racing.planners import candidate_rows as rows, pursuit as _pursuit, view as _view
 from pcs_racing.planners.candidate_rows import (
     ACROSS,
     GOALS,

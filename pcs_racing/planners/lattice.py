@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.planners import candidate_rows as rows
-from pcs_racing.planners import view as _view
+from pcs_racing.planners import candidate_rows as rows, view as _view
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SEGMENTS, SPEEDS
 from pcs_racing.planners.candidates import (
     MEMORY,

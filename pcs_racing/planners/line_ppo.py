@@ -36,10 +36,12 @@ from pcs_racing.base.compilation import identified, inner_kernel, kernel
 from pcs_racing.base.dense import dense_forward, flat_layers, tensors_from_bytes
 from pcs_racing.base.elementary import hyperbolic_tangent
 from pcs_racing.base.errors import InputError
-from pcs_racing.planners import candidate_rows as rows
-from pcs_racing.planners import candidates as _candidates
-from pcs_racing.planners import choice_rows as choice
-from pcs_racing.planners import view as _view
+from pcs_racing.planners import (
+    candidate_rows as rows,
+    candidates as _candidates,
+    choice_rows as choice,
+    view as _view,
+)
 from pcs_racing.planners.candidate_rows import CANDIDATES, GOALS, SCRATCH, SPEEDS
 from pcs_racing.planners.candidates import SIGHT
 from pcs_racing.planners.choice_rows import (

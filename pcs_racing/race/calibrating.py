@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from pcs_racing.base.elementary import exponential
 from pcs_racing.base.errors import InputError, say
 from pcs_racing.base.seeds import race_seeds
-from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.vehicle import F1TENTH
+from pcs_racing.car.vehicle import F1TENTH, PSI, V
 from pcs_racing.planners.lattice import REFERENCE
 from pcs_racing.race.config import DT, Rules
 from pcs_racing.race.contacts import END
@@ -112,8 +111,8 @@ def hazard_scan(
             pose = track.to_cartesian(np.stack([s, np.zeros(races)], axis=-1))
             state.cars[:, car, X] = pose[:, 0]
             state.cars[:, car, Y] = pose[:, 1]
-            state.cars[:, car, _vehicle.PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
-            state.cars[:, car, _vehicle.V] = scale * track.arrays.line[sample, SPEED]
+            state.cars[:, car, PSI] = np.mod(pose[:, 2], 2.0 * np.pi)
+            state.cars[:, car, V] = scale * track.arrays.line[sample, SPEED]
             state.frenet[:, car, 0] = s
             state.progress[:, car] = 0.5 * car * track.length
         field = BareField(track, settings, (REFERENCE, REFERENCE), (F1TENTH, F1TENTH))

@@ -7,8 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pcs_racing.base.errors import InputError
 from pcs_racing.base.typing import Floats
-from pcs_racing.car import vehicle as _vehicle
-from pcs_racing.car.vehicle import VehicleParams
+from pcs_racing.car.vehicle import PSI, V, VehicleParams
 from pcs_racing.race.conditions import AS_THE_SETUP, RaceConditions
 from pcs_racing.race.config import Rules
 from pcs_racing.race.positions import place_cars
@@ -95,10 +94,10 @@ def place_on_grid(
     # with a crash that no policy chose.
     profile = slowest * sample[..., SPEED]
     state.cars[..., X], state.cars[..., Y] = pose[..., 0], pose[..., 1]
-    state.cars[..., _vehicle.V] = (
+    state.cars[..., V] = (
         profile if rules.start == "rolling" else np.minimum(rules.start_speed, profile)
     )
-    state.cars[..., _vehicle.PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
+    state.cars[..., PSI] = np.mod(pose[..., 2], 2.0 * np.pi)
     state.progress[:] = -behind
     settle(track, vehicles, state, conditions)
     return state

@@ -15,10 +15,9 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from pcs_racing.base import files
 from pcs_racing.base.checks import check_path, is_number
 from pcs_racing.base.errors import MapError, say
-from pcs_racing.base.files import write_together
+from pcs_racing.base.files import parse_json, write_together
 from pcs_racing.base.typing import Floats
 from pcs_racing.track.grid import at_cell
 from pcs_racing.track.maps import (
@@ -162,7 +161,7 @@ def parse_waypoints(file: Path, data: bytes) -> tuple[Floats | None, Floats]:
 
     The rows are as in the csv files; a missing centre line is None.
     """
-    content = files.parse_json(file, data)
+    content = parse_json(file, data)
 
     def table(key: str, columns: tuple[str, ...]) -> Floats:
         try:

@@ -1,17 +1,12 @@
 from . import observing as observing
-from .agent import Agent as Agent
-from .agent import Strategy as Strategy
+from .agent import Agent as Agent, Strategy as Strategy
 from .blind import save_fit as save_fit
 from .from_torch import TorchPolicy as TorchPolicy
-from .hub import load_from_hub as load_from_hub
-from .hub import write_model_card as write_model_card
+from .hub import load_from_hub as load_from_hub, write_model_card as write_model_card
 from .on_car import PolicyOnCar as PolicyOnCar
 from .onnx_export import export_onnx as export_onnx
 from .sb3_files import save_model as save_model
-from .zoo import Entry as Entry
-from .zoo import make as make
-from .zoo import names as names
-from .zoo import register_agent as register_agent
+from .zoo import Entry as Entry, make as make, names as names, register_agent as register_agent
 
 __all__ = [
     "Agent",

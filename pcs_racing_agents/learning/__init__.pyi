@@ -1,18 +1,26 @@
 from .best_replies import best_reply as best_reply
-from .league import League as League
-from .league import league_callback as league_callback
-from .league import load_league as load_league
-from .league import make_league as make_league
-from .league import save_league as save_league
-from .ppo import PPOSettings as PPOSettings
-from .ppo import load_ppo_settings as load_ppo_settings
-from .ppo import train_ppo as train_ppo
-from .responses import learn_psro as learn_psro
-from .responses import learn_response as learn_response
-from .responses import load_psro_settings as load_psro_settings
-from .responses import load_response_settings as load_response_settings
-from .self_play import learn_self_play as learn_self_play
-from .self_play import load_self_play_settings as load_self_play_settings
+from .league import (
+    League as League,
+    league_callback as league_callback,
+    load_league as load_league,
+    make_league as make_league,
+    save_league as save_league,
+)
+from .ppo import (
+    PPOSettings as PPOSettings,
+    load_ppo_settings as load_ppo_settings,
+    train_ppo as train_ppo,
+)
+from .responses import (
+    learn_psro as learn_psro,
+    learn_response as learn_response,
+    load_psro_settings as load_psro_settings,
+    load_response_settings as load_response_settings,
+)
+from .self_play import (
+    learn_self_play as learn_self_play,
+    load_self_play_settings as load_self_play_settings,
+)
 
 __all__ = [
     "League",

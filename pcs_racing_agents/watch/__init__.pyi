@@ -1,11 +1,12 @@
-from .explain import explain_race as explain_race
-from .explain import mark_moves as mark_moves
+from .explain import explain_race as explain_race, mark_moves as mark_moves
 from .frames import write_gif as write_gif
 from .pictures import explanation_picture as explanation_picture
-from .ros_messages import RosMessage as RosMessage
-from .ros_messages import map_message as map_message
-from .ros_messages import pose_messages as pose_messages
-from .ros_messages import scan_message as scan_message
+from .ros_messages import (
+    RosMessage as RosMessage,
+    map_message as map_message,
+    pose_messages as pose_messages,
+    scan_message as scan_message,
+)
 from .words import story as story
 
 __all__ = [

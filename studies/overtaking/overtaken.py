@@ -15,8 +15,7 @@ References
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.planners import line as _line
-from pcs_racing.planners import view as _view
+from pcs_racing.planners import line as _line, view as _view
 from pcs_racing.planners.line import gap_ahead, line_index
 from pcs_racing.planners.planner import Parameter, Planner
 from pcs_racing.planners.view import PATH_POINTS

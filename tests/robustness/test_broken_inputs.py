@@ -19,8 +19,7 @@ from typing import Any, get_args, get_type_hints, is_typeddict
 import numpy as np
 import pytest
 import yaml
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from hypothesis.extra.numpy import array_shapes, arrays
 from test_data_run_no_code import KINDS, made
 from test_found_by_fuzzing import tree

@@ -39,8 +39,12 @@ from pcs_racing.race.config import Rules
 from pcs_racing.track.map_files import read_map
 from pcs_racing_agents.agents import export_onnx, make
 from pcs_racing_agents.cli.main import main
-from pcs_racing_agents.learning.league import FILE as LEAGUE_FILE
-from pcs_racing_agents.learning.league import load_league, make_league, save_league
+from pcs_racing_agents.learning.league import (
+    FILE as LEAGUE_FILE,
+    load_league,
+    make_league,
+    save_league,
+)
 from pcs_racing_agents.learning.ppo import PPOSettings, load_ppo_settings
 from pcs_racing_agents.learning.responses import load_psro_settings, load_response_settings
 from pcs_racing_agents.learning.self_play import load_self_play_settings

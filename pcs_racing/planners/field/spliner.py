@@ -18,8 +18,7 @@ References
 import numpy as np
 
 from pcs_racing.base.compilation import inner_kernel, kernel
-from pcs_racing.planners import line as _line
-from pcs_racing.planners import view as _view
+from pcs_racing.planners import line as _line, view as _view
 from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.track import frenet as _frenet
 

@@ -19,8 +19,7 @@ import numpy as np
 
 from pcs_racing.base.compilation import kernel
 from pcs_racing.base.elementary import arctangent
-from pcs_racing.planners import line as _line
-from pcs_racing.planners import view as _view
+from pcs_racing.planners import line as _line, view as _view
 from pcs_racing.planners.planner import Parameter, Planner, offsets
 from pcs_racing.planners.pursuit import calm_speed
 from pcs_racing.track import frenet as _frenet

@@ -5,8 +5,7 @@ import zipfile
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from refusal import refused
 
 from pcs_racing import InputError

@@ -2,16 +2,15 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from pcs_racing.car.collision import (
     Rectangle,
     car_hits_wall,
+    contact_fault as fault_of_bodies,
     inside_wall,
     rectangles_overlap,
 )
-from pcs_racing.car.collision import contact_fault as fault_of_bodies
 from pcs_racing.track.loading import load_track
 
 LENGTH, WIDTH = 0.58, 0.31

@@ -7,8 +7,7 @@ from pcs_racing.base.errors import UnknownNameError
 from pcs_racing.base.seeds import race_seeds
 from pcs_racing.game import characteristics as measures
 from pcs_racing.planners.lattice import LATTICE, REFERENCE
-from pcs_racing.race import races as racing
-from pcs_racing.race import state as kept
+from pcs_racing.race import races as racing, state as kept
 from pcs_racing.race.races import draw_starts
 from pcs_racing.race.start_grid import Starts
 from pcs_racing.testing import check_characteristic

@@ -1,8 +1,7 @@
 """Tools for occupancy grids, each against the plainest way to compute the same."""
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from pcs_racing.track.grid import cast, distance_to_walls, lookup_grid, way_out

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from placed_cars import PSI, V, X, placed, view_of
 from refusal import refused
 
@@ -11,8 +10,7 @@ from pcs_racing.car.collision import Rectangle, car_hits_wall, rectangles_overla
 from pcs_racing.car.lidar import Lidar
 from pcs_racing.envs.drive import DriveEnv
 from pcs_racing.envs.obstacles import Obstacles
-from pcs_racing.planners import scanning
-from pcs_racing.planners import view as seen
+from pcs_racing.planners import scanning, view as seen
 from pcs_racing.race.driving import advance
 from pcs_racing.race.state import WALL_CRASH
 from pcs_racing.track.frenet import LEFT, RIGHT

@@ -3,8 +3,7 @@ from dataclasses import dataclass, replace
 import gymnasium as gym
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
 from refusal import refused
 from zoo_games import untrained

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from refusal import refused
-from safetensors.numpy import load as load_tensors
-from safetensors.numpy import save as save_tensors
+from safetensors.numpy import load as load_tensors, save as save_tensors
 from toy_networks import MOVES, identity, plain_network, random_network
 from zoo_games import untrained
 

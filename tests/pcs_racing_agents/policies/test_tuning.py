@@ -16,8 +16,7 @@ from pcs_racing.base.seeds import signed_seed
 from pcs_racing.race.driving import advance
 from pcs_racing.race.races import RaceSetup, start_races, winners
 from pcs_racing.race.start_grid import Starts
-from pcs_racing_agents.policies import TuningConfig, tune
-from pcs_racing_agents.policies import tuning as module
+from pcs_racing_agents.policies import TuningConfig, tune, tuning as module
 from pcs_racing_agents.policies.tuning import beats_start, fitness
 
 pytest.importorskip("cma")

@@ -11,12 +11,10 @@ from pcs_racing_agents.base.jobs import open_job
 from pcs_racing_agents.base.statistics import match_units
 from pcs_racing_agents.tournament import (
     cross_pairing,
+    pairings as module,
     play_pairing,
     play_pairings,
     repeat_race,
-)
-from pcs_racing_agents.tournament import (
-    pairings as module,
 )
 
 SIZE = {"egos": 4, "opponents": 3, "lines": 2, "seed": 5}

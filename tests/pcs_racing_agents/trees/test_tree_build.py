@@ -4,8 +4,7 @@ from itertools import product
 import numpy as np
 import pytest
 import yaml
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from refusal import refused
 from same_arrays import assert_same
 
@@ -16,8 +15,13 @@ from pcs_racing.planners.field.pure_pursuit import PURE_PURSUIT
 from pcs_racing.race.start_grid import Starts
 from pcs_racing_agents.base.jobs import read_chunk, write_chunk
 from pcs_racing_agents.solvers import solve_exact
-from pcs_racing_agents.trees import build_tree, build_trees, choose_pairs, load_trees
-from pcs_racing_agents.trees import driving as _driving
+from pcs_racing_agents.trees import (
+    build_tree,
+    build_trees,
+    choose_pairs,
+    driving as _driving,
+    load_trees,
+)
 from pcs_racing_agents.trees.build import default_seeds, draw_root
 from pcs_racing_agents.trees.tree import check_size, own_histories, policy_paths
 

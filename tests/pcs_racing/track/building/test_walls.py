@@ -5,8 +5,7 @@ seen.
 import itertools
 
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 from numba import njit
 from refusal import refused
